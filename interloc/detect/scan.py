@@ -1,0 +1,44 @@
+"""A scan as the detector takes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class ScanLike(Protocol):
+    """What `Detector.push` needs of a scan; the points may be read as late as they are asked for."""
+
+    @property
+    def frame(self) -> int: ...
+    @property
+    def T_world_lidar(self) -> NDArray[np.float64]: ...
+    @property
+    def time_s(self) -> float | None: ...
+    @property
+    def road_points(self) -> NDArray[np.float32]: ...
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One scan in memory, for online use.
+
+    Attributes
+    ----------
+    frame : int
+        Scan number.
+    T_world_lidar : (4, 4) float64
+        Pose of the LiDAR in W.
+    road_points : (N, 3) float32
+        Points of the road in L, metres (paper, eq. 1).
+    time_s : float or None
+        Time of the scan, seconds.
+    """
+
+    frame: int
+    T_world_lidar: NDArray[np.float64]
+    road_points: NDArray[np.float32]
+    time_s: float | None = None

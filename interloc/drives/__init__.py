@@ -1,0 +1,1 @@
+"""Reading drives: layouts, poses, labels, georeference."""

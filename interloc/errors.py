@@ -1,0 +1,50 @@
+"""Everything that can go wrong for a user, in one place.
+
+A message names the file or field, what was found, what was expected, and the usual mistake.
+"""
+
+from __future__ import annotations
+
+
+class InterLocError(Exception):
+    """Base of all errors that InterLoc raises on purpose; its text is for the user."""
+
+    exit_code = 1
+    http_status = 500
+
+
+class ConfigError(InterLocError):
+    """A setting, an option or a combination of them that has no meaning."""
+
+    exit_code = 2
+    http_status = 422
+
+
+class DriveError(InterLocError):
+    """A drive that cannot be read or trusted: files, labels, poses."""
+
+    http_status = 422
+
+
+class GeoreferenceError(InterLocError):
+    """A georeference that is missing where it is needed, or that does not fit the drive."""
+
+    http_status = 422
+
+
+class MapError(InterLocError):
+    """An OpenStreetMap file or answer that cannot be used."""
+
+    http_status = 422
+
+
+class NetworkError(InterLocError):
+    """A remote service (Overpass) that did not answer as needed."""
+
+    http_status = 502
+
+
+class OutputError(InterLocError):
+    """A result that could not be written or is not where it is looked for."""
+
+    http_status = 507

@@ -1,0 +1,122 @@
+"""Rotations, planar angles and the small geodesy that the project needs.
+
+Frames: W (world: the first LiDAR pose), L (LiDAR), ENU (east, north, up at a fix). ``T_dst_src`` maps points of
+``src`` into ``dst``. Metres and radians; geodetic latitude and longitude in degrees on the WGS84 ellipsoid.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+WGS84_A_M = 6378137.0
+WGS84_F = 1 / 298.257223563
+WGS84_E2 = WGS84_F * (2 - WGS84_F)
+
+
+def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
+    """Return R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    Parameters
+    ----------
+    roll_rad, pitch_rad, yaw_rad : (...,) float
+        Angles of the KITTI convention: yaw 0 looks east, counter-clockwise.
+
+    Returns
+    -------
+    (..., 3, 3) float64
+        R_enu_body.
+    """
+    roll, pitch, yaw = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (roll_rad, pitch_rad, yaw_rad)))
+    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def yaw_of(rotation: Array) -> Array:
+    """Return the heading of the x axis, radians counter-clockwise, of (..., 3, 3) rotations as (...,) float64."""
+    return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
+
+
+def rotation_angle(a: Array, b: Array) -> float:
+    """Return the angle in radians of the rotation between two (3, 3) rotations."""
+    cosine = (float(np.sum(a * b)) - 1.0) / 2.0
+    return math.acos(min(1.0, max(-1.0, cosine)))
+
+
+def rotate_2d(xy: Array, angle_rad: ArrayLike) -> Array:
+    """Turn (..., 2) points counter-clockwise by one angle, or by one angle a point."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    x, y = xy[..., 0], xy[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+@overload
+def wrap_angle(angle_rad: float) -> float: ...
+@overload
+def wrap_angle(angle_rad: Array) -> Array: ...
+def wrap_angle(angle_rad: float | Array) -> float | Array:
+    """Bring angles into [-pi, pi)."""
+    return (angle_rad + math.pi) % (2 * math.pi) - math.pi
+
+
+def bearing_deg(angle_rad: ArrayLike) -> Array:
+    """Turn mathematical angles (counter-clockwise from +x, east) into bearings (clockwise from +y, north), [0, 360)."""
+    return (90.0 - np.degrees(np.asarray(angle_rad, dtype=np.float64))) % 360.0
+
+
+def invert_transform(transform: Array) -> Array:
+    """Invert rigid (..., 4, 4) transforms."""
+    inverse = np.zeros_like(transform)
+    rotation_t = np.swapaxes(transform[..., :3, :3], -1, -2)
+    inverse[..., :3, :3] = rotation_t
+    inverse[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation_t, transform[..., :3, 3])
+    inverse[..., 3, 3] = 1.0
+    return inverse
+
+
+def _metres_per_degree(lat_deg: ArrayLike) -> tuple[Array, Array]:
+    """Return (north, east) metres a degree of latitude and of longitude at a latitude, from the radii of curvature."""
+    lat = np.radians(np.asarray(lat_deg, dtype=np.float64))
+    w2 = 1.0 - WGS84_E2 * np.sin(lat) ** 2
+    meridian = WGS84_A_M * (1.0 - WGS84_E2) / w2**1.5
+    prime_vertical = WGS84_A_M / np.sqrt(w2)
+    return np.radians(meridian), np.radians(prime_vertical * np.cos(lat))
+
+
+def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: Array) -> Array:
+    """Place points given east and north of a fix on the ellipsoid.
+
+    Parameters
+    ----------
+    lat_deg, lon_deg : (...,) float
+        The fixes.
+    enu_xy : (..., 2) float64
+        East, north in metres, within some kilometres of the fix (error under 1 mm at 100 m, 0.2 m at 1 km).
+
+    Returns
+    -------
+    (..., 2) float64
+        Longitude, latitude in degrees.
+    """
+    north_scale, east_scale = _metres_per_degree(lat_deg)
+    lon = np.asarray(lon_deg, dtype=np.float64) + enu_xy[..., 0] / east_scale
+    lat = np.asarray(lat_deg, dtype=np.float64) + enu_xy[..., 1] / north_scale
+    return np.stack([lon, lat], axis=-1)
+
+
+def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: Array) -> Array:
+    """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes; the inverse of :func:`lonlat_from_enu`."""
+    north_scale, east_scale = _metres_per_degree(lat_deg)
+    east = (lonlat[..., 0] - np.asarray(lon_deg, dtype=np.float64)) * east_scale
+    north = (lonlat[..., 1] - np.asarray(lat_deg, dtype=np.float64)) * north_scale
+    return np.stack([east, north], axis=-1)

@@ -1,0 +1,1 @@
+"""Compiled pixel and point loops; each has its plain twin in the tests."""

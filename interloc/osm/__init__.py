@@ -1,0 +1,1 @@
+"""OpenStreetMap: the road graph, the ground truth policies, Overpass."""

@@ -1,0 +1,1 @@
+"""Towns, LiDAR and drives whose truth is known."""
