@@ -115,7 +115,7 @@ def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: Array) -> Ar
 
 
 def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: Array) -> Array:
-    """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes; the inverse of :func:`lonlat_from_enu`."""
+    """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes: `lonlat_from_enu` undone."""
     north_scale, east_scale = _metres_per_degree(lat_deg)
     east = (lonlat[..., 0] - np.asarray(lon_deg, dtype=np.float64)) * east_scale
     north = (lonlat[..., 1] - np.asarray(lat_deg, dtype=np.float64)) * north_scale

@@ -95,7 +95,7 @@ class Drive(Protocol):
 
 @dataclass(frozen=True)
 class DriveScan:
-    """One scan of a drive on its way into the detector (a `detect.scan.Scan`); its points are read when first asked for."""
+    """One scan of a drive on its way into the detector; its points are read when first asked for."""
 
     drive: Drive
     index: int
@@ -108,7 +108,8 @@ class DriveScan:
     @property
     def T_world_lidar(self) -> Array:
         """(4, 4) float64 pose of the LiDAR in W."""
-        return self.drive.T_world_lidar[self.index]
+        pose: Array = self.drive.T_world_lidar[self.index]
+        return pose
 
     @property
     def time_s(self) -> float | None:
