@@ -1,0 +1,117 @@
+"""Binary images packed 64 columns a word.
+
+Layout: row ``r`` of the image is row ``r + 1`` of a (H + 2, words) uint64 array; column ``c`` is bit ``c % 64`` of word
+``c // 64``. One empty row above and below and at least one empty column at the right make every 8-neighbour of a
+pixel addressable by its flat bit index without a test for the border.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.kernels._compile import compiled
+
+Words = NDArray[np.uint64]
+
+
+def words_for(width: int) -> int:
+    """Return how many words hold a row of ``width`` pixels and one empty column."""
+    return width // 64 + 1
+
+
+@compiled
+def popcount(x: np.uint64) -> int:
+    """Count the set bits of a word."""
+    x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
+
+
+@compiled
+def lowest_bit(x: np.uint64) -> int:
+    """Return the index of the lowest set bit of a word that is not 0."""
+    return popcount((x & (~x + np.uint64(1))) - np.uint64(1))
+
+
+@compiled
+def pack(image: NDArray[np.uint8], words: Words) -> None:
+    """Write a (H, W) uint8 image, non-zero is set, into empty (H + 2, words) words."""
+    height, width = image.shape
+    for r in range(height):
+        for w in range(words.shape[1]):
+            first = w * 64
+            last = min(first + 64, width)
+            word = np.uint64(0)
+            for c in range(first, last):
+                if image[r, c] != 0:
+                    word |= np.uint64(1) << np.uint64(c - first)
+            words[r + 1, w] = word
+
+
+@compiled
+def unpack(words: Words, image: NDArray[np.uint8]) -> None:
+    """Write packed words into an empty (H, W) uint8 image of 0 and 1."""
+    height, width = image.shape
+    for r in range(height):
+        for w in range(words.shape[1]):
+            word = words[r + 1, w]
+            if word == 0:
+                continue
+            first = w * 64
+            for c in range(first, min(first + 64, width)):
+                image[r, c] = (word >> np.uint64(c - first)) & np.uint64(1)
+
+
+@compiled
+def set_pixels(words: Words) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return rows and columns of the set pixels, (P,) int32 each, in row-major order."""
+    count = 0
+    for r in range(1, words.shape[0] - 1):
+        for w in range(words.shape[1]):
+            if words[r, w] != 0:
+                count += popcount(words[r, w])
+    rows = np.empty(count, np.int32)
+    cols = np.empty(count, np.int32)
+    i = 0
+    for r in range(1, words.shape[0] - 1):
+        for w in range(words.shape[1]):
+            word = words[r, w]
+            while word != 0:
+                rows[i] = r - 1
+                cols[i] = w * 64 + lowest_bit(word)
+                word &= word - np.uint64(1)
+                i += 1
+    return rows, cols
+
+
+@compiled
+def nearest_clear(words: Words, row: int, col: int, height: int, width: int, limit: int) -> float:
+    """Return the distance in pixels from a set pixel to the nearest clear one, at most ``limit``.
+
+    The distance transform at one pixel. Outside of the image nothing is clear: a road that leaves the window
+    does not end there.
+    """
+    best = limit * limit
+    dy = 0
+    while dy * dy < best and dy <= limit:
+        for side in range(2):
+            r = row + dy if side == 0 else row - dy
+            if r < 0 or r >= height or (side == 1 and dy == 0):
+                continue
+            reach = int(np.sqrt(best - dy * dy)) + 1
+            for dx in range(reach + 1):
+                if dx * dx + dy * dy >= best:
+                    break
+                left, right = col - dx, col + dx
+                clear = False
+                if left >= 0:
+                    clear = ((words[r + 1, left >> 6] >> np.uint64(left & 63)) & np.uint64(1)) == 0
+                if not clear and right < width:
+                    clear = ((words[r + 1, right >> 6] >> np.uint64(right & 63)) & np.uint64(1)) == 0
+                if clear:
+                    best = dx * dx + dy * dy
+                    break
+        dy += 1
+    return np.sqrt(best)
