@@ -93,6 +93,12 @@ def _metres_per_degree(lat_deg: ArrayLike) -> tuple[Array, Array]:
     return np.radians(meridian), np.radians(prime_vertical * np.cos(lat))
 
 
+def _curvature(lat_deg: ArrayLike) -> Array:
+    """Return tan(latitude) / prime vertical radius, 1/m: how fast meridians turn towards each other going east."""
+    lat = np.radians(np.asarray(lat_deg, dtype=np.float64))
+    return np.tan(lat) * np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2) / WGS84_A_M
+
+
 def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: Array) -> Array:
     """Place points given east and north of a fix on the ellipsoid.
 
@@ -101,22 +107,35 @@ def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: Array) -> Ar
     lat_deg, lon_deg : (...,) float
         The fixes.
     enu_xy : (..., 2) float64
-        East, north in metres, within some kilometres of the fix (error under 1 mm at 100 m, 0.2 m at 1 km).
+        East, north in metres in the tangent plane, within some kilometres of the fix (error under 0.1 mm at 100 m
+        and 1 cm at 1 km up to 70 degrees of latitude).
 
     Returns
     -------
     (..., 2) float64
         Longitude, latitude in degrees.
+
+    Notes
+    -----
+    Taylor series of the ellipsoid at the fix to second order. The first order alone is 1 mm off at 100 m at
+    KITTI's latitude, 2.5 mm at 70 degrees.
     """
     north_scale, east_scale = _metres_per_degree(lat_deg)
-    lon = np.asarray(lon_deg, dtype=np.float64) + enu_xy[..., 0] / east_scale
-    lat = np.asarray(lat_deg, dtype=np.float64) + enu_xy[..., 1] / north_scale
+    curvature = _curvature(lat_deg)
+    east, north = enu_xy[..., 0], enu_xy[..., 1]
+    lon = np.asarray(lon_deg, dtype=np.float64) + east * (1.0 + curvature * north) / east_scale
+    lat = np.asarray(lat_deg, dtype=np.float64) + (north - 0.5 * curvature * east**2) / north_scale
     return np.stack([lon, lat], axis=-1)
 
 
 def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: Array) -> Array:
     """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes: `lonlat_from_enu` undone."""
     north_scale, east_scale = _metres_per_degree(lat_deg)
-    east = (lonlat[..., 0] - np.asarray(lon_deg, dtype=np.float64)) * east_scale
-    north = (lonlat[..., 1] - np.asarray(lat_deg, dtype=np.float64)) * north_scale
+    curvature = _curvature(lat_deg)
+    east_arc = (lonlat[..., 0] - np.asarray(lon_deg, dtype=np.float64)) * east_scale
+    north_arc = (lonlat[..., 1] - np.asarray(lat_deg, dtype=np.float64)) * north_scale
+    east, north = east_arc, north_arc
+    for _ in range(6):  # each round gains a factor of distance / Earth's radius: exact within some ten kilometres
+        east = east_arc / (1.0 + curvature * north)
+        north = north_arc + 0.5 * curvature * east**2
     return np.stack([east, north], axis=-1)

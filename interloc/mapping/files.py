@@ -16,16 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from interloc.errors import OutputError
-
-RUN_FILE = "run.json"
-"""The file that makes a folder a result folder; written last."""
-
-RESULT_NAMES = frozenset(
-    [f"{stem}.{ending}" for stem in ("detections", "keyframes", "trajectory", "intersections")
-     for ending in ("geojson", "local.json")]
-    + [RUN_FILE, "report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "figures"]
-)  # fmt: skip
-"""What InterLoc itself puts into a result folder. All else in there is the user's and survives a new run."""
+from interloc.mapping.layout import RESULT_NAMES, RUN_FILE
 
 _REASONS = {
     errno.ENOSPC: "no space left on the disk",
