@@ -1,0 +1,226 @@
+"""What an OSM file is, told from its first bytes and its XML prolog, before any parser trusts it.
+
+A map is somebody's upload: this module refuses what is no map, names the usual mistakes, and bounds what a small
+compressed file may unpack to.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Literal, cast
+from xml.parsers import expat
+
+from interloc.errors import MapError
+from interloc.osm.graph import Bounds
+
+Container = Literal["osm", "osm.gz", "osm.bz2", "pbf"]
+
+MAX_UNPACKED_BYTES = 16 * 1024**3
+"""Larger maps are for .osm.pbf, whose blocks are bounded by the format."""
+
+_BLOCK_BYTES = 1 << 20
+_DATA_ELEMENTS = {"node", "way", "relation"}
+
+
+@dataclass(frozen=True)
+class Prolog:
+    """What stands before the first object of an OSM file.
+
+    Attributes
+    ----------
+    container : Container
+    date : str or None
+        Declared state of the data, ISO 8601.
+    bounds : Bounds or None
+        Declared extent; the hull where a file that was put together declares several.
+    """
+
+    container: Container
+    date: str | None
+    bounds: Bounds | None
+
+
+def read_prolog(path: Path, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES) -> Prolog:
+    """Tell what kind of OSM file this is and check that it can be given to a parser.
+
+    Raises
+    ------
+    MapError
+        There is no such file; it is empty, damaged, not OSM, or declares a DOCTYPE or entities; or it unpacks to
+        more than `max_unpacked_bytes`.
+    """
+    container = _container_of(path)
+    if container == "pbf":
+        return _pbf_prolog(path)
+    try:
+        with _open(path, container) as stream:
+            prolog = _scan_xml(path, stream, container, max_unpacked_bytes)
+    except EOFError as error:
+        raise MapError(
+            f"{path}: the compressed data ends early. Usual cause: a download or copy that was cut off; fetch it again."
+        ) from error
+    except (zlib.error, OSError) as error:
+        raise MapError(f"{path}: cannot be read ({error}).") from error
+    return prolog
+
+
+def _container_of(path: Path) -> Container:
+    """Tell the container from the content: names are often wrong after a download."""
+    if path.is_dir():
+        raise MapError(f"{path}: is a folder. Expected an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
+    try:
+        with path.open("rb") as file:
+            head = file.read(64)
+    except FileNotFoundError as error:
+        raise MapError(f"{path}: no such file. Expected an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.") from error
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read ({error.strerror}).") from error
+    if not head:
+        raise MapError(f"{path}: is empty. Usual cause: a download that failed; fetch it again.")
+    if head.startswith(b"\x1f\x8b"):
+        return "osm.gz"
+    if head.startswith(b"BZh"):
+        return "osm.bz2"
+    if b"OSMHeader" in head[:32]:
+        return "pbf"
+    if head.startswith(b"PK\x03\x04"):
+        raise MapError(f"{path}: is a ZIP archive. Expected the OSM file itself: unpack the archive first.")
+    return "osm"
+
+
+def _open(path: Path, container: Container) -> BinaryIO:
+    if container == "osm.gz":
+        return cast("BinaryIO", gzip.open(path, "rb"))
+    if container == "osm.bz2":
+        return cast("BinaryIO", bz2.open(path, "rb"))
+    return path.open("rb")
+
+
+def _pbf_prolog(path: Path) -> Prolog:
+    import osmium  # noqa: PLC0415 - half the start-up time of the command line, needed by few commands
+
+    try:
+        header = osmium.io.Reader(str(path)).header()
+    except RuntimeError as error:
+        raise MapError(f"{path}: is a damaged .osm.pbf file ({error}).") from error
+    box = header.box()
+    bounds = None
+    if box.valid():
+        bounds = (box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat)
+    date = header.get("osmosis_replication_timestamp") or header.get("timestamp")
+    return Prolog("pbf", date or None, bounds)
+
+
+def _scan_xml(path: Path, stream: BinaryIO, container: Container, max_unpacked_bytes: int) -> Prolog:
+    scanner = _PrologScanner(path)
+    unpacked = 0
+    while block := stream.read(_BLOCK_BYTES):
+        unpacked += len(block)
+        if unpacked > max_unpacked_bytes:
+            raise MapError(
+                f"{path}: unpacks to more than {max_unpacked_bytes / 1e9:.1f} GB. "
+                "Cut the map to the area of the drive (osmium extract), or give it as .osm.pbf."
+            )
+        # A parser holds a whole tag in memory, so a tag without end is the one thing that streaming does not bound.
+        if len(block) == _BLOCK_BYTES and b">" not in block:
+            raise MapError(f"{path}: holds a tag longer than {_BLOCK_BYTES:,} bytes; this is no OSM file.")
+        if not scanner.finished:
+            scanner.feed(block)
+        if scanner.finished and container == "osm":
+            break  # nothing to unpack: the parser itself will find what is wrong further on
+    if unpacked == 0:
+        raise MapError(f"{path}: holds nothing once unpacked. Usual cause: an export that failed.")
+    scanner.close()
+    return Prolog(container, scanner.date, scanner.bounds)
+
+
+class _PrologScanner:
+    """Feeds expat up to the first object of the map and remembers what the head declared."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.finished = False
+        self.date: str | None = None
+        self.bounds: Bounds | None = None
+        self._root: str | None = None
+        self._start = b""
+        self._parser = expat.ParserCreate()
+        self._parser.StartDoctypeDeclHandler = self._on_doctype
+        self._parser.EntityDeclHandler = self._on_entity
+        self._parser.StartElementHandler = self._on_element
+
+    def feed(self, block: bytes) -> None:
+        self._start = self._start or block[:512]
+        try:
+            self._parser.Parse(block, False)
+        except expat.ExpatError as error:
+            # What follows the first object is the business of the real parser.
+            if not self.finished:
+                raise self._not_osm(str(error)) from error
+
+    def close(self) -> None:
+        if self._root is None:
+            raise self._not_osm("no element found")
+
+    def _on_doctype(self, name: str, *_: object) -> None:
+        if name.lower() == "html":
+            raise self._html()
+        raise MapError(
+            f"{self.path}: declares a DOCTYPE ({name}). OSM files have none; it is refused because declarations can "
+            "make a parser read other files or fill the memory."
+        )
+
+    def _on_entity(self, name: str, *_: object) -> None:
+        raise MapError(f"{self.path}: declares the entity {name!r}. OSM files declare none; it is refused.")
+
+    def _on_element(self, name: str, attributes: dict[str, str]) -> None:
+        if self._root is None:
+            self._check_root(name, attributes)
+            self._root = name
+        elif name == "meta":
+            self.date = attributes.get("osm_base", self.date)
+        elif name in {"bounds", "bound"}:
+            self._add_bounds(attributes)
+        elif name in _DATA_ELEMENTS:
+            self.finished = True
+
+    def _check_root(self, name: str, attributes: dict[str, str]) -> None:
+        if name == "osm":
+            self.date = attributes.get("timestamp")
+            return
+        if name.lower() == "html":
+            raise self._html()
+        if name in {"osmChange", "osmAugmentedDiff"}:
+            raise MapError(f"{self.path}: is a change file ({name}). Expected a map: an .osm file with nodes and ways.")
+        raise self._not_osm(f"the first element is <{name}>, not <osm>")
+
+    def _add_bounds(self, attributes: dict[str, str]) -> None:
+        try:
+            west, south, east, north = (float(attributes[key]) for key in ("minlon", "minlat", "maxlon", "maxlat"))
+        except (KeyError, ValueError):
+            return  # old writers had other forms of it; without bounds every node counts
+        old = self.bounds or (west, south, east, north)
+        self.bounds = (min(old[0], west), min(old[1], south), max(old[2], east), max(old[3], north))
+
+    def _html(self) -> MapError:
+        return MapError(
+            f"{self.path}: is a web page (HTML), not an OSM file. Usual cause: the page about the map was saved, or "
+            "the server answered with an error page; open it in a browser to see."
+        )
+
+    def _not_osm(self, reason: str) -> MapError:
+        start = self._start.lstrip(b"\xef\xbb\xbf \t\r\n")
+        if start[:1] in {b"{", b"["}:
+            return MapError(
+                f"{self.path}: is JSON, not OSM XML. Usual cause: an Overpass query with [out:json]; "
+                "ask for [out:xml] instead."
+            )
+        if start[:5].lower() in {b"<html", b"<!doc"}:
+            return self._html()
+        return MapError(
+            f"{self.path}: is not an OSM file ({reason}). Expected .osm, .osm.gz, .osm.bz2 or .osm.pbf with highways."
+        )

@@ -1,0 +1,122 @@
+"""The roads of an OpenStreetMap extract as plain columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+Bounds = tuple[float, float, float, float]
+"""West, south, east, north in degrees."""
+
+MIN_DEGREE = 3
+"""Neighbours that make a node an intersection."""
+
+
+@dataclass(frozen=True)
+class Ways:
+    """The W highways that the edges of a road graph are pieces of.
+
+    Attributes
+    ----------
+    id : (W,) int64
+        OSM way ids.
+    highway : tuple of W str
+        Value of the tag `highway`.
+    name : tuple of W str
+        Name, else the reference number, else "".
+    is_area : (W,) bool
+        True where the way outlines a square (area=yes), not a line to drive along.
+    """
+
+    id: Integers
+    highway: tuple[str, ...]
+    name: tuple[str, ...]
+    is_area: Flags
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+@dataclass(frozen=True)
+class RoadGraph:
+    """Highways as an undirected graph; every OSM node along a way is a node of it.
+
+    Attributes
+    ----------
+    node_id : (N,) int64
+        OSM node ids, ascending.
+    lonlat : (N, 2) float64
+        Longitude, latitude, degrees.
+    edges : (E, 2) int64
+        Rows of the two nodes of each edge.
+    edge_way : (E,) int64
+        Row of the way that each edge is a piece of.
+    ways : Ways
+    source : str
+        Where the map came from: a file name or a service.
+    date : str or None
+        State of the OSM data, ISO 8601: what the file declares, else the latest edit of a highway in it.
+    bounds : Bounds or None
+        What the map covers, where the file says so. Ways that leave it are present to their ends, but what they
+        meet out there is not: a junction outside is no ground truth.
+    clipped_ways : int
+        Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist.
+    """
+
+    node_id: Integers
+    lonlat: Floats
+    edges: Integers
+    edge_way: Integers
+    ways: Ways
+    source: str
+    date: str | None = None
+    bounds: Bounds | None = None
+    clipped_ways: int = 0
+
+    @property
+    def extent(self) -> Bounds:
+        """West, south, east, north of the nodes, degrees."""
+        west, south = self.lonlat.min(axis=0)
+        east, north = self.lonlat.max(axis=0)
+        return float(west), float(south), float(east), float(north)
+
+    @cached_property
+    def inside_bounds(self) -> Flags:
+        """(N,) bool: nodes within the bounds; all of them where the file declares none."""
+        return within(self.bounds, self.lonlat)
+
+    def edges_of(self, way_mask: Flags) -> Integers:
+        """Return the edges, (M, 2) int64, of the ways under a (W,) mask."""
+        return self.edges[way_mask[self.edge_way]]
+
+    def degree(self, edges: Integers | None = None) -> Integers:
+        """Return how many distinct neighbours each node has, (N,) int64, over some edges or all.
+
+        Two ways between the same two nodes count once, a way from a node to itself does not count.
+        """
+        pairs = distinct_edges(self.edges if edges is None else edges)
+        return np.bincount(pairs.ravel(), minlength=len(self.node_id)).astype(np.int64)
+
+
+def distinct_edges(edges: Integers) -> Integers:
+    """Return (M, 2) int64 edges without direction, repetition and loops, each with its smaller node first."""
+    pairs = np.sort(edges, axis=1)
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    return np.unique(pairs, axis=0)
+
+
+def within(bounds: Bounds | None, lonlat: Floats) -> Flags:
+    """Return which (N, 2) longitudes, latitudes lie in the bounds, edges included; all where there are none."""
+    if bounds is None:
+        return np.ones(len(lonlat), dtype=np.bool_)
+    west, south, east, north = bounds
+    lon, lat = lonlat[:, 0], lonlat[:, 1]
+    inside: Flags = (lon >= west) & (lon <= east) & (lat >= south) & (lat <= north)
+    return inside
