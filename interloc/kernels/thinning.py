@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interloc.kernels._compile import compiled
-from interloc.kernels.bits import Words, lowest_bit
+from interloc.kernels.bits import Words, lowest_bit, popcount
 
 
 def _deletable() -> NDArray[np.uint8]:
@@ -37,89 +37,110 @@ DELETABLE = _deletable()
 
 
 @compiled
-def thin(words: Words, deletable: NDArray[np.uint8]) -> None:
-    """Thin a packed image to its centerline, in place; ``deletable`` is `DELETABLE`."""
+def _neighbour_codes(words: Words, offsets: NDArray[np.int64]) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Return the code of every pixel, 0 for clear ones, and the flat indices of the pixels on a border."""
     n_rows, n_words = words.shape
     stride = n_words * 64
     flat = words.reshape(-1)
-    one, last = np.uint64(1), np.uint64(63)
-    # Neighbour P(i + 2) lies at +offset[i]; seen from there, this pixel is its neighbour i + 4 (mod 8).
-    offsets = np.array([-stride, -stride + 1, 1, stride + 1, stride, stride - 1, -1, -stride - 1], np.int64)
-    codes = np.full(n_rows * stride, 255, np.uint8)
-
+    one, last, full = np.uint64(1), np.uint64(63), ~np.uint64(0)
+    codes = np.zeros(n_rows * stride, np.uint8)
+    border = np.empty(4096, np.int32)
     n_border = 0
-    border = np.empty(1024, np.int64)
     for r in range(1, n_rows - 1):
         for w in range(n_words):
             word = words[r, w]
             if word == 0:
                 continue
-            inner = ~np.uint64(0)
+            inner = full
             for k in range(-1, 2):
                 row = words[r + k, w]
                 left = (row << one) | (words[r + k, w - 1] >> last if w > 0 else np.uint64(0))
                 right = (row >> one) | (words[r + k, w + 1] << last if w + 1 < n_words else np.uint64(0))
                 inner &= row & left & right
-            edge = word & ~inner
+            first = r * stride + w * 64
+            if inner == full:
+                codes[first : first + 64] = 255
+                continue
+            while inner != 0:
+                codes[first + lowest_bit(inner)] = 255
+                inner &= inner - one
+            edge = word
             while edge != 0:
-                if n_border == border.size:
-                    border = np.concatenate((border, np.empty(border.size, np.int64)))
-                border[n_border] = r * stride + w * 64 + lowest_bit(edge)
+                p = first + lowest_bit(edge)
                 edge &= edge - one
+                if codes[p] == 255:
+                    continue
+                code = 0
+                for i in range(8):
+                    q = p + offsets[i]
+                    code |= np.int64((flat[q >> 6] >> np.uint64(q & 63)) & one) << i
+                codes[p] = code
+                if n_border == border.size:
+                    border = np.concatenate((border, np.empty(border.size, np.int32)))
+                border[n_border] = p
                 n_border += 1
+    return codes, border[:n_border]
 
-    queues = np.empty((2, max(4 * n_border, 1024)), np.int64)
+
+@compiled
+def thin(words: Words, deletable: NDArray[np.uint8]) -> None:
+    """Thin a packed image to its centerline, in place; ``deletable`` is `DELETABLE`."""
+    n_rows, n_words = words.shape
+    stride = n_words * 64
+    flat = words.reshape(-1)
+    # Neighbour P(i + 2) lies at +offset[i]; seen from there, this pixel is its neighbour i + 4 (mod 8).
+    offsets = np.array([-stride, -stride + 1, 1, stride + 1, stride, stride - 1, -1, -stride - 1], np.int64)
+    kept = np.array([255 - (1 << ((i + 4) & 7)) for i in range(8)], np.uint8)
+    codes, border = _neighbour_codes(words, offsets)
+
+    # A pixel stands at most once in each queue, so neither can outgrow the number of set pixels.
+    capacity = 0
+    for w in range(flat.size):
+        if flat[w] != 0:
+            capacity += popcount(flat[w])
+    queues = np.empty((2, capacity), np.int32)
     sizes = np.zeros(2, np.int64)
-    queued = np.zeros(n_rows * stride, np.uint8)
-    for b in range(n_border):
+    queued = np.zeros(codes.size, np.uint8)
+    for b in range(border.size):
         p = border[b]
-        code = 0
-        for i in range(8):
-            q = p + offsets[i]
-            if (flat[q >> 6] >> np.uint64(q & 63)) & one:
-                code |= 1 << i
-        codes[p] = code
-        which = deletable[code]
+        which = deletable[codes[p]]
+        queued[p] = which
         for s in range(2):
             if (which >> s) & 1:
                 queues[s, sizes[s]] = p
                 sizes[s] += 1
-        queued[p] = which
 
-    doomed = np.empty(queues.shape[1], np.int64)
+    doomed = np.empty(capacity, np.int32)
     sub = 0
     idle = 0
     while idle < 2:
+        this = np.uint8(1 << sub)
         n_doomed = 0
         for k in range(sizes[sub]):
             p = queues[sub, k]
-            queued[p] &= ~np.uint8(1 << sub)
-            alive = (flat[p >> 6] >> np.uint64(p & 63)) & one
-            if alive and (deletable[codes[p]] >> sub) & 1:
+            queued[p] &= 255 - this
+            if deletable[codes[p]] & this:
                 doomed[n_doomed] = p
                 n_doomed += 1
         sizes[sub] = 0
         for k in range(n_doomed):
             p = doomed[k]
-            flat[p >> 6] &= ~(one << np.uint64(p & 63))
+            codes[p] = 0  # clear pixels have code 0, which is not deletable: they are never queued again
+            flat[p >> 6] &= ~(np.uint64(1) << np.uint64(p & 63))
         for k in range(n_doomed):
             p = doomed[k]
             for i in range(8):
                 q = p + offsets[i]
-                if not (flat[q >> 6] >> np.uint64(q & 63)) & one:
-                    continue
-                codes[q] &= ~np.uint8(1 << ((i + 4) & 7))
-                fresh = deletable[codes[q]] & ~queued[q]
+                code = codes[q] & kept[i]
+                codes[q] = code
+                fresh = deletable[code] & (255 - queued[q])
                 if fresh:
-                    if max(sizes[0], sizes[1]) + 1 >= queues.shape[1]:
-                        grown = np.empty((2, 2 * queues.shape[1]), np.int64)
-                        grown[:, : queues.shape[1]] = queues
-                        queues = grown
-                        doomed = np.concatenate((doomed, np.empty(doomed.size, np.int64)))
-                    for s in range(2):
-                        if (fresh >> s) & 1:
-                            queues[s, sizes[s]] = q
-                            sizes[s] += 1
                     queued[q] |= fresh
+                    if fresh & 1:
+                        queues[0, sizes[0]] = q
+                        sizes[0] += 1
+                    if fresh & 2:
+                        queues[1, sizes[1]] = q
+                        sizes[1] += 1
         idle = 0 if n_doomed else idle + 1
         sub = 1 - sub

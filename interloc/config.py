@@ -1,0 +1,236 @@
+"""Configuration of the method: one frozen model a concern, two presets.
+
+Lengths are metres, angles degrees (the suffix says so). A configuration is saved with every result and is the body of
+a request to the service.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from interloc.errors import ConfigError
+
+Preset = Literal["default", "paper"]
+
+
+class _Config(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class KeyframeConfig(_Config):
+    """Which scans are used, and how many of them make one image (paper, section III-B.2)."""
+
+    distance_m: float = Field(2.0, ge=0, le=1000, description="A scan is a keyframe after more than this way ...")
+    angle_deg: float = Field(5.0, ge=0, le=180, description="... or this turn since the last one.")
+    window: int = Field(20, ge=0, le=500, description="n: keyframes before the current one that are accumulated.")
+    lookahead: int | None = Field(
+        None, ge=0, le=500, description="Keyframes after the current one; none: as many as before. 0 is causal."
+    )
+
+    @property
+    def after(self) -> int:
+        """Keyframes after the current one that are accumulated."""
+        return self.window if self.lookahead is None else self.lookahead
+
+
+class BevConfig(_Config):
+    """The binary image of the region of interest (paper, section III-B.3)."""
+
+    size_m: float = Field(120.0, ge=20, le=400, description="S: side of the region of interest.")
+    resolution_m: float = Field(0.16, ge=0.05, le=2.0, description="r: side of a cell.")
+    min_points: int = Field(5, ge=1, le=10000, description="m: points that make a cell road, in a full window.")
+    adaptive: bool = Field(
+        True, description="Lower m where fewer keyframes than a full window reach into the region of interest."
+    )
+    max_range_m: float = Field(150.0, ge=10, le=1000, description="Points farther from the sensor are left out.")
+
+    @property
+    def cells(self) -> int:
+        """Cells along a side of the region of interest."""
+        return int(self.size_m / self.resolution_m + 1e-9)
+
+    @model_validator(mode="after")
+    def _bounded(self) -> BevConfig:
+        if not 64 <= self.cells <= 4096:
+            raise ValueError(
+                f"size_m / resolution_m makes {self.cells} cells a side; expected 64 to 4096. "
+                "Raise resolution_m or lower size_m."
+            )
+        return self
+
+
+class OccupancyConfig(_Config):
+    """Closing, then opening, by discs (paper, section III-B.4)."""
+
+    closing_m: float = Field(2.4, ge=0, le=20, description="Diameter of the disc that closes gaps between road cells.")
+    opening_m: float = Field(2.4, ge=0, le=20, description="Diameter of the disc that removes what is too small.")
+
+
+class CenterlineConfig(_Config):
+    """The centerline, and what of it is not road (paper, section III-B.5)."""
+
+    spur_widths: float = Field(
+        0.0, ge=0, le=10, description="Dead ends shorter than this many local road widths are removed; 0 keeps all."
+    )
+
+
+class HarrisCandidates(_Config):
+    """Candidates by the Harris corner score on the centerline (paper, section III-B.6)."""
+
+    kind: Literal["harris"] = "harris"
+    block_px: int = Field(9, ge=3, le=63, description="Side of the window that gradients are summed over; odd.")
+    k: float = Field(0.04, gt=0, lt=0.25, description="Harris' k.")
+    peak_px: int = Field(21, ge=3, le=199, description="Side of the window in which a candidate is the maximum; odd.")
+    min_score: float = Field(0.3, ge=0, le=1, description="Least score, as a share of the best one in the image.")
+    merge_m: float = Field(10.0, ge=0, le=50, description="Candidates nearer than this are averaged, until stable.")
+
+    @model_validator(mode="after")
+    def _odd(self) -> HarrisCandidates:
+        for name in ("block_px", "peak_px"):
+            if getattr(self, name) % 2 == 0:
+                raise ValueError(f"{name} is a window around a pixel, so it must be odd, not {getattr(self, name)}")
+        return self
+
+
+class CrossingCandidates(_Config):
+    """Candidates by the crossing number of the centerline; those joined within about a road width are one."""
+
+    kind: Literal["crossing"] = "crossing"
+    merge_widths: float = Field(
+        1.0, ge=0, le=5, description="Junctions of the centerline joined within this many local road widths are one."
+    )
+    merge_min_m: float = Field(4.0, ge=0, le=50, description="... and within this length in any case.")
+    merge_max_m: float = Field(20.0, ge=0, le=100, description="... and not beyond this length in any case.")
+
+
+class BranchConfig(_Config):
+    """Branches around a candidate, and the point where they meet (paper, section III-C)."""
+
+    inner_radius_m: float = Field(10.0, gt=0, le=100, description="a_i: inner circle, and the most a point may move.")
+    inner_widths: float | None = Field(
+        None,
+        gt=0,
+        le=5,
+        description="Inner circle in local road widths instead of a fixed one; a_i is its upper bound.",
+    )
+    outer_radius_m: float = Field(40.0, gt=0, le=200, description="a_o: outer circle.")
+    min_branches: int = Field(3, ge=2, le=8, description="Branches that make an intersection.")
+    min_length_m: float = Field(4.0, ge=0, le=50, description="Shorter pieces of centerline are no branches.")
+    stop_m: float = Field(5.0, gt=0, le=50, description="A branch ends this far before another candidate.")
+    line: Literal["start_and_mean", "least_squares"] = Field(
+        "start_and_mean", description="How a line is laid through a branch."
+    )
+    fit_length_m: float = Field(30.0, gt=0, le=200, description="Length of a branch that a least squares line uses.")
+    trim_m: float = Field(0.0, ge=0, le=20, description="Centerline nearer than this to a tip or the border is unused.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> BranchConfig:
+        if self.outer_radius_m <= self.inner_radius_m:
+            raise ValueError(
+                f"outer_radius_m ({self.outer_radius_m}) must be larger than inner_radius_m ({self.inner_radius_m})"
+            )
+        return self
+
+
+class DetectorConfig(_Config):
+    """All settings of the method, in the order of its steps."""
+
+    preset: str = Field("custom", description="Name of the preset that this started from.")
+    keyframes: KeyframeConfig = KeyframeConfig()
+    bev: BevConfig = BevConfig()
+    occupancy: OccupancyConfig = OccupancyConfig()
+    centerline: CenterlineConfig = CenterlineConfig()
+    candidates: Annotated[HarrisCandidates | CrossingCandidates, Field(discriminator="kind")] = CrossingCandidates()
+    branches: BranchConfig = BranchConfig()
+
+    @model_validator(mode="after")
+    def _fits(self) -> DetectorConfig:
+        if 2 * self.branches.outer_radius_m >= self.bev.size_m:
+            raise ValueError(
+                f"branches.outer_radius_m ({self.branches.outer_radius_m}) must be less than half of bev.size_m "
+                f"({self.bev.size_m}): the relevant zone of the evaluation is what lies between them"
+            )
+        return self
+
+
+PAPER = DetectorConfig(
+    preset="paper",
+    bev=BevConfig(adaptive=False),
+    candidates=HarrisCandidates(),
+)
+
+DEFAULT = DetectorConfig(
+    preset="default",
+    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
+    centerline=CenterlineConfig(spur_widths=1.0),
+    candidates=CrossingCandidates(),
+    branches=BranchConfig(
+        inner_radius_m=15.0, inner_widths=1.0, line="least_squares", stop_m=2.0, min_length_m=4.0, trim_m=2.0
+    ),
+)
+
+PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}
+
+
+def preset(name: str) -> DetectorConfig:
+    """Return a preset by its name.
+
+    Raises
+    ------
+    ConfigError
+        There is no preset of that name.
+    """
+    try:
+        return PRESETS[name]
+    except KeyError:
+        raise ConfigError(f"preset: there is no '{name}'; choose one of {', '.join(PRESETS)}") from None
+
+
+def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorConfig:
+    """Return a configuration with some settings replaced, each given as ``section.name=value``.
+
+    Raises
+    ------
+    ConfigError
+        A setting does not exist, or its value is refused.
+    """
+    values: dict[str, Any] = config.model_dump(mode="json")
+    for setting in settings:
+        path, separator, text = setting.partition("=")
+        if not separator:
+            raise ConfigError(f"--set {setting}: expected section.name=value, for example bev.resolution_m=0.25")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        *sections, name = path.strip().split(".")
+        target: Any = values
+        for section in sections:
+            target = target.get(section) if isinstance(target, dict) else None
+        if not isinstance(target, dict) or not sections:
+            raise ConfigError(f"--set {setting}: there is no section '{'.'.join(sections)}'; see interloc config")
+        target[name] = value
+    return parse_config(values)
+
+
+def parse_config(values: Any) -> DetectorConfig:
+    """Build a configuration from plain values (JSON).
+
+    Raises
+    ------
+    ConfigError
+        Names each field that is unknown or refused, and why.
+    """
+    try:
+        return DetectorConfig.model_validate(values)
+    except ValidationError as error:
+        lines = []
+        for item in error.errors():
+            where = ".".join(str(part) for part in item["loc"] if part not in {"harris", "crossing"}) or "configuration"
+            found = "" if isinstance(item["input"], dict) else f" (found {item['input']!r})"
+            lines.append(f"{where}: {item['msg'].removeprefix('Value error, ')}{found}")
+        raise ConfigError("; ".join(lines)) from None

@@ -1,0 +1,119 @@
+"""Segmentation of the road branches around a candidate (paper, section III-C.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.config import BranchConfig
+from interloc.detect.candidates import Candidates
+from interloc.detect.centerline import BORDER_PX, Centerline
+from interloc.kernels import skeleton as sk
+
+Floats = NDArray[np.float64]
+
+MIN_FIT_M = 3.0  # a shorter piece says nothing about the direction of a road
+
+
+@dataclass(frozen=True)
+class Branches:
+    """The branches of one candidate and the straight lines that stand for them.
+
+    Attributes
+    ----------
+    candidate : (2,) float64
+        Row and column, pixels.
+    inner : float
+        Radius of the inner circle, pixels.
+    count : int
+        Number of branches B.
+    directions : (B, 2) float64
+        Unit direction (row, column) of each branch, away from the candidate.
+    points, normals : (L, 2) float64
+        A point and the unit normal of each line, L <= B: a branch too short to tell its direction has none.
+    lengths : (B,) float64
+        Pixels of centerline in each branch.
+    """
+
+    candidate: Floats
+    inner: float
+    directions: Floats
+    points: Floats
+    normals: Floats
+    lengths: Floats
+
+    @property
+    def count(self) -> int:
+        """Number of branches."""
+        return len(self.directions)
+
+
+def inner_radius(candidates: Candidates, which: int, resolution_m: float, config: BranchConfig) -> float:
+    """Return the radius in pixels within which the centerline is bent by the junction itself."""
+    radius = config.inner_radius_m / resolution_m
+    if config.inner_widths is None:
+        return radius
+    radius = min(radius, config.inner_widths * float(candidates.widths[which]))
+    others = np.delete(candidates.positions, which, axis=0)
+    if len(others):
+        gap = float(np.min(np.hypot(*(others - candidates.positions[which]).T)))
+        radius = min(radius, 0.6 * gap)
+    return radius
+
+
+def segment_branches(
+    candidates: Candidates, which: int, centerline: Centerline, resolution_m: float, config: BranchConfig
+) -> Branches:
+    """Follow the centerline from the inner circle outwards and lay a line through each branch.
+
+    Parameters
+    ----------
+    candidates
+        All of the image: a branch ends before another one.
+    which
+        The one looked at.
+    centerline
+    resolution_m
+        Side of a pixel.
+    config
+        Radii and the kind of line.
+
+    Notes
+    -----
+    Paper, eq. 7 to 9.
+    """
+    inner = inner_radius(candidates, which, resolution_m, config)
+    table = sk.follow_branches(
+        centerline.rows,
+        centerline.cols,
+        centerline.neighbours,
+        candidates.positions,
+        which,
+        inner,
+        config.outer_radius_m / resolution_m,
+        config.stop_m / resolution_m,
+        config.fit_length_m / resolution_m,
+        config.trim_m / resolution_m,
+        centerline.image.height,
+        BORDER_PX,
+    )
+    if config.line == "start_and_mean":
+        table = table[table[:, sk.LENGTH] * resolution_m >= config.min_length_m]
+        points = table[:, [sk.START_ROW, sk.START_COL]]
+        directions = table[:, [sk.MEAN_ROW, sk.MEAN_COL]] - points
+        directions = directions / np.maximum(np.hypot(*directions.T), 1e-9)[:, None]
+        has_line = np.ones(len(table), np.bool_)
+    else:
+        # A branch between two near junctions is short but sure.
+        keep = (table[:, sk.LENGTH] * resolution_m >= config.min_length_m) | (table[:, sk.AT_CANDIDATE] > 0)
+        table = table[keep]
+        points = table[:, [sk.FIT_ROW, sk.FIT_COL]]
+        directions = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
+        has_line = table[:, sk.FIT_LENGTH] * resolution_m >= MIN_FIT_M
+        outward = table[:, [sk.MEAN_ROW, sk.MEAN_COL]] - candidates.positions[which]
+        outward = outward / np.maximum(np.hypot(*outward.T), 1e-9)[:, None]
+        directions = np.where(has_line[:, None], directions, outward)
+    normals = directions[has_line][:, ::-1] * np.array([1.0, -1.0])
+    return Branches(candidates.positions[which], inner, directions, points[has_line], normals, table[:, sk.LENGTH])

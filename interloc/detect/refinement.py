@@ -1,0 +1,67 @@
+"""Correction of the intersection point by its branches (paper, section III-C.2)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.detect.branches import Branches
+
+Floats = NDArray[np.float64]
+
+# Lines are near-parallel, and their meeting point means nothing, when the smaller eigenvalue of the normal matrix is
+# less than this share of their number: a fan of lines within about 10 degrees.
+PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
+
+
+@dataclass(frozen=True)
+class Junction:
+    """A refined intersection in the image.
+
+    Attributes
+    ----------
+    position : (2,) float64
+        Row and column, pixels.
+    directions : (B, 2) float64
+        Unit direction (row, column) of each branch.
+    residual : float
+        Root mean square distance of the point from the lines, pixels; infinite where the lines do not fix it.
+    branches
+        What it was computed from.
+    """
+
+    position: Floats
+    directions: Floats
+    residual: float
+    branches: Branches
+
+
+def refine(branches: Branches) -> Junction:
+    """Move the candidate to the point of least squared distances to the lines of its branches, within the inner disc.
+
+    Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite.
+
+    Notes
+    -----
+    Paper, eq. 10. With unit normals n and points a of the lines, the minimum solves (sum n n^T) p = sum n n^T a.
+    """
+    candidate, normals = branches.candidate, branches.normals
+    matrix = normals.T @ normals
+    offsets = np.einsum("ij,ij->i", normals, branches.points - candidate)
+    least = _smaller_eigenvalue(matrix)
+    if len(normals) < 2 or least < PARALLEL * len(normals):
+        return Junction(candidate, branches.directions, math.inf, branches)
+    shift = np.linalg.solve(matrix, normals.T @ offsets)
+    length = math.hypot(*shift)
+    if length > branches.inner:
+        shift = shift * (branches.inner / length)
+    residual = float(np.sqrt(np.mean((normals @ shift - offsets) ** 2)))
+    return Junction(candidate + shift, branches.directions, residual, branches)
+
+
+def _smaller_eigenvalue(matrix: Floats) -> float:
+    a, b, d = matrix[0, 0], matrix[0, 1], matrix[1, 1]
+    return float((a + d) / 2 - math.hypot((a - d) / 2, b))

@@ -1,0 +1,143 @@
+"""Counting points in cells of a grid anchored in W, and cutting the region of interest out of it.
+
+The grid is made of square tiles of TILE x TILE cells in a pool; a table says which tile of the pool holds which part of
+W. Cell (ix, iy) covers x in [ix r, (ix + 1) r) and y in [iy r, (iy + 1) r).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.kernels._compile import compiled
+from interloc.kernels.bits import Words
+
+TILE = 256
+_SHIFT = 8
+_MASK = TILE - 1
+
+
+@compiled
+def cells_of(
+    points: NDArray[np.float32], transform: NDArray[np.float64], resolution_m: float, max_range_m: float
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Return the cells of points given in L, and the range of tiles that they fall into.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        Metres, in L.
+    transform : (4, 4) float64
+        T_world_lidar.
+    resolution_m : float
+        Side of a cell.
+    max_range_m : float
+        Points farther from the sensor in x or y are left out.
+
+    Returns
+    -------
+    cells : (M, 2) int32
+        ix, iy of each point kept.
+    tiles : (4,) int64
+        First and last tile column, first and last tile row; last < first where no point was kept.
+    """
+    n = points.shape[0]
+    cells = np.empty((n, 2), np.int32)
+    scale = 1.0 / resolution_m
+    r00, r01, r02, tx = (
+        transform[0, 0] * scale,
+        transform[0, 1] * scale,
+        transform[0, 2] * scale,
+        transform[0, 3] * scale,
+    )
+    r10, r11, r12, ty = (
+        transform[1, 0] * scale,
+        transform[1, 1] * scale,
+        transform[1, 2] * scale,
+        transform[1, 3] * scale,
+    )
+    big = np.int64(1) << 40
+    x0, x1, y0, y1 = big, -big, big, -big
+    m = 0
+    for i in range(n):
+        px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
+        if abs(px) > max_range_m or abs(py) > max_range_m:
+            continue
+        ix = np.int64(np.floor(r00 * px + r01 * py + r02 * pz + tx))
+        iy = np.int64(np.floor(r10 * px + r11 * py + r12 * pz + ty))
+        cells[m, 0] = ix
+        cells[m, 1] = iy
+        x0, x1, y0, y1 = min(x0, ix), max(x1, ix), min(y0, iy), max(y1, iy)
+        m += 1
+    return cells[:m], np.array([x0 >> _SHIFT, x1 >> _SHIFT, y0 >> _SHIFT, y1 >> _SHIFT])
+
+
+@compiled
+def add_cells(
+    pool: NDArray[np.int32], table: NDArray[np.int32], first_x: int, first_y: int, cells: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    """Count the cells into the pool; return where each was counted, for `remove_cells`.
+
+    Parameters
+    ----------
+    pool : (P, TILE * TILE) int32
+    table : (rows, columns) int32
+        Slot of the pool of each tile, from tile row ``first_y`` and column ``first_x`` on.
+    cells : (M, 2) int32
+        ix, iy.
+
+    Returns
+    -------
+    (M,) int32
+        Flat positions in the pool.
+    """
+    flat = pool.reshape(-1)
+    where = np.empty(cells.shape[0], np.int32)
+    for i in range(cells.shape[0]):
+        ix, iy = np.int64(cells[i, 0]), np.int64(cells[i, 1])
+        slot = np.int64(table[(iy >> _SHIFT) - first_y, (ix >> _SHIFT) - first_x])
+        k = slot * TILE * TILE + ((iy & _MASK) << _SHIFT) + (ix & _MASK)
+        flat[k] += 1
+        where[i] = k
+    return where
+
+
+@compiled
+def remove_cells(pool: NDArray[np.int32], where: NDArray[np.int32]) -> None:
+    """Take back what `add_cells` counted."""
+    flat = pool.reshape(-1)
+    for i in range(where.size):
+        flat[where[i]] -= 1
+
+
+@compiled
+def threshold_window(
+    pool: NDArray[np.int32], table: NDArray[np.int32], left: int, top: int, size: int, min_points: int, words: Words
+) -> None:
+    """Write a square of the grid as a packed image: set where a cell has at least ``min_points``.
+
+    Parameters
+    ----------
+    table : (rows, columns) int32
+        Slots of the tiles from the tile of (left, top - size + 1) on; -1 where there is no tile.
+    left, top : int
+        ix of the first column; iy of the first row. Rows go down, against +y (paper: R is turned about x).
+    words : (size + 2, W) uint64
+        Empty packed image.
+    """
+    tile_x0 = left >> _SHIFT
+    tile_y0 = (top - size + 1) >> _SHIFT
+    for r in range(size):
+        iy = top - r
+        row = (iy >> _SHIFT) - tile_y0
+        line = (iy & _MASK) << _SHIFT
+        for t in range(table.shape[1]):
+            slot = table[row, t]
+            if slot < 0:
+                continue
+            first = max(left, (tile_x0 + t) << _SHIFT)
+            last = min(left + size, (tile_x0 + t + 1) << _SHIFT)
+            for ix in range(first, last):
+                if pool[slot, line + (ix & _MASK)] >= min_points:
+                    c = ix - left
+                    words[r + 1, c >> 6] |= np.uint64(1) << np.uint64(c & 63)

@@ -1,0 +1,385 @@
+"""The centerline as a graph of pixels: neighbours, spurs, distances along it.
+
+Two pixels are joined side by side, or diagonally where no third pixel joins them side by side. A corner of a staircase
+then has two neighbours like any other pixel of a line, and a pixel with three or more is a junction. (Counting 8-
+neighbours takes corners for junctions; the crossing number misses a junction of four lines at a block of 2 x 2 pixels.)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.kernels._compile import compiled
+from interloc.kernels.bits import Words, nearest_clear, popcount
+
+Index = NDArray[np.int32]
+
+
+@compiled
+def neighbours_of(words: Words, rows: Index, cols: Index) -> Index:
+    """Return the joined pixels of each pixel of a packed centerline.
+
+    Parameters
+    ----------
+    rows, cols : (P,) int32
+        All set pixels in row-major order.
+
+    Returns
+    -------
+    (P, 4) int32
+        Positions in ``rows``; -1 behind the last one. More than four are impossible.
+    """
+    n_rows, n_words = words.shape
+    flat = words.reshape(-1)
+    before = np.zeros(n_rows * n_words, np.int32)  # set pixels before each word: the position of a pixel in the list
+    total = 0
+    for w in range(flat.size):
+        before[w] = total
+        if flat[w] != 0:
+            total += popcount(flat[w])
+    stride = n_words * 64
+    one = np.uint64(1)
+    steps = np.array([-stride, 1, stride, -1, -stride + 1, stride + 1, stride - 1, -stride - 1], np.int64)
+    result = np.full((rows.size, 4), -1, np.int32)
+    side = np.zeros(5, np.bool_)
+    for i in range(rows.size):
+        p = (np.int64(rows[i]) + 1) * stride + cols[i]
+        n = 0
+        for k in range(8):
+            q = p + steps[k]
+            word = flat[q >> 6]
+            is_set = ((word >> np.uint64(q & 63)) & one) != 0
+            if k < 4:
+                side[k] = is_set
+                if k == 0:
+                    side[4] = is_set
+            elif side[k - 4] or side[k - 3]:
+                continue
+            if is_set:
+                result[i, n] = before[q >> 6] + popcount(word & ((one << np.uint64(q & 63)) - one))
+                n += 1
+    return result
+
+
+@compiled
+def degrees_of(neighbours: Index) -> Index:
+    """Return how many pixels each one is joined to, (P,) int32."""
+    degree = np.zeros(neighbours.shape[0], np.int32)
+    for i in range(neighbours.shape[0]):
+        for k in range(neighbours.shape[1]):
+            if neighbours[i, k] >= 0:
+                degree[i] += 1
+    return degree
+
+
+@compiled
+def prune_spurs(
+    rows: Index, cols: Index, neighbours: Index, occupancy: Words, size: int, widths: float, border: int
+) -> NDArray[np.bool_]:
+    """Find the dead ends that are shorter than a multiple of the road width where they leave the road.
+
+    Parameters
+    ----------
+    rows, cols, neighbours
+        The centerline, see `neighbours_of`.
+    occupancy
+        Packed image of the road; gives the width.
+    size : int
+        Pixels a side of the image.
+    widths : float
+        Longest spur in local road widths.
+    border : int
+        A tip nearer than this to the image's border is where the window cuts the road: it is kept.
+
+    Returns
+    -------
+    (P,) bool
+        True for the pixels to keep.
+    """
+    n = rows.size
+    keep = np.ones(n, np.bool_)
+    degree = degrees_of(neighbours)
+    path = np.empty(n, np.int32)
+    changed = True
+    while changed:
+        changed = False
+        for tip in range(n):
+            if not keep[tip] or degree[tip] != 1:
+                continue
+            r, c = rows[tip], cols[tip]
+            if r < border or c < border or r >= size - border or c >= size - border:
+                continue
+            # Walk from the tip to the junction where the dead end begins.
+            length, count, last, here = 0.0, 0, -1, tip
+            junction = -1
+            while True:
+                path[count] = here
+                count += 1
+                onward = -1
+                for k in range(4):
+                    q = neighbours[here, k]
+                    if q >= 0 and q != last and keep[q]:
+                        onward = q
+                        break
+                if onward < 0:
+                    break
+                dr, dc = rows[onward] - rows[here], cols[onward] - cols[here]
+                length += np.sqrt(dr * dr + dc * dc)
+                last, here = here, onward
+                if degree[here] >= 3:
+                    junction = here
+                    break
+                if degree[here] == 1:
+                    break
+            if junction < 0:
+                continue
+            width = 2.0 * nearest_clear(occupancy, rows[junction], cols[junction], size, size, 200)
+            if length >= widths * width:
+                continue
+            for k in range(count):
+                keep[path[k]] = False
+            degree[junction] -= 1
+            changed = True
+    return keep
+
+
+@compiled
+def clear_pixels(words: Words, rows: Index, cols: Index) -> None:
+    """Clear some pixels of a packed image in place."""
+    for i in range(rows.size):
+        words[rows[i] + 1, cols[i] >> 6] &= ~(np.uint64(1) << np.uint64(cols[i] & 63))
+
+
+@compiled
+def widths_at(occupancy: Words, rows: Index, cols: Index, size: int, limit: int) -> NDArray[np.float64]:
+    """Return the local road width in pixels at some pixels of the centerline, (N,) float64."""
+    widths = np.empty(rows.size)
+    for i in range(rows.size):
+        widths[i] = 2.0 * nearest_clear(occupancy, rows[i], cols[i], size, size, limit)
+    return widths
+
+
+@compiled
+def label_pieces(
+    rows: Index, cols: Index, neighbours: Index, allowed: NDArray[np.bool_], starts: Index
+) -> tuple[Index, int]:
+    """Number the connected pieces of allowed pixels that hold one of some starts.
+
+    Returns
+    -------
+    labels : (P,) int32
+        Number of the piece from 0 on, in the order of the starts; -1 elsewhere.
+    count : int
+        Number of pieces.
+    """
+    labels = np.full(rows.size, -1, np.int32)
+    stack = np.empty(rows.size, np.int32)
+    count = 0
+    for i in range(starts.size):
+        s = starts[i]
+        if labels[s] >= 0 or not allowed[s]:
+            continue
+        labels[s] = count
+        stack[0] = s
+        top = 1
+        while top > 0:
+            top -= 1
+            p = stack[top]
+            for k in range(4):
+                q = neighbours[p, k]
+                if q >= 0 and allowed[q] and labels[q] < 0:
+                    labels[q] = count
+                    stack[top] = q
+                    top += 1
+        count += 1
+    return labels, count
+
+
+@compiled
+def grow_from(
+    rows: Index, cols: Index, neighbours: Index, sources: Index, reach: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return which pixels lie within the reach of a source along the centerline, (P,) bool.
+
+    Parameters
+    ----------
+    sources : (S,) int32
+    reach : (S,) float64
+        Pixels along the centerline, one for each source.
+    """
+    left = np.full(rows.size, -1.0)
+    stack = np.empty(rows.size, np.int32)
+    for s in range(sources.size):
+        if reach[s] <= left[sources[s]]:
+            continue
+        left[sources[s]] = reach[s]
+        stack[0] = sources[s]
+        top = 1
+        while top > 0:
+            top -= 1
+            p = stack[top]
+            for k in range(4):
+                q = neighbours[p, k]
+                if q < 0:
+                    continue
+                step = 1.0 if rows[p] == rows[q] or cols[p] == cols[q] else np.sqrt(2.0)
+                rest = left[p] - step
+                if rest > left[q] and rest >= 0.0 and top < stack.size:
+                    left[q] = rest
+                    stack[top] = q
+                    top += 1
+    return left >= 0.0
+
+
+# Columns of what `follow_branches` returns for each branch; rows and columns of the image in pixels.
+START_ROW, START_COL, MEAN_ROW, MEAN_COL, LENGTH, AT_CANDIDATE, AT_BORDER = range(7)
+FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS = range(7, 13)
+BRANCH_COLUMNS = 13
+
+
+@compiled
+def follow_branches(
+    rows: Index,
+    cols: Index,
+    neighbours: Index,
+    candidates: NDArray[np.float64],
+    which: int,
+    inner: float,
+    outer: float,
+    stop: float,
+    fit_length: float,
+    trim: float,
+    size: int,
+    border: int,
+) -> NDArray[np.float64]:
+    """Find the pieces of centerline that leave the inner circle around a candidate, and measure each.
+
+    Parameters
+    ----------
+    rows, cols, neighbours
+        The centerline, see `neighbours_of`.
+    candidates : (C, 2) float64
+        Row and column of all candidates.
+    which : int
+        The candidate looked at.
+    inner, outer : float
+        Radii of the annulus, pixels.
+    stop : float
+        A branch ends this far before another candidate.
+    fit_length, trim : float
+        The line is fitted to the pixels within ``inner`` + ``fit_length`` of the candidate that lie at least ``trim``
+        from a tip of the branch and from the border of the image.
+    size, border : int
+        Pixels a side of the image; width of the margin that counts as its border.
+
+    Returns
+    -------
+    (B, BRANCH_COLUMNS) float64
+        See the names of the columns above. The fitted line is given by a point and a unit direction away from the
+        candidate; its length is 0 where there is too little to fit.
+    """
+    n = rows.size
+    r0, c0 = candidates[which, 0], candidates[which, 1]
+    distance = np.empty(n)
+    for i in range(n):
+        dr, dc = rows[i] - r0, cols[i] - c0
+        distance[i] = np.sqrt(dr * dr + dc * dc)
+    seen = np.zeros(n, np.bool_)
+    stack = np.empty(n, np.int32)
+    tips = np.empty(64, np.int32)
+    branches = np.zeros((32, BRANCH_COLUMNS))
+    count = 0
+    for s in range(n):
+        if seen[s] or not (inner < distance[s] < outer) or count == branches.shape[0]:
+            continue
+        starts = False
+        for k in range(4):
+            q = neighbours[s, k]
+            if q >= 0 and distance[q] <= inner:
+                starts = True
+        if not starts:
+            continue
+        # Collect the piece.
+        top, end = 0, 1
+        stack[0] = s
+        seen[s] = True
+        at_candidate, at_border = False, False
+        n_tips = 0
+        first = s
+        sum_r, sum_c = 0.0, 0.0
+        while top < end:
+            p = stack[top]
+            top += 1
+            sum_r += rows[p]
+            sum_c += cols[p]
+            if distance[p] < distance[first]:
+                first = p
+            onward = 0
+            for k in range(4):
+                q = neighbours[p, k]
+                if q < 0:
+                    continue
+                if seen[q] or not (inner < distance[q] < outer):
+                    onward += 1
+                    continue
+                blocked = False
+                for o in range(candidates.shape[0]):
+                    if o != which:
+                        dr, dc = rows[q] - candidates[o, 0], cols[q] - candidates[o, 1]
+                        if dr * dr + dc * dc < stop * stop:
+                            blocked = True
+                onward += 1
+                if blocked:
+                    at_candidate = True
+                    continue
+                seen[q] = True
+                stack[end] = q
+                end += 1
+            near_border = min(min(rows[p], cols[p]), min(size - 1 - rows[p], size - 1 - cols[p])) < border
+            if near_border:
+                at_border = True
+            if onward <= 1 and not near_border and n_tips < tips.size:
+                tips[n_tips] = p
+                n_tips += 1
+        row = branches[count]
+        row[START_ROW], row[START_COL] = rows[first], cols[first]
+        row[MEAN_ROW], row[MEAN_COL] = sum_r / end, sum_c / end
+        row[LENGTH], row[AT_CANDIDATE], row[AT_BORDER] = end, at_candidate, at_border
+        # Fit a line to its trustworthy part.
+        m, mr, mc, srr, src, scc = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+        nearest, farthest = np.inf, 0.0
+        for j in range(end):
+            p = stack[j]
+            if distance[p] > inner + fit_length:
+                continue
+            margin = min(min(rows[p], cols[p]), min(size - 1 - rows[p], size - 1 - cols[p]))
+            usable = margin >= trim
+            for t in range(n_tips):
+                dr, dc = rows[p] - rows[tips[t]], cols[p] - cols[tips[t]]
+                if dr * dr + dc * dc < trim * trim:
+                    usable = False
+            if not usable:
+                continue
+            dr, dc = rows[p] - r0, cols[p] - c0
+            m += 1
+            mr += dr
+            mc += dc
+            srr += dr * dr
+            src += dr * dc
+            scc += dc * dc
+            nearest, farthest = min(nearest, distance[p]), max(farthest, distance[p])
+        if m >= 2:
+            mr /= m
+            mc /= m
+            vrr, vrc, vcc = srr / m - mr * mr, src / m - mr * mc, scc / m - mc * mc
+            angle = 0.5 * np.arctan2(2.0 * vrc, vrr - vcc)
+            d_row, d_col = np.cos(angle), np.sin(angle)
+            if d_row * mr + d_col * mc < 0.0:
+                d_row, d_col = -d_row, -d_col
+            across = vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row
+            row[FIT_ROW], row[FIT_COL] = r0 + mr, c0 + mc
+            row[FIT_D_ROW], row[FIT_D_COL] = d_row, d_col
+            row[FIT_LENGTH], row[FIT_RMS] = farthest - nearest, np.sqrt(max(across, 0.0))
+        count += 1
+    return branches[:count]
