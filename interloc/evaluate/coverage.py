@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from interloc.errors import MapError
-from interloc.evaluate.matching import Floats
+from interloc.evaluate.matching import Floats, earth_centred
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
-from interloc.osm.graph import Bounds, RoadGraph
+from interloc.osm.graph import Bounds, RoadGraph, within
 from interloc.osm.policies import road_ways
 from interloc.results import DriveResult
 
@@ -42,12 +42,15 @@ def drive_bounds(result: DriveResult, *, margin_m: float = 200.0) -> Bounds:
 def track_to_road(track_lonlat: Floats, graph: RoadGraph) -> Floats:
     """Return the distance of (K, 2) track points from the nearest drivable road, (K,) metres.
 
-    Infinite where the map holds no drivable road at all.
+    Infinite where the map holds no drivable road within two kilometres or so.
     """
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
     edges = graph.edges_of(road_ways(graph, "drive+service"))
-    if len(edges) == 0 or len(track_lonlat) == 0:
+    # A plane around the drive has room for its neighbourhood only, and the map may be of another continent.
+    (west, south), (east, north) = track_lonlat.min(axis=0) - 0.02, track_lonlat.max(axis=0) + 0.02
+    edges = edges[within((west, south, east, north), graph.lonlat)[edges].any(axis=1)]
+    if len(edges) == 0:
         return np.full(len(track_lonlat), np.inf)
     lon, lat = np.median(track_lonlat, axis=0)
     roads: Any = shapely.linestrings(enu_from_lonlat(lat, lon, graph.lonlat)[edges])
@@ -83,7 +86,7 @@ def check_coverage(track_lonlat: Floats, graph: RoadGraph, *, roi_m: float) -> t
     distance = track_to_road(track_lonlat, graph)
     covered = distance <= roi_m / 2.0
     if not covered.any():
-        raise MapError(_elsewhere(track_lonlat, graph, float(distance.min(initial=np.inf))))
+        raise MapError(_elsewhere(track_lonlat, graph))
     median = float(np.median(distance))
     warnings = []
     if covered.mean() < 0.99:
@@ -101,16 +104,15 @@ def check_coverage(track_lonlat: Floats, graph: RoadGraph, *, roi_m: float) -> t
     return median, tuple(warnings)
 
 
-def _elsewhere(track_lonlat: Floats, graph: RoadGraph, nearest_m: float) -> str:
+def _elsewhere(track_lonlat: Floats, graph: RoadGraph) -> str:
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    distance_m, _ = cKDTree(earth_centred(graph.lonlat)).query(earth_centred(track_lonlat))
+    nearest_km = np.min(distance_m) / 1000.0
     west, south, east, north = graph.extent
     (lon0, lat0), (lon1, lat1) = track_lonlat.min(axis=0), track_lonlat.max(axis=0)
-    road = (
-        f"the nearest drivable road is {nearest_m / 1000.0:.1f} km away"
-        if np.isfinite(nearest_m)
-        else "no drivable road"
-    )
     return (
         f"the map {graph.source} covers lon {west:.4f}..{east:.4f}, lat {south:.4f}..{north:.4f}; the drive lies at "
-        f"lon {lon0:.4f}..{lon1:.4f}, lat {lat0:.4f}..{lat1:.4f} ({road}). "
+        f"lon {lon0:.4f}..{lon1:.4f}, lat {lat0:.4f}..{lat1:.4f}, {nearest_km:.1f} km from its nearest highway. "
         "Usual mistake: the OSM file of another sequence, or longitude and latitude swapped in geo.csv."
     )

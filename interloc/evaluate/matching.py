@@ -131,14 +131,14 @@ def pairs_within(centre_lonlat: Floats, lonlat: Floats, radius_m: float) -> tupl
     if len(centre_lonlat) == 0 or len(lonlat) == 0:
         return empty, empty
     # Straight lines through the Earth: no projection to choose, hence none that a long drive could outgrow.
-    tree = cKDTree(_earth_centred(lonlat))
-    near: Any = tree.query_ball_point(_earth_centred(centre_lonlat), radius_m * 1.001 + 0.1, return_sorted=True)
+    tree = cKDTree(earth_centred(lonlat))
+    near: Any = tree.query_ball_point(earth_centred(centre_lonlat), radius_m * 1.001 + 0.1, return_sorted=True)
     centre = np.repeat(np.arange(len(centre_lonlat)), [len(rows) for rows in near])
     point = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
     return centre, point
 
 
-def _earth_centred(lonlat: Floats) -> Floats:
+def earth_centred(lonlat: Floats) -> Floats:
     """Return (N, 3) metres of points on the WGS84 ellipsoid."""
     lon, lat = np.radians(lonlat[:, 0]), np.radians(lonlat[:, 1])
     prime_vertical = WGS84_A_M / np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)

@@ -138,21 +138,21 @@ def run_on_oxts(
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def run() -> RunBuilder:
     return make_run
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def graph() -> GraphBuilder:
     return make_graph
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def oxts_run() -> RunBuilder:
     return run_on_oxts
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def at() -> Callable[[Any], np.ndarray]:
     return lonlat
