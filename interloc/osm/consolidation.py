@@ -37,15 +37,15 @@ def consolidate(
     degree : (M,) int64
         Roads that leave the merged intersection.
     """
-    if len(rows) == 0:
-        return rows, graph.lonlat[rows], rows
-    epsg = _utm_epsg(graph.lonlat[rows])
-    to_utm = Transformer.from_crs("EPSG:4326", epsg, always_xy=True)
-    x, y = to_utm.transform(graph.lonlat[rows, 0], graph.lonlat[rows, 1])
     degree_of_node = graph.degree(edges)
     links = _links(distinct_edges(edges), degree_of_node >= MIN_DEGREE)
     links = links[np.isin(links, rows).all(axis=1)]
+    if len(links) == 0:
+        return graph.node_id[rows], graph.lonlat[rows], degree_of_node[rows]  # osmnx rebuilds no graph without edges
 
+    epsg = _utm_epsg(graph.lonlat[rows])
+    to_utm = Transformer.from_crs("EPSG:4326", epsg, always_xy=True)
+    x, y = to_utm.transform(graph.lonlat[rows, 0], graph.lonlat[rows, 1])
     network = nx.MultiDiGraph(crs=epsg)
     network.add_nodes_from((row, {"x": px, "y": py}) for row, px, py in zip(rows.tolist(), x, y, strict=True))
     network.add_edges_from(links.tolist())

@@ -1,0 +1,229 @@
+import bz2
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import osmium
+import pytest
+
+from interloc.errors import MapError
+from interloc.osm.graph import RoadGraph
+from interloc.osm.policies import intersection_nodes
+from interloc.osm.reader import read_osm
+
+
+def read(folder: Path, content: str | bytes, name: str = "map.osm") -> RoadGraph:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return read_osm(path)
+
+
+def test_highways_become_edges(tmp_path: Path, crossing: str) -> None:
+    roads = read(tmp_path, crossing)
+    assert roads.node_id.tolist() == [1, 2, 3, 4, 5]  # 9 belongs to a house
+    assert roads.lonlat[1].tolist() == [8.4, 49.001]
+    assert roads.node_id[roads.edges].tolist() == [[1, 2], [2, 3], [4, 2], [2, 5]]
+    assert roads.ways.highway == ("residential", "tertiary")
+    assert roads.ways.name == ("Weg", "K 1")
+    assert roads.ways.id[roads.edge_way].tolist() == [10, 10, 11, 11]
+    assert roads.degree().tolist() == [1, 4, 1, 1, 1]
+    assert (roads.source, roads.bounds, roads.date, roads.clipped_ways) == ("map.osm", None, None, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "pack"), [("map.osm.gz", gzip.compress), ("map.osm.bz2", bz2.compress), ("gzip_named.osm", gzip.compress)]
+)
+def test_the_content_tells_how_it_is_packed(tmp_path: Path, crossing: str, name: str, pack: object) -> None:
+    assert callable(pack)
+    assert len(read(tmp_path, pack(crossing.encode()), name).edges) == 4
+
+
+def test_a_pbf_file_is_read_like_any_other(tmp_path: Path) -> None:
+    path = tmp_path / "map.osm.pbf"
+    header = osmium.io.Header()
+    header.set("osmosis_replication_timestamp", "2024-05-01T00:00:00Z")
+    header.add_box(osmium.osm.Box(8.3, 48.9, 8.5, 49.1))
+    with osmium.SimpleWriter(str(path), header=header) as writer:
+        for number, place in enumerate([(8.4, 49.0), (8.4, 49.001), (8.4, 49.002), (8.401, 49.001)], start=1):
+            writer.add_node(osmium.osm.mutable.Node(id=number, location=place, version=1))
+        writer.add_way(osmium.osm.mutable.Way(id=7, nodes=[1, 2, 3], tags={"highway": "residential"}, version=1))
+        writer.add_way(osmium.osm.mutable.Way(id=8, nodes=[2, 4], tags={"highway": "residential"}, version=1))
+        writer.add_way(osmium.osm.mutable.Way(id=9, nodes=[3, 4], tags={"barrier": "fence"}, version=1))
+    roads = read_osm(path)
+    assert len(roads.edges) == 3
+    assert roads.date == "2024-05-01T00:00:00Z"
+    assert roads.bounds == (8.3, 48.9, 8.5, 49.1)
+    assert intersection_nodes(roads).osm_id.tolist() == [2]
+
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(MapError, match="is damaged"):
+        read_osm(path)
+
+
+def test_nodes_may_follow_the_ways(tmp_path: Path, crossing: str) -> None:
+    nodes = "\n".join(line for line in crossing.splitlines() if "<node" in line)
+    ways = "\n".join(line for line in crossing.splitlines() if "<way" in line)
+    roads = read(tmp_path, f'<osm version="0.6">{ways}{nodes}</osm>')
+    assert len(roads.edges) == 4
+
+
+def test_ids_of_an_editor_are_negative(tmp_path: Path, crossing: str) -> None:
+    roads = read(tmp_path, crossing.replace('id="2"', 'id="-2"').replace('ref="2"', 'ref="-2"'))
+    assert intersection_nodes(roads).osm_id.tolist() == [-2]
+
+
+def test_a_deleted_way_is_gone(tmp_path: Path, crossing: str) -> None:
+    roads = read(tmp_path, crossing.replace('way id="11"', 'way id="11" version="3" visible="false"'))
+    assert roads.ways.id.tolist() == [10]
+
+
+def test_a_clipped_way_is_cut_into_the_pieces_that_exist(tmp_path: Path, crossing: str) -> None:
+    long = "".join(f'<nd ref="{i}"/>' for i in (1, 77, 2, 3, 78, 4, 5, 79))
+    roads = read(tmp_path, crossing.replace('<nd ref="1"/><nd ref="2"/><nd ref="3"/>', long))
+    assert roads.node_id[roads.edges].tolist() == [[2, 3], [4, 5], [4, 2], [2, 5]]
+    assert roads.clipped_ways == 1
+    assert intersection_nodes(roads).osm_id.tolist() == [2]
+
+
+def test_a_way_through_a_node_without_place_is_cut_too(tmp_path: Path, crossing: str) -> None:
+    roads = read(tmp_path, crossing.replace('lat="49.002"', 'lat="149.002"'))
+    assert roads.clipped_ways == 1
+    assert len(roads.edges) == 3
+
+
+def test_declared_date_and_bounds_are_kept(tmp_path: Path, crossing: str) -> None:
+    head = (
+        '<meta osm_base="2015-02-17T11:18:02Z"/><bounds minlat="48.9" minlon="8.3" maxlat="49.0" maxlon="8.5"/>'
+        '<bounds minlat="49.0" minlon="8.3" maxlat="49.1" maxlon="8.4"/>'
+    )
+    roads = read(tmp_path, crossing.replace('generator="hand">', f'generator="hand">{head}'))
+    assert roads.date == "2015-02-17T11:18:02Z"
+    assert roads.bounds == (8.3, 48.9, 8.5, 49.1)
+
+
+def test_without_declared_date_the_latest_edit_is_known(tmp_path: Path, crossing: str) -> None:
+    edited = crossing.replace('way id="10"', 'way id="10" timestamp="2011-01-27T18:05:52Z"').replace(
+        'way id="11"', 'way id="11" timestamp="2012-04-11T13:34:03Z"'
+    )
+    assert read(tmp_path, edited).date == "2012-04-11T13:34:03Z"
+
+
+def test_junctions_outside_the_bounds_are_no_ground_truth(tmp_path: Path, crossing: str) -> None:
+    head = '<bounds minlat="49.0" minlon="8.3" maxlat="49.0005" maxlon="8.5"/>'
+    roads = read(tmp_path, crossing.replace('generator="hand">', f'generator="hand">{head}'))
+    assert roads.inside_bounds.tolist() == [True, False, False, False, False]
+    assert len(intersection_nodes(roads)) == 0
+
+
+def test_a_drive_can_be_cut_out_of_a_large_map(tmp_path: Path, crossing: str) -> None:
+    path = tmp_path / "map.osm"
+    path.write_text(crossing)
+    roads = read_osm(path, (8.3995, 48.9995, 8.4005, 49.0005))  # node 1 only, hence way 10
+    assert roads.ways.id.tolist() == [10]
+    assert roads.inside_bounds.tolist() == [True, False, False]
+    with pytest.raises(MapError, match=r"no highways within lon 1\.0"):
+        read_osm(path, (1.0, 1.0, 2.0, 2.0))
+
+
+BAD = {
+    "no_xml": (b"this is not a map", "is not an OSM file"),
+    "binary": (bytes(range(256)), "is not an OSM file"),
+    "empty": (b"", "is empty"),
+    "empty.gz": (gzip.compress(b""), "holds nothing once unpacked"),
+    "page": (b"<!DOCTYPE html>\n<html><head></head></html>", "web page"),
+    "old_page": (b"<html><body>503</body></html>", "web page"),
+    "page_of_old": (b'<!DOCTYPE HTML PUBLIC "-//W3C//DTD HTML 4.01//EN">\n<HTML></HTML>', "web page"),
+    "json": (b'{"version": 0.6, "elements": []}', r"\[out:xml\]"),
+    "zip": (b"PK\x03\x04rest", "ZIP"),
+    "change": (b'<osmChange version="0.6"></osmChange>', "change file"),
+    "gpx": (b'<gpx version="1.1"></gpx>', "first element is <gpx>"),
+    "no_version": (b"<osm><node/></osm>", "damaged"),
+    "nothing_in_it": (b'<osm version="0.6"></osm>', "no highways"),
+    "bad_ref": (b'<osm version="0.6"><way id="1"><nd ref="x"/></way></osm>', "damaged"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_no_map_is_refused_in_words(tmp_path: Path, name: str) -> None:
+    content, reason = BAD[name]
+    with pytest.raises(MapError, match=reason) as caught:
+        read(tmp_path, content, f"{name}.osm")
+    assert f"{name}.osm" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_folder_are_refused_in_words(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="no such file"):
+        read_osm(tmp_path / "none.osm")
+    with pytest.raises(MapError, match="is a folder"):
+        read_osm(tmp_path)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads every file")
+def test_an_unreadable_file_is_refused_in_words(tmp_path: Path, crossing: str) -> None:
+    path = tmp_path / "map.osm"
+    path.write_text(crossing)
+    path.chmod(0)
+    with pytest.raises(MapError, match="Permission denied"):
+        read_osm(path)
+
+
+def test_a_truncated_file_is_refused_in_words(tmp_path: Path, crossing: str) -> None:
+    with pytest.raises(MapError, match="ends early"):
+        read(tmp_path, gzip.compress(crossing.encode())[:-30], "map.osm.gz")
+    with pytest.raises(MapError, match="ends early"):
+        read(tmp_path, bz2.compress(crossing.encode())[:-30], "map.osm.bz2")
+    with pytest.raises(MapError, match="is damaged"):
+        read(tmp_path, crossing[:-30])
+
+
+def test_a_damaged_gzip_file_is_refused_in_words(tmp_path: Path, crossing: str) -> None:
+    packed = bytearray(gzip.compress(crossing.encode()))
+    packed[len(packed) // 2] ^= 0xFF
+    with pytest.raises(MapError, match=r"map\.osm\.gz"):
+        read(tmp_path, bytes(packed), "map.osm.gz")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        '<!DOCTYPE osm SYSTEM "http://example.org/osm.dtd">\n',
+        '<!DOCTYPE osm [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>\n',
+        '<!DOCTYPE osm [<!ENTITY secret SYSTEM "file:///etc/hostname">]>\n',
+    ],
+)
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_declarations_are_refused(tmp_path: Path, crossing: str, head: str, pack: object) -> None:
+    assert callable(pack)
+    with pytest.raises(MapError, match="DOCTYPE"):
+        read(tmp_path, pack(crossing.replace("<osm", head + "<osm").encode()))
+
+
+def test_a_small_file_that_unpacks_without_end_is_refused(tmp_path: Path, crossing: str) -> None:
+    path = tmp_path / "bomb.osm.gz"
+    path.write_bytes(gzip.compress(crossing.replace("</osm>", "<node/>" * 1_000_000 + "</osm>").encode()))
+    with pytest.raises(MapError, match=r"unpacks to more than 0\.0 GB"):
+        read_osm(path, max_unpacked_bytes=4_000_000)
+
+
+def test_a_tag_without_end_is_refused(tmp_path: Path, crossing: str) -> None:
+    endless = crossing.replace("</osm>", f'<node id="{"1" * 5_000_000}"/></osm>')
+    with pytest.raises(MapError, match="tag longer than"):
+        read(tmp_path, gzip.compress(endless.encode()), "bomb.osm.gz")
+
+
+def test_ways_without_their_nodes_name_the_usual_query(tmp_path: Path) -> None:
+    body = '<way id="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="road"/></way>'
+    with pytest.raises(MapError, match=r"\(\._;>;\);"):
+        read(tmp_path, f'<osm version="0.6">{body}</osm>')
+
+
+def test_the_maps_of_kitti_are_read(shared_data: Path) -> None:
+    roads = read_osm(shared_data / "kitti" / "osm" / "00.osm.gz")
+    assert (len(roads.ways), roads.date, roads.bounds) == (350, "2015-02-17T11:18:02Z", None)
+    assert len(np.unique(roads.node_id)) == len(roads.node_id)
+    roads = read_osm(shared_data / "kitti" / "osm_buildings" / "00.osm.gz")
+    assert roads.bounds == (8.3816242, 48.9772313, 8.4044552, 48.9917075)
+    assert roads.date == "2012-04-11T13:34:03Z"
+    assert (len(roads.ways), int((~roads.inside_bounds).sum()) > 0) == (600, True)
