@@ -20,18 +20,34 @@ class GroundPoints:
     Attributes
     ----------
     xyz : (N, 3) float32
-        Points in L, metres: road points and the points most often confused with them.
-    is_road : (N,) bool
-        True for road; False for sidewalk, parking and other-ground (used to simulate segmentation errors only).
+        Points in L, metres: road points first, then the points most often confused with them.
+    road_count : int
+        How many of them are road; the rest is sidewalk, parking and other-ground (used to simulate segmentation errors
+        only).
     """
 
     xyz: NDArray[np.float32]
-    is_road: NDArray[np.bool_]
+    road_count: int
 
-    @cached_property
+    @classmethod
+    def split(cls, xyz: NDArray[np.float32], is_road: NDArray[np.bool_]) -> GroundPoints:
+        """Sort (N, 3) points into road and the rest by a (N,) mask."""
+        return cls(np.concatenate([xyz[is_road], xyz[~is_road]]), int(np.count_nonzero(is_road)))
+
+    @property
     def road(self) -> NDArray[np.float32]:
-        """(M, 3) float32 road points in L, metres (paper, section III-B.1)."""
-        return self.xyz[self.is_road]
+        """(M, 3) float32 road points in L, metres (paper, section III-B.1); a view."""
+        return self.xyz[: self.road_count]
+
+    @property
+    def confusable(self) -> NDArray[np.float32]:
+        """(N - M, 3) float32 points of sidewalk, parking and other ground in L, metres; a view."""
+        return self.xyz[self.road_count :]
+
+    @property
+    def is_road(self) -> NDArray[np.bool_]:
+        """(N,) bool, True for road."""
+        return np.arange(len(self.xyz)) < self.road_count
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,276 @@
+"""Whose poses a pose file holds: those of the camera (KITTI) or of the LiDAR (most LiDAR odometries).
+
+A vehicle moves where it looks. In the frame of a camera (x right, y down, z forward) it moves along z and turns about
+y; in that of a LiDAR (x forward, y left, z up) it moves along x and turns about z. Hills do not matter: the
+vehicle, and its sensors with it, pitches along.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.drives.calibration import find_camera_calibration, find_camera_to_pose
+from interloc.drives.faults import DriveFileError
+from interloc.drives.files import shown
+from interloc.drives.options import PoseFrame
+from interloc.drives.parts import DriveParts
+
+Array = NDArray[np.float64]
+Frame = Literal["camera", "lidar", "imu"]
+
+_STEP_M = 3.0
+_LEAST_MOTION_M = 1.0
+_CLEAR = 0.65
+_TURNED_RAD = 0.35
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a body moves in its own frame.
+
+    Attributes
+    ----------
+    distance_m : float
+        Sum of the steps looked at, each some metres long.
+    along : (3,) float64
+        Share of the motion along x, y, z; sums to 1.
+    forward : float
+        Mean of the steps along the main axis, -1 (backwards) to 1.
+    about : (3,) float64
+        Share of the turning about x, y, z; sums to 1 (zeros without turning).
+    turned_rad : float
+        Root of the sum of squared turns.
+    """
+
+    distance_m: float
+    along: Array
+    forward: float
+    about: Array
+    turned_rad: float
+
+    @property
+    def axis(self) -> str:
+        """Main axis of the motion: "x", "y" or "z"."""
+        return _AXES[int(np.argmax(self.along))]
+
+    @property
+    def turning_axis(self) -> str:
+        """Main axis of the turns."""
+        return _AXES[int(np.argmax(self.about))]
+
+    def describe(self) -> str:
+        """Say along which axis it moves and about which it turns."""
+        text = f"it moves along its {self.axis} axis ({self.along.max():.0%} of the motion)"
+        if self.turned_rad > _TURNED_RAD:
+            text += f" and turns about its {self.turning_axis} axis"
+        return text
+
+
+def body_motion(poses: Array) -> Motion | None:
+    """Measure how a body moves in its own frame.
+
+    Parameters
+    ----------
+    poses : (P, 4, 4) float64
+        T_world_body.
+
+    Returns
+    -------
+    Motion or None
+        None where it moves less than a metre.
+    """
+    position = poses[:, :3, 3]
+    extent = float(np.linalg.norm(position - position[0], axis=1).max())
+    if extent < _LEAST_MOTION_M:
+        return None
+    steps = _spaced(position, min(_STEP_M, extent / 2))
+    rotation = poses[steps, :3, :3]
+    step = np.einsum("nji,nj->ni", rotation[:-1], np.diff(position[steps], axis=0))
+    length = np.linalg.norm(step, axis=1)
+    unit = step / length[:, None]
+    along = (unit**2).mean(axis=0)
+    relative = np.einsum("nji,njk->nik", rotation[:-1], rotation[1:])
+    turn = _rotation_vectors(relative)
+    squares = (turn**2).sum(axis=0)
+    return Motion(
+        distance_m=float(length.sum()),
+        along=along,
+        forward=float(unit[:, int(np.argmax(along))].mean()),
+        about=squares / max(float(squares.sum()), 1e-12),
+        turned_rad=float(np.sqrt(squares.sum())),
+    )
+
+
+def _spaced(position: Array, step_m: float) -> list[int]:
+    """Return rows that lie at least a step apart, one after the other."""
+    rows = [0]
+    x0, y0, z0 = position[0]
+    limit = step_m * step_m
+    for row, (x, y, z) in enumerate(position.tolist()):
+        if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 >= limit:
+            rows.append(row)
+            x0, y0, z0 = x, y, z
+    return rows
+
+
+def _rotation_vectors(rotation: Array) -> Array:
+    """Return axis times angle of (N, 3, 3) rotations as (N, 3), radians."""
+    skew = np.stack(
+        [
+            rotation[:, 2, 1] - rotation[:, 1, 2],
+            rotation[:, 0, 2] - rotation[:, 2, 0],
+            rotation[:, 1, 0] - rotation[:, 0, 1],
+        ],
+        axis=1,
+    )
+    sine = np.linalg.norm(skew, axis=1) / 2
+    angle = np.arctan2(sine, (np.trace(rotation, axis1=1, axis2=2) - 1) / 2)
+    vectors: Array = skew * (angle / np.maximum(2 * sine, 1e-12))[:, None]
+    return vectors
+
+
+def guess_frame(poses: Array) -> tuple[Frame | None, str]:
+    """Guess whose poses these are.
+
+    Parameters
+    ----------
+    poses : (P, 4, 4) float64
+        T_world_body, as they stand in the file.
+
+    Returns
+    -------
+    {"camera", "lidar"} or None
+        None where the motion does not tell.
+    str
+        Why.
+    """
+    motion = body_motion(poses)
+    if motion is None:
+        return None, f"the vehicle moves less than {_LEAST_MOTION_M:g} m, which does not tell camera from LiDAR"
+    if motion.along[2] > _CLEAR:
+        return "camera", f"{motion.describe()}, as a camera that looks ahead (z forward, y down)"
+    if motion.along[2] < 1 - _CLEAR:
+        return "lidar", f"{motion.describe()}, as a LiDAR (x forward, z up)"
+    if motion.turned_rad > _TURNED_RAD and motion.turning_axis in "yz":
+        frame: Frame = "camera" if motion.turning_axis == "y" else "lidar"
+        return (
+            frame,
+            f"it turns about its {motion.turning_axis} axis, as a {'camera' if frame == 'camera' else 'LiDAR'}",
+        )
+    return None, f"{motion.describe()}, which fits neither a camera nor a LiDAR"
+
+
+def to_lidar(
+    poses: Array, parts: DriveParts, pose_file: str, declared: PoseFrame
+) -> tuple[Array, Frame, str, str | None]:
+    """Turn the poses of a file into those of the LiDAR.
+
+    Parameters
+    ----------
+    poses : (P, 4, 4) float64
+        As they stand in the file.
+    parts : DriveParts
+        Where calibrations are looked for.
+    pose_file : str
+        Its name in messages.
+    declared : {"auto", "camera", "lidar"}
+
+    Returns
+    -------
+    (P, 4, 4) float64
+        Poses of the LiDAR in the world of the file.
+    {"camera", "lidar", "imu"}
+        Whose poses the file holds.
+    str
+        Why that is thought.
+    str or None
+        A warning about the guess.
+
+    Raises
+    ------
+    DriveError
+        The declared frame contradicts the motion, or the calibration that is needed is missing or does not fit.
+    """
+    guess, why = guess_frame(poses)
+    warning = None
+    frame: Frame
+    if declared != "auto":
+        if guess is not None and guess != declared:
+            raise DriveFileError(pose_file, _contradiction(declared, guess, why))
+        frame, why = declared, f"declared so ({why})"
+    elif guess is None:
+        has_calibration = find_camera_calibration(parts) is not None
+        frame = "camera" if has_calibration else "lidar"
+        calibration = "there is a camera calibration" if has_calibration else "there is no camera calibration"
+        why = f"{why}; {calibration}, so they are taken for {frame} poses"
+        warning = f"{why}. Name the pose frame (camera or lidar) if that is wrong."
+    else:
+        frame = guess
+    if frame == "lidar" and declared == "auto" and parts.layout == "kitti360" and _points_down(poses):
+        return _from_imu(poses, parts, pose_file), "imu", f"{why}, but its z axis points down, as KITTI-360's IMU", None
+    if frame == "lidar":
+        return poses, frame, why, warning
+    return _from_camera(poses, parts, pose_file, why), frame, why, warning
+
+
+def _contradiction(declared: Frame, guess: Frame, why: str) -> str:
+    """Say that the declared frame does not fit."""
+    usual = {
+        "lidar": "poses.txt of KITTI and SemanticKITTI, which are camera poses (those of kiss-icp are not)",
+        "camera": "poses of a LiDAR odometry, or poses that were already multiplied by the calibration",
+    }[declared]
+    return (
+        f"declared as poses of the {_device(declared)} (pose frame {declared!r}), but they are those of the "
+        f"{_device(guess)}: {why}. "
+        f"Give pose frame 'auto' or {guess!r}. Usual cause: {usual}."
+    )
+
+
+def _device(frame: Frame) -> str:
+    """Name the device of a frame."""
+    return {"camera": "camera", "lidar": "LiDAR", "imu": "IMU"}[frame]
+
+
+def _from_camera(poses: Array, parts: DriveParts, pose_file: str, why: str) -> Array:
+    """Return the LiDAR poses of camera poses: T_world_lidar = P Tr."""
+    found = find_camera_calibration(parts)
+    if found is None:
+        raise DriveFileError(
+            pose_file,
+            f"holds camera poses ({why}), and there is no calib.txt to turn them into LiDAR poses. "
+            "Put the calib.txt of the sequence beside poses.txt (its line 'Tr:' is needed), "
+            "or give pose frame 'lidar' if they are the LiDAR's after all.",
+        )
+    path, T_cam_lidar = found
+    lidar = poses @ T_cam_lidar
+    before, after = body_motion(poses), body_motion(lidar)
+    if before is not None and after is not None and before.axis == "z" and after.axis != "x":
+        raise DriveFileError(
+            shown(path, parts.root),
+            f"does not lead from the LiDAR to the camera: with it the LiDAR moves along its {after.axis} axis, not x. "
+            "Expected 'Tr' that maps points of the LiDAR (x forward, z up) into the camera (z forward, y down). "
+            "Usual cause: the inverse transform, or an identity as a placeholder.",
+        )
+    return lidar
+
+
+def _from_imu(poses: Array, parts: DriveParts, pose_file: str) -> Array:
+    """Return the LiDAR poses of KITTI-360's IMU poses: T_world_lidar = P T_imu_cam T_cam_lidar."""
+    camera, to_pose = find_camera_calibration(parts), find_camera_to_pose(parts)
+    if camera is None or to_pose is None:
+        raise DriveFileError(
+            pose_file,
+            "holds poses of KITTI-360's IMU (x forward, z down), and no calibration leads from there to the LiDAR. "
+            "Put calib_cam_to_velo.txt and calib_cam_to_pose.txt of KITTI-360 beside it.",
+        )
+    return poses @ to_pose[1] @ camera[1]
+
+
+def _points_down(poses: Array) -> bool:
+    """Say whether the z axis of the body points down in the world of the file."""
+    return float(np.median(poses[:, 2, 2])) < -0.7

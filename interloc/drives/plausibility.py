@@ -1,0 +1,247 @@
+"""Do labels, poses and georeference of a drive fit together? Judged from a few scans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.drives.drive import Georeference
+from interloc.drives.faults import DriveFileError, Findings, GeoreferenceFileError
+from interloc.drives.files import listed, shown
+from interloc.drives.georeference import ecef_poses
+from interloc.drives.labels import looks_like_learning
+from interloc.drives.scans import FolderDrive
+from interloc.geometry import invert_transform, rotation_angle
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+LEAST_ROAD_SHARE = 0.005
+MOST_UNKNOWN_SHARE = 0.05
+
+MOST_STEP_M = 0.35
+"""Real drives stay under 0.1 m; a wrong dialect is off by metres."""
+
+MOST_TILT_RAD = np.radians(40.0)
+
+MOST_GEOREFERENCE_ERROR = 0.2
+"""Of the distance between two scans; real drives stay under 0.02."""
+
+_CELL_M = 1.0
+_RANGE_M = 25.0
+_PAIR_STEP_M = 6.0
+_FAR_M = 30.0
+_PLACES = 3
+
+
+def sample_indices(usable: Integers, count: int) -> list[int]:
+    """Return some of many positions, evenly spread from the first to the last."""
+    if len(usable) <= count:
+        return [int(index) for index in usable]
+    return [int(usable[row]) for row in np.linspace(0, len(usable) - 1, count).round().astype(np.int64)]
+
+
+def check_labels(drive: FolderDrive, counts: dict[int, int], findings: Findings) -> None:
+    """Check the share of road, and that the ids belong to the scheme.
+
+    Parameters
+    ----------
+    counts : dict of int to int
+        How many points of the sampled scans carry each id.
+    """
+    folder, scheme, total = shown(drive.label_files.folder, drive.root), drive.scheme, sum(counts.values())
+    ids = np.array(sorted(counts), dtype=np.int64)
+    road = sum(counts.get(label, 0) for label in scheme.road)
+    if scheme.name != "custom" and looks_like_learning(ids) and scheme.name != "learning":
+        findings.error(
+            DriveFileError(
+                folder,
+                f"all ids are 19 or less ({listed(ids, 20)}), which looks like the learning scheme (0..19, road = 9), "
+                f"but they are read as {scheme.name}. Use label scheme 'learning' (--label-scheme learning). "
+                "Usual cause: predictions that were not mapped back to the ids of the labels.",
+            )
+        )
+        return
+    unknown = {
+        label: count for label, count in counts.items() if scheme.known is not None and label not in scheme.known
+    }
+    if unknown:
+        message = (
+            f"{sum(unknown.values()) / total:.1%} of the points have ids that {scheme.name} does not know "
+            f"({listed(np.array(sorted(unknown)), 12)})."
+        )
+        if sum(unknown.values()) > MOST_UNKNOWN_SHARE * total:
+            findings.warning(folder, f"{message} Usual cause: another label scheme; name it, or give the ids of road.")
+        else:
+            findings.note(folder, message)
+    wanted = listed(np.array(sorted(scheme.road)), 12)
+    if road == 0:
+        findings.error(
+            DriveFileError(
+                folder,
+                f"no point of the scans looked at is road: the ids are {listed(ids, 20)}; road would be {wanted} "
+                f"(scheme {scheme.name}). Usual cause: another label scheme; name it, or give the ids of road.",
+            )
+        )
+    elif road < LEAST_ROAD_SHARE * total:
+        findings.warning(
+            folder,
+            f"only {road / total:.2%} of the points are road (ids {wanted}); 10 to 40 % are usual. "
+            "Usual cause: another label scheme, or labels of other scans.",
+        )
+
+
+def check_flat_road(drive: FolderDrive, usable: Sequence[int] | Integers, findings: Findings) -> float | None:
+    """Check that the road of neighbouring scans is one level surface: it is not if the poses are in another frame.
+
+    Returns
+    -------
+    float or None
+        Median difference in height of the road of two scans in the same cells, metres, at the worst place; None where
+        no two scans saw the same road.
+    """
+    position = drive.T_world_lidar[:, :3, 3]
+    steps: list[float] = []
+    tilts: list[tuple[float, int]] = []
+    for i, j in _pairs(drive.T_world_lidar, np.asarray(usable, dtype=np.int64)):
+        with findings.stage():
+            here, there = _near(drive.ground_points(i).road), _near(drive.ground_points(j).road)
+            relative = invert_transform(drive.T_world_lidar[i]) @ drive.T_world_lidar[j]
+            tilt = _tilt(here)
+            if tilt is not None:
+                tilts.append((tilt, i))
+            step = _height_step(here, there @ relative[:3, :3].T + relative[:3, 3])
+            if step is None:
+                continue
+            steps.append(step)
+            distance = float(np.linalg.norm(position[j] - position[i]))
+            if step > MOST_STEP_M + 0.01 * distance:
+                findings.error(
+                    DriveFileError(
+                        "poses",
+                        f"the road is not flat: scans {drive.frames[i]} and {drive.frames[j]}, {distance:.1f} m apart, "
+                        f"see the same road {step:.2f} m apart in height (usual: under 0.1 m). {_dialect(drive)}",
+                    )
+                )
+                return step
+    if tilts and min(tilts)[0] > MOST_TILT_RAD:
+        tilt, i = min(tilts)
+        findings.error(
+            DriveFileError(
+                shown(drive.scan_files.path(int(drive.frames[i])), drive.root),
+                f"its road is tilted by {np.degrees(tilt):.0f} degrees against the sensor. Expected points "
+                "of a LiDAR with x forward, y left, z up. Usual cause: points in the frame of the camera, or labels of "
+                "another scan.",
+            )
+        )
+    return max(steps) if steps else None
+
+
+def _dialect(drive: FolderDrive) -> str:
+    """Say how the poses were read, and what else they may be."""
+    if drive.pose_frame == "oxts":
+        return "Poses were taken from OXTS. Usual cause: OXTS of another drive, or angles in another convention."
+    other = "lidar" if drive.pose_frame == "camera" else "camera"
+    return (
+        f"Poses were read as {drive.pose_frame} poses: {drive.pose_frame_reason}. Usual cause: a wrong pose dialect "
+        f"(try pose frame {other!r}), a calib.txt of another vehicle, inverted poses, or scans of another drive."
+    )
+
+
+def _pairs(poses: Array, usable: Integers) -> list[tuple[int, int]]:
+    """Choose pairs of scans some metres apart: at places spread over the drive, and where it turns most."""
+    if len(usable) < 2:
+        return []
+    position = poses[usable, :3, 3]
+    steps = [0]
+    for row in range(1, len(usable)):
+        if np.linalg.norm(position[row] - position[steps[-1]]) >= _PAIR_STEP_M:
+            steps.append(row)
+    if len(steps) < 2:
+        return [(int(usable[0]), int(usable[-1]))]
+    candidates = [
+        (int(usable[a]), int(usable[b]))
+        for a, b in pairwise(steps)
+        if np.linalg.norm(position[b] - position[a]) < _FAR_M
+    ]
+    if not candidates:
+        return []
+    spread = [candidates[row] for row in np.linspace(0, len(candidates) - 1, _PLACES).round().astype(int)]
+    turned = max(candidates, key=lambda pair: rotation_angle(poses[pair[0], :3, :3], poses[pair[1], :3, :3]))
+    return sorted({*spread, turned})
+
+
+def _near(road: NDArray[np.float32]) -> Array:
+    """Return the road points around the sensor, where heights are sure."""
+    return road[np.hypot(road[:, 0], road[:, 1]) < _RANGE_M].astype(np.float64)
+
+
+def _height_step(a: Array, b: Array) -> float | None:
+    """Return the median difference in height of two (N, 3) sets of points in the cells that both cover, or None."""
+    if not len(a) or not len(b):
+        return None
+    (cells_a, heights_a), (cells_b, heights_b) = _cell_heights(a), _cell_heights(b)
+    _, at_a, at_b = np.intersect1d(cells_a, cells_b, assume_unique=True, return_indices=True)
+    if len(at_a) < 5:
+        return None
+    return float(np.median(np.abs(heights_a[at_a] - heights_b[at_b])))
+
+
+def _cell_heights(points: Array) -> tuple[Integers, Array]:
+    """Return the cells that hold at least three of (N, 3) points, and the mean height of each."""
+    column, row = np.floor(points[:, :2] / _CELL_M).astype(np.int64).T
+    cells, member, count = np.unique(column * (1 << 32) + row, return_inverse=True, return_counts=True)
+    enough = count >= 3
+    return cells[enough], (np.bincount(member, weights=points[:, 2]) / count)[enough]
+
+
+def _tilt(points: Array) -> float | None:
+    """Return the angle between the plane of (N, 3) points and the x-y plane, radians; None for too few or a line."""
+    if len(points) < 50:
+        return None
+    centred = points - points.mean(axis=0)
+    values, vectors = np.linalg.eigh(centred.T @ centred / len(points))
+    if values[1] < 1.0:  # a strip under a metre wide has no sure plane
+        return None
+    return float(np.arccos(min(1.0, abs(vectors[2, 0]))))
+
+
+def check_georeference(poses: Array, georeference: Georeference, findings: Findings) -> float | None:
+    """Check that the georeference tells the same motion as the poses, piece by piece (drift does not matter).
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        T_world_lidar.
+
+    Returns
+    -------
+    float or None
+        Median error of the motion over pieces of some metres, as a share of their length; None where it hardly moves.
+    """
+    rows = [0]
+    for row in range(1, len(poses)):
+        if np.linalg.norm(poses[row, :3, 3] - poses[rows[-1], :3, 3]) >= 10.0:
+            rows.append(row)
+    if len(rows) < 2:
+        return None
+    errors = []
+    ecef = ecef_poses(georeference)[rows]
+    for a, b, ecef_a, ecef_b in zip(rows[:-1], rows[1:], ecef[:-1], ecef[1:], strict=True):
+        ours = (poses[b, :3, 3] - poses[a, :3, 3]) @ poses[a, :3, :3]
+        theirs = (ecef_b[:3, 3] - ecef_a[:3, 3]) @ ecef_a[:3, :3]
+        errors.append(float(np.linalg.norm(theirs - ours) / np.linalg.norm(ours)))
+    error = float(np.median(errors))
+    if error > MOST_GEOREFERENCE_ERROR:
+        findings.error(
+            GeoreferenceFileError(
+                georeference.source,
+                f"tells another motion than the poses: off by {error:.0%} of the way, piece by piece "
+                "(usual: under 3 %). Usual cause: the georeference of another drive, rows that start at another frame, "
+                "or angles in another convention (expected: yaw 0 = east, counter-clockwise, radians).",
+            )
+        )
+    return error
