@@ -119,8 +119,10 @@ class BranchConfig(_Config):
     )
     outer_radius_m: float = Field(40.0, gt=0, le=200, description="a_o: outer circle.")
     min_branches: int = Field(3, ge=2, le=8, description="Branches that make an intersection.")
-    min_length_m: float = Field(4.0, ge=0, le=50, description="Shorter pieces of centerline are no branches.")
-    stop_m: float = Field(5.0, gt=0, le=50, description="A branch ends this far before another candidate.")
+    min_reach_m: float = Field(
+        14.0, ge=0, le=200, description="A branch reaches this far from its candidate, unless another one is nearer."
+    )
+    stop_m: float = Field(1.0, gt=0, le=50, description="A branch ends this far before another candidate.")
     line: Literal["start_and_mean", "least_squares"] = Field(
         "start_and_mean", description="How a line is laid through a branch."
     )
@@ -169,7 +171,7 @@ DEFAULT = DetectorConfig(
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(),
     branches=BranchConfig(
-        inner_radius_m=15.0, inner_widths=1.0, line="least_squares", stop_m=2.0, min_length_m=4.0, trim_m=2.0
+        inner_radius_m=15.0, inner_widths=1.0, line="least_squares", stop_m=2.0, trim_m=2.0
     ),
 )
 

@@ -99,7 +99,7 @@ class RoadAccumulator:
         )
         if len(cells):
             keys = self._grid.acquire(tiles)
-            where = grid.add_cells(self._grid.pool, self._grid.table(tiles), int(tiles[2]), int(tiles[0]), cells)
+            where = grid.add_cells(self._grid.pool, self._grid.table(tiles), int(tiles[0]), int(tiles[2]), cells)
         else:
             keys, where = [], np.empty(0, np.int32)
         self._window.append(_Entry(keyframe, where, keys))

@@ -99,21 +99,21 @@ def segment_branches(
         centerline.image.height,
         BORDER_PX,
     )
+    # A piece that another candidate cuts short is a road between two intersections.
+    table = table[(table[:, sk.REACH] * resolution_m >= config.min_reach_m) | (table[:, sk.AT_CANDIDATE] > 0)]
+    means = table[:, [sk.MEAN_ROW, sk.MEAN_COL]]
     if config.line == "start_and_mean":
-        table = table[table[:, sk.LENGTH] * resolution_m >= config.min_length_m]
         points = table[:, [sk.START_ROW, sk.START_COL]]
-        directions = table[:, [sk.MEAN_ROW, sk.MEAN_COL]] - points
-        directions = directions / np.maximum(np.hypot(*directions.T), 1e-9)[:, None]
+        directions = _unit(means - points)
         has_line = np.ones(len(table), np.bool_)
     else:
-        # A branch between two near junctions is short but sure.
-        keep = (table[:, sk.LENGTH] * resolution_m >= config.min_length_m) | (table[:, sk.AT_CANDIDATE] > 0)
-        table = table[keep]
         points = table[:, [sk.FIT_ROW, sk.FIT_COL]]
-        directions = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
         has_line = table[:, sk.FIT_LENGTH] * resolution_m >= MIN_FIT_M
-        outward = table[:, [sk.MEAN_ROW, sk.MEAN_COL]] - candidates.positions[which]
-        outward = outward / np.maximum(np.hypot(*outward.T), 1e-9)[:, None]
-        directions = np.where(has_line[:, None], directions, outward)
+        fitted = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
+        directions = np.where(has_line[:, None], fitted, _unit(means - candidates.positions[which]))
     normals = directions[has_line][:, ::-1] * np.array([1.0, -1.0])
     return Branches(candidates.positions[which], inner, directions, points[has_line], normals, table[:, sk.LENGTH])
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.maximum(np.hypot(vectors[:, 0], vectors[:, 1]), 1e-9)[:, None]

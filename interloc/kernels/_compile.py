@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel on its first call and keep the machine code on disk for the next process."""
     try:
-        kernel = njit(cache=True, nogil=True, boundscheck=False)(function)
+        kernel = njit(cache=True, nogil=True)(function)
     except RuntimeError as error:  # numba found no folder to write to
         if "cannot cache" not in str(error):
             raise
@@ -25,5 +25,5 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
             "compiled kernels cannot be kept on disk, so every start compiles them anew (about 20 s). "
             "Set NUMBA_CACHE_DIR to a folder that can be written."
         )
-        kernel = njit(nogil=True, boundscheck=False)(function)
+        kernel = njit(nogil=True)(function)
     return cast("Callable[P, R]", kernel)

@@ -234,8 +234,8 @@ def grow_from(
 
 # Columns of what `follow_branches` returns for each branch; rows and columns of the image in pixels.
 START_ROW, START_COL, MEAN_ROW, MEAN_COL, LENGTH, AT_CANDIDATE, AT_BORDER = range(7)
-FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS = range(7, 13)
-BRANCH_COLUMNS = 13
+FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH = range(7, 14)
+BRANCH_COLUMNS = 14
 
 
 @compiled
@@ -307,12 +307,13 @@ def follow_branches(
         at_candidate, at_border = False, False
         n_tips = 0
         first = s
-        sum_r, sum_c = 0.0, 0.0
+        sum_r, sum_c, reach = 0.0, 0.0, 0.0
         while top < end:
             p = stack[top]
             top += 1
             sum_r += rows[p]
             sum_c += cols[p]
+            reach = max(reach, distance[p])
             if distance[p] < distance[first]:
                 first = p
             onward = 0
@@ -345,7 +346,7 @@ def follow_branches(
         row = branches[count]
         row[START_ROW], row[START_COL] = rows[first], cols[first]
         row[MEAN_ROW], row[MEAN_COL] = sum_r / end, sum_c / end
-        row[LENGTH], row[AT_CANDIDATE], row[AT_BORDER] = end, at_candidate, at_border
+        row[LENGTH], row[AT_CANDIDATE], row[AT_BORDER], row[REACH] = end, at_candidate, at_border, reach
         # Fit a line to its trustworthy part.
         m, mr, mc, srr, src, scc = 0, 0.0, 0.0, 0.0, 0.0, 0.0
         nearest, farthest = np.inf, 0.0
