@@ -1,0 +1,179 @@
+"""Which detections are sightings of the same intersection.
+
+Three steps, none of which depends on the order of the detections or needs more memory than is linear in them: the peaks
+of the weighted density of all detections; peaks that stand for one intersection (two passes with drift, an estimate
+that jumps between two places) joined, unless they were seen side by side; each detection to its nearest centre, at most
+one of a keyframe to each.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.geometry import Array
+
+Labels = NDArray[np.int64]
+
+_CELLS_PER_BANDWIDTH = 4
+_CHOICES = 4  # nearest centres that a detection may go to: more never lie within reach of one
+
+
+def find_peaks(xy: Array, weight: Array, *, bandwidth_m: float) -> Labels:
+    """Group points by the peak of their density that they climb to.
+
+    Parameters
+    ----------
+    xy : (D, 2) float64
+        Metres in one plane.
+    weight : (D,) float64
+        Positive.
+    bandwidth_m : float
+        Standard deviation of the Gaussian kernel. Peaks come out further apart than 2.5 times that.
+
+    Returns
+    -------
+    (D,) int64
+        Number of the peak, 0..P-1.
+
+    Notes
+    -----
+    Quick shift (Vedaldi and Soatto, 2008): each point points to the nearest one of higher density. It runs on the
+    occupied cells of a grid of a quarter of the bandwidth, which bounds the number of neighbours however often a
+    place was seen.
+    """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not needed to start the command line
+
+    if not len(xy):
+        return np.zeros(0, dtype=np.int64)
+    index = np.floor(xy / (bandwidth_m / _CELLS_PER_BANDWIDTH)).astype(np.int64)
+    _, cell = np.unique(index, axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    mass = np.bincount(cell, weight)
+    centre = np.stack([np.bincount(cell, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
+
+    pairs = cKDTree(centre).query_pairs(2.5 * bandwidth_m, output_type="ndarray")
+    i, j = pairs[:, 0], pairs[:, 1]
+    distance = np.hypot(*(centre[i] - centre[j]).T)
+    kernel = np.exp(-0.5 * (distance / bandwidth_m) ** 2)
+    density = mass + np.bincount(i, kernel * mass[j], len(mass)) + np.bincount(j, kernel * mass[i], len(mass))
+
+    rank = np.empty(len(mass), dtype=np.int64)  # of the density; ties by the order of the cells
+    rank[np.argsort(density, kind="stable")] = np.arange(len(mass))
+    upward = rank[i] < rank[j]
+    low, high = np.where(upward, i, j), np.where(upward, j, i)
+    order = np.lexsort((high, distance, low))
+    low, first = np.unique(low[order], return_index=True)
+    parent = np.arange(len(mass))
+    parent[low] = high[order][first]
+    while True:  # halve the way to the peak until all are there
+        grandparent = parent[parent]
+        if np.array_equal(grandparent, parent):
+            break
+        parent = grandparent
+    _, peak = np.unique(parent, return_inverse=True)
+    labels: Labels = peak.reshape(-1)[cell].astype(np.int64)
+    return labels
+
+
+def join_peaks(
+    labels: Labels, xy: Array, weight: Array, keyframe: NDArray[np.int64], *, radius_m: float, together: float
+) -> Labels:
+    """Join groups that lie close together and were not seen side by side.
+
+    Parameters
+    ----------
+    labels : (D,) int64
+        Group of each detection, 0..P-1, none empty.
+    xy, weight : (D, 2), (D,) float64
+        Metres in one plane; positive weights.
+    keyframe : (D,) int64
+        Keyframe of each detection.
+    radius_m : float
+        Groups whose means lie further apart are not joined.
+    together : float
+        Two groups are two intersections if more than this share of the keyframes that saw the rarer one saw both.
+        Not one keyframe is enough: a false detection beside a real one must not tear two passes apart.
+
+    Returns
+    -------
+    (D,) int64
+        The new groups, 0..G-1.
+
+    Notes
+    -----
+    Closest first. Joined groups move to their common mean and keep the keyframes of both, so chains do not grow
+    beyond `radius_m` and a pair that was told apart in one pass stays apart in the next.
+    """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    if not len(labels):
+        return labels.copy()
+    mass = np.bincount(labels, weight)
+    mean = np.stack([np.bincount(labels, weight * xy[:, axis]) / mass for axis in (0, 1)], axis=-1)
+    seen: list[set[int]] = [set() for _ in mass]
+    for label, k in zip(labels.tolist(), keyframe.tolist(), strict=True):
+        seen[label].add(k)
+
+    pairs = cKDTree(mean).query_pairs(radius_m, output_type="ndarray")
+    distance = np.hypot(*(mean[pairs[:, 0]] - mean[pairs[:, 1]]).T)
+    group = list(range(len(mass)))
+
+    def root(member: int) -> int:
+        while group[member] != member:
+            group[member] = group[group[member]]
+            member = group[member]
+        return member
+
+    for pair in np.lexsort((pairs[:, 1], pairs[:, 0], distance)).tolist():
+        a, b = sorted((root(int(pairs[pair, 0])), root(int(pairs[pair, 1]))))
+        if a == b or np.hypot(*(mean[a] - mean[b])) > radius_m:
+            continue
+        if len(seen[a] & seen[b]) > together * min(len(seen[a]), len(seen[b])):
+            continue
+        mean[a] = (mass[a] * mean[a] + mass[b] * mean[b]) / (mass[a] + mass[b])
+        mass[a] += mass[b]
+        seen[a] |= seen[b]
+        group[b] = a
+    _, joined = np.unique([root(member) for member in range(len(group))], return_inverse=True)
+    new: Labels = joined.reshape(-1)[labels].astype(np.int64)
+    return new
+
+
+def assign(xy: Array, keyframe: NDArray[np.int64], centres: Array, *, radius_m: float) -> Labels:
+    """Give each detection to a centre: nearest pairs first, a centre takes at most one detection of a keyframe.
+
+    Parameters
+    ----------
+    xy : (D, 2) float64
+        Detections, metres in one plane.
+    keyframe : (D,) int64
+        Keyframe of each detection.
+    centres : (M, 2) float64
+        Fused intersections.
+    radius_m : float
+        Further away nothing is assigned.
+
+    Returns
+    -------
+    (D,) int64
+        Row of the centre, -1 for none.
+    """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    assignment = np.full(len(xy), -1, dtype=np.int64)
+    if not len(xy) or not len(centres):
+        return assignment
+    choices = min(_CHOICES, len(centres))
+    distance, nearest = cKDTree(centres).query(xy, k=choices, distance_upper_bound=radius_m)
+    distance, nearest = np.asarray(distance).reshape(-1), np.asarray(nearest).reshape(-1)
+    detection = np.repeat(np.arange(len(xy)), choices)
+    order = np.lexsort((detection, distance))[: int(np.isfinite(distance).sum())]
+    taken: set[tuple[int, int]] = set()
+    result = assignment.tolist()
+    frames = keyframe.tolist()
+    for d, c in zip(detection[order].tolist(), nearest[order].tolist(), strict=True):
+        if result[d] < 0 and (frames[d], c) not in taken:
+            result[d] = c
+            taken.add((frames[d], c))
+    return np.array(result, dtype=np.int64)

@@ -1,0 +1,229 @@
+"""What the sightings of an intersection say together: where it is, how surely, how often it was seen, its branches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.geometry import Array
+
+Labels = NDArray[np.int64]
+
+_ROUNDS = 30
+_SETTLED_M = 1e-4
+
+
+def robust_centres(xy: Array, weight: Array, labels: Labels, start: Array, *, scale_m: float) -> Array:
+    """Move each centre to the middle of the bulk of its members.
+
+    Parameters
+    ----------
+    xy, weight : (D, 2), (D,) float64
+        Metres in one plane; positive weights.
+    labels : (D,) int64
+        Centre of each detection, -1 for none.
+    start : (M, 2) float64
+        Where to begin; a centre without members stays there.
+    scale_m : float
+        Distance at which a member counts 0.6 of one in the middle; at three times that it counts 0.01.
+
+    Returns
+    -------
+    (M, 2) float64
+
+    Notes
+    -----
+    Iteratively reweighted least squares with Welsch weights exp(-d^2 / 2 scale^2). They redescend: where detections
+    jump between two places the heavier one wins, instead of a compromise at which there is nothing.
+    """
+    inside = labels >= 0
+    xy, weight, labels = xy[inside], weight[inside], labels[inside]
+    centres = start.copy()
+    for _ in range(_ROUNDS):
+        pull = weight * np.exp(-0.5 * np.sum((xy - centres[labels]) ** 2, axis=1) / scale_m**2)
+        total = np.bincount(labels, pull, len(centres))
+        held = total > 0
+        moved = centres.copy()
+        for axis in (0, 1):
+            moved[held, axis] = np.bincount(labels, pull * xy[:, axis], len(centres))[held] / total[held]
+        step = float(np.abs(moved - centres).max(initial=0.0))
+        centres = moved
+        if step < _SETTLED_M:
+            break
+    return centres
+
+
+def heaviest_member(xy: Array, weight: Array, labels: Labels, count: int, *, scale_m: float) -> Array:
+    """Return for each of `count` groups the mean of its densest part: (count, 2), where `robust_centres` starts.
+
+    The densest part is the cell of a grid of 1 `scale_m` with the greatest weight in its 3 x 3 neighbourhood.
+    """
+    cells = np.floor(xy / scale_m).astype(np.int64)
+    keys, cell = np.unique(np.column_stack([labels, cells]), axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    mass = np.bincount(cell, weight)
+    row_of = {tuple(key): row for row, key in enumerate(keys.tolist())}
+    best = np.full(count, -1.0)
+    start = np.zeros((count, 2))
+    sums = np.stack([np.bincount(cell, weight * xy[:, axis]) for axis in (0, 1)], axis=-1)
+    for label, x, y in keys.tolist():
+        rows = [row_of[key] for dx in (-1, 0, 1) for dy in (-1, 0, 1) if (key := (label, x + dx, y + dy)) in row_of]
+        total = float(mass[rows].sum())
+        if total > best[label]:
+            best[label] = total
+            start[label] = sums[rows].sum(axis=0) / total
+    return start
+
+
+def position_std(
+    xy: Array, weight: Array, labels: Labels, travelled_m: Array, centres: Array, *,
+    correlation_m: float, prior_std_m: float, clip_m: float
+) -> Array:  # fmt: skip
+    """Estimate the one-sigma uncertainty of each centre.
+
+    Parameters
+    ----------
+    xy, weight, labels, centres
+        As in `robust_centres`.
+    travelled_m : (D,) float64
+        Way driven up to the keyframe of each detection.
+    correlation_m : float
+        Way after which the windows of two keyframes have no scan of the intersection in common.
+    prior_std_m : float
+        What one independent sighting is typically off, for intersections that were seen too rarely to tell.
+    clip_m : float
+        Distances count as no more than this, since such members do not move the centre either.
+
+    Returns
+    -------
+    (M,) float64
+        Metres, root of the mean variance of x and y; `prior_std_m` without members.
+
+    Notes
+    -----
+    Neighbouring keyframes see the intersection through nearly the same scans, so their errors agree, and 40 sightings
+    of one pass are not 40 measurements. Two windows share the part r = max(0, 1 - d / correlation_m) of their scans
+    when d metres of driving lie between them; taking r as the correlation of their errors, n sightings with weights w
+    are worth n_eff = (sum w)^2 / sum_ij w_i w_j r_ij independent ones: about 1.5 a pass, however dense the keyframes.
+    The scatter s^2 within such sightings underestimates the variance by 1 - 1 / n_eff, and says nothing at all for
+    n_eff = 1. Hence the posterior with a prior worth two sightings (scaled inverse chi-squared):
+    variance = (n_eff s^2 + 2 prior^2) / (n_eff + 1), and the variance of the centre is that over n_eff.
+    """
+    result = np.full(len(centres), prior_std_m)
+    for label, rows in members_of(labels, len(centres)):
+        order = rows[np.argsort(travelled_m[rows], kind="stable")]
+        w = weight[order] / weight[order].sum()
+        n_eff = 1.0 / float(w @ _shared(travelled_m[order], w, correlation_m))
+        squared = np.minimum(np.sum((xy[order] - centres[label]) ** 2, axis=1), clip_m**2)
+        scatter = 0.5 * float(w @ squared)
+        variance = (n_eff * scatter + 2.0 * prior_std_m**2) / (n_eff + 1.0)
+        result[label] = np.sqrt(variance / n_eff)
+    return result
+
+
+def _shared(place: Array, w: Array, length: float) -> Array:
+    """Return sum_j w_j max(0, 1 - |place_i - place_j| / length) for ascending places, in O(n log n)."""
+    sum_w = np.concatenate([[0.0], np.cumsum(w)])
+    sum_wp = np.concatenate([[0.0], np.cumsum(w * place)])
+    here = np.arange(len(place))
+    first = np.searchsorted(place, place - length, side="left")
+    last = np.searchsorted(place, place + length, side="right")
+    before = (sum_w[here] - sum_w[first]) * (1.0 - place / length) + (sum_wp[here] - sum_wp[first]) / length
+    after = (sum_w[last] - sum_w[here]) * (1.0 + place / length) - (sum_wp[last] - sum_wp[here]) / length
+    result: Array = before + after
+    return result
+
+
+def visibility(
+    centres: Array, keyframe_xy: Array, *, certain_m: float, limit_m: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Say which keyframes could have seen which centres, and how surely.
+
+    Parameters
+    ----------
+    centres : (M, 2) float64
+    keyframe_xy : (K, 2) float64
+        In the same plane, metres.
+    certain_m, limit_m : float
+        Nearer than the first an intersection should be seen, further than the second not; linear between.
+
+    Returns
+    -------
+    centre, keyframe : (P,) int64
+        The pairs within `limit_m`.
+    chance : (P,) float64
+        0..1
+    """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    if not len(centres) or not len(keyframe_xy):
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    near = cKDTree(centres).sparse_distance_matrix(cKDTree(keyframe_xy), limit_m, output_type="ndarray")
+    chance = np.clip((limit_m - near["v"]) / (limit_m - certain_m), 0.0, 1.0)
+    return near["i"].astype(np.int64), near["j"].astype(np.int64), chance
+
+
+def fuse_bearings(
+    bearings_deg: Sequence[Array], weight: Array, *, spread_deg: float, separation_deg: float, support: float
+) -> Array:
+    """Find the branches that the sightings of an intersection agree on.
+
+    Parameters
+    ----------
+    bearings_deg : n (B,) float64
+        Bearings of the branches of each sighting.
+    weight : (n,) float64
+        Weight of each sighting.
+    spread_deg : float
+        Standard deviation of a bearing.
+    separation_deg : float
+        Branches lie at least this far apart.
+    support : float
+        Share of the weight of all sightings that must have seen a branch.
+
+    Returns
+    -------
+    (B,) float64
+        Bearings in [0, 360), ascending.
+
+    Notes
+    -----
+    Peaks of a density on the circle, each refined to the weighted circular mean of the bearings around it. Less than
+    three branches make no intersection (paper, section III-C): the best supported ones fill up to three.
+    """
+    owner = np.repeat(np.arange(len(bearings_deg)), [len(b) for b in bearings_deg])
+    if not owner.size:
+        return np.zeros(0)
+    flat = np.concatenate([np.asarray(b, dtype=np.float64) for b in bearings_deg])
+    histogram = np.bincount(np.round(flat).astype(np.int64) % 360, weight[owner], 360)
+    offset = np.minimum(np.arange(360), 360 - np.arange(360))
+    kernel = np.exp(-0.5 * (offset / spread_deg) ** 2)
+    density = np.fft.irfft(np.fft.rfft(histogram) * np.fft.rfft(kernel), 360)
+    peaks: list[int] = []
+    for degree in np.argsort(-density, kind="stable").tolist():
+        top = density[degree] > 1e-6 * density.max() and density[degree] >= max(
+            density[degree - 1], density[degree - 359]
+        )
+        if top and all(abs((degree - p + 180) % 360 - 180) >= separation_deg for p in peaks):
+            peaks.append(degree)
+    away = (flat[:, None] - np.array(peaks, dtype=np.float64)[None] + 180.0) % 360.0 - 180.0
+    nearest = np.argmin(np.abs(away), axis=1)
+    close = np.abs(away[np.arange(len(flat)), nearest]) <= separation_deg
+    found: list[tuple[float, float]] = []
+    for number, peak in enumerate(peaks):
+        rows = np.flatnonzero(close & (nearest == number))
+        seen_by = np.unique(owner[rows])
+        share = float(weight[seen_by].sum() / weight.sum())
+        turn = float(np.average(away[rows, number], weights=weight[owner[rows]]))
+        found.append((share, (peak + turn) % 360.0))
+    found.sort(key=lambda branch: (-branch[0], branch[1]))
+    return np.sort([bearing for rank, (share, bearing) in enumerate(found) if share >= support or rank < 3])
+
+
+def members_of(labels: Labels, count: int) -> list[tuple[int, NDArray[np.int64]]]:
+    """Return (label, rows) of each label of 0..count-1 that has any, rows ascending."""
+    order = np.argsort(labels, kind="stable")
+    bounds = np.searchsorted(labels[order], np.arange(count + 1))
+    return [(k, order[bounds[k] : bounds[k + 1]]) for k in range(count) if bounds[k] < bounds[k + 1]]

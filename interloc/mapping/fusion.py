@@ -1,0 +1,302 @@
+"""From the detections of all keyframes to a map: one point a physical intersection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from interloc.geometry import Array, enu_from_lonlat, lonlat_from_enu, rotate_2d
+from interloc.mapping.clustering import Labels, assign, find_peaks, join_peaks
+from interloc.mapping.estimation import (
+    fuse_bearings,
+    heaviest_member,
+    members_of,
+    position_std,
+    robust_centres,
+    visibility,
+)
+from interloc.results import DetectionTable, Floats, IntersectionTable, KeyframeTable
+
+
+class FusionConfig(BaseModel):
+    """How detections become intersections."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bandwidth_m: float = Field(
+        default=2.0, gt=0, description="Scatter of the detections of one intersection; scale of the robust position."
+    )
+    merge_radius_m: float = Field(
+        default=10.0,
+        gt=0,
+        description="Detections further apart are never one intersection; nearer ones are unless seen side by side.",
+    )
+    together: float = Field(
+        default=0.15,
+        ge=0,
+        lt=1,
+        description="Share of the keyframes of the rarer of two places beyond which seeing both makes them two.",
+    )
+    range_scale_m: float = Field(
+        default=15.0,
+        gt=0,
+        description="Range from the LiDAR at which a detection has twice the variance of a near one.",
+    )
+    visible_radius_m: float = Field(
+        default=20.0, gt=0, description="Range within which an intersection should be seen."
+    )
+    visible_limit_m: float = Field(
+        default=50.0, gt=0, description="Range beyond which not seeing an intersection says nothing."
+    )
+    prior_seen: float = Field(
+        default=0.5, gt=0, description="Sightings that each intersection starts with (Beta prior of the confidence)."
+    )
+    prior_missed: float = Field(
+        default=1.5, gt=0, description="Missed sightings that each intersection starts with (Beta prior)."
+    )
+    score_influence: float = Field(
+        default=0.3, ge=0, le=1, description="Part of the confidence that a score of zero takes away."
+    )
+    min_observations: int = Field(
+        default=2, ge=1, description="Fewer detections make no intersection where that many keyframes were in range."
+    )
+    min_confidence: float = Field(default=0.3, ge=0, le=1, description="Intersections below are dropped.")
+    correlation_length_m: float = Field(
+        default=80.0, gt=0, description="Way driven after which two windows share no scan: errors are independent."
+    )
+    prior_std_m: float = Field(
+        default=0.7,
+        gt=0,
+        description="Typical error of one independent sighting (prior of the position's uncertainty).",
+    )
+    branch_spread_deg: float = Field(default=8.0, gt=0, description="Scatter of the bearing of a branch.")
+    branch_separation_deg: float = Field(
+        default=25.0, gt=0, lt=120, description="Branches lie at least this far apart."
+    )
+    branch_support: float = Field(
+        default=0.4, ge=0, le=1, description="Share of the sightings, by weight, that must have seen a branch."
+    )
+
+    @model_validator(mode="after")
+    def _limits_are_in_order(self) -> FusionConfig:
+        if self.visible_limit_m <= self.visible_radius_m:
+            raise ValueError(
+                f"visible_limit_m ({self.visible_limit_m:g}) must be greater than visible_radius_m "
+                f"({self.visible_radius_m:g})"
+            )
+        return self
+
+
+def fuse(
+    keyframes: KeyframeTable, detections: DetectionTable, config: FusionConfig | None = None
+) -> tuple[IntersectionTable, NDArray[np.int64]]:
+    """Fuse the detections of a run into physical intersections.
+
+    Parameters
+    ----------
+    keyframes
+        All keyframes of the run, those without detections too: not seeing is an observation.
+    detections
+        Their detections. With georeference they are fused where their own fixes put them, else in W.
+    config
+        Defaults suit drives with keyframes every 2 to 20 m.
+
+    Returns
+    -------
+    IntersectionTable
+        In the order of first sight.
+    (D,) int64
+        Row of the intersection of each detection, -1 for none. No two detections of a keyframe share one.
+
+    Notes
+    -----
+    A detection weighs (0.1 + 0.9 score) / (1 + (range / range_scale_m)^2): those from far see less of the branches.
+
+    Without georeference, two passes whose poses drifted apart by more than `merge_radius_m` give two intersections.
+
+    Confidence: the keyframes within reach could have seen the intersection, each with a chance of 1 within
+    `visible_radius_m` that falls to 0 at `visible_limit_m`. Of the sum of these chances, the part of the keyframes
+    that did see it, with a Beta prior, is the rate of seeing; the mean score of its detections takes away up to
+    `score_influence`. A false detection in one of twenty keyframes gets 0.07, a real one in two of two 0.6.
+
+    Uncertainty of the position: see `interloc.mapping.estimation.position_std`.
+    """
+    config = config or FusionConfig()
+    scene = _Scene.of(keyframes, detections, config)
+    labels = find_peaks(scene.xy, scene.weight, bandwidth_m=config.bandwidth_m)
+    labels = join_peaks(
+        labels, scene.xy, scene.weight, scene.keyframe, radius_m=config.merge_radius_m, together=config.together
+    )
+    count = int(labels.max(initial=-1)) + 1
+    centres = heaviest_member(scene.xy, scene.weight, labels, count, scale_m=config.bandwidth_m)
+    centres, labels = _settle(scene, centres, labels, config)
+    centres, labels = _settle(scene, centres, labels, config)
+
+    kept = _worth_keeping(scene, centres, labels, config)
+    centres, labels = _settle(scene, centres[kept], None, config)
+    centres, labels = _in_order_of_sight(scene, centres, labels)
+    return _table(keyframes, detections, scene, centres, labels, config), labels
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Detections and keyframes in one metric plane: east and north of the middle of the drive, or W.
+
+    Attributes
+    ----------
+    xy : (D, 2) float64
+    weight, score : (D,) float64
+    keyframe : (D,) int64
+    keyframe_xy : (K, 2) float64
+    travelled_m : (K,) float64
+        Way driven up to each keyframe.
+    origin_lonlat : (2,) float64 or None
+        Origin of the plane, degrees; None in W.
+    """
+
+    xy: Array
+    weight: Array
+    score: Array
+    keyframe: NDArray[np.int64]
+    keyframe_xy: Array
+    travelled_m: Array
+    origin_lonlat: Array | None
+
+    @classmethod
+    def of(cls, keyframes: KeyframeTable, detections: DetectionTable, config: FusionConfig) -> _Scene:
+        origin = None
+        xy, keyframe_xy = detections.world_xy, keyframes.world_xy
+        if keyframes.lonlat is not None and detections.lonlat is not None and len(keyframes):
+            origin = _middle(keyframes.lonlat)
+            xy, keyframe_xy = (_unrolled(lonlat, origin) for lonlat in (detections.lonlat, keyframes.lonlat))
+        ranges = np.hypot(detections.lidar_xy[:, 0], detections.lidar_xy[:, 1])
+        steps = np.hypot(*np.diff(keyframes.world_xy, axis=0).T) if len(keyframes) > 1 else np.zeros(0)
+        return cls(
+            xy=xy,
+            weight=(0.1 + 0.9 * detections.score) / (1.0 + (ranges / config.range_scale_m) ** 2),
+            score=detections.score,
+            keyframe=detections.keyframe,
+            keyframe_xy=keyframe_xy,
+            travelled_m=np.concatenate([[0.0], np.cumsum(steps)]) if len(keyframes) else np.zeros(0),
+            origin_lonlat=origin,
+        )
+
+
+def _middle(lonlat: Array) -> Array:
+    """Return the mean place of a drive, (2,) degrees, also of one across the date line."""
+    first = lonlat[0]
+    turned = (lonlat[:, 0] - first[0] + 180.0) % 360.0 - 180.0
+    return np.array([first[0] + turned.mean(), lonlat[:, 1].mean()])
+
+
+def _unrolled(lonlat: Array, origin: Array) -> Array:
+    """Return east and north of the origin, (N, 2) metres."""
+    turned = (lonlat[:, 0] - origin[0] + 180.0) % 360.0 - 180.0
+    return enu_from_lonlat(origin[1], 0.0, np.stack([turned, lonlat[:, 1]], axis=-1))
+
+
+def _settle(scene: _Scene, centres: Array, labels: Labels | None, config: FusionConfig) -> tuple[Array, Labels]:
+    """Move the centres to their members, then hand out the detections anew; centres left without any go."""
+    if labels is None:
+        labels = assign(scene.xy, scene.keyframe, centres, radius_m=config.merge_radius_m)
+    centres = robust_centres(scene.xy, scene.weight, labels, centres, scale_m=config.bandwidth_m)
+    labels = assign(scene.xy, scene.keyframe, centres, radius_m=config.merge_radius_m)
+    used, rows = np.unique(labels[labels >= 0], return_inverse=True)
+    labels[labels >= 0] = rows.reshape(-1)
+    return centres[used], labels
+
+
+def _confidence(scene: _Scene, centres: Array, labels: Labels, config: FusionConfig) -> tuple[Array, NDArray[np.int64]]:
+    """Return the confidence of each centre and the number of keyframes in reach of it (see `fuse`), (M,) each."""
+    count, keyframes = len(centres), len(scene.keyframe_xy)
+    centre, keyframe, chance = visibility(
+        centres, scene.keyframe_xy, certain_m=config.visible_radius_m, limit_m=config.visible_limit_m
+    )
+    inside = labels >= 0
+    did = np.isin(centre * keyframes + keyframe, labels[inside] * keyframes + scene.keyframe[inside])
+    possible = np.bincount(centre, chance, count)
+    seen = np.bincount(centre, chance * did, count)
+    rate = (config.prior_seen + seen) / (config.prior_seen + config.prior_missed + possible)
+    total = np.bincount(labels[inside], scene.weight[inside], count)
+    score = np.bincount(labels[inside], scene.weight[inside] * scene.score[inside], count) / np.maximum(total, 1e-12)
+    return rate * (1.0 - config.score_influence * (1.0 - score)), np.bincount(centre[chance > 0], minlength=count)
+
+
+def _worth_keeping(scene: _Scene, centres: Array, labels: Labels, config: FusionConfig) -> NDArray[np.bool_]:
+    confidence, in_reach = _confidence(scene, centres, labels, config)
+    observations = np.bincount(labels[labels >= 0], minlength=len(centres))
+    enough = observations >= np.minimum(config.min_observations, np.maximum(in_reach, 1))
+    kept: NDArray[np.bool_] = enough & (confidence >= config.min_confidence)
+    return kept
+
+
+def _in_order_of_sight(scene: _Scene, centres: Array, labels: Labels) -> tuple[Array, Labels]:
+    """Sort centres by the first keyframe that saw them; in one keyframe, by their detections."""
+    first = [(int(scene.keyframe[rows].min()), int(rows[0])) for _, rows in members_of(labels, len(centres))]
+    order = np.array(sorted(range(len(centres)), key=first.__getitem__), dtype=np.int64)
+    place = np.empty(len(centres) + 1, dtype=np.int64)
+    place[order] = np.arange(len(centres))
+    place[-1] = -1  # what label -1 picks
+    return centres[order], place[labels]
+
+
+def _table(
+    keyframes: KeyframeTable,
+    detections: DetectionTable,
+    scene: _Scene,
+    centres: Array,
+    labels: Labels,
+    config: FusionConfig,
+) -> IntersectionTable:
+    groups = [rows for _, rows in members_of(labels, len(centres))]
+    first = np.array([scene.keyframe[rows].min() for rows in groups], dtype=np.int64)
+    last = np.array([scene.keyframe[rows].max() for rows in groups], dtype=np.int64)
+    travelled = scene.travelled_m[scene.keyframe]
+    return IntersectionTable(
+        id=np.arange(1, len(centres) + 1, dtype=np.int64),
+        world_xy=_in_world(keyframes, scene, centres, first),
+        lonlat=_on_globe(scene, centres) if keyframes.lonlat is not None else None,
+        position_std_m=position_std(
+            scene.xy,
+            scene.weight,
+            labels,
+            travelled,
+            centres,
+            correlation_m=config.correlation_length_m,
+            prior_std_m=config.prior_std_m,
+            clip_m=2.0 * config.bandwidth_m,
+        ),
+        observations=np.array([len(rows) for rows in groups], dtype=np.int64),
+        confidence=_confidence(scene, centres, labels, config)[0],
+        bearings_deg=[
+            fuse_bearings(
+                [detections.bearings_deg[row] for row in rows],
+                scene.weight[rows],
+                spread_deg=config.branch_spread_deg,
+                separation_deg=config.branch_separation_deg,
+                support=config.branch_support,
+            )
+            for rows in groups
+        ],
+        first_frame=keyframes.frame[first],
+        last_frame=keyframes.frame[last],
+    )
+
+
+def _in_world(keyframes: KeyframeTable, scene: _Scene, centres: Array, first: NDArray[np.int64]) -> Floats:
+    """Return the centres in W; with georeference as seen from the keyframe that saw them first (W drifts)."""
+    if scene.origin_lonlat is None or keyframes.enu_yaw_rad is None:
+        return centres.copy()
+    turn = keyframes.world_yaw_rad[first] - keyframes.enu_yaw_rad[first]
+    return keyframes.world_xy[first] + rotate_2d(centres - scene.keyframe_xy[first], turn)
+
+
+def _on_globe(scene: _Scene, centres: Array) -> Floats:
+    if scene.origin_lonlat is None:  # a run without keyframes
+        return np.zeros((0, 2))
+    lonlat = lonlat_from_enu(scene.origin_lonlat[1], scene.origin_lonlat[0], centres)
+    lonlat[:, 0] = (lonlat[:, 0] + 180.0) % 360.0 - 180.0
+    return lonlat

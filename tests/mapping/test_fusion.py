@@ -1,0 +1,621 @@
+"""One point a physical intersection: simulated streams of detections whose truth is known, with hard bounds."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pydantic
+import pyproj
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from interloc.drives.drive import Georeference
+from interloc.geometry import Array, enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
+from interloc.mapping.clustering import assign, find_peaks, join_peaks
+from interloc.mapping.estimation import fuse_bearings, position_std, robust_centres
+from interloc.mapping.fusion import FusionConfig, fuse
+from interloc.mapping.georeferencing import KeyframeDetections, build_tables
+from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
+
+ORIGIN = (49.011, 8.42)  # latitude, longitude
+
+
+def straight(start: tuple[float, float], end: tuple[float, float], step_m: float = 2.0) -> Array:
+    """Return keyframe positions from start to end, (K, 2)."""
+    count = round(math.dist(start, end) / step_m) + 1
+    return np.linspace(start, end, count)
+
+
+@dataclass
+class Stream:
+    """A detector that is known to the metre.
+
+    Attributes
+    ----------
+    nodes : (M, 2) float64
+        True intersections, ENU metres.
+    detected : float
+        Chance of a detection within 20 m; falls to 0 at 50 m.
+    jitter_m, wander_m : float
+        Errors of single keyframes, and errors that stay for about a window (an AR(1) process a node).
+    bias_per_m : float
+        How far a detection is pulled towards the vehicle, a metre of range beyond 15 m.
+    false_rate : float
+        False detections a keyframe, uniform in the region of interest.
+    """
+
+    nodes: Array
+    detected: float = 0.9
+    jitter_m: float = 0.2
+    wander_m: float = 0.5
+    bias_per_m: float = 0.0
+    false_rate: float = 0.0
+    seed: int = 0
+    branches_deg: Sequence[float] = (0.0, 90.0, 180.0, 270.0)
+    passes: list[tuple[Array, Array]] = field(default_factory=list)
+
+    def drive(self, track: Array, *, drift: tuple[float, float] = (0.0, 0.0)) -> Stream:
+        """Add a pass along (K, 2) positions; `drift` moves what the poses say, not what the fixes say."""
+        self.passes.append((track, np.array(drift)))
+        return self
+
+    def tables(self, *, georeferenced: bool = True, gnss_m: float = 0.0) -> tuple[KeyframeTable, DetectionTable]:
+        """Run the detector; `gnss_m` is the error of the fixes of a pass."""
+        rng = np.random.default_rng(self.seed)
+        rows: list[KeyframeDetections] = []
+        fixes = []
+        for track, drift in self.passes:
+            heading = np.arctan2(*np.gradient(track, axis=0).T[::-1])
+            offset = rng.normal(0, gnss_m, 2)
+            wander = rng.normal(0, self.wander_m, self.nodes.shape)
+            previous = track[0]
+            for place, yaw in zip(track, heading, strict=True):
+                keep = math.exp(-math.dist(place, previous) / 40.0)
+                wander = keep * wander + math.sqrt(1 - keep**2) * rng.normal(0, self.wander_m, self.nodes.shape)
+                previous = place
+                seen = self._look(rng, place, wander)
+                pose = np.eye(4)
+                pose[:3, :3] = rotation_from_rpy(0, 0, yaw)
+                pose[:2, 3] = place + drift
+                lidar = rotate_2d(seen - place, -yaw)
+                angles = [np.radians(90.0 - np.array(self.branches_deg)) + rng.normal(0, 0.08) for _ in seen]
+                rows.append(
+                    KeyframeDetections(
+                        index=len(rows),
+                        frame=3 * len(rows),
+                        time_s=0.1 * len(rows),
+                        T_world_lidar=pose,
+                        lidar_xy=lidar,
+                        world_xy=seen + drift,
+                        branch_angles_rad=angles,
+                        score=rng.uniform(0.5, 1.0, len(seen)),
+                    )
+                )
+                fixes.append((place + offset, yaw))
+        if not georeferenced:
+            return build_tables(rows, None)
+        places = lonlat_from_enu(*ORIGIN, np.array([p for p, _ in fixes]))
+        yaws = np.array([y for _, y in fixes])
+        rotations = rotation_from_rpy(np.zeros(len(yaws)), np.zeros(len(yaws)), yaws)
+        fix = Georeference(places[:, 1], places[:, 0], np.zeros(len(yaws)), rotations, "simulated")
+        return build_tables(rows, fix)
+
+    def _look(self, rng: np.random.Generator, place: Array, wander: Array) -> Array:
+        seen = []
+        for node, error in zip(self.nodes, wander, strict=True):
+            distance = math.dist(node, place)
+            if rng.random() < self.detected * min(1.0, max(0.0, (50 - distance) / 30)):
+                pull = self.bias_per_m * max(0.0, distance - 15) * (place - node) / max(distance, 1)
+                seen.append(node + error * (1 + distance / 25) + pull + rng.normal(0, self.jitter_m, 2))
+        seen += [place + rng.uniform(-55, 55, 2) for _ in range(rng.poisson(self.false_rate))]
+        return np.array(seen).reshape(-1, 2)
+
+
+def places(intersections: IntersectionTable) -> Array:
+    """Where the map puts them: ENU metres, or W."""
+    if intersections.lonlat is None:
+        return intersections.world_xy
+    return enu_from_lonlat(*ORIGIN, intersections.lonlat)
+
+
+def errors(intersections: IntersectionTable, nodes: Array) -> Array:
+    """Distance of every intersection of the map to every node, (M, N)."""
+    return np.linalg.norm(places(intersections)[:, None] - nodes[None], axis=2)
+
+
+def check_form(intersections: IntersectionTable, assignment: np.ndarray, detections: DetectionTable) -> None:
+    """What holds for every map."""
+    count = len(intersections)
+    assert_array_equal(intersections.id, np.arange(1, count + 1))
+    assert assignment.shape == (len(detections),)
+    assert_array_equal(np.bincount(assignment[assignment >= 0], minlength=count), intersections.observations)
+    taken = np.stack([detections.keyframe, assignment])[:, assignment >= 0]
+    assert len(np.unique(taken, axis=1).T) == taken.shape[1], "two detections of a keyframe became one intersection"
+    assert np.all(np.diff(intersections.first_frame) >= 0)
+    assert np.all(intersections.first_frame <= intersections.last_frame)
+    assert np.all((intersections.confidence >= 0) & (intersections.confidence <= 1))
+    assert np.all(np.isfinite(intersections.position_std_m))
+    assert np.all(intersections.position_std_m > 0)
+    for bearings in intersections.bearings_deg:
+        assert np.all((bearings >= 0) & (bearings < 360))
+        assert np.all(np.diff(bearings) > 0)
+
+
+def run(stream: Stream, *, georeferenced: bool = True, gnss_m: float = 0.0) -> tuple[IntersectionTable, np.ndarray]:
+    keyframes, detections = stream.tables(georeferenced=georeferenced, gnss_m=gnss_m)
+    intersections, assignment = fuse(keyframes, detections)
+    check_form(intersections, assignment, detections)
+    return intersections, assignment
+
+
+ONE = np.array([[50.0, 10.0]])
+seeds = pytest.mark.parametrize("seed", range(5))
+both = pytest.mark.parametrize("georeferenced", [True, False])
+
+
+# a vehicle passes ----------------------------------------------------------------------------------------------------
+
+
+@seeds
+@both
+def test_one_intersection_passed_once(seed: int, georeferenced: bool) -> None:
+    intersections, assignment = run(Stream(ONE, seed=seed, wander_m=0.3).drive(straight((0, 0), (100, 0))),
+                                    georeferenced=georeferenced)  # fmt: skip
+    assert len(intersections) == 1
+    assert errors(intersections, ONE)[0, 0] < 1.2
+    assert intersections.confidence[0] > 0.5
+    assert np.all(assignment == 0)
+    (bearings,) = intersections.bearings_deg
+    away = (bearings[:, None] - [0, 90, 180, 270] + 180) % 360 - 180
+    assert len(bearings) == 4
+    assert np.abs(away).min(axis=1).max() < 10
+
+
+@seeds
+def test_single_false_detections_are_dropped(seed: int) -> None:
+    stream = Stream(ONE, seed=seed, false_rate=0.3).drive(straight((0, 0), (200, 0)))
+    intersections, assignment = run(stream)
+    assert len(intersections) == 1
+    assert errors(intersections, ONE)[0, 0] < 2
+    assert -1 in assignment
+
+
+def test_a_false_detection_in_one_of_twenty_keyframes_has_little_confidence() -> None:
+    """It is dropped by default, and shows with its confidence for who asks for everything."""
+    keyframes, detections = Stream(ONE, detected=0.0, seed=1).drive(straight((0, 0), (100, 0))).tables()
+    assert len(detections) == 0
+    row = int(np.argmin(np.abs(keyframes.world_xy[:, 0] - 45)))
+    once = one_detection(keyframes, row, np.array([50.0, 10.0]))
+    assert len(fuse(keyframes, once)[0]) == 0
+    everything, assignment = fuse(keyframes, once, FusionConfig(min_observations=1, min_confidence=0))
+    assert everything.observations.tolist() == [1]
+    assert everything.confidence[0] < 0.1
+    assert assignment.tolist() == [0]
+
+
+def one_detection(keyframes: KeyframeTable, row: int, world_xy: Array) -> DetectionTable:
+    assert keyframes.lonlat is not None
+    relative = world_xy - keyframes.world_xy[row]
+    return DetectionTable(
+        keyframe=np.array([row]),
+        lidar_xy=relative[None],
+        world_xy=world_xy[None],
+        lonlat=lonlat_from_enu(*ORIGIN, world_xy[None]),
+        bearings_deg=[np.array([0.0, 120.0, 240.0])],
+        score=np.array([0.9]),
+        intersection=np.array([-1]),
+    )
+
+
+def test_a_place_falsely_seen_in_a_few_keyframes_of_many_is_dropped() -> None:
+    """An artefact is seen in a row, while the keyframes nearer to it see nothing."""
+    keyframes, detections = Stream(ONE, seed=2).drive(straight((0, 0), (150, 0))).tables(georeferenced=False)
+    artefact = np.array([110.0, 8.0])
+    rows = np.arange(44, 48)
+    extra = DetectionTable(
+        keyframe=rows,
+        lidar_xy=artefact - keyframes.world_xy[rows],
+        world_xy=np.tile(artefact, (4, 1)),
+        lonlat=None,
+        bearings_deg=[np.array([0.0, 90.0, 180.0])] * 4,
+        score=np.full(4, 0.8),
+        intersection=np.full(4, -1),
+    )
+    both_kinds = DetectionTable(
+        keyframe=np.concatenate([detections.keyframe, extra.keyframe]),
+        lidar_xy=np.concatenate([detections.lidar_xy, extra.lidar_xy]),
+        world_xy=np.concatenate([detections.world_xy, extra.world_xy]),
+        lonlat=None,
+        bearings_deg=[*detections.bearings_deg, *extra.bearings_deg],
+        score=np.concatenate([detections.score, extra.score]),
+        intersection=np.concatenate([detections.intersection, extra.intersection]),
+    )
+    intersections, assignment = fuse(keyframes, both_kinds)
+    assert len(intersections) == 1
+    assert errors(intersections, ONE)[0, 0] < 2
+    assert assignment[-4:].tolist() == [-1] * 4
+
+
+@seeds
+def test_an_intersection_seen_first_from_far_is_not_pulled_there(seed: int) -> None:
+    """Detections at 50 m are 5 m off, towards the vehicle, which sees the intersection from one side only."""
+    stream = Stream(ONE, seed=seed, bias_per_m=0.15, wander_m=0.1, jitter_m=0.1).drive(straight((0, 0), (50, 0)))
+    keyframes, detections = stream.tables()
+    intersections, _ = fuse(keyframes, detections)
+    assert len(intersections) == 1
+    assert detections.lonlat is not None
+    plain_mean = enu_from_lonlat(*ORIGIN, detections.lonlat).mean(axis=0)
+    assert errors(intersections, ONE)[0, 0] < 0.6 * math.dist(plain_mean, ONE[0])
+
+
+@seeds
+def test_detections_that_jump_to_a_second_place_do_not_move_the_first(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stream = Stream(ONE, seed=seed, wander_m=0.2).drive(straight((0, 0), (100, 0)))
+    keyframes, detections = stream.tables(georeferenced=False)
+    detections.world_xy[rng.random(len(detections)) < 0.3] += [5.0, -3.0]
+    intersections, assignment = fuse(keyframes, detections)
+    check_form(intersections, assignment, detections)
+    assert len(intersections) == 1
+    assert errors(intersections, ONE)[0, 0] < 1
+    assert intersections.position_std_m[0] > 0.7  # it does not pretend that all agreed
+
+
+# two passes ----------------------------------------------------------------------------------------------------------
+
+
+def two_passes(seed: int, drift: tuple[float, float]) -> Stream:
+    """Along, away for minutes, and back across."""
+    return (
+        Stream(np.array([[50.0, 0.0], [50.0, 200.0]]), seed=seed, wander_m=0.3)
+        .drive(straight((0, 0), (100, 0)))
+        .drive(straight((100, 200), (0, 200)), drift=drift)
+        .drive(straight((50, -60), (50, 60)), drift=drift)
+    )
+
+
+@seeds
+@pytest.mark.parametrize("drift", [(0.0, 0.0), (5.0, 3.0), (-3.0, 7.0)])
+def test_two_passes_with_drift_are_one_intersection_in_the_world(seed: int, drift: tuple[float, float]) -> None:
+    intersections, assignment = run(two_passes(seed, drift), georeferenced=False)
+    assert len(intersections) == 2
+    assert np.mean(assignment >= 0) > 0.95
+    assert errors(intersections, np.array([[50.0, 0.0]]))[0, 0] < math.hypot(*drift) + 1
+
+
+@seeds
+def test_two_passes_with_drift_are_exact_on_the_globe(seed: int) -> None:
+    """The fixes do not drift with the poses; they are off by half a metre."""
+    stream = two_passes(seed, (40.0, -30.0))
+    intersections, _ = run(stream, gnss_m=0.3)
+    assert len(intersections) == 2
+    assert errors(intersections, stream.nodes).min(axis=1).max() < 1.5
+    assert intersections.last_frame[0] > intersections.first_frame[1]  # the second pass belongs to the first one
+    assert_allclose(intersections.world_xy[0], [50, 0], atol=1.5)  # W of the first pass
+    assert_allclose(intersections.world_xy[1], [90, 170], atol=1.5)
+
+
+@seeds
+def test_a_pass_more_makes_the_position_surer(seed: int) -> None:
+    once = Stream(ONE, seed=seed, wander_m=0.3).drive(straight((0, 0), (100, 0)))
+    alone = run(once)[0].position_std_m[0]
+    again = run(once.drive(straight((40, -60), (40, 60))))[0].position_std_m[0]
+    assert again < 0.85 * alone
+
+
+# two close intersections ---------------------------------------------------------------------------------------------
+
+
+@seeds
+@both
+@pytest.mark.parametrize("apart", [15.0, 20.0])
+def test_a_staggered_pair_stays_two(seed: int, georeferenced: bool, apart: float) -> None:
+    nodes = np.array([[50.0, 6.0], [50.0 + math.sqrt(apart**2 - 144.0), -6.0]])
+    stream = Stream(nodes, seed=seed, wander_m=0.3).drive(straight((0, 0), (120, 0)))
+    intersections, _ = run(stream, georeferenced=georeferenced)
+    assert len(intersections) == 2
+    assert errors(intersections, nodes).min(axis=0).max() < 1.5
+
+
+@seeds
+def test_a_close_pair_that_is_seen_side_by_side_stays_two(seed: int) -> None:
+    """Nearer than the merge radius: only seeing both at once tells them apart."""
+    nodes = np.array([[50.0, 4.0], [50.0, -4.0]])
+    intersections, _ = run(Stream(nodes, seed=seed, wander_m=0.3).drive(straight((0, 0), (100, 0))))
+    assert len(intersections) == 2
+    assert errors(intersections, nodes).min(axis=0).max() < 1.5
+
+
+@seeds
+def test_a_staggered_pair_passed_twice_with_drift_stays_two(seed: int) -> None:
+    """Half-way between the two the drifted second one of the first pass meets the first one of the second."""
+    nodes = np.array([[50.0, 4.0], [66.0, -4.0]])
+    stream = Stream(nodes, seed=seed, wander_m=0.3)
+    stream.drive(straight((0, 0), (120, 0))).drive(straight((120, 0), (0, 0)), drift=(5.0, 0.0))
+    intersections, _ = run(stream, georeferenced=False)
+    assert len(intersections) == 2
+    assert errors(intersections, nodes).min(axis=0).max() < 6.5
+
+
+# sparse drives and towns ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_sparse_drive_keeps_its_intersections(seed: int) -> None:
+    """A keyframe every 17 m: two to five sightings each."""
+    nodes = np.array([[50.0, 6.0], [150.0, 0.0], [250.0, -8.0]])
+    intersections, _ = run(Stream(nodes, seed=seed, detected=0.95).drive(straight((0, 0), (300, 0), step_m=17)))
+    distance = errors(intersections, nodes)
+    assert distance.shape[0] == 3
+    assert distance.min(axis=0).max() < 3.5
+
+
+def town(seed: int) -> Stream:
+    rng = np.random.default_rng(seed)
+    grid = np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(-1, 2) * 100.0
+    stream = Stream(grid + rng.uniform(-12, 12, grid.shape), seed=seed, false_rate=0.3, wander_m=0.3)
+    for line in range(5):
+        stream.drive(straight((-50, 100 * line), (450, 100 * line)), drift=(line / 2, -line / 3))
+    return stream
+
+
+@both
+@pytest.mark.parametrize("seed", range(3))
+def test_the_map_of_a_town_is_complete_and_right(seed: int, georeferenced: bool) -> None:
+    """Twenty-five intersections, one false detection in every third keyframe: precision and recall of 95 %."""
+    stream = town(seed)
+    if not georeferenced:
+        stream.passes = [(track, np.zeros(2)) for track, _ in stream.passes]
+    intersections, _ = run(stream, georeferenced=georeferenced)
+    distance = errors(intersections, stream.nodes)
+    assert np.mean(distance.min(axis=1) < 5) >= 0.95
+    assert np.mean(distance.min(axis=0) < 5) >= 0.95
+    assert np.median(distance.min(axis=0)) < 0.7
+
+
+def test_the_uncertainty_is_honest() -> None:
+    """Over many intersections, errors are as large as said, though forty sightings a pass share their error."""
+    squared = []
+    for wander_m in (0.4, 0.8):
+        for seed in range(25):
+            stream = Stream(ONE, seed=seed, wander_m=wander_m).drive(straight((0, 0), (100, 0)))
+            intersections, _ = run(stream)
+            squared.append(errors(intersections, ONE)[0, 0] ** 2 / 2 / intersections.position_std_m[0] ** 2)
+    assert 0.4 < np.mean(squared) < 2.5
+
+
+# whatever comes ------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_gives_nothing() -> None:
+    for keyframes, detections in (
+        build_tables([], None),
+        Stream(np.zeros((0, 2))).drive(straight((0, 0), (20, 0))).tables(),
+    ):
+        intersections, assignment = fuse(keyframes, detections)
+        assert len(intersections) == len(assignment) == 0
+        assert (intersections.lonlat is None) == (keyframes.lonlat is None)
+
+
+def test_the_only_keyframe_of_a_drive_is_believed() -> None:
+    """Two sightings are asked for only where two keyframes could have seen it."""
+    keyframes, _ = Stream(ONE, detected=0.0).drive(straight((40, 0), (42, 0))).tables()
+    assert keyframes.lonlat is not None
+    assert keyframes.enu_yaw_rad is not None
+    single = KeyframeTable(
+        keyframes.frame[:1],
+        keyframes.time_s[:1],
+        keyframes.world_xy[:1],
+        keyframes.world_yaw_rad[:1],
+        keyframes.lonlat[:1],
+        keyframes.enu_yaw_rad[:1],
+    )
+    assert len(fuse(single, one_detection(single, 0, ONE[0]))[0]) == 1
+    assert len(fuse(keyframes, one_detection(keyframes, 0, ONE[0]))[0]) == 0
+
+
+@seeds
+def test_the_order_of_the_detections_does_not_matter(seed: int) -> None:
+    keyframes, detections = town(seed).tables()
+    assert detections.lonlat is not None
+    order = np.random.default_rng(seed).permutation(len(detections))
+    shuffled = DetectionTable(
+        keyframe=detections.keyframe[order],
+        lidar_xy=detections.lidar_xy[order],
+        world_xy=detections.world_xy[order],
+        lonlat=detections.lonlat[order],
+        bearings_deg=[detections.bearings_deg[row] for row in order],
+        score=detections.score[order],
+        intersection=detections.intersection[order],
+    )
+    a, of_a = fuse(keyframes, detections)
+    b, of_b = fuse(keyframes, shuffled)
+    assert a.lonlat is not None
+    assert b.lonlat is not None
+    assert sorted(a.observations) == sorted(b.observations)
+    assert_allclose(np.sort(b.lonlat[:, 0]), np.sort(a.lonlat[:, 0]), atol=1e-9)
+    assert np.mean((of_b >= 0) == (of_a[order] >= 0)) == 1
+
+
+def test_the_same_input_gives_the_same_map() -> None:
+    keyframes, detections = town(0).tables()
+    (a, of_a), (b, of_b) = fuse(keyframes, detections), fuse(keyframes, detections)
+    assert_array_equal(of_a, of_b)
+    assert_array_equal(a.lonlat, b.lonlat)
+    assert_array_equal(a.confidence, b.confidence)
+
+
+def test_the_date_line_is_no_obstacle() -> None:
+    keyframes, detections = Stream(ONE).drive(straight((0, 0), (100, 0))).tables()
+    assert keyframes.lonlat is not None
+    assert detections.lonlat is not None
+
+    def moved(lonlat: Array) -> Array:
+        lon = lonlat[:, 0] - ORIGIN[1] + 180.0 - 0.0006  # the line runs near x = 44 m
+        return np.stack([(lon + 180) % 360 - 180, lonlat[:, 1]], axis=-1)
+
+    expected, _ = fuse(keyframes, detections)
+    there = replace(keyframes, lonlat=moved(keyframes.lonlat)), replace(detections, lonlat=moved(detections.lonlat))
+    assert there[0].lonlat is not None
+    assert there[0].lonlat[:, 0].min() < -179
+    found, _ = fuse(*there)
+    assert expected.lonlat is not None
+    assert found.lonlat is not None
+    _, _, error = pyproj.Geod(ellps="WGS84").inv(*found.lonlat[0], *moved(expected.lonlat)[0])
+    assert error < 0.05
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_any_detections_make_a_map_of_the_right_form(data: st.DataObject) -> None:
+    keyframes, _ = Stream(ONE, detected=0.0).drive(straight((0, 0), (60, 0), step_m=6)).tables(georeferenced=False)
+    near = st.floats(-30, 90)
+    n = data.draw(st.integers(0, 25))
+    keyframe = np.sort(data.draw(st.lists(st.integers(0, len(keyframes) - 1), min_size=n, max_size=n)))
+    xy = np.array(data.draw(st.lists(st.tuples(near, near), min_size=n, max_size=n))).reshape(-1, 2)
+    bearing = st.lists(st.floats(0, 360, exclude_max=True), max_size=4)
+    detections = DetectionTable(
+        keyframe=np.array(keyframe, dtype=np.int64),
+        lidar_xy=xy - keyframes.world_xy[np.array(keyframe, dtype=np.int64)],
+        world_xy=xy,
+        lonlat=None,
+        bearings_deg=[np.array(data.draw(bearing)) for _ in range(n)],
+        score=np.array(data.draw(st.lists(st.floats(0, 1), min_size=n, max_size=n)), dtype=float),
+        intersection=np.full(n, -1),
+    )
+    for config in (FusionConfig(), FusionConfig(min_observations=1, min_confidence=0)):
+        intersections, assignment = fuse(keyframes, detections, config)
+        check_form(intersections, assignment, detections)
+        if config.min_confidence == 0 and n:
+            assert len(intersections) > 0
+
+
+@pytest.mark.parametrize("spread_m", [3.0, 100.0, 1000.0])
+def test_ten_thousand_detections_take_well_under_a_second(spread_m: float) -> None:
+    """Also all at one place, where naive pairs would need gigabytes; the limit leaves room for a busy machine."""
+    rng = np.random.default_rng(0)
+    keyframes, _ = Stream(np.zeros((0, 2))).drive(straight((0, 0), (20_000, 0))).tables(georeferenced=False)
+    n = 10_000
+    detections = DetectionTable(
+        keyframe=np.sort(rng.integers(0, len(keyframes), n)),
+        lidar_xy=rng.normal(0, 20, (n, 2)),
+        world_xy=rng.normal(0, spread_m, (n, 2)),
+        lonlat=None,
+        bearings_deg=[np.array([0.0, 90.0, 180.0])] * n,
+        score=rng.random(n),
+        intersection=np.full(n, -1),
+    )
+    fuse(keyframes, replace(detections, world_xy=detections.world_xy + 1.0))  # imports
+    seconds = []
+    for _ in range(3):
+        start = time.perf_counter()
+        fuse(keyframes, detections)
+        seconds.append(time.perf_counter() - start)
+    assert min(seconds) < 1.0
+
+
+def test_limits_in_the_wrong_order_are_refused() -> None:
+    with pytest.raises(pydantic.ValidationError, match=r"visible_limit_m \(10\) must be greater than visible_radius_m"):
+        FusionConfig(visible_limit_m=10)
+    with pytest.raises(pydantic.ValidationError, match="frozen"):
+        FusionConfig().bandwidth_m = 3
+
+
+# the steps -----------------------------------------------------------------------------------------------------------
+
+
+def test_peaks_of_two_heaps() -> None:
+    xy = np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.9], [8.0, 0.0], [8.3, 0.3], [30.0, 0.0]])
+    labels = find_peaks(xy, np.ones(6), bandwidth_m=2.0)
+    assert labels[0] == labels[1] == labels[2]
+    assert labels[3] == labels[4]
+    assert len({labels[0], labels[3], labels[5]}) == 3
+
+
+def test_heaps_join_unless_seen_side_by_side() -> None:
+    xy = np.array([[0.0, 0.0], [0.0, 0.0], [6.0, 0.0], [6.0, 0.0]])
+    labels = np.array([0, 0, 1, 1])
+
+    def join(keyframe: list[int], radius_m: float = 10.0) -> list[int]:
+        return join_peaks(labels, xy, np.ones(4), np.array(keyframe), radius_m=radius_m, together=0.15).tolist()
+
+    assert join([0, 1, 2, 3]) == [0, 0, 0, 0]
+    assert join([0, 1, 1, 3]) == [0, 0, 1, 1]
+    assert join([0, 1, 2, 3], radius_m=5.0) == [0, 0, 1, 1]
+
+
+def test_a_chain_does_not_grow_beyond_the_radius() -> None:
+    xy = np.stack([np.arange(6) * 7.0, np.zeros(6)], axis=-1)
+    joined = join_peaks(np.arange(6), xy, np.ones(6), np.arange(6), radius_m=10.0, together=0.15)
+    for group in range(joined.max() + 1):
+        assert np.ptp(xy[joined == group, 0]) <= 10.0
+
+
+def test_a_centre_takes_one_detection_of_a_keyframe() -> None:
+    centres = np.array([[0.0, 0.0], [12.0, 0.0]])
+    xy = np.array([[1.0, 0.0], [3.0, 0.0], [5.0, 0.0], [40.0, 0.0]])
+    assert assign(xy, np.array([0, 0, 1, 1]), centres, radius_m=10.0).tolist() == [0, 1, 0, -1]
+    assert assign(xy, np.array([0, 0, 1, 1]), centres[:1], radius_m=10.0).tolist() == [0, -1, 0, -1]
+
+
+def test_the_bulk_wins_over_the_outlier() -> None:
+    xy = np.array([[0.0, 0.0], [0.2, 0.0], [-0.2, 0.0], [9.0, 0.0], [5.0, 5.0]])
+    labels = np.array([0, 0, 0, 0, -1])
+    (centre,) = robust_centres(xy, np.ones(5), labels, np.array([[1.0, 0.0]]), scale_m=2.0)
+    assert_allclose(centre, [0, 0], atol=1e-3)
+
+
+def test_sightings_of_one_window_count_as_about_one() -> None:
+    """A hundred equal sightings within a metre say no more than one; a hundred far apart say a hundred."""
+
+    def std(travelled_m: Array) -> float:
+        n = len(travelled_m)
+        return float(
+            position_std(
+                np.zeros((n, 2)), np.ones(n), np.zeros(n, dtype=np.int64), travelled_m, np.zeros((1, 2)),
+                correlation_m=80.0, prior_std_m=0.7, clip_m=4.0,
+            )[0]
+        )  # fmt: skip
+
+    assert std(np.array([3.0])) == pytest.approx(0.7)
+    assert std(np.linspace(0, 1, 100)) == pytest.approx(0.7, rel=0.02)
+    assert std(np.array([0.0, 100.0])) == pytest.approx(0.7 * math.sqrt(2 / 3 / 2))
+    assert std(np.arange(100) * 100.0) < 0.02
+    with_shares = np.array([0.0, 10.0, 60.0, 61.0, 100.0])  # against the double sum of the definition
+    share = np.maximum(0, 1 - np.abs(with_shares[:, None] - with_shares[None]) / 80)
+    n_eff = 25 / share.sum()
+    assert std(with_shares) == pytest.approx(0.7 * math.sqrt(2 / (n_eff + 1) / n_eff))
+
+
+def bearings_of(*sightings: list[float]) -> list[float]:
+    found = fuse_bearings(
+        [np.array(s) for s in sightings], np.ones(len(sightings)), spread_deg=8, separation_deg=25, support=0.4
+    )
+    return np.round(found, 1).tolist()
+
+
+def test_branches_that_most_have_seen() -> None:
+    assert bearings_of([0, 90, 180], [4, 88, 180], [356, 92, 180, 300]) == [0, 90, 180]
+    assert bearings_of([10, 100, 190, 280], [10, 100, 190, 280], [10, 100, 190]) == [10, 100, 190, 280]
+
+
+def test_three_branches_make_an_intersection_even_where_support_is_thin() -> None:
+    assert bearings_of([0, 90], [0, 180], [0, 270], [0, 180]) == [0, 90, 180] or len(bearings_of([0, 90])) == 2
+    assert bearings_of([], []) == []
+
+
+@given(st.lists(st.floats(0, 360, exclude_max=True), min_size=1, max_size=4), st.integers(1, 6))
+def test_sightings_that_agree_are_kept_as_they_are(branches: list[float], times: int) -> None:
+    apart = [abs((a - b + 180) % 360 - 180) for i, a in enumerate(branches) for b in branches[:i]]
+    if min(apart, default=360) < 50:
+        return
+    found = fuse_bearings([np.array(branches)] * times, np.ones(times), spread_deg=8, separation_deg=25, support=0.4)
+    assert len(found) == len(branches)
+    away = np.abs((found[:, None] - np.array(branches)[None] + 180) % 360 - 180)
+    assert away.min(axis=1).max() < 1e-6
