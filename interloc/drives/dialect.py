@@ -18,6 +18,7 @@ from interloc.drives.faults import DriveFileError
 from interloc.drives.files import shown
 from interloc.drives.options import PoseFrame
 from interloc.drives.parts import DriveParts
+from interloc.geometry import invert_transform
 
 Array = NDArray[np.float64]
 Frame = Literal["camera", "lidar", "imu"]
@@ -25,7 +26,9 @@ Frame = Literal["camera", "lidar", "imu"]
 _STEP_M = 3.0
 _LEAST_MOTION_M = 1.0
 _CLEAR = 0.65
-_TURNED_RAD = 0.35
+_TURNED_RAD = 0.15
+_STEADY = 0.8
+_ENOUGH_M = 20.0
 _AXES = "xyz"
 
 
@@ -45,6 +48,8 @@ class Motion:
         Share of the turning about x, y, z; sums to 1 (zeros without turning).
     turned_rad : float
         Root of the sum of squared turns.
+    steadiness : float
+        Share of the motion along its main direction, whichever that is; near 1 for a vehicle.
     """
 
     distance_m: float
@@ -52,6 +57,7 @@ class Motion:
     forward: float
     about: Array
     turned_rad: float
+    steadiness: float
 
     @property
     def axis(self) -> str:
@@ -103,6 +109,7 @@ def body_motion(poses: Array) -> Motion | None:
         forward=float(unit[:, int(np.argmax(along))].mean()),
         about=squares / max(float(squares.sum()), 1e-12),
         turned_rad=float(np.sqrt(squares.sum())),
+        steadiness=float(np.linalg.eigvalsh(unit.T @ unit / len(unit))[-1]),
     )
 
 
@@ -196,6 +203,7 @@ def to_lidar(
     DriveError
         The declared frame contradicts the motion, or the calibration that is needed is missing or does not fit.
     """
+    _refuse_inverted(poses, pose_file)
     guess, why = guess_frame(poses)
     warning = None
     frame: Frame
@@ -216,6 +224,21 @@ def to_lidar(
     if frame == "lidar":
         return poses, frame, why, warning
     return _from_camera(poses, parts, pose_file, why), frame, why, warning
+
+
+def _refuse_inverted(poses: Array, pose_file: str) -> None:
+    """Refuse poses of the world in the vehicle: such a vehicle moves in ever other directions, its inverse does not."""
+    motion = body_motion(poses)
+    if motion is None or motion.distance_m < _ENOUGH_M or motion.steadiness > _STEADY:
+        return
+    inverse = body_motion(invert_transform(poses))
+    if inverse is not None and inverse.steadiness > max(0.9, motion.steadiness + 0.1):
+        raise DriveFileError(
+            pose_file,
+            "holds inverted poses: read as they are, the vehicle slides sideways through its turns; inverted, it "
+            "drives straight ahead. Expected the pose of the sensor in the world (p_world = T p_sensor). "
+            "Usual cause: transforms from the world to the sensor; invert each.",
+        )
 
 
 def _contradiction(declared: Frame, guess: Frame, why: str) -> str:

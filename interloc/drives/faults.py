@@ -101,6 +101,11 @@ class Findings:
             if self.stop_at_first:
                 raise
             self.error(fault)
+        except OSError as error:
+            unreadable = DriveFileError(str(error.filename or "drive"), f"cannot be read: {error.strerror or error}.")
+            if self.stop_at_first:
+                raise unreadable from error
+            self.error(unreadable)
 
     @property
     def has_errors(self) -> bool:

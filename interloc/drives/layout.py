@@ -7,7 +7,6 @@ from pathlib import Path
 
 from interloc.drives import kitti360, kitti_raw, semantickitti
 from interloc.drives.faults import DriveFileError
-from interloc.drives.files import os_reason
 from interloc.drives.options import DriveOptions
 from interloc.drives.parts import DriveParts
 
@@ -33,16 +32,13 @@ def find_layout(root: Path, options: DriveOptions) -> DriveParts:
         There is no such folder, it is no drive, or it could be two.
     """
     name = str(root)
-    try:
-        if not root.exists():
-            raise DriveFileError(name, "does not exist. Expected the folder of one drive.")
-        if not root.is_dir():
-            raise DriveFileError(
-                name, "is a file. Expected the folder of one drive; unpack an archive first, and give the folder."
-            )
-        inside = {entry.name for entry in root.iterdir()}
-    except OSError as error:
-        raise DriveFileError(name, f"cannot be read: {os_reason(error)}.") from error
+    if not root.exists():
+        raise DriveFileError(name, "does not exist. Expected the folder of one drive.")
+    if not root.is_dir():
+        raise DriveFileError(
+            name, "is a file. Expected the folder of one drive; unpack an archive first, and give the folder."
+        )
+    inside = {entry.name for entry in root.iterdir()}
     if not inside:
         raise DriveFileError(name, f"is an empty folder. Expected {_EXPECTED['semantickitti']}.")
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
+
+from interloc.errors import ConfigError
 
 LabelFolder = Literal["labels", "predictions"]
 PoseFrame = Literal["auto", "camera", "lidar"]
@@ -30,6 +32,11 @@ class DriveOptions:
         Georeference from elsewhere: a KITTI raw drive folder, a file with one OXTS row a frame (or its .gz), a geo.csv.
     check : bool
         Look into a few scans to see whether labels, poses and georeference fit together.
+
+    Raises
+    ------
+    ConfigError
+        A choice that is none.
     """
 
     labels: LabelFolder = "labels"
@@ -38,3 +45,12 @@ class DriveOptions:
     layout: LayoutChoice = "auto"
     oxts: Path | None = None
     check: bool = True
+
+    def __post_init__(self) -> None:
+        for name, value, choices in (
+            ("labels", self.labels, get_args(LabelFolder)),
+            ("pose frame", self.pose_frame, get_args(PoseFrame)),
+            ("layout", self.layout, get_args(LayoutChoice)),
+        ):
+            if value not in choices:
+                raise ConfigError(f"{name} {value!r}: expected {', '.join(choices)}.")

@@ -48,8 +48,6 @@ class FolderDrive:
         Which label ids are road.
     pose_frame, pose_frame_reason : str
         Whose poses the pose file holds ("camera", "lidar", "imu", "oxts"), and why that is thought.
-    notes : tuple of str
-        What was assumed when it was opened.
     """
 
     root: Path
@@ -63,7 +61,6 @@ class FolderDrive:
     scheme: LabelScheme
     pose_frame: str
     pose_frame_reason: str
-    notes: tuple[str, ...] = ()
 
     def __getstate__(self) -> dict[str, object]:
         """Leave the selection table behind: it is made anew from the scheme."""
@@ -107,11 +104,12 @@ class FolderDrive:
         """Return the (N, 4) float32 points of a frame: x y z in L, metres, and remission."""
         path = self.scan_files.path(frame)
         try:
+            size = path.stat().st_size
             values = np.fromfile(path, dtype="<f4")
         except OSError as error:
             raise DriveFileError(self._scan_name(frame), f"cannot be read: {os_reason(error)}.") from error
-        if len(values) % 4 or not len(values):
-            raise DriveFileError(self._scan_name(frame), scan_size_complaint(path.stat().st_size))
+        if size % POINT_BYTES or not size:
+            raise DriveFileError(self._scan_name(frame), scan_size_complaint(size))
         points: NDArray[np.float32] = values.reshape(-1, 4)
         return points
 

@@ -51,6 +51,8 @@ class Survey:
         Scan numbers.
     usable : (M,) int64
         Positions of the scans whose files fit together by their sizes.
+    sample : list of int
+        Positions of the scans that are looked into.
     pose_count : int
         Poses in the file.
     T_world_lidar : (N, 4, 4) float64 or None
@@ -60,11 +62,14 @@ class Survey:
     georeference_reason : str
         Why there is none.
     drive : FolderDrive or None
-        The drive, where it can be used.
+        The drive, where its parts are all there.
+    scheme : LabelScheme or None
     label_counts : dict of int to int
         How many points of the sampled scans carry each id.
     flatness_m : float or None
         Median difference in height of the same piece of road seen from two scans.
+    georeference_error : float or None
+        Median error of the motion against the georeference, as a share of the way.
     """
 
     parts: DriveParts | None = None
@@ -72,6 +77,7 @@ class Survey:
     labels: NumberedFiles | None = None
     frames: NDArray[np.int64] | None = None
     usable: Indices = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    sample: list[int] = field(default_factory=list)
     pose_count: int = 0
     T_world_lidar: Array | None = None
     pose_frame: str = ""
@@ -80,12 +86,14 @@ class Survey:
     georeference: Georeference | None = None
     georeference_reason: str = "the drive has neither oxts/ nor geo.csv"
     drive: FolderDrive | None = None
+    scheme: LabelScheme | None = None
     label_counts: dict[int, int] = field(default_factory=dict)
     flatness_m: float | None = None
+    georeference_error: float | None = None
 
 
-def survey(root: Path, options: DriveOptions, findings: Findings) -> Survey:
-    """Read all of a drive but its points, and check it.
+def survey(root: Path, options: DriveOptions, findings: Findings, *, thorough: bool = False) -> Survey:
+    """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
 
     Raises
     ------
@@ -117,7 +125,12 @@ def survey(root: Path, options: DriveOptions, findings: Findings) -> Survey:
         _read_poses(found, options, findings)
     with findings.stage():
         found.times_s = _read_times(found.parts, found.frames, findings)
-    _assemble(found, scheme, options, findings)
+    found.sample = sample_indices(found.usable, len(found.usable) if thorough else _SAMPLED_SCANS)
+    if found.labels is not None:
+        _read_label_ids(found, scheme, options, findings)
+    found.drive = _assemble(found)
+    if found.drive is not None and options.check:
+        _check_contents(found, findings)
     return found
 
 
@@ -297,39 +310,54 @@ def _seconds(text: str) -> float:
         return float("nan")
 
 
-def _assemble(found: Survey, scheme: LabelScheme | None, options: DriveOptions, findings: Findings) -> None:
-    """Make the drive, and see whether its parts fit together."""
-    parts, frames = found.parts, found.frames
-    assert parts is not None
-    assert frames is not None
-    if found.scans is None or found.labels is None or found.T_world_lidar is None:
-        return
-    usable = found.usable
-    for index in sample_indices(usable, _SAMPLED_SCANS):
+def _read_label_ids(found: Survey, scheme: LabelScheme | None, options: DriveOptions, findings: Findings) -> None:
+    """Find which ids occur in the sampled scans, and under which scheme they make sense."""
+    assert found.parts is not None
+    assert found.labels is not None
+    assert found.frames is not None
+    root, folder = found.parts.root, shown(found.labels.folder, found.parts.root)
+    for index in found.sample:
         with findings.stage():
-            for label, count in read_label_ids(found.labels.path(int(frames[index])), parts.root):
+            for label, count in read_label_ids(found.labels.path(int(found.frames[index])), root):
                 found.label_counts[label] = found.label_counts.get(label, 0) + count
-    if scheme is None:
-        scheme = guess_scheme(np.array(sorted(found.label_counts), dtype=np.int64), kitti360=parts.layout == "kitti360")
-        if scheme is not SEMANTICKITTI:
-            findings.note(shown(parts.labels, parts.root), f"the ids look like scheme {scheme.name}; read as such.")
-    drive = FolderDrive(
-        root=parts.root,
-        layout=parts.layout,
-        frames=frames,
+    found.scheme = scheme
+    if scheme is None and found.label_counts:
+        ids = np.array(sorted(found.label_counts), dtype=np.int64)
+        found.scheme = guess_scheme(ids, kitti360=found.parts.layout == "kitti360")
+        if found.scheme is not SEMANTICKITTI:
+            findings.note(folder, f"the ids look like scheme {found.scheme.name} and are read as such.")
+    if options.check and found.scheme is not None and found.label_counts:
+        check_labels(folder, found.scheme, found.label_counts, findings)
+
+
+def _assemble(found: Survey) -> FolderDrive | None:
+    """Make the drive of what was found; None where a part is missing."""
+    if found.parts is None or found.frames is None or found.T_world_lidar is None:
+        return None
+    if found.scans is None or found.labels is None:
+        return None
+    return FolderDrive(
+        root=found.parts.root,
+        layout=found.parts.layout,
+        frames=found.frames,
         T_world_lidar=found.T_world_lidar,
         times_s=found.times_s,
         georeference=found.georeference,
         scan_files=found.scans,
         label_files=found.labels,
-        scheme=scheme,
+        scheme=found.scheme or SEMANTICKITTI,
         pose_frame=found.pose_frame,
         pose_frame_reason=found.pose_frame_reason,
     )
-    if options.check:
-        if found.label_counts:
-            check_labels(drive, found.label_counts, findings)
-        found.flatness_m = check_flat_road(drive, usable, findings)
-        if found.georeference is not None and found.pose_frame != "oxts":
-            check_georeference(found.T_world_lidar, found.georeference, findings)
-    found.drive = drive
+
+
+def _check_contents(found: Survey, findings: Findings) -> None:
+    """Read the sampled scans, and see whether labels, poses and georeference fit together."""
+    drive = found.drive
+    assert drive is not None
+    for index in found.sample:
+        with findings.stage():
+            drive.ground_points(index)
+    found.flatness_m = check_flat_road(drive, found.usable, findings)
+    if drive.georeference is not None and drive.pose_frame != "oxts":
+        found.georeference_error = check_georeference(drive.T_world_lidar, drive.georeference, findings)
