@@ -1,0 +1,300 @@
+"""Roads from a public Overpass server: the only module of the library that uses the network.
+
+osmnx asks; this module sees to it that it asks politely and never in silence: our own user agent, one request at a time
+over all threads and processes, answers kept on disk, every wait announced, every refusal explained.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+import shutil
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from interloc.errors import MapError, NetworkError, OutputError
+from interloc.osm.graph import Bounds, RoadGraph, Ways
+
+logger = logging.getLogger(__name__)
+
+OVERPASS_URL = "https://overpass-api.de/api"
+REQUEST_TIMEOUT_S = 90
+MAX_WAIT_S = 300.0
+DEFAULT_PAUSE_S = 30.0
+MAX_AREA_KM2 = 2_000.0
+
+OnWait = Callable[[str, float], None]
+"""Told why we wait and for how many seconds more, once a second; may raise to give up."""
+
+_ONE_AT_A_TIME = threading.Lock()
+_INSTEAD = "Give the map as a file (--osm), or try again later."
+
+
+class _BusyError(Exception):
+    """The server has no slot for us now."""
+
+    def __init__(self, status: int, pause_s: float) -> None:
+        super().__init__(status)
+        self.status = status
+        self.pause_s = pause_s
+
+
+def download_roads(
+    bounds: Bounds,
+    *,
+    cache_dir: Path,
+    on_wait: OnWait | None = None,
+    url: str = OVERPASS_URL,
+    max_wait_s: float = MAX_WAIT_S,
+    timeout_s: int = REQUEST_TIMEOUT_S,
+) -> RoadGraph:
+    """Fetch all highways within bounds from an Overpass server, or from the cache.
+
+    Parameters
+    ----------
+    bounds
+        West, south, east, north, degrees.
+    cache_dir
+        Answers are kept here, a folder each, until somebody deletes them; created where missing.
+    on_wait
+        Told about every wait, and before the server is asked (with the seconds that it may take).
+    url
+        Base address of the Overpass server.
+    max_wait_s
+        Longest total wait for a free slot, and for another process that is asking.
+    timeout_s
+        Longest wait for an answer.
+
+    Returns
+    -------
+    RoadGraph
+        Its `bounds` are those asked for.
+
+    Raises
+    ------
+    MapError
+        The bounds are no area or too large a one, or hold no highway.
+    NetworkError
+        The server cannot be reached, refuses, has no slot for us, or gave up on the query.
+    OutputError
+        The cache cannot be written.
+    """
+    _check(bounds)
+    wait = _Waiting(on_wait, max_wait_s)
+    # osmnx knows its answers by the text of its query, which another version of it may write in another way.
+    key = f"osmnx {version('osmnx')} {url} {bounds}"
+    answer = cache_dir / hashlib.sha256(key.encode()).hexdigest()[:32]
+    try:
+        cache_dir.mkdir(parents=True, exist_ok=True)
+        with _ONE_AT_A_TIME:
+            if not answer.is_dir():
+                with _lock_file(cache_dir / "overpass.lock", wait):
+                    if not answer.is_dir():  # the process that held the lock may have asked the same
+                        _fetch(bounds, url, answer, timeout_s, wait)
+            graph = _ask(bounds, url, answer, timeout_s)
+            date = _date_of(answer)
+    except OSError as error:
+        raise OutputError(f"{cache_dir}: the cache of map downloads cannot be used ({error}).") from error
+    return _road_graph(graph, bounds, url, date)
+
+
+def _check(bounds: Bounds) -> None:
+    west, south, east, north = bounds
+    if not (all(map(math.isfinite, bounds)) and -180 <= west < east <= 180 and -90 <= south < north <= 90):
+        raise MapError(f"bounds {bounds} are no area. Expected west < east and south < north, in degrees.")
+    area_km2 = (north - south) * 111.2 * (east - west) * 111.3 * math.cos(math.radians((north + south) / 2))
+    if area_km2 > MAX_AREA_KM2:
+        raise MapError(
+            f"the area is {area_km2:,.0f} km2, too large to ask a public server for (at most {MAX_AREA_KM2:,.0f}). "
+            "Give the map as a file: an extract of the region as .osm.pbf."
+        )
+
+
+class _Waiting:
+    """Waits in sight of the user, and not for ever."""
+
+    def __init__(self, on_wait: OnWait | None, max_wait_s: float) -> None:
+        self._on_wait = on_wait
+        self._left_s = max_wait_s
+
+    def announce(self, reason: str, seconds: float) -> None:
+        logger.info("%s (up to %.0f s)", reason, seconds)
+        if self._on_wait is not None:
+            self._on_wait(reason, seconds)
+
+    def sleep(self, reason: str, seconds: float) -> None:
+        """Wait for some seconds; raises NetworkError when the patience is used up."""
+        if seconds > self._left_s:
+            raise NetworkError(f"{reason}; waited as long as allowed. {_INSTEAD}")
+        self._left_s -= seconds
+        logger.info("%s: waiting %.0f s", reason, seconds)
+        end = time.monotonic() + seconds
+        while (remaining := end - time.monotonic()) > 0:
+            if self._on_wait is not None:
+                self._on_wait(reason, remaining)
+            time.sleep(min(1.0, remaining))
+
+
+def _fetch(bounds: Bounds, url: str, answer: Path, timeout_s: int, wait: _Waiting) -> None:
+    """Ask until the server has time for us, and keep its answer; a folder that exists is a complete one."""
+    with _temporary_folder(answer.parent) as folder:
+        while True:
+            wait.announce(f"Asking {url} for the roads", timeout_s)
+            try:
+                _ask(bounds, url, folder, timeout_s)
+                break
+            except _BusyError as busy:
+                wait.sleep(f"{url} is busy (status {busy.status})", busy.pause_s)
+        folder.rename(answer)
+
+
+def _ask(bounds: Bounds, url: str, folder: Path, timeout_s: int) -> Any:  # noqa: ANN401 - networkx has no types
+    """Let osmnx fetch and build the graph of all highways, its cache in a folder of this query alone."""
+    import osmnx  # noqa: PLC0415 - takes seconds to import
+    import requests  # noqa: PLC0415
+
+    try:
+        with _settings(url, folder, timeout_s):
+            # By edge: a node within the bounds keeps its neighbours beyond them, hence its degree.
+            return osmnx.graph_from_bbox(
+                bounds, custom_filter='["highway"]', simplify=False, retain_all=True, truncate_by_edge=True
+            )
+    except requests.exceptions.Timeout as error:
+        raise NetworkError(f"{url} did not answer within {timeout_s} s. {_INSTEAD}") from error
+    except requests.exceptions.RequestException as error:
+        raise NetworkError(
+            f"{url} cannot be reached ({type(error).__name__}). Check the network connection and proxy. {_INSTEAD}"
+        ) from error
+    except ValueError as error:  # osmnx's words for: no elements, nothing within the bounds
+        west, south, east, north = bounds
+        raise MapError(
+            f"OpenStreetMap holds no highways within lon {west:.4f}..{east:.4f}, lat {south:.4f}..{north:.4f}. "
+            "Usual mistake: longitude and latitude swapped in the georeference."
+        ) from error
+
+
+@contextmanager
+def _settings(url: str, folder: Path, timeout_s: int) -> Iterator[None]:
+    """Set osmnx, which is configured by globals only, and leave everything as it was."""
+    import osmnx  # noqa: PLC0415
+
+    ours = {
+        "overpass_url": url,
+        "cache_folder": folder,
+        "use_cache": True,
+        "http_user_agent": f"InterLoc/{version('interloc')} (+interloc: road intersections from LiDAR)",
+        "http_referer": "interloc",
+        "requests_timeout": timeout_s,
+        # osmnx would sleep, and try again for ever, without a word: the hook hands every refusal to us instead.
+        "overpass_rate_limit": False,
+        "requests_kwargs": {"hooks": {"response": _inspect}},
+        "doh_url_template": None,  # no look-ups at a third party when the name does not resolve
+        "useful_tags_way": ["area", "highway", "name", "ref"],
+        "log_console": False,
+        "log_file": False,
+    }
+    before = {name: getattr(osmnx.settings, name) for name in ours}
+    resolve = socket.getaddrinfo  # osmnx replaces it and does not put it back
+    try:
+        for name, value in ours.items():
+            setattr(osmnx.settings, name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(osmnx.settings, name, value)
+        socket.getaddrinfo = resolve
+
+
+def _inspect(response: Any, *_: object, **__: object) -> None:  # noqa: ANN401 - requests.Response
+    """Look at an answer before osmnx does, and say in words what is wrong with it."""
+    status = int(response.status_code)
+    if status in {429, 503, 504}:
+        retry_after = response.headers.get("Retry-After", "")
+        raise _BusyError(status, float(retry_after) if retry_after.isdigit() else DEFAULT_PAUSE_S)
+    if status == 406:
+        raise NetworkError(
+            f"{response.url} refused us (406 Not Acceptable): the server turns away clients that it does not know by "
+            f"name, and perhaps this version of ours. {_INSTEAD}"
+        )
+    if status >= 400:
+        raise NetworkError(f"{response.url} answered {status} {response.reason}. {_INSTEAD}")
+    if status == 200:
+        try:
+            remark = response.json().get("remark", "")
+        except (ValueError, AttributeError) as error:
+            raise NetworkError(f"{response.url} did not answer with JSON, so it is no Overpass server.") from error
+        if "error" in remark:  # a query that ran out of time or memory comes back half-full with status 200
+            raise NetworkError(f"{response.url} gave up on the query ({remark.strip()}). {_INSTEAD}")
+
+
+@contextmanager
+def _lock_file(path: Path, wait: _Waiting) -> Iterator[None]:
+    """Hold a lock that other processes with the same cache respect, and that dies with the process."""
+    try:
+        import fcntl  # noqa: PLC0415
+    except ImportError:  # Windows: one request at a time within this process only
+        yield
+        return
+    with path.open("w") as file:
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                wait.sleep("Another process is asking the Overpass server", 1.0)
+        yield
+
+
+@contextmanager
+def _temporary_folder(parent: Path) -> Iterator[Path]:
+    """Yield a new folder that is gone afterwards unless it was renamed: no half-written answer is ever found."""
+    folder = Path(tempfile.mkdtemp(prefix="asking-", dir=parent))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _date_of(answer: Path) -> str | None:
+    """Return the state of the data that the server declared, the oldest of several answers."""
+    dates = [json.loads(path.read_bytes()).get("osm3s", {}).get("timestamp_osm_base") for path in answer.glob("*.json")]
+    return min((date for date in dates if date), default=None)
+
+
+def _road_graph(graph: Any, bounds: Bounds, url: str, date: str | None) -> RoadGraph:  # noqa: ANN401
+    node_id = np.array(sorted(graph.nodes), dtype=np.int64)
+    row = {node: index for index, node in enumerate(node_id.tolist())}
+    tags: dict[int, dict[str, Any]] = {}
+    pieces: set[tuple[int, int, int]] = set()
+    for start, end, data in graph.edges(data=True):  # both directions of a two-way road
+        tags[data["osmid"]] = data
+        pieces.add((data["osmid"], *sorted((row[start], row[end]))))
+    ways = sorted(tags)
+    way_row = {way: index for index, way in enumerate(ways)}
+    table = np.array([(a, b, way_row[way]) for way, a, b in sorted(pieces)], dtype=np.int64).reshape(-1, 3)
+    return RoadGraph(
+        node_id=node_id,
+        lonlat=np.array([(graph.nodes[n]["x"], graph.nodes[n]["y"]) for n in node_id.tolist()]).reshape(-1, 2),
+        edges=table[:, :2],
+        edge_way=table[:, 2],
+        ways=Ways(
+            id=np.array(ways, dtype=np.int64),
+            highway=tuple(str(tags[way].get("highway", "")) for way in ways),
+            name=tuple(str(tags[way].get("name") or tags[way].get("ref") or "") for way in ways),
+            is_area=np.array([tags[way].get("area") == "yes" for way in ways], dtype=np.bool_),
+        ),
+        source=f"Overpass ({url})",
+        date=date,
+        bounds=bounds,
+    )
