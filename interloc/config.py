@@ -170,9 +170,7 @@ DEFAULT = DetectorConfig(
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(),
-    branches=BranchConfig(
-        inner_radius_m=15.0, inner_widths=1.0, line="least_squares", stop_m=2.0, trim_m=2.0
-    ),
+    branches=BranchConfig(inner_radius_m=15.0, inner_widths=1.0, line="least_squares", stop_m=2.0, trim_m=2.0),
 )
 
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}
@@ -219,7 +217,7 @@ def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorCo
     return parse_config(values)
 
 
-def parse_config(values: Any) -> DetectorConfig:
+def parse_config(values: object) -> DetectorConfig:
     """Build a configuration from plain values (JSON).
 
     Raises

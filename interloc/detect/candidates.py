@@ -103,7 +103,7 @@ def _crossings(centerline: Centerline, resolution_m: float, config: CrossingCand
     reach = np.clip(widths * config.merge_widths, config.merge_min_m / resolution_m, config.merge_max_m / resolution_m)
     # Two junctions are one where their halves of the way between them meet.
     near = skeleton.grow_from(centerline.rows, centerline.cols, centerline.neighbours, junctions, reach / 2)
-    labels, count = skeleton.label_pieces(centerline.rows, centerline.cols, centerline.neighbours, near, junctions)
+    labels, count = skeleton.label_pieces(centerline.neighbours, near, junctions)
     label = labels[junctions]
     members = np.maximum(np.bincount(label, minlength=count), 1)
     rows = np.bincount(label, centerline.rows[junctions], minlength=count) / members

@@ -20,6 +20,7 @@ from interloc.detect.occupancy import infer_occupancy
 from interloc.detect.refinement import Junction, refine
 from interloc.detect.scan import ScanLike
 from interloc.geometry import rotate_2d, yaw_of
+from interloc.stopwatch import Stopwatch
 
 Floats = NDArray[np.float64]
 
@@ -72,6 +73,7 @@ class Detector:
     def __init__(self, config: DetectorConfig = DEFAULT) -> None:
         self.config = config
         self._selector = KeyframeSelector(config.keyframes)
+        self.stopwatch = Stopwatch()
         self._road = RoadAccumulator(config.keyframes, config.bev)
 
     def push(self, scan: ScanLike) -> KeyframeDetections | None:
@@ -81,15 +83,23 @@ class Detector:
 
     def finish(self) -> Iterator[KeyframeDetections]:
         """Return the detections of the last keyframes, whose windows the end of the drive cuts short."""
-        while (keyframe := self._road.finish()) is not None:
+        while (keyframe := self.complete()) is not None:
             yield self.detect(keyframe)
 
     def advance(self, scan: ScanLike) -> Keyframe | None:
         """Take the next scan without detecting anything; return the keyframe that it completes, if any."""
         if not self._selector.is_keyframe(scan.T_world_lidar):
             return None
-        keyframe = Keyframe(scan.frame, scan.T_world_lidar, scan.time_s)
-        return self._road.add(keyframe, scan.road_points)
+        self.stopwatch.start()
+        road_points = scan.road_points  # III-B.1
+        self.stopwatch.lap("read")
+        completed = self._road.add(Keyframe(scan.frame, scan.T_world_lidar, scan.time_s), road_points)  # III-B.2
+        self.stopwatch.lap("accumulate")
+        return completed
+
+    def complete(self) -> Keyframe | None:
+        """Complete the next keyframe although not all its successors came; None when there is none left."""
+        return self._road.finish()
 
     def detect(self, keyframe: Keyframe) -> KeyframeDetections:
         """Return the detections of the keyframe that was completed last."""
@@ -98,16 +108,22 @@ class Detector:
 
     def steps(self, keyframe: Keyframe) -> Steps:
         """Run the steps of the paper on what is accumulated around the keyframe that was completed last."""
-        config, resolution_m = self.config, self.config.bev.resolution_m
+        config, resolution_m, lap = self.config, self.config.bev.resolution_m, self.stopwatch.lap
+        self.stopwatch.start()
         bev, roi = self._road.bev(keyframe)  # III-B.3
+        lap("bev")
         occupancy = infer_occupancy(bev, resolution_m, config.occupancy)  # III-B.4
+        lap("occupancy")
         centerline = extract_centerline(occupancy, config.centerline)  # III-B.5
+        lap("centerline")
         candidates = find_candidates(centerline, resolution_m, config.candidates)  # III-B.6
+        lap("candidates")
         branches = [  # III-C.1
             segment_branches(candidates, which, centerline, resolution_m, config.branches)
             for which in range(len(candidates.positions))
         ]
         junctions = [refine(b) for b in branches if b.count >= config.branches.min_branches]  # III-C.2
+        lap("refinement")
         return Steps(roi, bev, occupancy, centerline, candidates, junctions)
 
 

@@ -7,6 +7,8 @@ pixel addressable by its flat bit index without a test for the border.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +28,7 @@ def popcount(x: np.uint64) -> int:
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
     x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
+    return int((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
 @compiled
@@ -114,4 +116,4 @@ def nearest_clear(words: Words, row: int, col: int, height: int, width: int, lim
                     best = dx * dx + dy * dy
                     break
         dy += 1
-    return np.sqrt(best)
+    return math.sqrt(best)

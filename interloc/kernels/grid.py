@@ -127,17 +127,26 @@ def threshold_window(
     """
     tile_x0 = left >> _SHIFT
     tile_y0 = (top - size + 1) >> _SHIFT
+    line = np.empty(words.shape[1] * 64, np.uint8)
+    octets = line.view(np.uint64)
+    gather = np.uint64(0x0102040810204080)  # brings the lowest bits of eight bytes together in the highest one
     for r in range(size):
         iy = top - r
         row = (iy >> _SHIFT) - tile_y0
-        line = (iy & _MASK) << _SHIFT
+        inside = (iy & _MASK) << _SHIFT
+        line[:] = 0
         for t in range(table.shape[1]):
             slot = table[row, t]
             if slot < 0:
                 continue
-            first = max(left, (tile_x0 + t) << _SHIFT)
-            last = min(left + size, (tile_x0 + t + 1) << _SHIFT)
-            for ix in range(first, last):
-                if pool[slot, line + (ix & _MASK)] >= min_points:
-                    c = ix - left
-                    words[r + 1, c >> 6] |= np.uint64(1) << np.uint64(c & 63)
+            start = (tile_x0 + t) << _SHIFT
+            first = max(left, start)
+            last = min(left + size, start + TILE)
+            counts = pool[slot, inside + first - start : inside + last - start]
+            for k in range(counts.size):
+                line[first - left + k] = counts[k] >= min_points
+        for w in range(words.shape[1]):
+            word = np.uint64(0)
+            for k in range(8):
+                word |= ((octets[8 * w + k] * gather) >> np.uint64(56)) << np.uint64(8 * k)
+            words[r + 1, w] = word

@@ -161,10 +161,8 @@ def widths_at(occupancy: Words, rows: Index, cols: Index, size: int, limit: int)
 
 
 @compiled
-def label_pieces(
-    rows: Index, cols: Index, neighbours: Index, allowed: NDArray[np.bool_], starts: Index
-) -> tuple[Index, int]:
-    """Number the connected pieces of allowed pixels that hold one of some starts.
+def label_pieces(neighbours: Index, allowed: NDArray[np.bool_], starts: Index) -> tuple[Index, int]:
+    """Label the connected pieces of allowed pixels that hold one of some starts.
 
     Returns
     -------
@@ -173,8 +171,8 @@ def label_pieces(
     count : int
         Number of pieces.
     """
-    labels = np.full(rows.size, -1, np.int32)
-    stack = np.empty(rows.size, np.int32)
+    labels = np.full(neighbours.shape[0], -1, np.int32)
+    stack = np.empty(neighbours.shape[0], np.int32)
     count = 0
     for i in range(starts.size):
         s = starts[i]
@@ -337,7 +335,7 @@ def follow_branches(
                 seen[q] = True
                 stack[end] = q
                 end += 1
-            near_border = min(min(rows[p], cols[p]), min(size - 1 - rows[p], size - 1 - cols[p])) < border
+            near_border = min(rows[p], cols[p], size - 1 - rows[p], size - 1 - cols[p]) < border
             if near_border:
                 at_border = True
             if onward <= 1 and not near_border and n_tips < tips.size:
@@ -354,7 +352,7 @@ def follow_branches(
             p = stack[j]
             if distance[p] > inner + fit_length:
                 continue
-            margin = min(min(rows[p], cols[p]), min(size - 1 - rows[p], size - 1 - cols[p]))
+            margin = min(rows[p], cols[p], size - 1 - rows[p], size - 1 - cols[p])
             usable = margin >= trim
             for t in range(n_tips):
                 dr, dc = rows[p] - rows[tips[t]], cols[p] - cols[tips[t]]

@@ -8,6 +8,8 @@ before it.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +27,7 @@ def _deletable() -> NDArray[np.uint8]:
         p2, p3, p4, p5, p6, p7, p8, p9 = ((code >> i) & 1 for i in range(8))
         ring = (p2, p3, p4, p5, p6, p7, p8, p9, p2)
         neighbours = sum(ring[:8])
-        transitions = sum(a == 0 and b == 1 for a, b in zip(ring, ring[1:], strict=False))
+        transitions = sum(a == 0 and b == 1 for a, b in pairwise(ring))
         if 2 <= neighbours <= 6 and transitions == 1:
             first = p2 * p4 * p6 == 0 and p4 * p6 * p8 == 0
             second = p2 * p4 * p8 == 0 and p2 * p6 * p8 == 0
@@ -73,7 +75,7 @@ def _neighbour_codes(words: Words, offsets: NDArray[np.int64]) -> tuple[NDArray[
                 code = 0
                 for i in range(8):
                     q = p + offsets[i]
-                    code |= np.int64((flat[q >> 6] >> np.uint64(q & 63)) & one) << i
+                    code |= int((flat[q >> 6] >> np.uint64(q & 63)) & one) << i
                 codes[p] = code
                 if n_border == border.size:
                     border = np.concatenate((border, np.empty(border.size, np.int32)))
@@ -85,8 +87,7 @@ def _neighbour_codes(words: Words, offsets: NDArray[np.int64]) -> tuple[NDArray[
 @compiled
 def thin(words: Words, deletable: NDArray[np.uint8]) -> None:
     """Thin a packed image to its centerline, in place; ``deletable`` is `DELETABLE`."""
-    n_rows, n_words = words.shape
-    stride = n_words * 64
+    stride = words.shape[1] * 64
     flat = words.reshape(-1)
     # Neighbour P(i + 2) lies at +offset[i]; seen from there, this pixel is its neighbour i + 4 (mod 8).
     offsets = np.array([-stride, -stride + 1, 1, stride + 1, stride, stride - 1, -1, -stride - 1], np.int64)

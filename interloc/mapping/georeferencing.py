@@ -3,63 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from interloc.detect.detector import KeyframeDetections
 from interloc.drives.drive import Georeference
 from interloc.errors import GeoreferenceError
 from interloc.geometry import Array, bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
 from interloc.results import DetectionTable, KeyframeTable
 
 
-@dataclass(frozen=True)
-class KeyframeDetections:
-    """What the detector found at one keyframe.
-
-    Attributes
-    ----------
-    index : int
-        Position of the scan in the drive, 0..N-1.
-    frame : int
-        Scan number.
-    time_s : float or None
-        Time of the scan, seconds.
-    T_world_lidar : (4, 4) float64
-        Pose of the LiDAR in W.
-    lidar_xy : (n, 2) float64
-        Detections in L levelled (origin at the LiDAR, x along its heading), metres (paper, eq. 12).
-    world_xy : (n, 2) float64
-        The same in W, metres.
-    branch_angles_rad : sequence of n (B,) float64
-        Directions of the branches in W, counter-clockwise from +x, leaving the intersection.
-    score : (n,) float64
-        0..1, how sure the detector is.
-    """
-
-    index: int
-    frame: int
-    time_s: float | None
-    T_world_lidar: Array
-    lidar_xy: Array
-    world_xy: Array
-    branch_angles_rad: Sequence[Array]
-    score: Array
-
-    def __len__(self) -> int:
-        return len(self.score)
-
-
 def build_tables(
-    keyframes: Sequence[KeyframeDetections], georeference: Georeference | None
+    found: Sequence[KeyframeDetections], scans: NDArray[np.int64], georeference: Georeference | None
 ) -> tuple[KeyframeTable, DetectionTable]:
     """Bring the detections of a run into columns, each placed on the ellipsoid by the fix of its own keyframe.
 
     Parameters
     ----------
-    keyframes
+    found
         In the order of the drive; keyframes without detections too, since not seeing is an observation.
+    scans : (K,) int64
+        Positions of the keyframes among the scans of the drive.
     georeference
         Geodetic poses of all scans of the drive; None leaves the run in local coordinates.
 
@@ -79,14 +44,14 @@ def build_tables(
     poses over the drive thereby never reaches the map; only their error within one window does. Directions in W turn
     into directions in ENU by the difference of the two headings of that keyframe.
     """
-    poses = np.array([k.T_world_lidar for k in keyframes], dtype=np.float64).reshape(-1, 4, 4)
+    poses = np.array([k.keyframe.T_world_lidar for k in found], dtype=np.float64).reshape(-1, 4, 4)
     world_yaw = yaw_of(poses[:, :3, :3])
-    counts = np.array([len(k) for k in keyframes], dtype=np.int64)
-    keyframe = np.repeat(np.arange(len(keyframes), dtype=np.int64), counts)
-    lidar_xy = _stack([k.lidar_xy for k in keyframes])
-    fixes = None if georeference is None else _fixes(keyframes, georeference)
+    counts = np.array([len(k.score) for k in found], dtype=np.int64)
+    keyframe = np.repeat(np.arange(len(found), dtype=np.int64), counts)
+    lidar_xy = _stack([k.lidar_xy for k in found])
+    fixes = None if georeference is None else _fixes(found, scans, georeference)
 
-    turn = np.zeros(len(keyframes))  # from W to the frame of the bearings
+    turn = np.zeros(len(found))  # from W to the frame of the bearings
     lonlat_keyframes = lonlat_detections = enu_yaw = None
     if fixes is not None:
         lat, lon, enu_yaw = fixes
@@ -94,13 +59,11 @@ def build_tables(
         lonlat_keyframes = np.stack([lon, lat], axis=-1)
         enu_xy = rotate_2d(lidar_xy, enu_yaw[keyframe])
         lonlat_detections = lonlat_from_enu(lat[keyframe], lon[keyframe], enu_xy)
-    angles = [
-        np.asarray(a, dtype=np.float64) + turn[row] for row, k in enumerate(keyframes) for a in k.branch_angles_rad
-    ]
+    angles = [np.asarray(a, dtype=np.float64) + turn[row] for row, k in enumerate(found) for a in k.branch_angles_rad]
 
     keyframe_table = KeyframeTable(
-        frame=np.array([k.frame for k in keyframes], dtype=np.int64),
-        time_s=np.array([np.nan if k.time_s is None else k.time_s for k in keyframes], dtype=np.float64),
+        frame=np.array([k.keyframe.frame for k in found], dtype=np.int64),
+        time_s=np.array([np.nan if k.keyframe.time_s is None else k.keyframe.time_s for k in found], dtype=np.float64),
         world_xy=poses[:, :2, 3].copy(),
         world_yaw_rad=world_yaw,
         lonlat=lonlat_keyframes,
@@ -109,10 +72,10 @@ def build_tables(
     detection_table = DetectionTable(
         keyframe=keyframe,
         lidar_xy=lidar_xy,
-        world_xy=_stack([k.world_xy for k in keyframes]),
+        world_xy=_stack([k.world_xy for k in found]),
         lonlat=lonlat_detections,
         bearings_deg=[bearing_deg(a) for a in angles],
-        score=np.concatenate([np.zeros(0), *(k.score for k in keyframes)]),
+        score=np.concatenate([np.zeros(0), *(k.score for k in found)]),
         intersection=np.full(len(keyframe), -1, dtype=np.int64),
     )
     return keyframe_table, detection_table
@@ -126,16 +89,19 @@ def trajectory(T_world_lidar: Array, georeference: Georeference | None) -> tuple
     return world_xy, np.stack([georeference.lon_deg, georeference.lat_deg], axis=-1)
 
 
-def _fixes(keyframes: Sequence[KeyframeDetections], georeference: Georeference) -> tuple[Array, Array, Array]:
+def _fixes(
+    found: Sequence[KeyframeDetections], scans: NDArray[np.int64], georeference: Georeference
+) -> tuple[Array, Array, Array]:
     """Return latitude and longitude in degrees and heading from east of each keyframe, (K,) each."""
-    rows: NDArray[np.int64] = np.array([k.index for k in keyframes], dtype=np.int64)
-    if rows.size and rows.max() >= len(georeference.lat_deg):
-        missing = keyframes[int(np.argmax(rows >= len(georeference.lat_deg)))]
+    fixes = len(georeference.lat_deg)
+    if scans.size and scans.max() >= fixes:
+        missing = int(np.argmax(scans >= fixes))
         raise GeoreferenceError(
-            f"{georeference.source}: {len(georeference.lat_deg)} fixes, but scan {missing.frame} is number "
-            f"{missing.index + 1} of the drive. Every scan needs a fix. Usual cause: the georeference of another drive."
+            f"{georeference.source}: {fixes} fixes, but scan {found[missing].keyframe.frame} is number "
+            f"{scans[missing] + 1} of the drive. Every scan needs a fix. "
+            "Usual cause: the georeference of another drive."
         )
-    return georeference.lat_deg[rows], georeference.lon_deg[rows], yaw_of(georeference.R_enu_lidar[rows])
+    return georeference.lat_deg[scans], georeference.lon_deg[scans], yaw_of(georeference.R_enu_lidar[scans])
 
 
 def _stack(columns: Sequence[Array]) -> Array:

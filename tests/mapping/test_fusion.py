@@ -15,12 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+from interloc.detect.detector import KeyframeDetections
+from interloc.detect.keyframes import Keyframe
 from interloc.drives.drive import Georeference
 from interloc.geometry import Array, enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import fuse_bearings, position_std, robust_centres
 from interloc.mapping.fusion import FusionConfig, fuse
-from interloc.mapping.georeferencing import KeyframeDetections, build_tables
+from interloc.mapping.georeferencing import build_tables
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
 
 ORIGIN = (49.011, 8.42)  # latitude, longitude
@@ -87,10 +89,7 @@ class Stream:
                 angles = [np.radians(90.0 - np.array(self.branches_deg)) + rng.normal(0, 0.08) for _ in seen]
                 rows.append(
                     KeyframeDetections(
-                        index=len(rows),
-                        frame=3 * len(rows),
-                        time_s=0.1 * len(rows),
-                        T_world_lidar=pose,
+                        Keyframe(3 * len(rows), pose, 0.1 * len(rows)),
                         lidar_xy=lidar,
                         world_xy=seen + drift,
                         branch_angles_rad=angles,
@@ -99,12 +98,12 @@ class Stream:
                 )
                 fixes.append((place + offset, yaw))
         if not georeferenced:
-            return build_tables(rows, None)
+            return build_tables(rows, np.arange(len(rows)), None)
         places = lonlat_from_enu(*ORIGIN, np.array([p for p, _ in fixes]))
         yaws = np.array([y for _, y in fixes])
         rotations = rotation_from_rpy(np.zeros(len(yaws)), np.zeros(len(yaws)), yaws)
         fix = Georeference(places[:, 1], places[:, 0], np.zeros(len(yaws)), rotations, "simulated")
-        return build_tables(rows, fix)
+        return build_tables(rows, np.arange(len(rows)), fix)
 
     def _look(self, rng: np.random.Generator, place: Array, wander: Array) -> Array:
         seen = []
@@ -395,7 +394,7 @@ def test_the_uncertainty_is_honest() -> None:
 
 def test_nothing_gives_nothing() -> None:
     for keyframes, detections in (
-        build_tables([], None),
+        build_tables([], np.arange(0), None),
         Stream(np.zeros((0, 2))).drive(straight((0, 0), (20, 0))).tables(),
     ):
         intersections, assignment = fuse(keyframes, detections)

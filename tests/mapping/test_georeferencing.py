@@ -9,10 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from interloc.detect.detector import KeyframeDetections
+from interloc.detect.keyframes import Keyframe
 from interloc.drives.drive import Georeference
 from interloc.errors import GeoreferenceError
 from interloc.geometry import Array, lonlat_from_enu, rotate_2d, rotation_from_rpy
-from interloc.mapping.georeferencing import KeyframeDetections, build_tables, trajectory
+from interloc.mapping.georeferencing import build_tables, trajectory
+from interloc.results import DetectionTable, KeyframeTable
 
 KARLSRUHE = (49.011, 8.42)
 
@@ -30,15 +33,19 @@ def keyframe(
     lidar = np.array(lidar_xy, dtype=float).reshape(-1, 2)
     yaw = math.atan2(T_world_lidar[1, 0], T_world_lidar[0, 0])
     return KeyframeDetections(
-        index=index,
-        frame=100 + index,
-        time_s=0.1 * index,
-        T_world_lidar=T_world_lidar,
+        Keyframe(100 + index, T_world_lidar, 0.1 * index),
         lidar_xy=lidar,
         world_xy=rotate_2d(lidar, yaw) + T_world_lidar[:2, 3],
         branch_angles_rad=[np.array(a) for a in angles],
         score=np.full(len(lidar), 0.5),
     )
+
+
+def tables_of(
+    found: list[KeyframeDetections], georeference: Georeference | None
+) -> tuple[KeyframeTable, DetectionTable]:
+    scans = np.array([k.keyframe.frame - 100 for k in found], dtype=np.int64)
+    return build_tables(found, scans, georeference)
 
 
 def fixes(yaws: list[float], lonlat: Array | None = None, tilt: float = 0.0) -> Georeference:
@@ -50,7 +57,7 @@ def fixes(yaws: list[float], lonlat: Array | None = None, tilt: float = 0.0) -> 
 
 def test_ten_metres_ahead_of_a_car_that_looks_north() -> None:
     """The heading in W is another one: only the fix decides."""
-    tables = build_tables([keyframe(0, pose(5, 5, 0.3), [[10, 0]], [[0.3, 0.3 + math.pi / 2]])], fixes([math.pi / 2]))
+    tables = tables_of([keyframe(0, pose(5, 5, 0.3), [[10, 0]], [[0.3, 0.3 + math.pi / 2]])], fixes([math.pi / 2]))
     keyframes, detections = tables
     assert detections.lonlat is not None
     azimuth, _, distance = pyproj.Geod(ellps="WGS84").inv(KARLSRUHE[1], KARLSRUHE[0], *detections.lonlat[0])
@@ -63,15 +70,15 @@ def test_ten_metres_ahead_of_a_car_that_looks_north() -> None:
 
 
 def test_the_tilt_of_the_car_does_not_move_a_levelled_detection() -> None:
-    level = build_tables([keyframe(0, pose(0, 0, 0), [[40, 20]], [[]])], fixes([1.0]))[1].lonlat
-    tilted = build_tables([keyframe(0, pose(0, 0, 0), [[40, 20]], [[]])], fixes([1.0], tilt=0.05))[1].lonlat
+    level = tables_of([keyframe(0, pose(0, 0, 0), [[40, 20]], [[]])], fixes([1.0]))[1].lonlat
+    tilted = tables_of([keyframe(0, pose(0, 0, 0), [[40, 20]], [[]])], fixes([1.0], tilt=0.05))[1].lonlat
     assert level is not None
     assert tilted is not None
     assert_allclose(tilted, level, atol=1e-12)
 
 
 def test_without_georeference_all_stays_in_the_world() -> None:
-    keyframes, detections = build_tables([keyframe(0, pose(1, 2, 0), [[10, 0]], [[0.0, math.pi / 2]])], None)
+    keyframes, detections = tables_of([keyframe(0, pose(1, 2, 0), [[10, 0]], [[0.0, math.pi / 2]])], None)
     assert keyframes.lonlat is keyframes.enu_yaw_rad is detections.lonlat is None
     assert_allclose(detections.world_xy, [[11, 2]])
     assert_allclose(detections.bearings_deg[0], [90, 0])  # clockwise from +y of W
@@ -83,7 +90,7 @@ def test_rows_of_keyframes_with_none_one_and_two_detections() -> None:
         keyframe(4, pose(2, 0, 0), [[5, 0], [6, 0]], [[0.0], [0.0, 1.0, 2.0]]),
         keyframe(7, pose(4, 0, 0), [[3, 0]], [[]]),
     ]
-    keyframes, detections = build_tables(rows, fixes([0.0] * 8))
+    keyframes, detections = tables_of(rows, fixes([0.0] * 8))
     assert keyframes.frame.tolist() == [100, 104, 107]
     assert detections.keyframe.tolist() == [1, 1, 2]
     assert [len(b) for b in detections.bearings_deg] == [1, 3, 0]
@@ -92,7 +99,7 @@ def test_rows_of_keyframes_with_none_one_and_two_detections() -> None:
 
 
 def test_a_run_without_keyframes_has_empty_columns() -> None:
-    keyframes, detections = build_tables([], fixes([0.0]))
+    keyframes, detections = tables_of([], fixes([0.0]))
     assert keyframes.world_xy.shape == detections.world_xy.shape == (0, 2)
     assert detections.lonlat is not None
     assert detections.lonlat.shape == (0, 2)
@@ -100,7 +107,7 @@ def test_a_run_without_keyframes_has_empty_columns() -> None:
 
 def test_a_georeference_of_another_drive_is_named() -> None:
     with pytest.raises(GeoreferenceError, match=r"a test: 2 fixes, but scan 102 is number 3 of the drive"):
-        build_tables([keyframe(2, pose(0, 0, 0), [], [])], fixes([0.0, 0.0]))
+        tables_of([keyframe(2, pose(0, 0, 0), [], [])], fixes([0.0, 0.0]))
 
 
 @given(st.floats(-3, 3), st.floats(-500, 500), st.floats(-3, 3), st.floats(-1, 1))
@@ -116,7 +123,7 @@ def test_drift_of_the_poses_never_reaches_the_map(yaw: float, drift_m: float, st
         world_yaw = math.atan2(world[index][1, 0], world[index][0, 0])
         rows.append(keyframe(index, world[index], [seen.tolist()], [[0.4 - enu_yaws[index] + world_yaw]]))
     lonlat = lonlat_from_enu(KARLSRUHE[0], KARLSRUHE[1], places)
-    _, detections = build_tables(rows, fixes(enu_yaws, lonlat))
+    _, detections = tables_of(rows, fixes(enu_yaws, lonlat))
     assert detections.lonlat is not None
     _, _, error = pyproj.Geod(ellps="WGS84").inv(*detections.lonlat[0], *detections.lonlat[1])
     assert error < 1e-3  # what meridians turn within 60 m

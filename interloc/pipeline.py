@@ -1,0 +1,237 @@
+"""A whole drive through the detector, on one process or several, to the tables of a result."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from itertools import pairwise
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.config import DEFAULT, DetectorConfig
+from interloc.detect.detector import Detector, KeyframeDetections
+from interloc.detect.keyframes import select_keyframes
+from interloc.drives.drive import Drive, scans_of
+from interloc.errors import DriveError, InterLocError
+from interloc.mapping.fusion import FusionConfig, fuse
+from interloc.mapping.georeferencing import build_tables, trajectory
+from interloc.results import DriveResult
+from interloc.stopwatch import Stopwatch
+
+Progress = Callable[[int, int], None]
+"""Called with the keyframes done and the keyframes in all."""
+
+_LEAST_RANGE = 100  # keyframes: a shorter range would mostly read its halo
+
+
+@dataclass(frozen=True)
+class RangeResult:
+    """What one process found in its range of keyframes.
+
+    Attributes
+    ----------
+    start : int
+        Number of the first keyframe of the range.
+    detections : list of KeyframeDetections
+        One for each keyframe of the range.
+    seconds : dict of str to float
+        Time spent in each step.
+    peak_memory_bytes : int
+        Of the process so far.
+    """
+
+    start: int
+    detections: list[KeyframeDetections]
+    seconds: dict[str, float]
+    peak_memory_bytes: int
+
+
+def detect_range(
+    drive: Drive,
+    keyframes: NDArray[np.int64],
+    start: int,
+    stop: int,
+    config: DetectorConfig,
+    progress: Callable[[], None] | None = None,
+) -> RangeResult:
+    """Find the intersections around the keyframes of a range: a pure function, the unit of parallel work.
+
+    Parameters
+    ----------
+    drive
+    keyframes : (K,) int64
+        Positions of all keyframes in the drive.
+    start, stop : int
+        The range. The keyframes before and behind it that reach into its windows (its halo) are read too, so the
+        result is exactly that of a run over the whole drive.
+    config
+    progress
+        Called after each keyframe of the range.
+    """
+    detector = Detector(config)
+    first = max(0, start - config.keyframes.window)
+    last = min(len(keyframes), stop + config.keyframes.after)
+    found: list[KeyframeDetections] = []
+    number = first  # of the next keyframe to complete
+
+    def take(detections: KeyframeDetections) -> None:
+        found.append(detections)
+        if progress is not None:
+            progress()
+
+    for scan in scans_of(drive, keyframes[first:last]):
+        completed = detector.advance(scan)
+        if completed is not None:
+            if start <= number < stop:
+                take(detector.detect(completed))
+            number += 1
+    while number < stop:
+        completed = detector.complete()
+        assert completed is not None
+        if number >= start:
+            take(detector.detect(completed))
+        number += 1
+    return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes())
+
+
+def detect(
+    drive: Drive,
+    config: DetectorConfig = DEFAULT,
+    *,
+    fusion: FusionConfig | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> DriveResult:
+    """Find the intersections along a drive and fuse them into a map.
+
+    Parameters
+    ----------
+    drive
+    config
+        Settings of the method; see `interloc.config.preset`.
+    fusion
+        Settings of the fusion of detections into intersections.
+    workers : int
+        Processes. The result does not depend on it.
+    progress
+        Called with the keyframes done and the keyframes in all.
+
+    Returns
+    -------
+    DriveResult
+
+    Raises
+    ------
+    DriveError
+        The drive has no scans, or a scan is damaged.
+    """
+    began = time.perf_counter()
+    stopwatch = Stopwatch()
+    keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
+    if not len(keyframes):
+        raise DriveError(f"{drive.name}: the drive holds no scans")
+    ranges = split(len(keyframes), workers)
+    if len(ranges) == 1:
+        results = [_detect_here(drive, keyframes, config, progress)]
+    else:
+        results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress)
+    for part in results:
+        stopwatch.add(part.seconds)
+
+    stopwatch.start()
+    found = [detections for part in results for detections in part.detections]
+    keyframe_table, detection_table = build_tables(found, keyframes, drive.georeference)
+    stopwatch.lap("georeference")
+    fusion = fusion or FusionConfig()
+    intersections, intersection = fuse(keyframe_table, detection_table, fusion)
+    detection_table = replace(detection_table, intersection=intersection)
+    stopwatch.lap("fusion")
+    world_xy, lonlat = trajectory(drive.T_world_lidar, drive.georeference)
+    run = {
+        "drive": drive.name,
+        "config": config.model_dump(mode="json"),
+        "fusion": fusion.model_dump(mode="json"),
+        "versions": versions(),
+        "scans": len(drive.frames),
+        "keyframes": len(keyframes),
+        "georeference": None if drive.georeference is None else drive.georeference.source,
+        "workers": min(workers, len(ranges)),
+        "seconds": time.perf_counter() - began,
+        "stage_seconds": stopwatch.seconds,  # summed over the processes
+        "peak_memory_bytes": max([part.peak_memory_bytes for part in results] + [peak_memory_bytes()]),
+    }
+    return DriveResult(drive.name, keyframe_table, detection_table, intersections, world_xy, lonlat, run)
+
+
+def split(count: int, workers: int) -> list[tuple[int, int]]:
+    """Cut the keyframes 0..count into ranges: several a process, so that they end together, but none too short."""
+    parts = 1 if workers <= 1 else max(1, min(4 * workers, count // _LEAST_RANGE))
+    edges = [round(i * count / parts) for i in range(parts + 1)]
+    return list(pairwise(edges))
+
+
+def _detect_here(
+    drive: Drive, keyframes: NDArray[np.int64], config: DetectorConfig, progress: Progress | None
+) -> RangeResult:
+    done = 0
+
+    def count() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, len(keyframes))
+
+    return detect_range(drive, keyframes, 0, len(keyframes), config, count)
+
+
+def _detect_in_processes(
+    drive: Drive,
+    keyframes: NDArray[np.int64],
+    ranges: list[tuple[int, int]],
+    config: DetectorConfig,
+    workers: int,
+    progress: Progress | None,
+) -> list[RangeResult]:
+    done = 0
+    results = []
+    pool = ProcessPoolExecutor(min(workers, len(ranges)), mp_context=get_context("spawn"))
+    try:
+        futures = [pool.submit(detect_range, drive, keyframes, start, stop, config) for start, stop in ranges]
+        for future in as_completed(futures):
+            part = future.result()
+            results.append(part)
+            done += len(part.detections)
+            if progress is not None:
+                progress(done, len(keyframes))
+    except BrokenProcessPool:
+        raise InterLocError(
+            "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers"
+        ) from None
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return sorted(results, key=lambda part: part.start)
+
+
+def peak_memory_bytes() -> int:
+    """Return the largest resident memory of this process so far; 0 where the system does not tell."""
+    try:
+        import resource  # noqa: PLC0415 - not on Windows
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def versions() -> dict[str, Any]:
+    """Return the versions that a result depends on."""
+    packages = {name: version(name) for name in ("interloc", "numpy", "numba", "scipy")}
+    return {**packages, "python": platform.python_version()}
