@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interloc.drives.calibration import find_camera_calibration, find_camera_to_pose
-from interloc.drives.faults import DriveFileError
+from interloc.drives.faults import DriveFileError, Findings
 from interloc.drives.files import shown
 from interloc.drives.options import PoseFrame
 from interloc.drives.parts import DriveParts
@@ -173,8 +173,8 @@ def guess_frame(poses: Array) -> tuple[Frame | None, str]:
 
 
 def to_lidar(
-    poses: Array, parts: DriveParts, pose_file: str, declared: PoseFrame
-) -> tuple[Array, Frame, str, str | None]:
+    poses: Array, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
+) -> tuple[Array, Frame, str]:
     """Turn the poses of a file into those of the LiDAR.
 
     Parameters
@@ -186,6 +186,8 @@ def to_lidar(
     pose_file : str
         Its name in messages.
     declared : {"auto", "camera", "lidar"}
+    findings : Findings
+        Gets the doubts about the guess.
 
     Returns
     -------
@@ -195,17 +197,15 @@ def to_lidar(
         Whose poses the file holds.
     str
         Why that is thought.
-    str or None
-        A warning about the guess.
 
     Raises
     ------
     DriveError
-        The declared frame contradicts the motion, or the calibration that is needed is missing or does not fit.
+        The poses are inverted, the declared frame contradicts the motion, or the calibration that is needed is missing
+        or does not fit.
     """
-    _refuse_inverted(poses, pose_file)
+    _look_for_inverted(poses, pose_file, findings)
     guess, why = guess_frame(poses)
-    warning = None
     frame: Frame
     if declared != "auto":
         if guess is not None and guess != declared:
@@ -216,28 +216,34 @@ def to_lidar(
         frame = "camera" if has_calibration else "lidar"
         calibration = "there is a camera calibration" if has_calibration else "there is no camera calibration"
         why = f"{why}; {calibration}, so they are taken for {frame} poses"
-        warning = f"{why}. Name the pose frame (camera or lidar) if that is wrong."
+        findings.note(pose_file, f"{why}. Name the pose frame (camera or lidar) if that is wrong.")
     else:
         frame = guess
-    if frame == "lidar" and declared == "auto" and parts.layout == "kitti360" and _points_down(poses):
-        return _from_imu(poses, parts, pose_file), "imu", f"{why}, but its z axis points down, as KITTI-360's IMU", None
-    if frame == "lidar":
-        return poses, frame, why, warning
-    return _from_camera(poses, parts, pose_file, why), frame, why, warning
+    if frame == "camera":
+        return _from_camera(poses, parts, pose_file, why), frame, why
+    if declared == "auto" and parts.layout == "kitti360" and _points_down(poses):
+        return _from_imu(poses, parts, pose_file), "imu", f"{why}, but its z axis points down, as KITTI-360's IMU"
+    return poses, frame, why
 
 
-def _refuse_inverted(poses: Array, pose_file: str) -> None:
-    """Refuse poses of the world in the vehicle: such a vehicle moves in ever other directions, its inverse does not."""
+def _look_for_inverted(poses: Array, pose_file: str, findings: Findings) -> None:
+    """Refuse poses of the world in the vehicle: they move in ever other directions, and their inverses do not."""
     motion = body_motion(poses)
-    if motion is None or motion.distance_m < _ENOUGH_M or motion.steadiness > _STEADY:
+    if motion is None or motion.distance_m < _ENOUGH_M:
         return
     inverse = body_motion(invert_transform(poses))
-    if inverse is not None and inverse.steadiness > max(0.9, motion.steadiness + 0.1):
+    if inverse is not None and motion.steadiness < _STEADY and inverse.steadiness > max(0.9, motion.steadiness + 0.1):
         raise DriveFileError(
             pose_file,
             "holds inverted poses: read as they are, the vehicle slides sideways through its turns; inverted, it "
             "drives straight ahead. Expected the pose of the sensor in the world (p_world = T p_sensor). "
             "Usual cause: transforms from the world to the sensor; invert each.",
+        )
+    if motion.forward < -_STEADY:
+        findings.warning(
+            pose_file,
+            f"the vehicle drives backwards: along -{motion.axis} of its own frame. "
+            "Usual cause: inverted poses, or a sensor that is mounted backwards.",
         )
 
 

@@ -233,9 +233,7 @@ def _read_poses(found: Survey, options: DriveOptions, findings: Findings) -> Non
         )
     elif frames[0] > 0 and lines.frames is None:
         findings.note(name, f"the scans start at {frames[0]}, and there is one pose a scan: taken one to one.")
-    lidar, found.pose_frame, found.pose_frame_reason, warning = to_lidar(lines.poses, parts, name, options.pose_frame)
-    if warning:
-        findings.note(name, warning)
+    lidar, found.pose_frame, found.pose_frame_reason = to_lidar(lines.poses, parts, name, options.pose_frame, findings)
     found.T_world_lidar = _from_first(lidar[rows])
 
 

@@ -1,0 +1,118 @@
+"""Text files and numbered files that are not what they should be."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.drives.files import list_numbered, listed, read_text
+from interloc.errors import DriveError
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [(b"", "empty"), (b" \n", "empty"), (b"\xff\xfe\x00", "not a text file"), (b"1 0\0", "zero bytes")],
+)
+def test_text_that_is_none(tmp_path: Path, data: bytes, words: str) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_bytes(data)
+    with pytest.raises(DriveError, match=words):
+        read_text(path, tmp_path)
+
+
+def test_folder_instead_of_a_file(tmp_path: Path) -> None:
+    with pytest.raises(DriveError, match="is a folder"):
+        read_text(tmp_path, tmp_path)
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(DriveError, match=r"times\.txt: cannot be read: no such file"):
+        read_text(tmp_path / "times.txt", tmp_path)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_permission_denied(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text("1")
+    path.chmod(0)
+    with pytest.raises(DriveError, match="permission denied"):
+        read_text(path, tmp_path)
+
+
+def test_packed_text(tmp_path: Path) -> None:
+    path = tmp_path / "07.txt.gz"
+    path.write_bytes(gzip.compress(b"1 2 3"))
+    assert read_text(path, tmp_path) == "1 2 3"
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[:-6], lambda data: b"1 2 3", lambda data: data[:12] + b"\xff" * 20]
+)
+def test_damaged_gzip(tmp_path: Path, damage) -> None:
+    path = tmp_path / "07.txt.gz"
+    path.write_bytes(damage(gzip.compress(b"1 2 3 4 5 6" * 30)))
+    with pytest.raises(DriveError, match="gzip"):
+        read_text(path, tmp_path)
+
+
+def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("interloc.drives.files.MAX_TEXT_BYTES", 1000)
+    path = tmp_path / "07.txt.gz"
+    path.write_bytes(gzip.compress(b"0" * 100_000))
+    with pytest.raises(DriveError, match="larger than"):
+        read_text(path, tmp_path)
+
+
+def test_numbered_files_are_sorted_by_number(tmp_path: Path) -> None:
+    for name in ("000010.bin", "000002.bin", "notes.txt", ".hidden.bin"):
+        (tmp_path / name).write_bytes(b"1234")
+    files = list_numbered(tmp_path, ".bin", tmp_path)
+    assert files.numbers.tolist() == [2, 10]
+    assert files.sizes.tolist() == [4, 4]
+    assert files.path(2) == tmp_path / "000002.bin"
+
+
+def test_names_without_zeros_in_front(tmp_path: Path) -> None:
+    for name in ("9.bin", "10.bin"):
+        (tmp_path / name).touch()
+    files = list_numbered(tmp_path, ".bin", tmp_path)
+    assert [files.name(int(number)) for number in files.numbers] == ["9.bin", "10.bin"]
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ([], r"holds no \.bin file"),
+        (["scan.bin"], "not named by its scan number"),
+        (["000001.bin", "0000000002.bin"], "numbered otherwise"),
+        (["000001.bin", "1.bin"], "numbered otherwise"),
+        (["²³.bin"], "not named by its scan number"),
+        (["9" * 30 + ".bin"], "not named by its scan number"),
+    ],
+)
+def test_odd_names(tmp_path: Path, names: list[str], words: str) -> None:
+    for name in names:
+        (tmp_path / name).touch()
+    with pytest.raises(DriveError, match=words):
+        list_numbered(tmp_path, ".bin", tmp_path)
+
+
+def test_folder_among_the_scans(tmp_path: Path) -> None:
+    (tmp_path / "000000.bin").mkdir()
+    with pytest.raises(DriveError, match="is a folder"):
+        list_numbered(tmp_path, ".bin", tmp_path)
+
+
+def test_dangling_link_among_the_scans(tmp_path: Path) -> None:
+    (tmp_path / "000000.bin").symlink_to(tmp_path / "gone.bin")
+    with pytest.raises(DriveError, match="cannot be read"):
+        list_numbered(tmp_path, ".bin", tmp_path)
+
+
+def test_many_numbers_are_shortened() -> None:
+    assert listed(np.arange(7)) == "0, 1, 2, 3, 4 and 2 more"
+    assert listed(np.arange(2)) == "0, 1"

@@ -1,0 +1,73 @@
+"""Selection of points by label, against its plain twin."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from interloc.kernels.points import select_points
+
+
+def groups(first: set[int], second: set[int]) -> NDArray[np.uint8]:
+    table = np.zeros(65536, np.uint8)
+    table[sorted(second)] = 2
+    table[sorted(first)] = 1
+    return table
+
+
+def plain_select(
+    points: NDArray[np.float32], labels: NDArray[np.uint32], group_of: NDArray[np.uint8]
+) -> tuple[NDArray[np.float32], int]:
+    group = group_of[labels & 0xFFFF]
+    first, second = points[group == 1, :3], points[group == 2, :3]
+    return np.concatenate([first, second]), len(first)
+
+
+def test_road_comes_first_each_group_in_the_order_of_the_scan() -> None:
+    points = np.arange(20, dtype=np.float32).reshape(5, 4)
+    labels = np.array([48, 40, 70, 40, 48], np.uint32)
+    xyz, road, bad = select_points(points, labels, groups({40}, {48}))
+    assert xyz.tolist() == [[4, 5, 6], [12, 13, 14], [0, 1, 2], [16, 17, 18]]
+    assert (road, bad) == (2, -1)
+
+
+def test_instance_in_the_upper_half_is_ignored() -> None:
+    points = np.ones((2, 4), np.float32)
+    labels = np.array([40 | 3 << 16, 10 | 40 << 16], np.uint32)
+    xyz, road, _ = select_points(points, labels, groups({40}, set()))
+    assert (len(xyz), road) == (1, 1)
+
+
+def test_first_bad_point_among_the_kept_is_reported() -> None:
+    points = np.ones((4, 4), np.float32)
+    points[0, 0] = np.nan  # not kept
+    points[2, 1] = np.inf
+    points[3, 2] = np.nan
+    labels = np.array([70, 40, 48, 40], np.uint32)
+    assert select_points(points, labels, groups({40}, {48}))[2] == 2
+
+
+def test_remission_may_be_anything() -> None:
+    points = np.ones((1, 4), np.float32)
+    points[0, 3] = np.nan
+    assert select_points(points, np.array([40], np.uint32), groups({40}, set()))[2] == -1
+
+
+def test_nothing_wanted_gives_nothing() -> None:
+    xyz, road, bad = select_points(np.ones((3, 4), np.float32), np.zeros(3, np.uint32), groups({40}, {48}))
+    assert (xyz.shape, road, bad) == ((0, 3), 0, -1)
+
+
+@given(
+    st.lists(st.integers(0, 2**32 - 1) | st.sampled_from([40, 48, 60, 65535]), max_size=50), st.integers(0, 2**32 - 1)
+)
+def test_equals_the_plain_twin(ids: list[int], seed: int) -> None:
+    labels = np.array(ids, np.uint32)
+    points = np.random.default_rng(seed).normal(size=(len(ids), 4)).astype(np.float32)
+    table = groups({40, 60, 65535}, {48})
+    xyz, road, bad = select_points(points, labels, table)
+    expected, expected_road = plain_select(points, labels, table)
+    np.testing.assert_array_equal(xyz, expected)
+    assert (road, bad) == (expected_road, -1)
