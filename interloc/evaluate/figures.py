@@ -57,7 +57,8 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     axes = figure.add_subplot()
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel="east [m]", ylabel="north [m]")
-    axes.set_title(f"{evaluation.drive}: detections and OpenStreetMap", loc="left", fontsize=12, color=INK)
+    # Without the name of the drive: it may hold what fonts lack, or dollars, which are formulas to matplotlib.
+    axes.set_title("Detections and OpenStreetMap", loc="left", fontsize=12, color=INK)
     axes.tick_params(labelsize=9, color=MUTED)
     axes.spines[:].set_color(FAINT)
 
