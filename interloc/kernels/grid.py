@@ -129,6 +129,7 @@ def threshold_window(
     tile_y0 = (top - size + 1) >> _SHIFT
     line = np.empty(words.shape[1] * 64, np.uint8)
     octets = line.view(np.uint64)
+    least = np.int32(min_points)
     gather = np.uint64(0x0102040810204080)  # brings the lowest bits of eight bytes together in the highest one
     for r in range(size):
         iy = top - r
@@ -137,14 +138,15 @@ def threshold_window(
         line[:] = 0
         for t in range(table.shape[1]):
             slot = table[row, t]
-            if slot < 0:
-                continue
             start = (tile_x0 + t) << _SHIFT
             first = max(left, start)
             last = min(left + size, start + TILE)
+            if slot < 0 or first >= last:
+                continue
             counts = pool[slot, inside + first - start : inside + last - start]
-            for k in range(counts.size):
-                line[first - left + k] = counts[k] >= min_points
+            target = line[first - left : last - left]
+            for k in range(target.size):
+                target[k] = counts[k] >= least
         for w in range(words.shape[1]):
             word = np.uint64(0)
             for k in range(8):
