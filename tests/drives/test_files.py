@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +50,8 @@ def test_packed_text(tmp_path: Path) -> None:
     assert read_text(path, tmp_path) == "1 2 3"
 
 
-@pytest.mark.parametrize(
-    "damage", [lambda data: data[:-6], lambda data: b"1 2 3", lambda data: data[:12] + b"\xff" * 20]
-)
-def test_damaged_gzip(tmp_path: Path, damage) -> None:
+@pytest.mark.parametrize("damage", [lambda data: data[:-6], lambda _: b"1 2 3", lambda data: data[:12] + b"\xff" * 20])
+def test_damaged_gzip(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     path = tmp_path / "07.txt.gz"
     path.write_bytes(damage(gzip.compress(b"1 2 3 4 5 6" * 30)))
     with pytest.raises(DriveError, match="gzip"):

@@ -8,11 +8,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from interloc.drives.poses import read_poses
+from interloc.drives.poses import PoseLines, read_poses
 from interloc.errors import DriveError
 
 
-def read(tmp_path: Path, text: str):
+def read(tmp_path: Path, text: str) -> PoseLines:
     (tmp_path / "poses.txt").write_text(text)
     return read_poses(tmp_path / "poses.txt", tmp_path)
 

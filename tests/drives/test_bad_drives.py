@@ -1,0 +1,215 @@
+"""Drives that must be refused, each with words that name the file and the usual mistake."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from interloc.drives import open_drive
+from interloc.drives.faults import Findings
+from interloc.drives.plausibility import check_flat_road, check_georeference
+from interloc.errors import DriveError, GeoreferenceError
+from interloc.geometry import invert_transform
+
+
+def refusal(path: Path, **options: object) -> str:
+    with pytest.raises(DriveError) as caught:
+        open_drive(path, **options)
+    return str(caught.value)
+
+
+def rewrite_labels(sequence: Path, ids: dict[int, int]) -> None:
+    for path in (sequence / "labels").iterdir():
+        labels = np.fromfile(path, np.uint32) & 0xFFFF
+        np.array([ids.get(int(label), int(label)) for label in labels], np.uint32).tofile(path)
+
+
+def test_truncated_scan(sequence: Path) -> None:
+    path = sequence / "velodyne" / "000004.bin"
+    path.write_bytes(path.read_bytes()[:-7])
+    assert refusal(sequence).startswith("velodyne/000004.bin: 27,593 bytes, which is no multiple of 16.")
+
+
+def test_scan_truncated_between_points(sequence: Path) -> None:
+    path = sequence / "velodyne" / "000004.bin"
+    path.write_bytes(path.read_bytes()[:-160])
+    assert "1,725 labels for 1,715 points in velodyne/000004.bin" in refusal(sequence)
+
+
+def test_labels_of_another_scan(sequence: Path) -> None:
+    path = sequence / "labels" / "000004.label"
+    path.write_bytes(path.read_bytes() + b"\0" * 40)
+    text = refusal(sequence)
+    assert text.startswith("labels/000004.label: 1,735 labels for 1,725 points in velodyne/000004.bin.")
+    assert "labels of another sequence" in text
+
+
+def test_label_file_of_odd_size(sequence: Path) -> None:
+    path = sequence / "labels" / "000004.label"
+    path.write_bytes(path.read_bytes()[:-1])
+    assert "no multiple of 4" in refusal(sequence)
+
+
+def test_points_that_are_not_numbers(sequence: Path) -> None:
+    path = sequence / "velodyne" / "000000.bin"
+    points = np.fromfile(path, np.float32).reshape(-1, 4)
+    points[505, 2] = np.nan
+    points.tofile(path)
+    assert refusal(sequence).startswith("velodyne/000000.bin: point 505 of 1,725 is not finite")
+
+
+def test_pose_line_with_eleven_numbers(sequence: Path) -> None:
+    path = sequence / "poses.txt"
+    lines = path.read_text().splitlines()
+    lines[7] = lines[7].rsplit(" ", 1)[0]
+    path.write_text("\n".join(lines))
+    assert refusal(sequence).startswith("poses.txt: line 8: 11 numbers; expected 12")
+
+
+def test_lidar_poses_declared_camera(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_semantickitti(tmp_path / "own", pose_frame="lidar", calib=True)
+    assert "they are those of the LiDAR" in refusal(root, pose_frame="camera")
+
+
+def test_camera_poses_declared_lidar(sequence: Path) -> None:
+    assert "they are those of the camera" in refusal(sequence, pose_frame="lidar")
+
+
+def test_camera_poses_without_calibration(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_semantickitti(tmp_path / "07", calib=False)
+    assert "there is no calib.txt" in refusal(root)
+
+
+@pytest.mark.parametrize("options", [{}, {"label_scheme": "semantickitti"}])
+def test_learning_ids_instead_of_raw_ids(tmp_path: Path, make: ModuleType, options: dict[str, str]) -> None:
+    root = make.write_semantickitti(tmp_path / "07", scheme="learning")
+    if not options:
+        assert open_drive(root).scheme.name == "learning"
+        return
+    text = refusal(root, **options)
+    assert text.startswith("labels: all ids are 19 or less (9, 11, 15), which looks like the learning scheme")
+    assert "--label-scheme learning" in text
+
+
+def test_no_road_at_all(sequence: Path) -> None:
+    rewrite_labels(sequence, {40: 50})
+    assert "no point of the scans looked at is road: the ids are 48, 50, 70" in refusal(sequence)
+
+
+def test_custom_ids_that_do_not_occur(sequence: Path) -> None:
+    assert "road would be 3 (scheme custom)" in refusal(sequence, label_scheme={3})
+    assert len(open_drive(sequence, label_scheme="40").ground_points(0).road) > 0
+
+
+def test_missing_frame_in_the_middle(sequence: Path) -> None:
+    (sequence / "velodyne" / "000003.bin").unlink()
+    (sequence / "velodyne" / "000007.bin").unlink()
+    text = refusal(sequence)
+    assert text.startswith("velodyne: 2 scans are missing between 0 and 11 (3, 7)")
+    assert "contiguous or explicitly mapped" in text
+
+
+def test_missing_label(sequence: Path) -> None:
+    (sequence / "labels" / "000003.label").unlink()
+    assert refusal(sequence).startswith("labels/000003.label: is missing: 1 of 12 scans have no labels (3)")
+
+
+def test_missing_labels_name_the_predictions(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_semantickitti(tmp_path / "07", labels="predictions")
+    assert "There is predictions/: choose it" in refusal(root)
+    assert open_drive(root, labels="predictions").label_files.folder.name == "predictions"
+
+
+def test_fewer_poses_than_scans(sequence: Path) -> None:
+    path = sequence / "poses.txt"
+    path.write_text("\n".join(path.read_text().splitlines()[:-1]) + "\n")
+    assert refusal(sequence).startswith("poses.txt: 11 poses for the scans 0 to 11 (12 scans)")
+
+
+def test_empty_drive(sequence: Path) -> None:
+    for path in (sequence / "velodyne").iterdir():
+        path.unlink()
+    assert refusal(sequence).startswith("velodyne: holds no .bin file")
+
+
+def test_empty_scan(sequence: Path) -> None:
+    (sequence / "velodyne" / "000002.bin").write_bytes(b"")
+    assert refusal(sequence).startswith("velodyne/000002.bin: is empty")
+
+
+def test_poses_that_are_a_folder(sequence: Path) -> None:
+    (sequence / "poses.txt").unlink()
+    (sequence / "poses.txt").mkdir()
+    assert refusal(sequence).startswith("poses.txt: is a folder")
+
+
+def test_binary_poses(sequence: Path) -> None:
+    (sequence / "poses.txt").write_bytes(bytes(range(256)))
+    assert "not a text file" in refusal(sequence)
+
+
+def test_georeference_of_another_drive(sequence: Path, make: ModuleType) -> None:
+    (sequence / "geo.csv").write_text(make.geo_csv(make.lidar_poses(turn_rad=-0.06)))
+    with pytest.raises(GeoreferenceError, match=r"geo\.csv .*: tells another motion than the poses"):
+        open_drive(sequence)
+    (sequence / "geo.csv").write_text(make.geo_csv(make.lidar_poses()))
+    assert open_drive(sequence).georeference is not None
+
+
+def test_road_that_is_not_flat_names_the_dialect(sequence: Path, make: ModuleType) -> None:
+    drive = open_drive(sequence)
+    wrong = dataclasses.replace(drive, T_world_lidar=make.camera_poses(drive.T_world_lidar))
+    with pytest.raises(DriveError, match=r"the road is not flat.*wrong pose dialect \(try pose frame 'lidar'\)"):
+        check_flat_road(wrong, np.arange(12), Findings(stop_at_first=True))
+
+
+def test_points_in_the_frame_of_the_camera(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_semantickitti(tmp_path / "07")
+    for path in (root / "velodyne").iterdir():
+        points = np.fromfile(path, np.float32).reshape(-1, 4)
+        points[:, :3] = points[:, :3] @ make.T_CAM_LIDAR[:3, :3].T.astype(np.float32)
+        points.tofile(path)
+    text = refusal(root)
+    assert "tilted by 90 degrees" in text or "not flat" in text
+
+
+def test_a_hill_is_flat_enough(tmp_path: Path, make: ModuleType) -> None:
+    hill = np.eye(4)
+    hill[:3, :3] = [[np.cos(0.2), 0, np.sin(0.2)], [0, 1, 0], [-np.sin(0.2), 0, np.cos(0.2)]]
+    root = make.write_semantickitti(tmp_path / "hill", poses=hill @ make.lidar_poses(), pose_frame="lidar")
+    assert open_drive(root).pose_frame == "lidar"
+
+
+def test_scans_that_start_later(tmp_path: Path, make: ModuleType) -> None:
+    """One pose a scan: taken one to one; more poses: by the number of the frame."""
+    root = make.write_semantickitti(tmp_path / "part", frames=list(range(100, 112)))
+    drive = open_drive(root)
+    np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses(), atol=1e-6)
+    every = make.lidar_poses(130)
+    (root / "poses.txt").write_text(make.pose_text(make.camera_poses(every)))
+    relative = invert_transform(every[100]) @ every[100:112]
+    np.testing.assert_allclose(open_drive(root).T_world_lidar, relative, atol=1e-6)
+
+
+@pytest.mark.parametrize("text", ["0.0\n0.1\n", "0.0\n" * 6 + "soon\n" * 6, "".join(f"{-t}\n" for t in range(12))])
+def test_times_that_do_not_fit_are_left_out(sequence: Path, text: str) -> None:
+    (sequence / "times.txt").write_text(text)
+    assert open_drive(sequence).times_s is None
+
+
+def test_checks_can_be_left_out(sequence: Path) -> None:
+    (sequence / "labels" / "000004.label").write_bytes(b"1234")
+    drive = open_drive(sequence, check=False)
+    with pytest.raises(DriveError, match="1 labels for 1,725 points"):
+        drive.ground_points(4)
+
+
+def test_georeference_needs_motion_to_be_judged(sequence: Path, make: ModuleType) -> None:
+    (sequence / "geo.csv").write_text(make.geo_csv(make.lidar_poses()))
+    drive = open_drive(sequence)
+    assert drive.georeference is not None
+    assert check_georeference(drive.T_world_lidar[:2], drive.georeference, Findings(stop_at_first=True)) is None

@@ -1,0 +1,128 @@
+"""The report on a drive: everything at a glance, and every problem."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from interloc.drives import DriveReport, inspect_drive
+from interloc.errors import ConfigError
+
+
+def errors(report: DriveReport) -> dict[str, str]:
+    return {problem.path: problem.message for problem in report.problems if problem.severity == "error"}
+
+
+def test_sound_drive(sequence: Path) -> None:
+    report = inspect_drive(sequence)
+    assert report.ok
+    assert report.problems == []
+    assert (report.name, report.layout, report.scans, report.poses) == ("07", "semantickitti", 12, 12)
+    assert (report.first_frame, report.last_frame, report.points_per_scan) == (0, 11, 1725)
+    assert report.length_m == pytest.approx(22, abs=0.1)
+    assert report.spacing_m == pytest.approx(2, abs=0.01)
+    assert report.duration_s == pytest.approx(1.1)
+    assert (report.pose_frame, report.label_scheme, report.label_folder) == ("camera", "semantickitti", "labels")
+    assert report.road_share == pytest.approx(61 * 17 / 1725)
+    assert report.georeference is None
+    assert report.georeference_reason == "the drive has neither oxts/ nor geo.csv"
+    assert report.flatness_m == pytest.approx(0, abs=1e-3)
+
+
+def test_it_is_json(sequence: Path) -> None:
+    data = json.loads(json.dumps(inspect_drive(sequence).to_dict()))
+    assert data["ok"] is True
+    assert data["label_ids"].keys() == {"40", "48", "70"}
+
+
+def test_every_problem_is_listed(sequence: Path) -> None:
+    for name in ("velodyne/000002.bin", "velodyne/000005.bin", "labels/000007.label"):
+        path = sequence / name
+        path.write_bytes(path.read_bytes()[:-6])
+    (sequence / "labels" / "000009.label").unlink()
+    (sequence / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1\n")
+    (sequence / "geo.csv").write_text("frame\n")
+    report = inspect_drive(sequence)
+    assert not report.ok
+    assert set(errors(report)) == {
+        "velodyne/000002.bin",
+        "velodyne/000005.bin",
+        "labels/000007.label",
+        "labels/000009.label",
+        "poses.txt",
+        "geo.csv",
+    }
+    assert report.road_share is not None
+    assert report.georeference_reason is not None
+    assert "geo.csv" in report.georeference_reason
+
+
+def test_thorough_reads_every_scan(sequence: Path) -> None:
+    path = sequence / "velodyne" / "000001.bin"
+    points = np.fromfile(path, np.float32).reshape(-1, 4)
+    points[505, 0] = np.nan
+    points.tofile(path)
+    assert inspect_drive(sequence).looked_into == 5
+    report = inspect_drive(sequence, thorough=True)
+    assert report.looked_into == 12
+    assert "velodyne/000001.bin" in errors(report)
+
+
+def test_a_problem_is_listed_once(sequence: Path) -> None:
+    path = sequence / "velodyne" / "000000.bin"
+    points = np.fromfile(path, np.float32).reshape(-1, 4)
+    points[505, 0] = np.nan
+    points.tofile(path)
+    assert len(inspect_drive(sequence).problems) == 1
+
+
+def test_unknown_ids_are_listed(sequence: Path) -> None:
+    for path in (sequence / "labels").iterdir():
+        labels = np.fromfile(path, np.uint32)
+        labels[:100] = 77
+        labels.tofile(path)
+    report = inspect_drive(sequence)
+    assert report.unknown_ids == [77]
+    assert [(problem.severity, problem.path) for problem in report.problems] == [("warning", "labels")]
+    assert "(77)" in report.problems[0].message
+
+
+def test_notes_and_warnings_come_after_errors(sequence: Path, make: ModuleType) -> None:
+    (sequence / "poses.txt").write_text(make.pose_text(make.camera_poses(make.lidar_poses(20))))
+    (sequence / "times.txt").write_text("0.0\n")
+    (sequence / "labels" / "000009.label").unlink()
+    assert [problem.severity for problem in inspect_drive(sequence).problems] == ["error", "warning", "note"]
+
+
+@pytest.mark.parametrize("kind", ["gone", "file", "empty", "scans only", "no scans"])
+def test_nothing_raises(tmp_path: Path, make: ModuleType, kind: str) -> None:
+    path = tmp_path / "drive"
+    if kind == "file":
+        path.touch()
+    elif kind != "gone":
+        path.mkdir()
+    if kind == "scans only":
+        (path / "velodyne").mkdir()
+        (path / "velodyne" / "000000.bin").write_bytes(b"\0" * 32)
+    if kind == "no scans":
+        (path / "velodyne").mkdir()
+        (path / "labels").mkdir()
+    report = inspect_drive(path)
+    assert not report.ok
+    json.dumps(report.to_dict())
+
+
+def test_single_scan(tmp_path: Path, make: ModuleType) -> None:
+    report = inspect_drive(make.write_semantickitti(tmp_path / "one", poses=make.lidar_poses(1)))
+    assert report.ok
+    assert report.spacing_m is None
+    assert report.pose_frame == "camera"
+
+
+def test_an_option_without_meaning_is_the_callers_fault(sequence: Path) -> None:
+    with pytest.raises(ConfigError):
+        inspect_drive(sequence, label_scheme="kitty")

@@ -1,0 +1,136 @@
+"""Layouts: what is a drive, which one, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from interloc.drives import open_drive
+from interloc.errors import ConfigError, DriveError
+
+
+def test_semantickitti(sequence: Path) -> None:
+    drive = open_drive(sequence)
+    assert (drive.layout, drive.pose_frame, drive.scheme.name) == ("semantickitti", "camera", "semantickitti")
+
+
+def test_lidar_poses_without_calibration(tmp_path: Path, make: ModuleType) -> None:
+    drive = open_drive(make.write_semantickitti(tmp_path / "own", pose_frame="lidar"))
+    assert drive.pose_frame == "lidar"
+    assert "along its x axis" in drive.pose_frame_reason
+    np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses(), atol=1e-6)
+
+
+def test_lidar_poses_beside_a_calibration_they_do_not_need(tmp_path: Path, make: ModuleType) -> None:
+    drive = open_drive(make.write_semantickitti(tmp_path / "own", pose_frame="lidar", calib=True))
+    assert drive.pose_frame == "lidar"
+
+
+def test_kitti_raw_takes_its_poses_from_oxts(tmp_path: Path, make: ModuleType) -> None:
+    drive = open_drive(make.write_kitti_raw(tmp_path / "2011_09_26_drive_0001_sync"))
+    assert (drive.layout, drive.pose_frame) == ("kitti_raw", "oxts")
+    np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses(), atol=0.02)
+    assert drive.times_s is not None
+    np.testing.assert_allclose(np.diff(drive.times_s), 0.1, atol=1e-6)
+    assert len(drive.ground_points(11).road) > 0
+
+
+def test_kitti_raw_with_calibration_above(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_kitti_raw(tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync")
+    (root / "calib_imu_to_velo.txt").rename(root.parent / "calib_imu_to_velo.txt")
+    drive = open_drive(root)
+    assert drive.georeference is not None
+    assert "calib_imu_to_velo.txt" in drive.georeference.source
+
+
+def test_kitti_raw_without_oxts(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_kitti_raw(tmp_path / "raw")
+    for path in (root / "oxts" / "data").iterdir():
+        path.unlink()
+    (root / "oxts" / "data").rmdir()
+    (root / "oxts").rmdir()
+    with pytest.raises(DriveError, match="oxts: gives no poses"):
+        open_drive(root)
+
+
+@pytest.mark.parametrize("rows", [3, 4])
+def test_kitti360_maps_frames_explicitly(tmp_path: Path, make: ModuleType, rows: int) -> None:
+    """Frame numbers in front of the poses allow gaps between scans."""
+    poses, frames = make.lidar_poses(), [*range(100, 106), *range(110, 116)]
+    root = make.write_semantickitti(tmp_path / "360", poses=poses, pose_frame="lidar", scheme="kitti360", frames=frames)
+    (root / "times.txt").unlink()
+    (root / "poses.txt").write_text(make.pose_text(poses, frames=frames, rows=rows))
+    drive = open_drive(root)
+    assert (drive.layout, drive.scheme.name) == ("kitti360", "kitti360")
+    assert drive.frames.tolist() == frames
+    np.testing.assert_allclose(drive.T_world_lidar, poses, atol=1e-6)
+
+
+def test_kitti360_camera_poses(tmp_path: Path, make: ModuleType) -> None:
+    lidar, frames = make.lidar_poses(), list(range(12))
+    root = make.write_semantickitti(tmp_path / "360", pose_frame="lidar", scheme="kitti360")
+    (root / "poses.txt").unlink()
+    (root / "cam0_to_world.txt").write_text(make.pose_text(make.camera_poses(lidar), frames=frames, rows=4))
+    numbers = " ".join(f"{v:.9f}" for v in np.linalg.inv(make.T_CAM_LIDAR)[:3].ravel())
+    (root / "calib_cam_to_velo.txt").write_text(numbers)
+    drive = open_drive(root)
+    assert (drive.layout, drive.pose_frame) == ("kitti360", "camera")
+    np.testing.assert_allclose(drive.T_world_lidar, lidar, atol=1e-6)
+
+
+def test_kitti360_scan_without_a_pose(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_semantickitti(tmp_path / "360", pose_frame="lidar", scheme="kitti360")
+    (root / "poses.txt").write_text(make.pose_text(make.lidar_poses(11), frames=list(range(11))))
+    with pytest.raises(DriveError, match=r"1 of 12 scans have no pose \(frames 11\)"):
+        open_drive(root)
+
+
+def test_two_drives_in_one_folder(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_kitti_raw(tmp_path / "both")
+    (root / "velodyne").mkdir()
+    with pytest.raises(DriveError, match="it could be two drives"):
+        open_drive(root)
+    assert open_drive(root, layout="kitti_raw").layout == "kitti_raw"
+
+
+def test_named_layout_that_does_not_fit(sequence: Path) -> None:
+    with pytest.raises(DriveError, match=r"is not of layout kitti_raw\. Expected velodyne_points/data"):
+        open_drive(sequence, layout="kitti_raw")
+
+
+@pytest.mark.parametrize("option", ["layout", "pose_frame", "labels"])
+def test_options_that_are_none(sequence: Path, option: str) -> None:
+    with pytest.raises(ConfigError, match="expected"):
+        open_drive(sequence, **{option: "../else"})
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("sequences/", "root of a data set"),
+        ("00/", "It holds sequences"),
+        ("2011_09_26_drive_0001_sync/", "It holds drives"),
+        ("000000.bin", "It holds the scans themselves"),
+        ("000000.label", "It holds labels"),
+        ("drive.tar.gz", "unpack it first"),
+        ("holiday.jpg", "is not a drive. Expected velodyne/000000.bin"),
+    ],
+)
+def test_usual_mistakes(tmp_path: Path, name: str, words: str) -> None:
+    path = tmp_path / name
+    path.mkdir() if name.endswith("/") else path.touch()
+    with pytest.raises(DriveError, match=words):
+        open_drive(tmp_path)
+
+
+def test_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(DriveError, match="does not exist"):
+        open_drive(tmp_path / "gone")
+    with pytest.raises(DriveError, match="is an empty folder"):
+        open_drive(tmp_path)
+    (tmp_path / "drive.zip").touch()
+    with pytest.raises(DriveError, match="is a file"):
+        open_drive(tmp_path / "drive.zip")
