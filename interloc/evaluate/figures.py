@@ -70,11 +70,11 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
         *plane(result.intersections.lonlat).T,
         linestyle="none",
         marker="P",
-        markersize=6,
+        markersize=10,
         markerfacecolor=YELLOW,
         markeredgecolor=INK,
         markeredgewidth=0.7,
-        zorder=7,
+        zorder=4,
         label="fused intersection",
     )
     _draw_scale_bar(axes, low, high)
@@ -112,7 +112,7 @@ def _draw_detections(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  #
         ),
     ]
     for mask, style in styles:
-        axes.plot(*place[mask].T, linestyle="none", alpha=0.7, zorder=4, markeredgewidth=1.1, **style)
+        axes.plot(*place[mask].T, linestyle="none", alpha=0.8, zorder=7, markeredgewidth=1.1, **style)
 
 
 def _draw_nodes(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401
@@ -169,7 +169,16 @@ def error_figure(evaluation: Evaluation) -> Figure:
     if len(errors) > len(shown):
         summary += f"\n{len(errors) - len(shown):,} beyond {NEAR_PAIR_M:g} m not shown"
     histogram.text(
-        0.99, 0.86, summary, ha="right", va="top", fontsize=9, color=INK, transform=histogram.transAxes, linespacing=1.5
+        0.99,
+        0.86,
+        summary,
+        ha="right",
+        va="top",
+        fontsize=9,
+        color=INK,
+        transform=histogram.transAxes,
+        linespacing=1.5,
+        bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 3.0},
     )
     histogram.set_ylabel("detections")
     histogram.set_title("Center error: detection to nearest OSM node", loc="left", fontsize=12, color=INK)

@@ -24,6 +24,9 @@ POLICY_MEANINGS = {
     "consolidated": "nodes where at least three drivable public roads meet, those of one compound junction merged",
 }
 
+SETTINGS = ("config", "fusion")
+"""What of `run.json` is settings; the rest is facts about the run."""
+
 
 def write_report(evaluation: Evaluation, result: DriveResult, out_dir: Path) -> None:
     """Write the report of an evaluation into the result folder of its run.
@@ -77,8 +80,8 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         policy_meaning=POLICY_MEANINGS[record["policy"]],
         nodes=nodes,
         pictures=pictures,
-        config=encode(result.run.get("config", {}), indent=2),
-        facts=_flatten({key: value for key, value in result.run.items() if key != "config"}),
+        config=encode({key: result.run[key] for key in SETTINGS if key in result.run}, indent=2),
+        facts=_flatten({key: value for key, value in result.run.items() if key not in SETTINGS}),
     )
     return page
 
@@ -181,4 +184,6 @@ def _flatten(value: object, name: str = "") -> list[tuple[str, str]]:
         return [row for key, each in value.items() for row in _flatten(each, f"{name}.{key}" if name else str(key))]
     if isinstance(value, list | tuple):
         return [(name, ", ".join(str(each) for each in value))]
-    return [(name, f"{value:g}" if isinstance(value, float) else str(value))]
+    if name.endswith("_bytes") and isinstance(value, int):
+        return [(name.removesuffix("_bytes"), f"{value / 1e6:,.0f} MB")]
+    return [(name, f"{value:.4g}" if isinstance(value, float) else str(value))]
