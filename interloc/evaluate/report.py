@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +81,8 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         policy_meaning=POLICY_MEANINGS[record["policy"]],
         nodes=nodes,
         pictures=pictures,
-        config=encode({key: result.run[key] for key in SETTINGS if key in result.run}, indent=2),
+        # Read by people only, so what JSON does not know may appear as its text.
+        config=json.dumps({key: result.run[key] for key in SETTINGS if key in result.run}, indent=2, default=str),
         facts=_flatten({key: value for key, value in result.run.items() if key not in SETTINGS}),
     )
     return page
