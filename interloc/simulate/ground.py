@@ -1,0 +1,213 @@
+"""The ground of a scene as layers of polygons, painted one over the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import LineString, MultiPolygon, Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import substring
+
+from interloc.simulate.config import StreetConfig
+from interloc.simulate.osm_map import StreetMap
+from interloc.simulate.profiles import Profile
+from interloc.simulate.surfaces import Surface
+
+Array = NDArray[np.float64]
+
+ARM_M = 32.0
+JUNCTION_REACH_M = 24.0
+TURNING_CIRCLE_M = 7.0
+MEDIAN_KERB_M = 1.0
+_SUBPIXEL_BITS = 4
+
+
+@dataclass
+class Layer:
+    """Polygons of one surface that are painted together."""
+
+    surface: Surface
+    polygons: list[BaseGeometry] = field(default_factory=list)
+    tree: shapely.STRtree = field(default_factory=lambda: shapely.STRtree([]))
+
+    def add(self, geometry: BaseGeometry) -> None:
+        """Add a polygon unless it is empty."""
+        if not geometry.is_empty:
+            self.polygons.append(geometry)
+
+    def close(self) -> Layer:
+        """Index the polygons; call once all are in."""
+        self.tree = shapely.STRtree(self.polygons)
+        return self
+
+
+def plan_ground(
+    street_map: StreetMap,
+    profiles: Sequence[Profile],
+    lines: Sequence[BaseGeometry],
+    config: StreetConfig,
+    *,
+    driven: BaseGeometry,
+) -> list[Layer]:
+    """Lay out the ground.
+
+    Parameters
+    ----------
+    street_map, profiles, config
+    lines
+        The visible part of each street's centre line.
+    driven
+        What the vehicle drove over: road in any case.
+
+    Returns
+    -------
+    list of Layer
+        Bottom first: footways, car parks, drives, sidewalks and medians, bays, lanes of car parks, service roads,
+        roads with rounded kerbs, lane markings.
+    """
+    paths, lots, drives = Layer(Surface.SIDEWALK), Layer(Surface.PARKING), Layer(Surface.PARKING)
+    medians, walks, bays = Layer(Surface.OTHER_GROUND), Layer(Surface.SIDEWALK), Layer(Surface.PARKING)
+    aisles, roads, marks = Layer(Surface.PARKING), Layer(Surface.ROAD), Layer(Surface.MARKING)
+    for tags, xy in street_map.footways:
+        paths.add(LineString(xy).buffer(1.8 if tags["highway"] == "pedestrian" else 1.1))
+    for _, xy in street_map.parking:
+        lots.add(shapely.make_valid(Polygon(xy)))
+    for profile, line in zip(profiles, lines, strict=True):
+        surface = line.buffer(profile.half_m)
+        if profile.is_yard:
+            (drives if profile.street.tags.get("service") == "driveway" else aisles).add(surface)
+            continue
+        roads.add(surface)
+        for part in line_parts(line):
+            _add_sides(part, profile, walks, medians, bays)
+            if config.lane_markings and profile.kind.marked:
+                _add_dashes(part, profile, marks)
+    for fillet, profile_walk in _fillets(street_map, profiles, lines, config):
+        roads.add(fillet)
+        if profile_walk > 0:
+            walks.add(fillet.buffer(profile_walk))
+    for node in street_map.turning_circles:
+        disc = Point(street_map.node_xy[node]).buffer(TURNING_CIRCLE_M)
+        roads.add(disc)
+        walks.add(disc.buffer(config.sidewalk_width_m))
+    roads.add(driven)
+    return [layer.close() for layer in (paths, lots, drives, medians, walks, bays, aisles, roads, marks)]
+
+
+def paint(layers: Iterable[Layer], x0: float, y0: float, side_m: float, cells: int) -> NDArray[np.uint8]:
+    """Paint a square of ground.
+
+    Parameters
+    ----------
+    layers
+        Bottom first.
+    x0, y0, side_m
+        Its corner of least x and y in M, and its side.
+    cells
+        Cells along a side.
+
+    Returns
+    -------
+    (cells, cells) uint8
+        Surface codes; row 0 at y0, column 0 at x0.
+    """
+    image = np.zeros((cells, cells), np.uint8)
+    box = shapely.box(x0, y0, x0 + side_m, y0 + side_m)
+    scale = cells / side_m * (1 << _SUBPIXEL_BITS)
+    origin = np.array([x0, y0])
+    half = 1 << (_SUBPIXEL_BITS - 1)
+
+    def fill(polygon: Polygon, code: int) -> None:
+        rings = [
+            np.rint((shapely.get_coordinates(ring) - origin) * scale - half).astype(np.int32)
+            for ring in (polygon.exterior, *polygon.interiors)
+        ]
+        cv2.fillPoly(image, rings, code, lineType=cv2.LINE_8, shift=_SUBPIXEL_BITS)
+
+    around = box.buffer(1.0)
+    for layer in layers:
+        for i in layer.tree.query(box, predicate="intersects"):
+            for polygon in polygon_parts(layer.polygons[int(i)].intersection(around)):
+                fill(polygon, int(layer.surface))
+    return image
+
+
+def polygon_parts(geometry: BaseGeometry) -> list[Polygon]:
+    """Return the polygons of a geometry of any kind."""
+    if isinstance(geometry, Polygon):
+        return [] if geometry.is_empty else [geometry]
+    return [p for part in getattr(geometry, "geoms", ()) for p in polygon_parts(part)]
+
+
+def line_parts(line: BaseGeometry) -> list[LineString]:
+    """Return the pieces of a line that may be cut, or gone."""
+    parts = line.geoms if hasattr(line, "geoms") else [line]
+    return [part for part in parts if isinstance(part, LineString) and part.length > 0.5]
+
+
+def _side(line: LineString, left_m: float) -> BaseGeometry:
+    """Return the strip beside a line, to the left for positive widths."""
+    return shapely.make_valid(line.buffer(left_m, single_sided=True))
+
+
+def _add_sides(line: LineString, profile: Profile, walks: Layer, medians: Layer, bays: Layer) -> None:
+    left, right = profile.edge_m(left=True), profile.edge_m(left=False)
+    if profile.walk_left_m and profile.walk_right_m and math.isclose(left, right):
+        walks.add(line.buffer(left))
+    else:
+        if profile.walk_left_m:
+            walks.add(_side(line, left))
+        if profile.walk_right_m:
+            walks.add(_side(line, -right))
+    if profile.median_left:
+        medians.add(_side(line, profile.half_m + MEDIAN_KERB_M))
+    if line.length > 40.0 and (profile.bay_left_m or profile.bay_right_m):
+        middle = LineString(substring(line, 12.0, line.length - 12.0).coords)
+        if profile.bay_left_m:
+            bays.add(_side(middle, profile.half_m + profile.bay_left_m))
+        if profile.bay_right_m:
+            bays.add(_side(middle, -profile.half_m - profile.bay_right_m))
+
+
+def _add_dashes(line: LineString, profile: Profile, marks: Layer) -> None:
+    """Mark the middle of two-way streets and of carriageways with an even number of lanes: 3 m lines, 6 m gaps."""
+    if profile.oneway and round(2 * profile.half_m / 3.5) % 2:
+        return
+    for start in np.arange(9.0, line.length - 12.0, 9.0):
+        marks.add(substring(line, float(start), float(start) + 3.0).buffer(0.075, cap_style="flat"))
+
+
+def _fillets(
+    street_map: StreetMap, profiles: Sequence[Profile], lines: Sequence[BaseGeometry], config: StreetConfig
+) -> Iterable[tuple[BaseGeometry, float]]:
+    """Round the kerbs of every junction; yield the surface and the width of the sidewalk around it.
+
+    Closing the union of the arms by a disc fills each corner with an arc of that radius. Only the arms of one node
+    take part, so that the strip between two carriageways stays.
+    """
+    number = {id(p.street): i for i, p in enumerate(profiles)}
+    for node, arms in street_map.arms().items():
+        centre = Point(street_map.node_xy[node])
+        chosen = []
+        for street, starts in arms:
+            i = number[id(street)]
+            if profiles[i].is_yard or lines[i].is_empty or lines[i].distance(centre) > 0.1:
+                continue
+            line = profiles[i].line
+            arm = substring(line, 0, ARM_M) if starts else substring(line, line.length - ARM_M, line.length)
+            chosen.append((profiles[i], arm.intersection(lines[i].buffer(0.1))))
+        if len(chosen) < 3:
+            continue
+        radius = min(p.kind.corner_radius_m for p, _ in chosen) * config.corner_radius_factor
+        union = shapely.union_all([arm.buffer(p.half_m) for p, arm in chosen])
+        rounded = union.buffer(radius, quad_segs=6).buffer(-radius, quad_segs=6)
+        fillet = rounded.intersection(centre.buffer(JUNCTION_REACH_M))
+        walk = max(max(p.walk_left_m, p.walk_right_m) for p, _ in chosen)
+        if isinstance(fillet, Polygon | MultiPolygon):
+            yield fillet, walk

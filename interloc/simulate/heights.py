@@ -1,0 +1,91 @@
+"""The height of the ground around a track, known only where the vehicle drove."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.kernels.raycast import height_at
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """Heights on a coarse grid.
+
+    Attributes
+    ----------
+    grid : (rows, columns) float32
+        Height in M, metres; sample (r, c) lies at (x0_m + c * cell_m, y0_m + r * cell_m).
+    x0_m, y0_m, cell_m : float
+    """
+
+    grid: NDArray[np.float32]
+    x0_m: float
+    y0_m: float
+    cell_m: float
+
+    @property
+    def frame(self) -> Array:
+        """(3,) float64: x0, y0, cell, as the kernel takes them."""
+        return np.array([self.x0_m, self.y0_m, self.cell_m])
+
+    def at(self, x: float, y: float) -> float:
+        """Return the height of a place."""
+        return float(height_at(self.grid, self.x0_m, self.y0_m, self.cell_m, float(x), float(y)))
+
+
+def flat_field(z_m: float = 0.0) -> HeightField:
+    """Return a plane."""
+    return HeightField(np.full((2, 2), z_m, np.float32), 0.0, 0.0, 1.0)
+
+
+def fit_heights(xyz: Array, *, margin_m: float, cell_m: float = 4.0, smooth_m: float = 6.0) -> HeightField:
+    """Spread heights known along a track over its neighbourhood.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        Ground points under the vehicle in M. Where the track passes a place again at another height (drift of
+        satellite heights), the mean counts.
+    margin_m
+        How far around the track the field reaches.
+    cell_m
+        Side of a cell.
+    smooth_m
+        Width of the Gaussian that smooths the result.
+
+    Notes
+    -----
+    Push-pull interpolation: cell means are averaged into ever coarser grids, and empty cells take the value of the
+    finest coarser grid that knows one. Then one blur.
+    """
+    low = xyz[:, :2].min(axis=0) - margin_m
+    size = np.ceil((xyz[:, :2].max(axis=0) + margin_m - low) / cell_m).astype(int) + 2
+    base = float(np.mean(xyz[:, 2]))
+    column, row = np.rint((xyz[:, :2] - low) / cell_m).astype(int).T
+    weight = np.zeros((size[1], size[0]), np.float32)
+    total = np.zeros_like(weight)
+    np.add.at(weight, (row, column), 1.0)
+    np.add.at(total, (row, column), xyz[:, 2] - base)
+    mean = np.divide(total, weight, out=total, where=weight > 0)
+    filled = _push_pull(mean, (weight > 0).astype(np.float32))
+    blurred = cv2.GaussianBlur(filled, (0, 0), smooth_m / cell_m, borderType=cv2.BORDER_REPLICATE)
+    return HeightField((blurred + base).astype(np.float32), float(low[0]), float(low[1]), cell_m)
+
+
+def _push_pull(mean: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+    if weight.all() or max(weight.shape) == 1:
+        return mean
+    rows, columns = mean.shape
+    padded = ((0, rows % 2), (0, columns % 2))
+    sums = np.pad(mean * weight, padded).reshape((rows + 1) // 2, 2, (columns + 1) // 2, 2).sum(axis=(1, 3))
+    weights = np.pad(weight, padded).reshape((rows + 1) // 2, 2, (columns + 1) // 2, 2).sum(axis=(1, 3))
+    coarse_mean = np.divide(sums, weights, out=np.zeros_like(sums), where=weights > 0)
+    coarse = _push_pull(coarse_mean, np.minimum(weights, 1.0))
+    fine = cv2.resize(coarse, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)[:rows, :columns]
+    return np.where(weight > 0, mean, fine).astype(np.float32)

@@ -1,0 +1,201 @@
+"""What the simulator reads of an OSM file: streets between junctions, footways, car parks, buildings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.errors import MapError
+from interloc.osm.container import read_prolog
+from interloc.simulate.local_frame import LocalFrame
+from interloc.simulate.street_classes import STREET_CLASSES, level_of
+
+Array = NDArray[np.float64]
+
+FOOTWAYS = {"footway", "cycleway", "pedestrian", "path"}
+
+
+@dataclass(frozen=True)
+class Street:
+    """A piece of a way from one junction (or end) to the next.
+
+    Attributes
+    ----------
+    way_id : int
+        OSM id of the way.
+    part : int
+        Which piece of the way.
+    nodes : tuple of int
+        Node ids.
+    xy : (N, 2) float64
+        Their places in M, metres.
+    tags : dict
+    """
+
+    way_id: int
+    part: int
+    nodes: tuple[int, ...]
+    xy: Array
+    tags: dict[str, str]
+
+    @property
+    def level(self) -> int:
+        """Vertical order: 0 on the ground, above on bridges, below in tunnels."""
+        return level_of(self.tags)
+
+
+@dataclass
+class StreetMap:
+    """The world as the map knows it, in the plane M of `frame`.
+
+    Attributes
+    ----------
+    frame : LocalFrame
+    streets : list of Street
+        Everything a car drives on.
+    footways : list of (tags, (N, 2) float64)
+    parking, buildings : list of (tags, (N, 2) float64)
+        Closed outlines.
+    turning_circles : list of int
+        Nodes where a dead end widens.
+    node_xy : dict
+        Place of every node of a street.
+    """
+
+    frame: LocalFrame
+    streets: list[Street] = field(default_factory=list)
+    footways: list[tuple[dict[str, str], Array]] = field(default_factory=list)
+    parking: list[tuple[dict[str, str], Array]] = field(default_factory=list)
+    buildings: list[tuple[dict[str, str], Array]] = field(default_factory=list)
+    turning_circles: list[int] = field(default_factory=list)
+    node_xy: dict[int, Array] = field(default_factory=dict)
+
+    def arms(self) -> dict[int, list[tuple[Street, bool]]]:
+        """Return for every end of a street the streets there, with True where the street starts at it."""
+        arms: dict[int, list[tuple[Street, bool]]] = {}
+        for street in self.streets:
+            arms.setdefault(street.nodes[0], []).append((street, True))
+            arms.setdefault(street.nodes[-1], []).append((street, False))
+        return arms
+
+
+@dataclass(frozen=True)
+class _Way:
+    way_id: int
+    nodes: list[int]
+    lonlat: list[tuple[float, float]]
+    tags: dict[str, str]
+
+
+def read_map(
+    roads: Path,
+    frame: LocalFrame,
+    *,
+    buildings: Path | None = None,
+    box: tuple[float, float, float, float] | None = None,
+) -> StreetMap:
+    """Read what the simulator draws.
+
+    Parameters
+    ----------
+    roads
+        OSM file (.osm, .osm.gz, .osm.bz2, .osm.pbf) with the streets.
+    frame
+        Plane to draw in.
+    buildings
+        Another OSM file with the buildings and car parks; none: the same file.
+    box
+        Least x, least y, greatest x, greatest y in M, metres: what lies wholly outside is left out.
+
+    Raises
+    ------
+    MapError
+        No OSM file, damaged, or without any street.
+    """
+    ways, circles = _read_ways(roads, {"highway", "building", "amenity"} if buildings is None else {"highway"})
+    areas = ways if buildings is None else _read_ways(buildings, {"building", "amenity"})[0]
+    result = StreetMap(frame)
+    driven = []
+    for way, xy in _inside(ways, frame, box):
+        kind = way.tags.get("highway")
+        if kind in STREET_CLASSES and way.tags.get("area") != "yes":
+            driven.append((way, xy))
+        elif kind in FOOTWAYS and way.tags.get("area") != "yes":
+            result.footways.append((way.tags, xy))
+    if not driven:
+        raise MapError(f"{roads}: no street near the track. Expected ways with highway=motorway ... service around it.")
+    result.streets = _split(driven)
+    result.node_xy = {n: p for s in result.streets for n, p in zip(s.nodes, s.xy, strict=True)}
+    result.turning_circles = [n for n in circles if n in result.node_xy]
+    for way, xy in _inside(areas, frame, box):
+        if len(xy) < 4 or way.nodes[0] != way.nodes[-1]:
+            continue
+        if way.tags.get("amenity") == "parking":
+            result.parking.append((way.tags, xy))
+        elif way.tags.get("building", "no") != "no":
+            result.buildings.append((way.tags, xy))
+    return result
+
+
+def _inside(
+    ways: Iterable[_Way], frame: LocalFrame, box: tuple[float, float, float, float] | None
+) -> Iterator[tuple[_Way, Array]]:
+    """Yield ways with their points in M, unless they lie wholly outside a box."""
+    for way in ways:
+        xy = frame.xy(np.array(way.lonlat))
+        low, high = xy.min(axis=0), xy.max(axis=0)
+        if box is None or not (high[0] < box[0] or high[1] < box[1] or low[0] > box[2] or low[1] > box[3]):
+            yield way, xy
+
+
+def _read_ways(path: Path, keys: set[str]) -> tuple[list[_Way], list[int]]:
+    """Return the ways with any of the keys, and the nodes at which a dead end widens."""
+    import osmium  # noqa: PLC0415 - half the start-up time of the command line
+
+    container = read_prolog(path).container  # refuses what is no map before a parser sees it
+    file = osmium.io.File(str(path), container)
+    try:
+        found: list[tuple[int, list[int], dict[str, str]]] = []
+        ways: Any = osmium.FileProcessor(file, osmium.osm.WAY)
+        for way in ways:
+            tags = dict(way.tags)
+            if keys & tags.keys():
+                found.append((way.id, [node.ref for node in way.nodes], tags))
+        wanted = {node for _, nodes, _ in found for node in nodes}
+        place: dict[int, tuple[float, float]] = {}
+        circles: list[int] = []
+        nodes: Any = osmium.FileProcessor(file, osmium.osm.NODE)
+        for node in nodes:
+            if node.id in wanted and node.location.valid():
+                place[node.id] = (node.location.lon, node.location.lat)
+                if node.tags.get("highway") == "turning_circle":
+                    circles.append(node.id)
+    except (RuntimeError, ValueError) as error:
+        raise MapError(f"{path}: cannot be read as OpenStreetMap data ({error}).") from error
+    result = []
+    for way_id, refs, tags in found:
+        known = [ref for ref in refs if ref in place]  # extracts are cut at their edge
+        if len(known) > 1:
+            result.append(_Way(way_id, known, [place[ref] for ref in known], tags))
+    return result, circles
+
+
+def _split(driven: Iterable[tuple[_Way, Array]]) -> list[Street]:
+    """Cut ways at every node that they share with another one, or visit twice."""
+    driven = list(driven)
+    uses = Counter(node for way, _ in driven for node in way.nodes)
+    streets = []
+    for way, xy in driven:
+        cuts = [0, *(i for i in range(1, len(xy) - 1) if uses[way.nodes[i]] > 1), len(xy) - 1]
+        for part, (a, b) in enumerate(pairwise(cuts)):
+            piece = xy[a : b + 1]
+            if float(np.ptp(piece, axis=0).max()) > 0:
+                streets.append(Street(way.way_id, part, tuple(way.nodes[a : b + 1]), piece, way.tags))
+    return streets

@@ -1,0 +1,245 @@
+"""Where the LiDAR was at every scan: from OXTS rows, or along a line of longitudes and latitudes."""
+
+from __future__ import annotations
+
+import gzip
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from interloc.errors import DriveError
+from interloc.geometry import invert_transform, rotation_angle, rotation_from_rpy
+from interloc.simulate.config import TrackConfig
+from interloc.simulate.local_frame import LocalFrame
+from interloc.simulate.oxts import CALIB_TEXT, lidar_fixes, oxts_rows
+
+Array = NDArray[np.float64]
+
+_STEP_M = 0.25
+
+
+@dataclass(frozen=True)
+class Track:
+    """The poses of a drive to be.
+
+    Attributes
+    ----------
+    lat_deg, lon_deg, alt_m : (N,) float64
+        Position of the LiDAR on WGS84.
+    R_enu_lidar : (N, 3, 3) float64
+        Its attitude in the east-north-up frame at the fix.
+    times_s : (N,) float64
+    oxts : (N, 30) float64
+        OXTS values of the IMU, written with the drive.
+    poses_camera : (N, 3, 4) float64 or None
+        Camera-frame poses to be written; none: those of the track itself.
+    calib_text : str
+        The `calib.txt` that goes with them.
+    altitude_known : bool
+        False where `alt_m` says nothing about the ground.
+    """
+
+    lat_deg: Array
+    lon_deg: Array
+    alt_m: Array
+    R_enu_lidar: Array
+    times_s: Array
+    oxts: Array
+    poses_camera: Array | None = None
+    calib_text: str = CALIB_TEXT
+    altitude_known: bool = True
+
+    def __len__(self) -> int:
+        return len(self.lat_deg)
+
+    def frame(self) -> LocalFrame:
+        """Return a plane about the middle of the track."""
+        return LocalFrame((self.lat_deg.min() + self.lat_deg.max()) / 2, (self.lon_deg.min() + self.lon_deg.max()) / 2)
+
+    def T_map_lidar(self, frame: LocalFrame) -> Array:
+        """Return (N, 4, 4) poses in the plane of a scene, with the altitude as height."""
+        poses = np.tile(np.eye(4), (len(self), 1, 1))
+        poses[:, :3, :3] = frame.R_map_enu(self.lat_deg, self.lon_deg) @ self.R_enu_lidar
+        poses[:, :2, 3] = frame.xy(np.column_stack([self.lon_deg, self.lat_deg]))
+        poses[:, 2, 3] = self.alt_m
+        return poses
+
+    def select(self, indices: NDArray[np.int64]) -> Track:
+        """Return the track of some of the scans."""
+        chosen = {
+            name: getattr(self, name)[indices]
+            for name in ("lat_deg", "lon_deg", "alt_m", "R_enu_lidar", "times_s", "oxts")
+        }
+        poses = None if self.poses_camera is None else self.poses_camera[indices]
+        return replace(self, **chosen, poses_camera=poses)
+
+
+def track_from_oxts(rows: Array, times_s: Array | None = None, *, rate_hz: float = 10.0) -> Track:
+    """Take the track of a GNSS/INS.
+
+    Parameters
+    ----------
+    rows : (N, 30) float64
+        OXTS values of the IMU, one row a scan.
+    times_s : (N,) float64
+        Times; none: at `rate_hz`.
+
+    Raises
+    ------
+    DriveError
+        Rows of another shape, not finite, or not on the earth.
+    """
+    rows = np.atleast_2d(np.asarray(rows, dtype=np.float64))
+    if rows.ndim != 2 or rows.shape[1] < 6 or len(rows) == 0:
+        raise DriveError(f"OXTS rows: found an array of shape {rows.shape}. Expected 30 values a row, one row a scan.")
+    if rows.shape[1] < 30:
+        rows = np.hstack([rows, np.zeros((len(rows), 30 - rows.shape[1]))])
+    if not np.isfinite(rows[:, :6]).all() or np.abs(rows[:, 0]).max() > 90 or np.abs(rows[:, 1]).max() > 180:
+        bad = int(np.argmax(~np.isfinite(rows[:, :6]).all(axis=1) | (np.abs(rows[:, 0]) > 90)))
+        raise DriveError(
+            f"OXTS rows: row {bad} is no pose on the earth: {rows[bad, :6]}. Expected lat, lon, alt, r, p, y."
+        )
+    times = np.arange(len(rows)) / rate_hz if times_s is None else np.asarray(times_s, dtype=np.float64)
+    return Track(*lidar_fixes(rows), times_s=times, oxts=rows[:, :30])
+
+
+def read_oxts(path: Path) -> Array:
+    """Read OXTS rows: a text file (may be .gz) of one row a scan, or a folder of one file a scan (`oxts/data`).
+
+    Raises
+    ------
+    DriveError
+        Nothing there, or no numbers.
+    """
+    try:
+        if path.is_dir():
+            files = sorted(path.glob("*.txt"))
+            if not files:
+                raise DriveError(
+                    f"{path}: no *.txt in this folder. Expected one OXTS file a scan (`oxts/data` of a drive)."
+                )
+            return np.array([file.read_text().split() for file in files], dtype=np.float64)
+        text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        return np.array([line.split() for line in text.decode().splitlines() if line.strip()], dtype=np.float64)
+    except (ValueError, EOFError, UnicodeDecodeError) as error:
+        raise DriveError(f"{path}: no OXTS rows ({error}). Expected 30 numbers a row, one row a scan.") from error
+    except OSError as error:
+        raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
+
+
+def track_from_line(lonlat: Array, alt_m: Array | None = None, config: TrackConfig | None = None) -> Track:
+    """Drive along a line at a constant speed, looking ahead.
+
+    Parameters
+    ----------
+    lonlat : (N, 2) float64
+        Longitude, latitude in degrees of at least two points, metres to tens of metres apart.
+    alt_m : (N,) float64
+        Heights of the LiDAR; none: flat ground.
+    config
+        Speed, scans a second, smoothing, lateral offset.
+
+    Returns
+    -------
+    Track
+        The LiDAR follows the smoothed line; yaw along it, pitch along its slope, no roll.
+
+    Raises
+    ------
+    DriveError
+        Fewer than two different points, or a gap in the line.
+    """
+    config = config or TrackConfig()
+    lonlat = np.asarray(lonlat, dtype=np.float64).reshape(-1, 2)
+    if len(lonlat) < 2:
+        raise DriveError(f"The track has {len(lonlat)} point(s). Expected at least two.")
+    frame = LocalFrame(lonlat[:, 1].mean(), lonlat[:, 0].mean())
+    xyz = np.column_stack([frame.xy(lonlat), np.zeros(len(lonlat)) if alt_m is None else alt_m])
+    steps = np.hypot(*np.diff(xyz[:, :2], axis=0).T)
+    if not steps.sum() > 1.0:
+        raise DriveError("All points of the track lie at one place. Expected a line to drive along.")
+    if steps.max() > config.max_gap_m:
+        where = int(np.argmax(steps))
+        raise DriveError(
+            f"Points {where} and {where + 1} of the track are {steps[where]:,.0f} m apart. "
+            f"Expected at most {config.max_gap_m:g} m. Usual cause: lon and lat swapped, or two recordings."
+        )
+    path = smooth_path(xyz, config.smoothing_m, config.offset_m)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))])
+    wanted = np.arange(0.0, along[-1], config.speed_mps / config.rate_hz)
+    places = np.column_stack([np.interp(wanted, along, path[:, i]) for i in range(3)])
+    reach = 1.0
+    ahead = np.column_stack([np.interp(np.minimum(wanted + reach, along[-1]), along, path[:, i]) for i in range(3)])
+    behind = np.column_stack([np.interp(np.maximum(wanted - reach, 0.0), along, path[:, i]) for i in range(3)])
+    run = ahead - behind
+    yaw = np.unwrap(np.arctan2(run[:, 1], run[:, 0]))
+    pitch = -np.arctan2(run[:, 2], np.hypot(run[:, 0], run[:, 1]))
+    back = frame.lonlat(places[:, :2])
+    lon, lat = back[:, 0], back[:, 1]
+    R_map_lidar = rotation_from_rpy(0.0, pitch, yaw)
+    R_enu_lidar = np.swapaxes(frame.R_map_enu(lat, lon), -1, -2) @ R_map_lidar
+    times = np.arange(len(wanted)) / config.rate_hz
+    rows = oxts_rows(lat, lon, places[:, 2], R_enu_lidar, times)
+    return Track(lat, lon, places[:, 2], R_enu_lidar, times, rows, altitude_known=alt_m is not None)
+
+
+def smooth_path(xyz: Array, smoothing_m: float, offset_m: float = 0.0) -> Array:
+    """Resample a line finely, move it to the right by an offset, and round its corners by a Gaussian along its length.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        Points in a plane, metres.
+
+    Returns
+    -------
+    (M, 3) float64
+        Points some 0.25 m apart. The ends stay.
+    """
+    keep = np.concatenate([[True], np.hypot(*np.diff(xyz[:, :2], axis=0).T) > 1e-6])
+    xyz = xyz[keep]
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xyz[:, :2], axis=0).T))])
+    fine = np.linspace(0.0, along[-1], max(int(along[-1] / _STEP_M) + 1, 2))
+    path = np.column_stack([np.interp(fine, along, xyz[:, i]) for i in range(3)])
+    if offset_m:
+        run = np.gradient(gaussian_filter1d(path[:, :2], 4, axis=0, mode="nearest"), axis=0)
+        run /= np.maximum(np.hypot(run[:, 0], run[:, 1]), 1e-9)[:, None]
+        path[:, :2] += offset_m * np.column_stack([run[:, 1], -run[:, 0]])
+    if smoothing_m > 0:
+        # Mirrored about its ends as points, so that the line keeps them.
+        width = min(smoothing_m / _STEP_M, len(path) / 4)
+        reach = min(int(4 * width) + 1, len(path) - 1)
+        head = 2 * path[0] - path[reach:0:-1]
+        tail = 2 * path[-1] - path[-2 : -reach - 2 : -1]
+        path = gaussian_filter1d(np.concatenate([head, path, tail]), width, axis=0, mode="nearest")[reach:-reach]
+    return path
+
+
+def keyframe_indices(T_world_lidar: Array, *, distance_m: float = 2.0, angle_deg: float = 5.0) -> NDArray[np.int64]:
+    """Return the scans that the method would use: the first, then each that moved or turned enough (paper, III-B.2)."""
+    keep = [0]
+    limit = np.radians(angle_deg)
+    for i in range(1, len(T_world_lidar)):
+        last, here = T_world_lidar[keep[-1]], T_world_lidar[i]
+        moved = float(np.linalg.norm(here[:3, 3] - last[:3, 3]))
+        if moved > distance_m or rotation_angle(last[:3, :3], here[:3, :3]) > limit:
+            keep.append(i)
+    return np.array(keep, dtype=np.int64)
+
+
+def camera_poses(T_map_lidar: Array, tr: Array) -> Array:
+    """Return (N, 3, 4) KITTI poses: camera at each scan in the frame of the first camera."""
+    T_world_lidar = invert_transform(T_map_lidar[:1]) @ T_map_lidar
+    poses: Array = (tr @ T_world_lidar @ invert_transform(tr))[:, :3]
+    return poses
+
+
+def lidar_poses(poses_camera: Array, tr: Array) -> Array:
+    """Return (N, 4, 4) T_world_lidar of (N, 3, 4) KITTI poses."""
+    full = np.tile(np.eye(4), (len(poses_camera), 1, 1))
+    full[:, :3] = poses_camera
+    result: Array = invert_transform(tr) @ full @ tr
+    return result

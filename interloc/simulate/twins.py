@@ -1,0 +1,136 @@
+"""KITTI twins: the real track of a KITTI sequence, simulated over its real map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from interloc.errors import DriveError
+from interloc.simulate.config import LidarConfig, SceneConfig
+from interloc.simulate.drive import Progress, simulate_drive
+from interloc.simulate.scene import Scene, build_scene
+from interloc.simulate.tracks import Track, read_oxts, track_from_oxts
+
+TWIN_SEQUENCES = ("00", "02", "05", "06", "07", "08", "09", "10")
+
+
+def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> Track:
+    """Return the track of a sequence: OXTS says where the LiDAR was, the given poses are what is written.
+
+    Parameters
+    ----------
+    kitti_dir
+        Folder with `oxts/NN.txt.gz`, `poses_suma/NN.txt`, `poses_gt/NN.txt`, `calib/NN.txt`, `times/NN.txt`.
+    sequence
+        Two digits.
+    poses
+        Which poses go with the drive: SuMa's (SemanticKITTI's `poses.txt`) or KITTI's ground truth.
+
+    Raises
+    ------
+    DriveError
+        A file is missing or no such sequence.
+    """
+    root = Path(kitti_dir)
+    names = {
+        "oxts": root / "oxts" / f"{sequence}.txt.gz",
+        "poses": root / f"poses_{poses}" / f"{sequence}.txt",
+        "calib": root / "calib" / f"{sequence}.txt",
+        "times": root / "times" / f"{sequence}.txt",
+    }
+    for path in names.values():
+        if not path.is_file():
+            raise DriveError(
+                f"{path}: no such file. A twin needs oxts/, poses_{poses}/, calib/ and times/ of sequence {sequence}."
+            )
+    rows = read_oxts(names["oxts"])
+    camera = np.loadtxt(names["poses"]).reshape(-1, 3, 4)
+    times = np.loadtxt(names["times"])
+    count = min(len(rows), len(camera), len(times))
+    track = track_from_oxts(rows[:count], times[:count])
+    return Track(
+        track.lat_deg,
+        track.lon_deg,
+        track.alt_m,
+        track.R_enu_lidar,
+        track.times_s,
+        track.oxts,
+        poses_camera=camera[:count],
+        calib_text=names["calib"].read_text(),
+    )
+
+
+def twin_scene(
+    kitti_dir: Path,
+    sequence: str,
+    track: Track,
+    *,
+    config: SceneConfig | None = None,
+    seed: int = 0,
+) -> Scene:
+    """Return the world of a sequence: streets of `osm/NN.osm.gz`, buildings of `osm_buildings/NN.osm.gz`."""
+    root = Path(kitti_dir)
+    buildings = root / "osm_buildings" / f"{sequence}.osm.gz"
+    return build_scene(
+        track,
+        root / "osm" / f"{sequence}.osm.gz",
+        buildings=buildings if buildings.is_file() else None,
+        config=config,
+        seed=seed,
+    )
+
+
+def simulate_twin(
+    kitti_dir: Path,
+    sequence: str,
+    out: Path,
+    *,
+    poses: Literal["suma", "gt"] = "suma",
+    seed: int = 0,
+    keyframes_only: bool = True,
+    ground_only: bool = False,
+    max_scans: int | None = None,
+    scene: SceneConfig | None = None,
+    sensor: LidarConfig | None = None,
+    progress: Progress | None = None,
+) -> int:
+    """Simulate a KITTI sequence along its real track over its real map.
+
+    Parameters
+    ----------
+    kitti_dir, sequence, poses
+        See `twin_track`; and `osm/NN.osm.gz`, `osm_buildings/NN.osm.gz` (optional: houses are made up then).
+    out, seed, keyframes_only, ground_only, max_scans, sensor, progress
+        See `simulate_drive`.
+    scene
+        What the world looks like.
+
+    Returns
+    -------
+    int
+        Scans written.
+
+    Raises
+    ------
+    DriveError, MapError
+        Files are missing or do not fit together.
+    OutputError
+        `out` could not be written.
+    """
+    scene = scene or SceneConfig()
+    track = twin_track(kitti_dir, sequence, poses=poses)
+    world = twin_scene(kitti_dir, sequence, track, config=scene, seed=seed)
+    return simulate_drive(
+        world,
+        track,
+        out,
+        seed=seed,
+        sensor=sensor,
+        keyframes_only=keyframes_only,
+        ground_only=ground_only,
+        max_scans=max_scans,
+        about={"twin": sequence, "poses": poses, "scene": scene.model_dump()},
+        progress=progress,
+    )
