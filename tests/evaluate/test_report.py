@@ -139,7 +139,8 @@ def test_names_cannot_smuggle_markup_into_the_page(scored: Scored, tmp_path: Pat
     evaluation, result = scored
     evil = "<script>alert(1)</script>"
     evaluation = replace(evaluation, drive=evil, graph=replace(evaluation.graph, source=evil), warnings=(evil,))
-    write_report(evaluation, replace(result, drive=evil, run={"config": {"a": evil, "ids": {40}}, "host": evil}), tmp_path)
+    run = {"config": {"a": evil, "ids": {40}}, "host": evil}
+    write_report(evaluation, replace(result, drive=evil, run=run), tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script" not in text
     assert text.count("&lt;script&gt;") >= 5
