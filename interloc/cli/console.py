@@ -1,0 +1,70 @@
+"""Speaking to the user: progress bars, log lines, tables of facts."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+
+def set_up_log(*, quiet: bool) -> None:
+    """Show what the library logs on stderr, a line each; only warnings with `quiet`."""
+    logger = logging.getLogger("interloc")
+    for handler in list(logger.handlers):
+        logger.removeHandler(handler)
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    logger.addHandler(handler)
+    logger.setLevel(logging.WARNING if quiet else logging.INFO)
+    logger.propagate = False
+
+
+class Bar:
+    """A progress bar on stderr: shown on a terminal only, created when there is something to count."""
+
+    def __init__(self, label: str, unit: str, *, quiet: bool) -> None:
+        self._label, self._unit, self._quiet = label, unit, quiet
+        self._bar: Any = None
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how much of how much is done."""
+        if self._quiet or not sys.stderr.isatty():
+            return
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, desc=self._label, unit=self._unit, leave=False, file=sys.stderr)
+        self._bar.update(done - self._bar.n)
+
+    def close(self) -> None:
+        """Remove the bar."""
+        if self._bar is not None:
+            self._bar.close()
+
+
+@contextmanager
+def progress(label: str, unit: str, *, quiet: bool) -> Iterator[Bar]:
+    """Give a progress bar that is gone at the end."""
+    bar = Bar(label, unit, quiet=quiet)
+    try:
+        yield bar
+    finally:
+        bar.close()
+
+
+def say_facts(facts: Iterable[tuple[str, str]]) -> None:
+    """Print names and values in two columns."""
+    rows = list(facts)
+    width = max((len(name) for name, _ in rows), default=0)
+    for name, value in rows:
+        click.echo(f"{name:<{width}}  {value}")
+
+
+def say_json(value: dict[str, Any]) -> None:
+    """Print one JSON object."""
+    click.echo(json.dumps(value, indent=2, allow_nan=False))

@@ -1,0 +1,51 @@
+"""`interloc detect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from interloc.cli import console, options, summary
+
+
+@click.command()
+@options.DRIVE
+@options.OUT
+@options.config_options
+@options.drive_options
+@options.workers_option
+@options.QUIET
+@options.JSON
+def command(
+    drive: Path,
+    out: Path,
+    preset: str,
+    settings: tuple[str, ...],
+    workers: int,
+    quiet: bool,
+    as_json: bool,
+    **drive_: Any,
+) -> None:
+    """Find the intersections along DRIVE and write them to a result folder.
+
+    \b
+    Example:
+      interloc detect sequences/07 -o out --labels predictions --oxts 2011_09_30_drive_0027_sync
+    """
+    from interloc.mapping.exports import write_results
+    from interloc.mapping.files import atomic_folder
+    from interloc.pipeline import detect
+
+    console.set_up_log(quiet=quiet)
+    config = options.configure(preset, settings)
+    source = options.open_drive(drive, drive_)
+    with atomic_folder(out) as folder:
+        with console.progress("detect", "keyframe", quiet=quiet) as bar:
+            result = detect(source, config, workers=workers, progress=bar)
+        write_results(result, folder)
+    if as_json:
+        console.say_json(summary.run_summary(result, out))
+    else:
+        console.say_facts(summary.run_facts(result, out))

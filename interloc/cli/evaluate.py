@@ -1,0 +1,50 @@
+"""`interloc evaluate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from interloc.cli import console, options, summary
+
+if TYPE_CHECKING:
+    from interloc.osm.policies import Policy
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path))
+@options.OSM
+@options.OVERPASS
+@options.POLICY
+@options.TOLERANCE
+@options.QUIET
+@options.JSON
+def command(
+    out: Path, osm: Path | None, overpass: bool, policy: Policy, tolerance_m: float, quiet: bool, as_json: bool
+) -> None:
+    """Score OUT, the result folder of `interloc detect`, against OpenStreetMap.
+
+    \b
+    Example:
+      interloc evaluate out --osm map.osm.gz
+    """
+    from interloc.evaluate.evaluate import evaluate
+    from interloc.evaluate.record import report_record
+    from interloc.evaluate.report import write_report
+    from interloc.mapping.exports import read_results
+
+    options.check_map_choice(osm, overpass=overpass)
+    console.set_up_log(quiet=quiet)
+    result = read_results(out)
+    graph = options.read_map(osm)
+    if graph is None:
+        graph = options.fetch_map(result, quiet=quiet)
+    evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
+    write_report(evaluation, result, out)
+    report = report_record(evaluation)
+    if as_json:
+        console.say_json(report)
+    else:
+        console.say_facts(summary.report_facts(report, out))

@@ -1,0 +1,48 @@
+"""`interloc explain`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, options
+
+if TYPE_CHECKING:
+    from interloc.osm.policies import Policy
+
+
+@click.command()
+@options.DRIVE
+@click.option("--frame", required=True, type=int, help="Scan number; the nearest keyframe is taken.")
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the pictures.")
+@click.option("--osm", type=click.Path(path_type=Path), help="OSM file to draw on top.")
+@options.POLICY
+@options.config_options
+@options.drive_options
+@options.QUIET
+def command(
+    drive: Path,
+    frame: int,
+    out: Path,
+    osm: Path | None,
+    policy: Policy,
+    preset: str,
+    settings: tuple[str, ...],
+    quiet: bool,
+    **drive_: Any,
+) -> None:
+    """Draw the steps of the method for one keyframe of DRIVE, as PNGs.
+
+    \b
+    Example:
+      interloc explain sequences/07 --frame 300 -o steps
+    """
+    from interloc.explain import explain
+
+    console.set_up_log(quiet=quiet)
+    config = options.configure(preset, settings)
+    source = options.open_drive(drive, drive_)
+    for path in explain(source, frame, config, out, graph=options.read_map(osm), policy=policy):
+        click.echo(path)

@@ -1,0 +1,67 @@
+"""`interloc info`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, options
+
+if TYPE_CHECKING:
+    from interloc.drives.inspect import DriveReport
+
+_MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
+
+
+@click.command()
+@options.DRIVE
+@options.drive_options
+@click.option("--thorough", is_flag=True, help="Read every scan and label, not only some.")
+@options.JSON
+def command(drive: Path, thorough: bool, as_json: bool, **drive_: Any) -> None:
+    """Tell what is in DRIVE and what is wrong with it; the exit code is 1 if it cannot be used.
+
+    \b
+    Example:
+      interloc info sequences/07
+    """
+    from interloc.drives.inspect import inspect_drive
+
+    report = inspect_drive(drive, thorough=thorough, **drive_)
+    if as_json:
+        console.say_json(report.to_dict())
+    else:
+        console.say_facts(_facts(report))
+        for problem in report.problems:
+            click.echo(f"{_MARK[problem.severity]}: {problem.path}: {problem.message}")
+        click.echo("This drive can be used." if report.ok else "This drive cannot be used as it is.")
+    if not report.ok:
+        raise click.exceptions.Exit(1)
+
+
+def _facts(report: DriveReport) -> list[tuple[str, str]]:
+    rows = [("drive", report.path), ("layout", report.layout or "unknown")]
+    if report.scans:
+        frames = f"{report.first_frame} to {report.last_frame}"
+        rows.append(("scans", f"{report.scans} (frames {frames}), about {report.points_per_scan:,} points each"))
+    if report.poses:
+        rows.append(
+            ("poses", f"{report.poses}, {report.pose_frame or 'unknown'} frame: {report.pose_frame_reason or '?'}")
+        )
+    if report.length_m is not None:
+        way = f"{report.length_m:.0f} m"
+        if report.spacing_m is not None:
+            way += f", {report.spacing_m:.1f} m between scans"
+        if report.duration_s:
+            way += f", {report.duration_s:.0f} s"
+        rows.append(("way", way))
+    if report.road_share is not None:
+        rows.append(
+            ("labels", f"{report.label_folder}, scheme {report.label_scheme}, {100 * report.road_share:.0f} % road")
+        )
+    if report.flatness_m is not None:
+        rows.append(("flatness", f"road seen from two scans agrees within {report.flatness_m:.2f} m in height"))
+    rows.append(("georeference", report.georeference or f"none: {report.georeference_reason or 'not looked for'}"))
+    return rows

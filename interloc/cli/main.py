@@ -1,0 +1,88 @@
+"""The entry point: finds the command, and turns every failure into one readable line and an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+
+import click
+
+from interloc.errors import InterLocError
+
+COMMANDS = {
+    "info": "info",
+    "detect": "detect",
+    "evaluate": "evaluate",
+    "run": "run",
+    "explain": "explain",
+    "robustness": "robustness",
+    "config": "config",
+}
+"""Command -> module of this package, which has a click command `command`."""
+
+
+class _Commands(click.Group):
+    """Imports the module of a command when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f"interloc.cli.{COMMANDS[cmd_name]}").command
+        return command
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="interloc", message="InterLoc %(version)s")
+def cli() -> None:
+    """Find road intersections in LiDAR drives, map them, and score them against OpenStreetMap.
+
+    \b
+    Start with:
+      interloc info DRIVE                          what is in a drive, and what is wrong with it
+      interloc run DRIVE -o OUT --osm map.osm.gz   detect, map, evaluate: open OUT/report.html
+    """
+
+
+def main() -> None:
+    """Run the command line."""
+    sys.exit(run())
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run the command line and return its exit code: 0, 1 (failed) or 2 (usage)."""
+    try:
+        cli.main(args=arguments, prog_name="interloc", standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.UsageError as error:
+        error.show()
+        return 2
+    except click.ClickException as error:
+        return _fail(error.format_message(), error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        return _fail("interrupted; nothing was written", 1)
+    except InterLocError as error:
+        return _fail(str(error), error.exit_code)
+    except BrokenPipeError:  # the reader of our output has gone, as with `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except MemoryError:
+        return _fail("out of memory; try fewer --workers or a coarser bev.resolution_m", 1)
+    except Exception as error:
+        if os.environ.get("INTERLOC_DEBUG"):
+            raise
+        return _fail(
+            f"a fault of InterLoc itself: {type(error).__name__}: {error}. "
+            "Run again with INTERLOC_DEBUG=1 for the details, and please report them.",
+            1,
+        )
+    return 0
+
+
+def _fail(message: str, exit_code: int) -> int:
+    click.echo(f"interloc: {message}", err=True)
+    return exit_code

@@ -1,0 +1,160 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from interloc.config import DetectorConfig
+    from interloc.drives import Drive
+    from interloc.osm.graph import RoadGraph
+    from interloc.results import DriveResult
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+DRIVE = click.argument("drive", type=click.Path(path_type=Path))
+OUT = click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Result folder to write.")
+QUIET = click.option("--quiet", is_flag=True, help="No progress, no notes; warnings and errors only.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON.")
+POLICY = click.option(
+    "--policy",
+    default="drive",
+    show_default=True,
+    type=click.Choice(["drive", "drive+service", "all", "consolidated"]),
+    help="Which OSM nodes count as intersections.",
+)
+TOLERANCE = click.option(
+    "--tolerance", "tolerance_m", default=15.0, show_default=True, help="Merging reach of policy consolidated, metres."
+)
+OSM = click.option("--osm", type=click.Path(path_type=Path), help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
+OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
+
+
+def _together(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
+    def decorate(command: Command) -> Command:
+        for decorator in reversed(decorators):
+            command = decorator(command)
+        return command
+
+    return decorate
+
+
+drive_options = _together(
+    click.option(
+        "--labels",
+        type=click.Choice(["labels", "predictions"]),
+        default="labels",
+        show_default=True,
+        help="Folder of the labels.",
+    ),
+    click.option(
+        "--label-scheme",
+        default="auto",
+        show_default=True,
+        help="auto, semantickitti, learning, kitti360, or the ids of road, as 40,60.",
+    ),
+    click.option(
+        "--pose-frame",
+        type=click.Choice(["auto", "camera", "lidar"]),
+        default="auto",
+        show_default=True,
+        help="Whose poses poses.txt holds.",
+    ),
+    click.option(
+        "--layout",
+        type=click.Choice(["auto", "semantickitti", "kitti_raw", "kitti360"]),
+        default="auto",
+        show_default=True,
+        help="Layout of the folder.",
+    ),
+    click.option(
+        "--oxts",
+        type=click.Path(path_type=Path),
+        help="Georeference: a KITTI raw drive, a file of OXTS rows (.txt, .txt.gz), or a geo.csv.",
+    ),
+)
+
+config_options = _together(
+    click.option(
+        "--preset",
+        type=click.Choice(["default", "paper"]),
+        default="default",
+        show_default=True,
+        help="Settings to start from.",
+    ),
+    click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="One setting, bev.resolution_m=0.25."),
+)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+workers_option = click.option(
+    "--workers",
+    type=click.IntRange(1, 256),
+    default=_cores,
+    show_default="all cores",
+    help="Processes; the result does not depend on it.",
+)
+
+
+def open_drive(drive: Path, options: dict[str, Any]) -> Drive:
+    """Open a drive by the values of `drive_options`."""
+    from interloc.drives import open_drive as open_it
+
+    return open_it(drive, **options)
+
+
+def configure(preset: str, settings: tuple[str, ...]) -> DetectorConfig:
+    """Return the configuration by the values of `config_options`."""
+    from interloc.config import preset as preset_of
+    from interloc.config import with_settings
+
+    return with_settings(preset_of(preset), settings)
+
+
+def check_map_choice(osm: Path | None, *, overpass: bool) -> None:
+    """Refuse to guess where the map comes from."""
+    if (osm is None) == (not overpass):
+        raise click.UsageError("give the map by one of --osm FILE and --overpass")
+
+
+def require_georeference(drive: Drive) -> None:
+    """Refuse an evaluation that cannot be, before any long work starts."""
+    from interloc.errors import GeoreferenceError
+
+    if drive.georeference is None:
+        raise GeoreferenceError(
+            f"{drive.name}: the drive has no georeference, so its detections cannot be compared with OpenStreetMap. "
+            "Give one with --oxts (a KITTI raw drive, a file of OXTS rows, a geo.csv), put oxts/data or geo.csv into "
+            "the drive, or use `interloc detect`, which needs none."
+        )
+
+
+def read_map(osm: Path | None) -> RoadGraph | None:
+    """Read the map given as a file, before any long work starts; None when it will come from Overpass."""
+    from interloc.osm.reader import read_osm
+
+    return None if osm is None else read_osm(osm)
+
+
+def fetch_map(result: DriveResult, *, quiet: bool) -> RoadGraph:
+    """Fetch the map around a run from Overpass."""
+    from interloc.evaluate.coverage import drive_bounds
+    from interloc.osm.overpass import download_roads
+
+    def wait(reason: str, seconds: float) -> None:
+        if not quiet:
+            click.echo(f"{reason} ({seconds:.0f} s)", err=True)
+
+    return download_roads(drive_bounds(result), cache_dir=_cache_dir(), on_wait=wait)
+
+
+def _cache_dir() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "interloc" / "overpass"

@@ -1,0 +1,92 @@
+"""`interloc robustness`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, options
+from interloc.cli.summary import percent
+
+if TYPE_CHECKING:
+    from interloc.osm.policies import Policy
+
+
+@click.command()
+@options.DRIVE
+@options.OUT
+@options.OSM
+@options.OVERPASS
+@options.POLICY
+@options.TOLERANCE
+@click.option("--levels", default="0/0,5/5,5/20,20/5,20/20", show_default=True, help="r-FPR/r-FNR in percent.")
+@click.option("--seed", default=0, show_default=True, help="Of the label errors.")
+@options.config_options
+@options.drive_options
+@options.workers_option
+@options.QUIET
+@options.JSON
+def command(
+    drive: Path,
+    out: Path,
+    osm: Path | None,
+    overpass: bool,
+    policy: Policy,
+    tolerance_m: float,
+    levels: str,
+    seed: int,
+    preset: str,
+    settings: tuple[str, ...],
+    workers: int,
+    quiet: bool,
+    as_json: bool,
+    **drive_: Any,
+) -> None:
+    """Repeat the paper's experiment on errors of the road labels over DRIVE (Table IV, Fig. 8).
+
+    Road points are dropped (r-FNR), and points of sidewalk, parking and other ground are taken for road (r-FPR).
+
+    \b
+    Example:
+      interloc robustness sequences/07 -o out --osm map.osm.gz
+    """
+    from interloc.drives import NoisyDrive
+    from interloc.evaluate.evaluate import Evaluation, evaluate
+    from interloc.evaluate.robustness import (
+        parse_level,
+        robustness_table,
+        write_robustness,
+    )
+    from interloc.mapping.files import atomic_folder
+    from interloc.pipeline import detect
+
+    options.check_map_choice(osm, overpass=overpass)
+    console.set_up_log(quiet=quiet)
+    config = options.configure(preset, settings)
+    names = [name.strip() for name in levels.split(",")]
+    shares = [parse_level(name) for name in names]
+    source = options.open_drive(drive, drive_)
+    options.require_georeference(source)
+    graph = options.read_map(osm)
+    evaluations: list[tuple[str, Evaluation]] = []
+    with atomic_folder(out, marker="robustness.json") as folder:
+        for name, (r_fpr, r_fnr) in zip(names, shares, strict=True):
+            with console.progress(name, "keyframe", quiet=quiet) as bar:
+                noisy = NoisyDrive(source, r_fpr, r_fnr, seed)
+                result = detect(noisy, config, workers=workers, progress=bar)
+            if graph is None:
+                graph = options.fetch_map(result, quiet=quiet)
+            evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
+            evaluations.append((name, evaluation))
+        write_robustness(evaluations, folder)
+    if as_json:
+        console.say_json({"levels": [asdict(row) for row in robustness_table(evaluations)]})
+        return
+    click.echo("r-FPR/r-FNR   ACE [m]   Pre@5 [%]   Rec@5 [%]")
+    for row in robustness_table(evaluations):
+        ace = "-" if row.ace_m is None else f"{row.ace_m:.2f}"
+        click.echo(f"{row.level:>11}   {ace:>7}   {percent(row.precision):>9}   {percent(row.recall):>9}")
+    click.echo(f"report       {out / 'robustness.html'}")

@@ -1,0 +1,73 @@
+"""`interloc run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, options, summary
+
+if TYPE_CHECKING:
+    from interloc.osm.policies import Policy
+
+
+@click.command()
+@options.DRIVE
+@options.OUT
+@options.OSM
+@options.OVERPASS
+@options.POLICY
+@options.TOLERANCE
+@options.config_options
+@options.drive_options
+@options.workers_option
+@options.QUIET
+@options.JSON
+def command(
+    drive: Path,
+    out: Path,
+    osm: Path | None,
+    overpass: bool,
+    policy: Policy,
+    tolerance_m: float,
+    preset: str,
+    settings: tuple[str, ...],
+    workers: int,
+    quiet: bool,
+    as_json: bool,
+    **drive_: Any,
+) -> None:
+    """Detect, map and evaluate DRIVE in one go; the report is OUT/report.html.
+
+    \b
+    Example:
+      interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --oxts 2011_09_30_drive_0027_sync
+    """
+    from interloc.evaluate.evaluate import evaluate
+    from interloc.evaluate.record import report_record
+    from interloc.evaluate.report import write_report
+    from interloc.mapping.exports import write_results
+    from interloc.mapping.files import atomic_folder
+    from interloc.pipeline import detect
+
+    options.check_map_choice(osm, overpass=overpass)
+    console.set_up_log(quiet=quiet)
+    config = options.configure(preset, settings)
+    source = options.open_drive(drive, drive_)
+    options.require_georeference(source)
+    graph = options.read_map(osm)
+    with atomic_folder(out) as folder:
+        with console.progress("detect", "keyframe", quiet=quiet) as bar:
+            result = detect(source, config, workers=workers, progress=bar)
+        write_results(result, folder)
+        if graph is None:
+            graph = options.fetch_map(result, quiet=quiet)
+        evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
+        write_report(evaluation, result, folder)
+    report = report_record(evaluation)
+    if as_json:
+        console.say_json({"run": summary.run_summary(result, out), "report": report})
+    else:
+        console.say_facts(summary.run_facts(result, out)[:-1] + summary.report_facts(report, out))

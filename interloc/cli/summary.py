@@ -1,0 +1,64 @@
+"""What the commands tell about a run and its evaluation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from interloc.results import DriveResult
+
+
+def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
+    """Return names and values for a person."""
+    run = result.run
+    seconds = run["seconds"]
+    return [
+        (
+            "drive",
+            f"{result.drive}: {run['scans']} scans, {run['keyframes']} keyframes, preset {run['config']['preset']}",
+        ),
+        ("detections", f"{len(result.detections)}"),
+        ("intersections", f"{len(result.intersections)} on the map"),
+        ("georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"),
+        (
+            "time",
+            f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms a keyframe, {run['workers']} process(es)",
+        ),
+        ("written to", str(out)),
+    ]
+
+
+def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
+    """Return the same for a program."""
+    return {
+        "out": str(out),
+        "drive": result.drive,
+        "detections": len(result.detections),
+        "intersections": len(result.intersections),
+        "georeferenced": result.is_georeferenced,
+        **{key: result.run[key] for key in ("scans", "keyframes", "seconds", "peak_memory_bytes")},
+    }
+
+
+def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
+    """Return the main figures of report.json for a person."""
+    level = report["map_level"]
+    return [
+        ("policy", f"{report['policy']}: {report['nodes_in_zone']} OSM nodes in the relevant zone"),
+        ("nodes found", f"{report['nodes_found']} of {report['nodes_in_zone']}"),
+        ("center error", f"{_metres(report['ace_m'])} mean (ACE), {_metres(report['median_m'])} median"),
+        ("at D = 5 m", f"precision {percent(report['precision']['5.0'])}, recall {percent(report['recall']['5.0'])}"),
+        ("map", f"precision {percent(level['precision'])}, recall {percent(level['recall'])}, one to one"),
+        *(("warning", text) for text in report["warnings"]),
+        ("report", str(out / "report.html")),
+    ]
+
+
+def _metres(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} m"
+
+
+def percent(value: float | None) -> str:
+    """Return a share in percent, or a dash."""
+    return "-" if value is None else f"{100 * value:.1f} %"
