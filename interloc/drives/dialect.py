@@ -7,7 +7,6 @@ vehicle, and its sensors with it, pitches along.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from interloc.drives.calibration import find_camera_calibration, find_camera_to_pose
 from interloc.drives.faults import DriveFileError, Findings
 from interloc.drives.files import shown
+from interloc.drives.motion import LEAST_MOTION_M, TURNED_RAD, body_motion
 from interloc.drives.options import PoseFrame
 from interloc.drives.parts import DriveParts
 from interloc.geometry import invert_transform
@@ -23,122 +23,9 @@ from interloc.geometry import invert_transform
 Array = NDArray[np.float64]
 Frame = Literal["camera", "lidar", "imu"]
 
-_STEP_M = 3.0
-_LEAST_MOTION_M = 1.0
 _CLEAR = 0.65
-_TURNED_RAD = 0.15
 _STEADY = 0.8
 _ENOUGH_M = 20.0
-_AXES = "xyz"
-
-
-@dataclass(frozen=True)
-class Motion:
-    """How a body moves in its own frame.
-
-    Attributes
-    ----------
-    distance_m : float
-        Sum of the steps looked at, each some metres long.
-    along : (3,) float64
-        Share of the motion along x, y, z; sums to 1.
-    forward : float
-        Mean of the steps along the main axis, -1 (backwards) to 1.
-    about : (3,) float64
-        Share of the turning about x, y, z; sums to 1 (zeros without turning).
-    turned_rad : float
-        Root of the sum of squared turns.
-    steadiness : float
-        Share of the motion along its main direction, whichever that is; near 1 for a vehicle.
-    """
-
-    distance_m: float
-    along: Array
-    forward: float
-    about: Array
-    turned_rad: float
-    steadiness: float
-
-    @property
-    def axis(self) -> str:
-        """Main axis of the motion: "x", "y" or "z"."""
-        return _AXES[int(np.argmax(self.along))]
-
-    @property
-    def turning_axis(self) -> str:
-        """Main axis of the turns."""
-        return _AXES[int(np.argmax(self.about))]
-
-    def describe(self) -> str:
-        """Say along which axis it moves and about which it turns."""
-        text = f"it moves along its {self.axis} axis ({self.along.max():.0%} of the motion)"
-        if self.turned_rad > _TURNED_RAD:
-            text += f" and turns about its {self.turning_axis} axis"
-        return text
-
-
-def body_motion(poses: Array) -> Motion | None:
-    """Measure how a body moves in its own frame.
-
-    Parameters
-    ----------
-    poses : (P, 4, 4) float64
-        T_world_body.
-
-    Returns
-    -------
-    Motion or None
-        None where it moves less than a metre.
-    """
-    position = poses[:, :3, 3]
-    extent = float(np.linalg.norm(position - position[0], axis=1).max())
-    if extent < _LEAST_MOTION_M:
-        return None
-    steps = _spaced(position, min(_STEP_M, extent / 2))
-    rotation = poses[steps, :3, :3]
-    step = np.einsum("nji,nj->ni", rotation[:-1], np.diff(position[steps], axis=0))
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
-    along = (unit**2).mean(axis=0)
-    relative = np.einsum("nji,njk->nik", rotation[:-1], rotation[1:])
-    turn = _rotation_vectors(relative)
-    squares = (turn**2).sum(axis=0)
-    return Motion(
-        distance_m=float(length.sum()),
-        along=along,
-        forward=float(unit[:, int(np.argmax(along))].mean()),
-        about=squares / max(float(squares.sum()), 1e-12),
-        turned_rad=float(np.sqrt(squares.sum())),
-        steadiness=float(np.linalg.eigvalsh(unit.T @ unit / len(unit))[-1]),
-    )
-
-
-def _spaced(position: Array, step_m: float) -> list[int]:
-    """Return rows that lie at least a step apart, one after the other."""
-    rows = [0]
-    x0, y0, z0 = position[0]
-    limit = step_m * step_m
-    for row, (x, y, z) in enumerate(position.tolist()):
-        if (x - x0) ** 2 + (y - y0) ** 2 + (z - z0) ** 2 >= limit:
-            rows.append(row)
-            x0, y0, z0 = x, y, z
-    return rows
-
-
-def _rotation_vectors(rotation: Array) -> Array:
-    """Return axis times angle of (N, 3, 3) rotations as (N, 3), radians."""
-    skew = np.stack(
-        [
-            rotation[:, 2, 1] - rotation[:, 1, 2],
-            rotation[:, 0, 2] - rotation[:, 2, 0],
-            rotation[:, 1, 0] - rotation[:, 0, 1],
-        ],
-        axis=1,
-    )
-    sine = np.linalg.norm(skew, axis=1) / 2
-    angle = np.arctan2(sine, (np.trace(rotation, axis1=1, axis2=2) - 1) / 2)
-    vectors: Array = skew * (angle / np.maximum(2 * sine, 1e-12))[:, None]
-    return vectors
 
 
 def guess_frame(poses: Array) -> tuple[Frame | None, str]:
@@ -158,12 +45,12 @@ def guess_frame(poses: Array) -> tuple[Frame | None, str]:
     """
     motion = body_motion(poses)
     if motion is None:
-        return None, f"the vehicle moves less than {_LEAST_MOTION_M:g} m, which does not tell camera from LiDAR"
+        return None, f"the vehicle moves less than {LEAST_MOTION_M:g} m, which does not tell camera from LiDAR"
     if motion.along[2] > _CLEAR:
         return "camera", f"{motion.describe()}, as a camera that looks ahead (z forward, y down)"
     if motion.along[2] < 1 - _CLEAR:
         return "lidar", f"{motion.describe()}, as a LiDAR (x forward, z up)"
-    if motion.turned_rad > _TURNED_RAD and motion.turning_axis in "yz":
+    if motion.turned_rad > TURNED_RAD and motion.turning_axis in "yz":
         frame: Frame = "camera" if motion.turning_axis == "y" else "lidar"
         return (
             frame,

@@ -7,6 +7,7 @@ import os
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +43,10 @@ def read_text(path: Path, root: Path) -> str:
     try:
         if path.is_dir():
             raise DriveFileError(name, "is a folder; a text file was expected.")
-        with path.open("rb") as raw:
-            if path.suffix == ".gz":
-                with gzip.open(raw) as unpacked:
-                    data = unpacked.read(MAX_TEXT_BYTES + 1)
-            else:
-                data = raw.read(MAX_TEXT_BYTES + 1)
+        if path.exists() and not path.is_file():
+            raise DriveFileError(name, "is a pipe or device; a text file was expected.")
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+            data = _read_limited(file)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise DriveFileError(
             name, f"is not a complete gzip file ({error}). Usual cause: a download cut short."
@@ -67,6 +66,15 @@ def read_text(path: Path, root: Path) -> str:
     if not text.strip():
         raise DriveFileError(name, "is empty. Usual cause: a copy or download that did not finish.")
     return text
+
+
+def _read_limited(file: BinaryIO | gzip.GzipFile) -> bytes:
+    """Read to the end, or a little beyond the limit."""
+    pieces, size = [], 0
+    while size <= MAX_TEXT_BYTES and (piece := file.read(1 << 20)):
+        pieces.append(piece)
+        size += len(piece)
+    return b"".join(pieces)
 
 
 def os_reason(error: OSError) -> str:

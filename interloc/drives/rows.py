@@ -31,7 +31,7 @@ def rows_by_frame(frames: Integers, rows: int) -> Integers | None:
 
 
 def gaps(frames: Integers) -> Integers:
-    """Return the numbers that are missing between the first and the last scan (the first thousand of them)."""
+    """Return the numbers missing between the first and the last scan (of the first thousand gaps, to be shown)."""
     breaks = np.flatnonzero(np.diff(frames) > 1)[:1000]
     missing = [np.arange(frames[i] + 1, min(frames[i + 1], frames[i] + 1001)) for i in breaks]
     return np.concatenate(missing) if missing else np.empty(0, dtype=np.int64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,10 @@ from numpy.typing import NDArray
 from interloc.drives.dialect import to_lidar
 from interloc.drives.drive import Georeference
 from interloc.drives.faults import DriveFileError, Findings
-from interloc.drives.files import NumberedFiles, is_number, list_numbered, listed, missing_numbers, read_text, shown
-from interloc.drives.georeference import poses_of, read_georeference
+from interloc.drives.files import NumberedFiles, list_numbered, listed, missing_numbers, shown
+from interloc.drives.fixes import poses_of
+from interloc.drives.georeference import read_georeference
+from interloc.drives.inventory import check_files, list_labels
 from interloc.drives.labels import SEMANTICKITTI, LabelScheme, guess_scheme, named_scheme
 from interloc.drives.layout import find_layout
 from interloc.drives.options import DriveOptions
@@ -21,14 +22,8 @@ from interloc.drives.parts import DriveParts
 from interloc.drives.plausibility import check_flat_road, check_georeference, check_labels, sample_indices
 from interloc.drives.poses import read_poses
 from interloc.drives.rows import gaps, rows_by_frame
-from interloc.drives.scans import (
-    LABEL_BYTES,
-    POINT_BYTES,
-    FolderDrive,
-    label_count_complaint,
-    read_label_ids,
-    scan_size_complaint,
-)
+from interloc.drives.scans import FolderDrive, read_label_ids
+from interloc.drives.times import read_times
 from interloc.errors import InterLocError
 from interloc.geometry import invert_transform
 
@@ -110,9 +105,9 @@ def survey(root: Path, options: DriveOptions, findings: Findings, *, thorough: b
         found.scans = list_numbered(found.parts.scans, ".bin", root)
         found.frames = found.scans.numbers
     with findings.stage():
-        found.labels = _list_labels(found.parts)
+        found.labels = list_labels(found.parts)
     if found.scans is not None and found.labels is not None:
-        found.usable = _check_files(found.scans, found.labels, root, findings, sizes=options.check)
+        found.usable = check_files(found.scans, found.labels, root, findings, sizes=options.check)
     if found.frames is None:
         return found
     with findings.stage():
@@ -124,7 +119,7 @@ def survey(root: Path, options: DriveOptions, findings: Findings, *, thorough: b
     with findings.stage():
         _read_poses(found, options, findings)
     with findings.stage():
-        found.times_s = _read_times(found.parts, found.frames, findings)
+        found.times_s = read_times(found.parts, found.frames, findings)
     found.sample = sample_indices(found.usable, len(found.usable) if thorough else _SAMPLED_SCANS)
     if found.labels is not None:
         _read_label_ids(found, scheme, options, findings)
@@ -132,69 +127,6 @@ def survey(root: Path, options: DriveOptions, findings: Findings, *, thorough: b
     if found.drive is not None and options.check:
         _check_contents(found, findings)
     return found
-
-
-def _list_labels(parts: DriveParts) -> NumberedFiles:
-    """List the label files."""
-    folder = parts.labels
-    if not folder.is_dir():
-        other = parts.root / ("predictions" if folder.name == "labels" else "labels")
-        hint = (
-            f"There is {other.name}/: choose it as the label folder."
-            if other.is_dir()
-            else "Any semantic segmentation that writes SemanticKITTI .label files will do."
-        )
-        raise DriveFileError(
-            shown(folder, parts.root), f"is missing. Expected one .label file a scan: uint32 a point. {hint}"
-        )
-    return list_numbered(folder, ".label", parts.root)
-
-
-def _check_files(
-    scans: NumberedFiles, labels: NumberedFiles, root: Path, findings: Findings, *, sizes: bool
-) -> Indices:
-    """Check that every scan has its labels, and that their sizes fit, by names and sizes only.
-
-    Returns
-    -------
-    (M,) int64
-        Positions of the scans that can be read.
-    """
-    missing = missing_numbers(labels.numbers, scans.numbers)
-    if len(missing):
-        findings.error(
-            DriveFileError(
-                shown(labels.path(int(missing[0])), root),
-                f"is missing: {len(missing):,} of {len(scans.numbers):,} scans have no labels ({listed(missing)}). "
-                "Expected one .label file a scan. Usual cause: an archive that was not unpacked to the end.",
-            )
-        )
-    extra = missing_numbers(scans.numbers, labels.numbers)
-    if len(extra):
-        findings.note(shown(labels.folder, root), f"labels of {len(extra):,} scans that are not there are not used.")
-    common, at_scan, at_label = np.intersect1d(scans.numbers, labels.numbers, assume_unique=True, return_indices=True)
-    if not sizes:
-        return at_scan
-    for row in np.flatnonzero((scans.sizes % POINT_BYTES != 0) | (scans.sizes == 0)):
-        name = shown(scans.path(int(scans.numbers[row])), root)
-        findings.error(DriveFileError(name, scan_size_complaint(int(scans.sizes[row]))))
-    scan_sizes, label_sizes = scans.sizes[at_scan], labels.sizes[at_label]
-    wrong = (
-        (label_sizes * (POINT_BYTES // LABEL_BYTES) != scan_sizes) & (scan_sizes % POINT_BYTES == 0) & (scan_sizes > 0)
-    )
-    for row in np.flatnonzero(wrong):
-        scan, label = (shown(files.path(int(common[row])), root) for files in (scans, labels))
-        count, left = divmod(int(label_sizes[row]), LABEL_BYTES)
-        if left:
-            message = f"{label_sizes[row]:,} bytes, which is no multiple of 4. Expected one uint32 a point."
-        else:
-            message = label_count_complaint(count, int(scan_sizes[row]) // POINT_BYTES, scan)
-        findings.error(DriveFileError(label, message))
-    whole = (
-        (label_sizes * (POINT_BYTES // LABEL_BYTES) == scan_sizes) & (scan_sizes % POINT_BYTES == 0) & (scan_sizes > 0)
-    )
-    usable: Indices = at_scan[whole]
-    return usable
 
 
 def _read_poses(found: Survey, options: DriveOptions, findings: Findings) -> None:
@@ -208,12 +140,12 @@ def _read_poses(found: Survey, options: DriveOptions, findings: Findings) -> Non
     name = shown(parts.poses, parts.root)
     lines = read_poses(parts.poses, parts.root)
     found.pose_count = len(lines.poses)
-    missing = gaps(frames)
-    if lines.frames is None and len(missing):
+    missing = int(frames[-1] - frames[0]) + 1 - len(frames)
+    if lines.frames is None and missing:
         findings.error(
             DriveFileError(
                 shown(parts.scans, parts.root),
-                f"{len(missing):,} scans are missing between {frames[0]} and {frames[-1]} ({listed(missing)}), and the "
+                f"{missing:,} scans are missing between {frames[0]} and {frames[-1]} ({listed(gaps(frames))}), and the "
                 f"lines of {name} do not say which frame they belong to. Frame numbers must be contiguous or "
                 "explicitly mapped: put the missing scans back, or write the frame number in front of every pose line. "
                 "Usual cause: an upload or copy that was interrupted.",
@@ -273,41 +205,6 @@ def _from_first(poses: Array) -> Array:
     return relative
 
 
-def _read_times(parts: DriveParts, frames: NDArray[np.int64], findings: Findings) -> Array | None:
-    """Read the time of every scan, seconds; None where there is none that fits."""
-    if parts.times is None:
-        return None
-    name = shown(parts.times, parts.root)
-    lines = [text.strip() for text in read_text(parts.times, parts.root).splitlines() if text.strip()]
-    rows = rows_by_frame(frames, len(lines))
-    if rows is None:
-        findings.warning(name, f"{len(lines):,} times for the scans {frames[0]} to {frames[-1]}; times are not used.")
-        return None
-    chosen = [lines[row] for row in rows]
-    times = np.array([_seconds(text) for text in chosen])
-    if not np.isfinite(times).all():
-        row = int(np.argmax(~np.isfinite(times)))
-        findings.warning(name, f"line {rows[row] + 1}: {chosen[row][:40]!r} is no time; times are not used.")
-        return None
-    if (np.diff(times) < 0).any():
-        row = int(np.argmax(np.diff(times) < 0))
-        findings.warning(name, f"line {rows[row + 1] + 1}: time runs backwards; times are not used.")
-        return None
-    return times
-
-
-def _seconds(text: str) -> float:
-    """Read seconds, or a date and time with up to nanoseconds (KITTI raw); NaN where it is neither."""
-    if is_number(text):
-        return float(text)
-    whole, _, fraction = text.partition(".")
-    try:
-        moment = datetime.fromisoformat(whole + "+00:00")
-        return moment.timestamp() + (float("0." + fraction) if fraction else 0.0)
-    except ValueError:
-        return float("nan")
-
-
 def _read_label_ids(found: Survey, scheme: LabelScheme | None, options: DriveOptions, findings: Findings) -> None:
     """Find which ids occur in the sampled scans, and under which scheme they make sense."""
     assert found.parts is not None
@@ -353,9 +250,11 @@ def _check_contents(found: Survey, findings: Findings) -> None:
     """Read the sampled scans, and see whether labels, poses and georeference fit together."""
     drive = found.drive
     assert drive is not None
+    assert found.parts is not None
+    pose_file = "oxts" if found.parts.poses is None else shown(found.parts.poses, drive.root)
     for index in found.sample:
         with findings.stage():
             drive.ground_points(index)
-    found.flatness_m = check_flat_road(drive, found.usable, findings)
+    found.flatness_m = check_flat_road(drive, found.usable, pose_file, findings)
     if drive.georeference is not None and drive.pose_frame != "oxts":
         found.georeference_error = check_georeference(drive.T_world_lidar, drive.georeference, findings)

@@ -164,7 +164,7 @@ def test_road_that_is_not_flat_names_the_dialect(sequence: Path, make: ModuleTyp
     drive = open_drive(sequence)
     wrong = dataclasses.replace(drive, T_world_lidar=make.camera_poses(drive.T_world_lidar))
     with pytest.raises(DriveError, match=r"the road is not flat.*wrong pose dialect \(try pose frame 'lidar'\)"):
-        check_flat_road(wrong, np.arange(12), Findings(stop_at_first=True))
+        check_flat_road(wrong, np.arange(12), "poses.txt", Findings(stop_at_first=True))
 
 
 def test_points_in_the_frame_of_the_camera(tmp_path: Path, make: ModuleType) -> None:

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from interloc.drives.calibration import find_camera_calibration
-from interloc.drives.dialect import body_motion, guess_frame, to_lidar
+from interloc.drives.dialect import guess_frame, to_lidar
 from interloc.drives.faults import Findings
+from interloc.drives.motion import body_motion
 from interloc.drives.parts import DriveParts
 from interloc.drives.poses import read_poses
 from interloc.errors import DriveError

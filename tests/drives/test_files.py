@@ -30,6 +30,12 @@ def test_folder_instead_of_a_file(tmp_path: Path) -> None:
         read_text(tmp_path, tmp_path)
 
 
+def test_pipe_instead_of_a_file(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "poses.txt")
+    with pytest.raises(DriveError, match="is a pipe or device"):
+        read_text(tmp_path / "poses.txt", tmp_path)
+
+
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(DriveError, match=r"times\.txt: cannot be read: no such file"):
         read_text(tmp_path / "times.txt", tmp_path)

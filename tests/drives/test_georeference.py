@@ -15,16 +15,10 @@ from numpy.typing import NDArray
 
 from interloc.drives.calibration import KITTI_T_VELO_IMU
 from interloc.drives.drive import Georeference
-from interloc.drives.georeference import (
-    ODOMETRY_OF_RAW,
-    _of_lidar,
-    ecef_poses,
-    poses_of,
-    raw_offset,
-    read_geo_csv,
-    read_georeference,
-    read_oxts_rows,
-)
+from interloc.drives.fixes import ecef_poses, poses_of
+from interloc.drives.geo_csv import read_geo_csv
+from interloc.drives.georeference import georeference_of_lidar, read_georeference
+from interloc.drives.oxts import ODOMETRY_OF_RAW, raw_offset, read_oxts_rows
 from interloc.drives.parts import DriveParts
 from interloc.drives.poses import read_poses
 from interloc.errors import GeoreferenceError
@@ -217,7 +211,7 @@ def test_oxts_agrees_with_the_ground_truth_and_the_lever_arm_has_the_right_sign(
     lidar = invert_transform(T_cam_lidar) @ read_poses(path, path.parent).poses @ T_cam_lidar
     rows = read_oxts_rows(data(f"kitti/oxts/{sequence}.txt.gz"), path.parent, np.arange(len(lidar)))
     error = {
-        name: rigid_rmse(plane_positions(_of_lidar(rows, (arm, ""), "")), lidar[:, :2, 3])
+        name: rigid_rmse(plane_positions(georeference_of_lidar(rows, (arm, ""), "")), lidar[:, :2, 3])
         for name, arm in (
             ("right", KITTI_T_VELO_IMU),
             ("none", np.eye(4)),

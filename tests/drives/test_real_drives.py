@@ -63,7 +63,10 @@ def test_the_road_alone_betrays_the_other_dialect(
     wrong = raw if frame == "camera" else invert_transform(T_cam_lidar) @ raw @ T_cam_lidar
     with pytest.raises(DriveError, match=r"the road is not flat"):
         check_flat_road(
-            dataclasses.replace(drive, T_world_lidar=wrong), np.arange(len(raw)), Findings(stop_at_first=True)
+            dataclasses.replace(drive, T_world_lidar=wrong),
+            np.arange(len(raw)),
+            "poses.txt",
+            Findings(stop_at_first=True),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -63,6 +63,7 @@ def test_nothing_wanted_gives_nothing() -> None:
 @given(
     st.lists(st.integers(0, 2**32 - 1) | st.sampled_from([40, 48, 60, 65535]), max_size=50), st.integers(0, 2**32 - 1)
 )
+@settings(deadline=None)  # the first call compiles
 def test_equals_the_plain_twin(ids: list[int], seed: int) -> None:
     labels = np.array(ids, np.uint32)
     points = np.random.default_rng(seed).normal(size=(len(ids), 4)).astype(np.float32)
