@@ -77,7 +77,7 @@ def local_maxima(rows: Index, cols: Index, scores: NDArray[np.float64], window: 
     Of equal neighbours the first in the list wins.
     """
     half = window // 2
-    order = np.argsort(-scores)
+    order = np.argsort(-scores, kind="mergesort")  # stable
     found = np.empty(rows.size, np.int32)
     n = 0
     for j in range(order.size):

@@ -1,0 +1,101 @@
+"""Packed images against plain arrays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from interloc.kernels import bits
+
+Image = NDArray[np.uint8]
+
+WIDTHS = [1, 2, 63, 64, 65, 127, 128, 129, 750]
+
+
+def packed(image: Image) -> bits.Words:
+    words = np.zeros((image.shape[0] + 2, bits.words_for(image.shape[1])), np.uint64)
+    bits.pack(image, words)
+    return words
+
+
+def plain_words(image: Image) -> bits.Words:
+    """Row r of the image is row r + 1, column c is bit c % 64 of word c // 64."""
+    words = [[0] * (image.shape[1] // 64 + 1) for _ in range(image.shape[0] + 2)]
+    for r, c in np.argwhere(image).tolist():
+        words[r + 1][c // 64] |= 1 << (c % 64)
+    return np.array(words, np.uint64)
+
+
+def plain_nearest_clear(image: Image, row: int, col: int, limit: int) -> float:
+    rows, cols = np.nonzero(image == 0)
+    return min([math.hypot(r - row, c - col) for r, c in zip(rows.tolist(), cols.tolist(), strict=True)] + [limit])
+
+
+@st.composite
+def images(draw: st.DrawFn) -> Image:
+    height, width = draw(st.integers(1, 9)), draw(st.sampled_from(WIDTHS))
+    share = draw(st.sampled_from([0.0, 0.05, 0.5, 0.95, 1.0]))
+    return (np.random.default_rng(draw(st.integers(0, 2**32 - 1))).random((height, width)) < share).astype(np.uint8)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_every_row_ends_with_an_empty_column(width: int) -> None:
+    assert bits.words_for(width) * 64 > width
+    assert (bits.words_for(width) - 1) * 64 <= width
+
+
+@given(st.integers(0, 2**64 - 1))
+@settings(deadline=None)
+def test_bits_of_a_word_are_counted(x: int) -> None:
+    assert bits.popcount(np.uint64(x)) == x.bit_count()
+
+
+@given(st.integers(1, 2**64 - 1) | st.integers(0, 63).map(lambda i: 1 << i))
+@settings(deadline=None)
+def test_lowest_bit_of_a_word_is_found(x: int) -> None:
+    assert bits.lowest_bit(np.uint64(x)) == (x & -x).bit_length() - 1
+
+
+@given(images())
+@settings(deadline=None)
+def test_packing_is_the_layout_and_unpacking_its_inverse(image: Image) -> None:
+    words = packed(image)
+    np.testing.assert_array_equal(words, plain_words(image))
+    unpacked = np.zeros_like(image)
+    bits.unpack(words, unpacked)
+    np.testing.assert_array_equal(unpacked, image)
+
+
+def test_anything_but_zero_is_set() -> None:
+    np.testing.assert_array_equal(packed(np.array([[0, 1, 2, 255]], np.uint8))[1], [0b1110])
+
+
+@given(images())
+@settings(deadline=None)
+def test_set_pixels_come_in_row_major_order(image: Image) -> None:
+    rows, cols = bits.set_pixels(packed(image))
+    assert rows.dtype == cols.dtype == np.int32
+    np.testing.assert_array_equal(np.column_stack([rows, cols]), np.argwhere(image))
+
+
+@given(images(), st.integers(1, 80), st.data())
+@settings(deadline=None)
+def test_nearest_clear_pixel_is_that_of_the_plain_search(image: Image, limit: int, data: st.DataObject) -> None:
+    set_pixels = np.argwhere(image).tolist()
+    if not set_pixels:
+        return
+    row, col = data.draw(st.sampled_from(set_pixels))
+    distance = bits.nearest_clear(packed(image), row, col, *image.shape, limit)
+    assert distance == plain_nearest_clear(image, row, col, limit)
+
+
+def test_outside_of_the_image_nothing_is_clear() -> None:
+    image = np.ones((5, 64), np.uint8)
+    assert bits.nearest_clear(packed(image), 2, 63, 5, 64, 40) == 40
+    image[4, 60] = 0
+    assert bits.nearest_clear(packed(image), 1, 63, 5, 64, 40) == math.hypot(3, 3)

@@ -1,0 +1,115 @@
+"""Harris scores on the centerline against OpenCV's on the whole image."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from interloc.detect.image import BinaryImage
+from interloc.kernels.harris import harris_scores, local_maxima
+
+Image = NDArray[np.uint8]
+
+
+def plain_harris(image: Image, block: int, k: float) -> NDArray[np.float64]:
+    """Score every pixel of an image that is empty outside."""
+    margin = block // 2 + 1
+    line = np.pad(image.astype(np.float64), margin + 1)
+
+    def shifted(dr: int, dc: int) -> NDArray[np.float64]:
+        return line[1 + dr : line.shape[0] - 1 + dr, 1 + dc : line.shape[1] - 1 + dc]
+
+    gx = sum(weight * (shifted(d, 1) - shifted(d, -1)) for d, weight in ((-1, 1), (0, 2), (1, 1)))
+    gy = sum(weight * (shifted(1, d) - shifted(-1, d)) for d, weight in ((-1, 1), (0, 2), (1, 1)))
+    gx, gy = gx / (4 * block), gy / (4 * block)
+    scores = np.zeros(image.shape)
+    for r, c in np.ndindex(image.shape):
+        window = np.s_[r + 1 : r + 1 + block, c + 1 : c + 1 + block]
+        a, b, d = (gx[window] ** 2).sum(), (gx[window] * gy[window]).sum(), (gy[window] ** 2).sum()
+        scores[r, c] = a * d - b * b - k * (a + d) ** 2
+    return scores
+
+
+def plain_local_maxima(
+    rows: NDArray[np.int32], cols: NDArray[np.int32], scores: NDArray[np.float64], window: int, least: float
+) -> list[int]:
+    found = []
+    for i in range(len(rows)):
+        near = (np.abs(rows - rows[i]) <= window // 2) & (np.abs(cols - cols[i]) <= window // 2)
+        best = scores[near].max()
+        first = int(np.flatnonzero(near & (scores == best))[0])
+        if first == i and best >= least and best > 0:
+            found.append(i)
+    return sorted(found, key=lambda i: -scores[i])
+
+
+def lines(seed: int, height: int, width: int, count: int) -> Image:
+    image = np.zeros((height, width), np.uint8)
+    ends = np.random.default_rng(seed).integers(0, [width, height, width, height], (count, 4))
+    for x0, y0, x1, y1 in ends.tolist():
+        cv2.line(image, (x0, y0), (x1, y1), 1)
+    return image
+
+
+@pytest.mark.parametrize(("block", "k"), [(3, 0.04), (9, 0.04), (15, 0.06)])
+@pytest.mark.parametrize("width", [65, 128, 750])
+def test_equals_opencv_away_from_the_border(block: int, k: float, width: int) -> None:
+    image = lines(2, 200, width, 12)
+    packed = BinaryImage.from_array(image)
+    rows, cols = packed.pixels()
+    ours = harris_scores(packed.words, rows, cols, block, k)
+    theirs = cv2.cornerHarris(image.astype(np.float32), block, 3, k)[rows, cols]
+    edge = block // 2 + 2
+    inside = (rows >= edge) & (cols >= edge) & (rows < 200 - edge) & (cols < width - edge)
+    assert inside.sum() > 100
+    np.testing.assert_allclose(ours[inside], theirs[inside], rtol=1e-3, atol=1e-5 * np.abs(ours).max())
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([1, 13, 63, 64, 65]), st.sampled_from([3, 5, 9]))
+@settings(deadline=None, max_examples=30)
+def test_equals_the_plain_twin_up_to_the_border(seed: int, height: int, width: int, block: int) -> None:
+    image = (np.random.default_rng(seed).random((height, width)) < 0.2).astype(np.uint8)
+    packed = BinaryImage.from_array(image)
+    rows, cols = packed.pixels()
+    scores = harris_scores(packed.words, rows, cols, block, 0.04)
+    np.testing.assert_allclose(scores, plain_harris(image, block, 0.04)[rows, cols], rtol=1e-9, atol=1e-12)
+
+
+def test_corner_scores_high_and_line_low() -> None:
+    image = np.zeros((60, 60), np.uint8)
+    image[30, 10:50] = 1
+    image[10:31, 30] = 1
+    packed = BinaryImage.from_array(image)
+    rows, cols = packed.pixels()
+    scores = harris_scores(packed.words, rows, cols, 9, 0.04)
+    best = int(np.argmax(scores))
+    assert abs(rows[best] - 30) <= 3
+    assert abs(cols[best] - 30) <= 3
+    assert scores[(rows == 30) & (cols == 18)] < 0
+
+
+def test_image_without_lines_has_no_scores() -> None:
+    empty = BinaryImage.empty(20, 20)
+    rows, cols = empty.pixels()
+    scores = harris_scores(empty.words, rows, cols, 9, 0.04)
+    assert scores.size == 0
+    assert local_maxima(rows, cols, scores, 21, 0.0).size == 0
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 60), st.sampled_from([3, 7, 21]), st.sampled_from([0.0, 2.0]))
+@settings(deadline=None)
+def test_local_maxima_are_those_of_the_plain_twin(seed: int, count: int, window: int, least: float) -> None:
+    generator = np.random.default_rng(seed)
+    rows, cols = np.unique(generator.integers(0, 40, (count, 2), np.int32), axis=0).T
+    scores = generator.integers(-3, 6, len(rows)).astype(np.float64)  # many equal ones
+    found = local_maxima(np.ascontiguousarray(rows), np.ascontiguousarray(cols), scores, window, least)
+    assert found.tolist() == plain_local_maxima(rows, cols, scores, window, least)
+
+
+def test_first_of_equal_neighbours_wins() -> None:
+    rows, cols = np.array([5, 5, 5], np.int32), np.array([1, 2, 30], np.int32)
+    assert local_maxima(rows, cols, np.array([4.0, 4.0, 4.0]), 3, 0.0).tolist() == [0, 2]

@@ -1,0 +1,106 @@
+"""Dilation and erosion against the definition, and against OpenCV."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from interloc.detect.image import BinaryImage
+from interloc.kernels.morphology import dilate, disc_half_widths, erode
+
+Image = NDArray[np.uint8]
+
+WIDTHS = [1, 63, 64, 65, 128, 131]
+
+
+def disc(diameter: int) -> Image:
+    """Draw the pixels whose centres lie within half a diameter of the middle."""
+    offset = np.arange(diameter) - diameter // 2
+    inside: Image = (4 * (offset[:, None] ** 2 + offset**2) <= diameter**2).astype(np.uint8)
+    return inside
+
+
+def plain_dilate(image: Image, diameter: int) -> Image:
+    """Set what the disc around any set pixel covers."""
+    radius = diameter // 2
+    height, width = image.shape
+    result = np.zeros((height + 2 * radius, width + 2 * radius), np.uint8)
+    for dr, dc in np.argwhere(disc(diameter)):
+        result[dr : dr + height, dc : dc + width] |= image
+    return result[radius : radius + height, radius : radius + width]
+
+
+def plain_erode(image: Image, diameter: int) -> Image:
+    """Keep where the disc covers no clear pixel of the image."""
+    return (1 - plain_dilate((1 - image).astype(np.uint8), diameter)).astype(np.uint8)
+
+
+def our_dilate(image: Image, diameter: int) -> Image:
+    packed = BinaryImage.from_array(image)
+    words = dilate(packed.words, disc_half_widths(diameter), packed.width)
+    return BinaryImage(words, packed.height, packed.width).to_array()
+
+
+def our_erode(image: Image, diameter: int) -> Image:
+    packed = BinaryImage.from_array(image)
+    words = erode(packed.words, disc_half_widths(diameter), packed.width)
+    return BinaryImage(words, packed.height, packed.width).to_array()
+
+
+@st.composite
+def images(draw: st.DrawFn) -> Image:
+    height, width = draw(st.integers(1, 40)), draw(st.sampled_from(WIDTHS))
+    share = draw(st.sampled_from([0.0, 0.01, 0.5, 0.99, 1.0]))
+    return (np.random.default_rng(draw(st.integers(0, 2**32 - 1))).random((height, width)) < share).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("diameter", "half_widths"), [(1, [0]), (3, [1, 1]), (5, [2, 2, 1]), (7, [3, 3, 2, 1]), (9, [4, 4, 4, 3, 2])]
+)
+def test_small_discs_are_as_drawn(diameter: int, half_widths: list[int]) -> None:
+    assert disc_half_widths(diameter).tolist() == half_widths
+
+
+@pytest.mark.parametrize("diameter", range(1, 64, 2))
+def test_half_widths_describe_the_disc(diameter: int) -> None:
+    rows = disc(diameter)[diameter // 2 :].sum(axis=1)
+    np.testing.assert_array_equal(2 * disc_half_widths(diameter) + 1, rows)
+
+
+@pytest.mark.parametrize("diameter", [-1, 0, 2, 14])
+def test_disc_of_even_diameter_is_refused(diameter: int) -> None:
+    with pytest.raises(ValueError, match=f"odd number of pixels, not {diameter}"):
+        disc_half_widths(diameter)
+
+
+@given(images(), st.sampled_from([1, 3, 5, 15, 31]))
+@settings(deadline=None)
+def test_dilation_is_that_of_the_definition(image: Image, diameter: int) -> None:
+    np.testing.assert_array_equal(our_dilate(image, diameter), plain_dilate(image, diameter))
+
+
+@given(images(), st.sampled_from([1, 3, 5, 15, 31]))
+@settings(deadline=None)
+def test_erosion_is_that_of_the_definition(image: Image, diameter: int) -> None:
+    np.testing.assert_array_equal(our_erode(image, diameter), plain_erode(image, diameter))
+
+
+def test_what_lies_outside_of_the_image_never_decides() -> None:
+    np.testing.assert_array_equal(our_erode(np.ones((5, 70), np.uint8), 15), np.ones((5, 70)))
+    np.testing.assert_array_equal(our_dilate(np.zeros((5, 70), np.uint8), 15), np.zeros((5, 70)))
+
+
+@pytest.mark.parametrize("diameter", [3, 15, 25])
+def test_closing_then_opening_equals_opencv(diameter: int) -> None:
+    noise = np.random.default_rng(3).normal(size=(750, 750)).astype(np.float32)
+    image = (cv2.GaussianBlur(noise, (0, 0), 4) > 0.05).astype(np.uint8)
+    # OpenCV's own border of `morphologyEx` is neutral in each single step, like ours.
+    closed = cv2.morphologyEx(image, cv2.MORPH_CLOSE, disc(diameter))
+    opened = cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc(diameter))
+    ours = our_erode(our_dilate(image, diameter), diameter)
+    np.testing.assert_array_equal(ours, closed)
+    np.testing.assert_array_equal(our_dilate(our_erode(ours, diameter), diameter), opened)
