@@ -14,6 +14,7 @@ from interloc.kernels import skeleton as sk
 
 Floats = NDArray[np.float64]
 
+STRAIGHT_M = 0.3  # scatter of the centerline of a straight road
 MIN_FIT_M = 3.0  # a shorter piece says nothing about the direction of a road
 
 
@@ -33,6 +34,8 @@ class Branches:
         Unit direction (row, column) of each branch, away from the candidate.
     points, normals : (L, 2) float64
         A point and the unit normal of each line, L <= B: a branch too short to tell its direction has none.
+    weights : (L,) float64
+        How much each line counts.
     lengths : (B,) float64
         Pixels of centerline in each branch.
     """
@@ -42,6 +45,7 @@ class Branches:
     directions: Floats
     points: Floats
     normals: Floats
+    weights: Floats
     lengths: Floats
 
     @property
@@ -106,13 +110,25 @@ def segment_branches(
         points = table[:, [sk.START_ROW, sk.START_COL]]
         directions = _unit(means - points)
         has_line = np.ones(len(table), np.bool_)
+        weights = np.ones(len(table))
     else:
         points = table[:, [sk.FIT_ROW, sk.FIT_COL]]
         has_line = table[:, sk.FIT_LENGTH] * resolution_m >= MIN_FIT_M
         fitted = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
         directions = np.where(has_line[:, None], fitted, _unit(means - candidates.positions[which]))
+        # A long straight branch knows better where the road runs than a short bent one.
+        scatter = (table[:, sk.FIT_RMS] * resolution_m) ** 2 + STRAIGHT_M**2
+        weights = table[:, sk.FIT_LENGTH] * resolution_m / scatter
     normals = directions[has_line][:, ::-1] * np.array([1.0, -1.0])
-    return Branches(candidates.positions[which], inner, directions, points[has_line], normals, table[:, sk.LENGTH])
+    return Branches(
+        candidates.positions[which],
+        inner,
+        directions,
+        points[has_line],
+        normals,
+        weights[has_line] / max(float(weights[has_line].mean()), 1e-9) if has_line.any() else np.empty(0),
+        table[:, sk.LENGTH],
+    )
 
 
 def _unit(vectors: Floats) -> Floats:

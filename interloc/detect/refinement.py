@@ -46,19 +46,21 @@ def refine(branches: Branches) -> Junction:
 
     Notes
     -----
-    Paper, eq. 10. With unit normals n and points a of the lines, the minimum solves (sum n n^T) p = sum n n^T a.
+    Paper, eq. 10. With unit normals n, points a and weights w (1 in the paper) of the lines, the minimum solves
+    (sum w n n^T) p = sum w n n^T a.
     """
-    candidate, normals = branches.candidate, branches.normals
-    matrix = normals.T @ normals
+    candidate, normals, weights = branches.candidate, branches.normals, branches.weights
+    weighted = normals * weights[:, None]
+    matrix = normals.T @ weighted
     offsets = np.einsum("ij,ij->i", normals, branches.points - candidate)
     least = _smaller_eigenvalue(matrix)
-    if len(normals) < 2 or least < PARALLEL * len(normals):
+    if len(normals) < 2 or least < PARALLEL * weights.sum():
         return Junction(candidate, branches.directions, math.inf, branches)
-    shift = np.linalg.solve(matrix, normals.T @ offsets)
+    shift = np.linalg.solve(matrix, weighted.T @ offsets)
     length = math.hypot(*shift)
     if length > branches.inner:
         shift = shift * (branches.inner / length)
-    residual = float(np.sqrt(np.mean((normals @ shift - offsets) ** 2)))
+    residual = float(np.sqrt(np.average((normals @ shift - offsets) ** 2, weights=weights)))
     return Junction(candidate + shift, branches.directions, residual, branches)
 
 
