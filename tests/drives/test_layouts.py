@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from interloc.drives import open_drive
+from interloc.drives import inspect_drive, open_drive
 from interloc.errors import ConfigError, DriveError
 
 
@@ -134,3 +134,9 @@ def test_folder_that_is_none(tmp_path: Path) -> None:
     (tmp_path / "drive.zip").touch()
     with pytest.raises(DriveError, match="is a file"):
         open_drive(tmp_path / "drive.zip")
+
+
+def test_path_that_no_file_system_takes() -> None:
+    with pytest.raises(DriveError, match="cannot be read"):
+        open_drive("a" * 5000)
+    assert not inspect_drive("a" * 5000).ok
