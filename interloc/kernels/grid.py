@@ -32,7 +32,7 @@ def cells_of(
     resolution_m : float
         Side of a cell.
     max_range_m : float
-        Points farther from the sensor in x or y are left out.
+        Points farther from the sensor in x or y are left out, and those that are not finite.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def cells_of(
     m = 0
     for i in range(n):
         px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        if abs(px) > max_range_m or abs(py) > max_range_m:
+        if not (abs(px) <= max_range_m and abs(py) <= max_range_m and abs(pz) < np.inf):  # false for NaN too
             continue
         ix = np.int64(np.floor(r00 * px + r01 * py + r02 * pz + tx))
         iy = np.int64(np.floor(r10 * px + r11 * py + r12 * pz + ty))

@@ -1,0 +1,138 @@
+"""Counting points in tiles against one plain array of counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from interloc.detect.image import BinaryImage
+from interloc.kernels.grid import TILE, add_cells, cells_of, remove_cells, threshold_window
+
+Cells = NDArray[np.int32]
+
+FIRST = -3  # the tile column and row where the pool of these tests begins
+SIDE = 6  # tiles a side
+EDGE = FIRST * TILE
+
+
+def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> NDArray[np.float64]:
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T[:2, 3] = x, y
+    return T
+
+
+def plain_counts(cells: Cells) -> NDArray[np.int32]:
+    """Count the cells in one array, (iy, ix) from the first tile on."""
+    counts = np.zeros((SIDE * TILE, SIDE * TILE), np.int32)
+    np.add.at(counts, (cells[:, 1] - EDGE, cells[:, 0] - EDGE), 1)
+    return counts
+
+
+def counts_of(pool: NDArray[np.int32], table: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Put the tiles of a pool side by side."""
+    return np.block([[pool[slot].reshape(TILE, TILE) for slot in row] for row in table])
+
+
+def shuffled_tiles(seed: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return an empty pool and a table that names its slots in no order."""
+    slots = np.random.default_rng(seed).permutation(SIDE * SIDE).astype(np.int32)
+    return np.zeros((SIDE * SIDE, TILE * TILE), np.int32), slots.reshape(SIDE, SIDE)
+
+
+def some_cells(seed: int, count: int) -> Cells:
+    """Return cells everywhere, crowded along a diagonal and on the edges of tiles."""
+    generator = np.random.default_rng(seed)
+    cells = generator.integers(EDGE, EDGE + SIDE * TILE, (count, 2), np.int32)
+    cells[::3, 1] = cells[::3, 0] // 4
+    cells[1::3] = cells[1::3] // TILE * TILE - generator.integers(0, 2, (len(cells[1::3]), 2), np.int32)
+    return np.clip(cells, EDGE, EDGE + SIDE * TILE - 1)
+
+
+def test_cell_covers_from_its_lower_edge_to_the_next() -> None:
+    points = np.array([[0, 0, 0], [0.49, 0.5, 0], [-0.01, -0.5, 0], [-0.51, 1.99, 0]], np.float32)
+    cells, _ = cells_of(points, pose(), 0.5, 100.0)
+    assert cells.tolist() == [[0, 0], [0, 1], [-1, -1], [-2, 3]]
+
+
+def test_cells_are_those_of_the_points_in_the_world() -> None:
+    points = np.random.default_rng(0).uniform(-60, 60, (5000, 3)).astype(np.float32)
+    T = pose(-812.3, 455.1, 2.2)
+    T[:3, :3] = T[:3, :3] @ np.array([[1, 0, 0], [0, np.cos(0.05), -np.sin(0.05)], [0, np.sin(0.05), np.cos(0.05)]])
+    cells, tiles = cells_of(points, T, 0.16, 150.0)
+    world = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+    np.testing.assert_array_equal(cells, np.floor(world[:, :2] / 0.16))
+    low, high = cells.min(axis=0) // TILE, cells.max(axis=0) // TILE
+    assert tiles.tolist() == [low[0], high[0], low[1], high[1]]
+
+
+def test_far_points_are_left_out() -> None:
+    points = np.array([[1, 0, 0], [11, 0, 0], [0, -11, 0], [-9, 9, 0]], np.float32)
+    cells, _ = cells_of(points, pose(100, 0), 1.0, 10.0)
+    assert cells.tolist() == [[101, 0], [91, 9]]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_points_that_are_not_finite_are_left_out(bad: float, axis: int) -> None:
+    points = np.ones((3, 3), np.float32)
+    points[1, axis] = bad
+    cells, tiles = cells_of(points, pose(), 0.5, 100.0)
+    assert cells.tolist() == [[2, 2], [2, 2]]
+    assert tiles.tolist() == [0, 0, 0, 0]
+
+
+def test_scan_without_points_falls_into_no_tile() -> None:
+    cells, tiles = cells_of(np.empty((0, 3), np.float32), pose(), 0.16, 150.0)
+    assert cells.shape == (0, 2)
+    assert tiles[1] < tiles[0]
+    assert tiles[3] < tiles[2]
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 100, 20_000]))
+@settings(deadline=None, max_examples=10)
+def test_counts_are_those_of_the_plain_twin_and_taking_back_leaves_nothing(seed: int, count: int) -> None:
+    first, second = some_cells(seed, count), some_cells(seed + 1, count)
+    pool, table = shuffled_tiles(seed)
+    where_first = add_cells(pool, table, FIRST, FIRST, first)
+    where_second = add_cells(pool, table, FIRST, FIRST, second)
+    np.testing.assert_array_equal(counts_of(pool, table), plain_counts(first) + plain_counts(second))
+    remove_cells(pool, where_first)
+    np.testing.assert_array_equal(counts_of(pool, table), plain_counts(second))
+    remove_cells(pool, where_second)
+    assert not pool.any()
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.integers(EDGE, EDGE + 3 * TILE),
+    st.integers(EDGE + 3 * TILE, EDGE + SIDE * TILE - 1),
+    st.sampled_from([1, 63, 64, 65, 256, 257, 750]),
+    st.integers(1, 4),
+)
+@settings(deadline=None, max_examples=40)
+def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, size: int, least: int) -> None:
+    cells = some_cells(seed, 30_000)
+    pool, table = shuffled_tiles(seed)
+    add_cells(pool, table, FIRST, FIRST, cells)
+    first_col, last_col = left // TILE - FIRST, (left + size - 1) // TILE - FIRST
+    first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
+    window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
+    image = BinaryImage.empty(size, size)
+    threshold_window(pool, window, left, top, size, least, image.words)
+    counts = plain_counts(cells)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
+    np.testing.assert_array_equal(image.to_array(), counts[::-1] >= least)
+    assert not image.words[[0, -1]].any()
+
+
+def test_tile_that_does_not_exist_is_empty() -> None:
+    pool = np.full((1, TILE * TILE), 7, np.int32)
+    table = np.array([[-1, 0], [-1, -1]], np.int32)
+    image = BinaryImage.empty(100, 100)
+    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, image.words)
+    expected = np.zeros((100, 100), np.uint8)
+    expected[30:, 50:] = 1  # rows go down: the lower tile row is the lower part of the image
+    np.testing.assert_array_equal(image.to_array(), expected)
