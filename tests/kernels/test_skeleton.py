@@ -1,0 +1,470 @@
+"""The graph of a centerline: small drawings checked by eye, and plain twins on random lines."""
+
+from __future__ import annotations
+
+import heapq
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from interloc.detect.image import BinaryImage
+from interloc.kernels import skeleton as sk
+from interloc.kernels.thinning import DELETABLE, thin
+
+Image = NDArray[np.uint8]
+Pixel = tuple[int, int]
+
+
+def drawing(*lines: str) -> BinaryImage:
+    """Make an image of text: a point is clear, anything else is set."""
+    return BinaryImage.from_array(np.array([[mark != "." for mark in line] for line in lines], np.uint8))
+
+
+def joined(image: BinaryImage) -> dict[Pixel, set[Pixel]]:
+    rows, cols = image.pixels()
+    pixels = list(zip(rows.tolist(), cols.tolist(), strict=True))
+    neighbours = sk.neighbours_of(image.words, rows, cols)
+    return {pixel: {pixels[q] for q in row if q >= 0} for pixel, row in zip(pixels, neighbours.tolist(), strict=True)}
+
+
+def degrees(image: BinaryImage) -> list[str]:
+    """Draw how many pixels each one is joined to."""
+    marks = np.full((image.height, image.width), ".")
+    for (r, c), others in joined(image).items():
+        marks[r, c] = str(len(others))
+    return ["".join(line) for line in marks]
+
+
+def plain_joined(image: Image) -> dict[Pixel, set[Pixel]]:
+    """Join pixels side by side, and diagonally where no third one joins them side by side."""
+    pixels = {(int(r), int(c)) for r, c in np.argwhere(image)}
+    result = {}
+    for r, c in pixels:
+        others = {(r + dr, c + dc) for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1))} & pixels
+        for dr, dc in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+            if (r + dr, c + dc) in pixels and not {(r + dr, c), (r, c + dc)} & pixels:
+                others.add((r + dr, c + dc))
+        result[r, c] = others
+    return result
+
+
+def thinned_blobs(seed: int, size: int = 130) -> tuple[BinaryImage, BinaryImage]:
+    """Return the axis of random smooth shapes, and the shapes."""
+    noise = np.random.default_rng(seed).normal(size=(size, size)).astype(np.float32)
+    shape = BinaryImage.from_array((cv2.GaussianBlur(noise, (0, 0), 4) > 0).astype(np.uint8))
+    line = BinaryImage(shape.words.copy(), size, size)
+    thin(line.words, DELETABLE)
+    return line, shape
+
+
+def graph(image: BinaryImage) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    rows, cols = image.pixels()
+    return rows, cols, sk.neighbours_of(image.words, rows, cols)
+
+
+# --- neighbours ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        (("....", ".#..", "...."), ("....", ".0..", "....")),
+        ((".....", ".###.", "....."), (".....", ".121.", ".....")),
+        (("#....", ".##..", "...#."), ("1....", ".22..", "...1.")),
+        (("##...", ".##..", "..##."), ("12...", ".22..", "..21.")),  # a staircase is a line
+        (("#...", "#...", "####"), ("1...", "2...", "2221")),  # so is a corner
+        (("..#..", "..#..", "#####"), ("..1..", "..2..", "12321")),
+        (("#...#", ".#.#.", "..#..", "..#.."), ("1...1", ".2.2.", "..3..", "..1..")),
+        (("..#..", "..#..", "#####", "..#..", "..#.."), ("..1..", "..2..", "12421", "..2..", "..1..")),
+        (("#...#", ".#.#.", "..#..", ".#.#.", "#...#"), ("1...1", ".2.2.", "..4..", ".2.2.", "1...1")),
+        (("#..#", ".##.", ".##.", "#..#"), ("1..1", ".33.", ".33.", "1..1")),  # four lines meet at a block
+        ((".##.", ".##."), (".22.", ".22.")),
+        (("###", "#.#", "###"), ("222", "2.2", "222")),
+    ],
+)
+def test_lines_corners_and_junctions_are_told_apart(lines: tuple[str, ...], expected: tuple[str, ...]) -> None:
+    assert degrees(drawing(*lines)) == list(expected)
+
+
+@pytest.mark.parametrize("width", [63, 64, 65, 128])
+def test_pixels_in_different_words_are_joined(width: int) -> None:
+    image = np.zeros((5, width), np.uint8)
+    image[2, :] = 1
+    image[0, -1] = image[1, -2] = 1
+    packed = BinaryImage.from_array(image)
+    assert joined(packed) == plain_joined(image)
+    assert not any((2, 0) in others for pixel, others in joined(packed).items() if pixel != (2, 1))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 20), st.sampled_from([1, 2, 63, 64, 65, 128]), st.floats(0, 1))
+@settings(deadline=None, max_examples=60)
+def test_neighbours_are_those_of_the_plain_twin(seed: int, height: int, width: int, share: float) -> None:
+    image = (np.random.default_rng(seed).random((height, width)) < share).astype(np.uint8)
+    packed = BinaryImage.from_array(image)
+    expected = plain_joined(image)
+    assert joined(packed) == expected
+    rows, cols, neighbours = graph(packed)
+    assert sk.degrees_of(neighbours).tolist() == [len(expected[p]) for p in zip(rows, cols, strict=True)]
+
+
+# --- width and clearing ----------------------------------------------------------------------------------------------
+
+
+def test_width_is_twice_the_way_to_the_nearest_gap() -> None:
+    road = np.zeros((40, 40), np.uint8)
+    road[10:19, :] = 1  # nine pixels: the gap is five from the middle one
+    rows, cols = np.array([14, 14, 11], np.int32), np.array([20, 0, 20], np.int32)
+    words = BinaryImage.from_array(road).words
+    assert sk.widths_at(words, rows, cols, 40, 200).tolist() == [10, 10, 4]
+    assert sk.widths_at(words, rows, cols, 40, 3).tolist() == [6, 6, 4]
+
+
+def test_cleared_pixels_are_gone_and_no_others() -> None:
+    image = BinaryImage.from_array(np.ones((3, 130), np.uint8))
+    sk.clear_pixels(image.words, np.array([0, 1, 2], np.int32), np.array([0, 64, 129], np.int32))
+    rows, cols = np.nonzero(image.to_array() == 0)
+    assert list(zip(rows.tolist(), cols.tolist(), strict=True)) == [(0, 0), (1, 64), (2, 129)]
+
+
+# --- spurs -----------------------------------------------------------------------------------------------------------
+
+
+def comb(spur: int, size: int = 100) -> tuple[BinaryImage, BinaryImage]:
+    """Return a line across with a spur upwards, in a road 21 pixels wide (22 to the middles of the gaps)."""
+    line = np.zeros((size, size), np.uint8)
+    line[50, :] = 1
+    line[50 - spur : 50, 50] = 1
+    road = np.zeros((size, size), np.uint8)
+    road[40:61, :] = 1
+    return BinaryImage.from_array(line), BinaryImage.from_array(road)
+
+
+def kept(line: BinaryImage, road: BinaryImage, widths: float, border: int) -> list[Pixel]:
+    rows, cols, neighbours = graph(line)
+    keep = sk.prune_spurs(rows, cols, neighbours, road.words, line.height, widths, border)
+    return list(zip(rows[keep].tolist(), cols[keep].tolist(), strict=True))
+
+
+@pytest.mark.parametrize(("spur", "stays"), [(1, False), (15, False), (21, False), (22, True), (35, True)])
+def test_spur_shorter_than_the_road_is_wide_is_removed(spur: int, stays: bool) -> None:
+    line, road = comb(spur)
+    pixels = kept(line, road, 1.0, 5)
+    assert [(50, c) for c in range(100)] == [p for p in pixels if p[0] == 50]
+    assert len(pixels) == (100 + spur if stays else 100)
+
+
+@pytest.mark.parametrize(("widths", "stays"), [(0.5, True), (0.69, False), (2.0, False)])
+def test_longest_spur_is_told_in_road_widths(widths: float, stays: bool) -> None:
+    line, road = comb(15)
+    assert (len(kept(line, road, widths, 5)) > 100) == stays
+
+
+def test_tip_at_the_border_is_kept() -> None:
+    line, road = comb(15)
+    assert len(kept(line, road, 1.0, 35)) == 100
+    assert len(kept(line, road, 1.0, 36)) == 115
+
+
+def test_line_without_a_junction_is_kept() -> None:
+    image = np.zeros((100, 100), np.uint8)
+    image[50, 45:55] = 1
+    road = BinaryImage.from_array(np.ones((100, 100), np.uint8))
+    assert len(kept(BinaryImage.from_array(image), road, 10.0, 5)) == 10
+
+
+def test_of_two_spurs_at_the_end_of_a_road_one_becomes_its_end() -> None:
+    image = np.zeros((100, 100), np.uint8)
+    image[50, :51] = 1
+    for i in range(1, 9):
+        image[50 - i, 50 + i] = image[50 + i, 50 + i] = 1
+    road = np.zeros((100, 100), np.uint8)
+    road[40:61, :62] = 1
+    pixels = kept(BinaryImage.from_array(image), BinaryImage.from_array(road), 1.0, 5)
+    assert len(pixels) == 51 + 8
+
+
+def test_spur_on_a_spur_goes_with_it() -> None:
+    line, road = comb(15)
+    image = line.to_array()
+    image[46, 51:56] = 1
+    assert len(kept(BinaryImage.from_array(image), road, 1.0, 5)) == 100
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 1.0, 2.0]))
+@settings(deadline=None, max_examples=20)
+def test_pruning_keeps_every_piece_and_leaves_no_short_spur(seed: int, widths: float) -> None:
+    line, shape = thinned_blobs(seed)
+    rows, cols, neighbours = graph(line)
+    keep = sk.prune_spurs(rows, cols, neighbours, shape.words, 130, widths, 12)
+    pieces = cv2.connectedComponents(line.to_array(), connectivity=8)[0]
+    sk.clear_pixels(line.words, rows[~keep], cols[~keep])
+    assert cv2.connectedComponents(line.to_array(), connectivity=8)[0] == pieces
+    graph_of = plain_joined(line.to_array())
+    for tip, length, junction in plain_spurs(graph_of):
+        if min(*tip, 129 - tip[0], 129 - tip[1]) >= 12:
+            width = 2 * plain_gap(shape.to_array(), junction)
+            assert length >= widths * width - 1e-9
+
+
+def plain_gap(shape: Image, pixel: Pixel) -> float:
+    rows, cols = np.nonzero(shape == 0)
+    return float(np.hypot(rows - pixel[0], cols - pixel[1]).min())
+
+
+def plain_spurs(graph_of: dict[Pixel, set[Pixel]]) -> list[tuple[Pixel, float, Pixel]]:
+    """Return tip, length and junction of each dead end."""
+    spurs = []
+    for tip, others in graph_of.items():
+        if len(others) != 1:
+            continue
+        length, last, here = 0.0, tip, next(iter(others))
+        length += math.dist(last, here)
+        while len(graph_of[here]) == 2:
+            (onward,) = graph_of[here] - {last}
+            length += math.dist(here, onward)
+            last, here = here, onward
+        if len(graph_of[here]) >= 3:
+            spurs.append((tip, length, here))
+    return spurs
+
+
+# --- pieces and distances along the line -----------------------------------------------------------------------------
+
+
+def test_pieces_are_numbered_in_the_order_of_their_starts() -> None:
+    image = drawing(
+        "###.###.##",
+        "..........",
+        "###.......",
+    )  # pixels 0-2, 3-5, 6-7, 8-10
+    _, _, neighbours = graph(image)
+    allowed = np.ones(11, np.bool_)
+    labels, count = sk.label_pieces(neighbours, allowed, np.array([9, 0, 8, 4], np.int32))
+    assert count == 3
+    assert labels.tolist() == [1, 1, 1, 2, 2, 2, -1, -1, 0, 0, 0]
+
+
+def test_piece_ends_where_pixels_are_not_allowed() -> None:
+    _, _, neighbours = graph(drawing("########"))
+    allowed = np.array([1, 1, 0, 1, 1, 1, 0, 1], np.bool_)
+    labels, count = sk.label_pieces(neighbours, allowed, np.array([2, 4, 7], np.int32))
+    assert count == 2
+    assert labels.tolist() == [-1, -1, -1, 0, 0, 0, -1, 1]
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_pieces_are_the_connected_ones(seed: int) -> None:
+    line, _ = thinned_blobs(seed)
+    rows, cols, neighbours = graph(line)
+    labels, count = sk.label_pieces(neighbours, np.ones(rows.size, np.bool_), np.arange(rows.size, dtype=np.int32))
+    expected_count, expected = cv2.connectedComponents(line.to_array(), connectivity=8)
+    assert count == expected_count - 1
+    assert len(set(zip(labels.tolist(), expected[rows, cols].tolist(), strict=True))) == count
+
+
+def plain_grow(graph_of: dict[Pixel, set[Pixel]], sources: list[Pixel], reach: list[float]) -> set[Pixel]:
+    """Return what lies within the reach of each source in turn (Dijkstra)."""
+    found: set[Pixel] = set()
+    for source, limit in zip(sources, reach, strict=True):
+        distance = {source: 0.0}
+        queue = [(0.0, source)]
+        while queue:
+            so_far, pixel = heapq.heappop(queue)
+            for other in graph_of[pixel]:
+                far = so_far + math.dist(pixel, other)
+                if far <= limit + 1e-9 and far < distance.get(other, math.inf):
+                    distance[other] = far
+                    heapq.heappush(queue, (far, other))
+        found |= set(distance)
+    return found
+
+
+def test_reach_is_measured_along_the_line() -> None:
+    image = drawing(
+        "#.......#",
+        "#########",
+        "....#....",
+        "....#....",
+    )  # pixels 0, 1; 2-10; 11; 12
+    rows, cols, neighbours = graph(image)
+    near = sk.grow_from(rows, cols, neighbours, np.array([12], np.int32), np.array([4.0]))
+    assert np.flatnonzero(near).tolist() == [4, 5, 6, 7, 8, 11, 12]
+    near = sk.grow_from(rows, cols, neighbours, np.array([12, 0], np.int32), np.array([0.0, 1.0]))
+    assert np.flatnonzero(near).tolist() == [0, 2, 12]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 12))
+@settings(deadline=None, max_examples=20)
+def test_reach_is_that_of_the_plain_twin(seed: int, count: int) -> None:
+    line, _ = thinned_blobs(seed)
+    rows, cols, neighbours = graph(line)
+    generator = np.random.default_rng(seed)
+    sources = generator.integers(0, rows.size, count, np.int32)
+    reach = generator.uniform(0, 60, count)
+    near = sk.grow_from(rows, cols, neighbours, sources, reach)
+    pixels = list(zip(rows.tolist(), cols.tolist(), strict=True))
+    expected = plain_grow(plain_joined(line.to_array()), [pixels[s] for s in sources], reach.tolist())
+    assert {pixel for pixel, is_near in zip(pixels, near, strict=True) if is_near} == expected
+
+
+# --- branches --------------------------------------------------------------------------------------------------------
+
+
+def branches(
+    image: BinaryImage,
+    *candidates: Pixel,
+    inner: float = 10.0,
+    outer: float = 60.0,
+    trim: float = 0.0,
+    fit: float = 99.0,
+) -> NDArray[np.float64]:
+    rows, cols, neighbours = graph(image)
+    positions = np.array(candidates, np.float64)
+    return sk.follow_branches(rows, cols, neighbours, positions, 0, inner, outer, 5.0, fit, trim, image.height, 8)
+
+
+def cross(size: int = 201) -> Image:
+    image = np.zeros((size, size), np.uint8)
+    image[size // 2, :] = 1
+    image[:, size // 2] = 1
+    return image
+
+
+def test_crossing_lines_have_four_branches_from_circle_to_circle() -> None:
+    table = branches(BinaryImage.from_array(cross()), (100, 100))
+    starts = table[:, [sk.START_ROW, sk.START_COL]]
+    means = table[:, [sk.MEAN_ROW, sk.MEAN_COL]]
+    # The rings are open: pixels 11 to 59 away, their mean 35 away.
+    assert starts.tolist() == [[89, 100], [100, 89], [100, 111], [111, 100]]
+    assert means.tolist() == [[65, 100], [100, 65], [100, 135], [135, 100]]
+    assert table[:, sk.LENGTH].tolist() == [49] * 4
+    assert table[:, sk.REACH].tolist() == [59] * 4
+    assert not table[:, [sk.AT_CANDIDATE, sk.AT_BORDER]].any()
+
+
+def test_branches_point_away_and_are_straight() -> None:
+    table = branches(BinaryImage.from_array(cross()), (100, 100))
+    directions = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
+    np.testing.assert_allclose(directions, [[-1, 0], [0, -1], [0, 1], [1, 0]], atol=1e-12)
+    np.testing.assert_allclose(table[:, sk.FIT_RMS], 0, atol=1e-6)
+    assert table[:, sk.FIT_LENGTH].tolist() == [48] * 4
+
+
+def test_branch_ends_before_another_candidate() -> None:
+    table = branches(BinaryImage.from_array(cross()), (100, 100), (100, 140))
+    assert table[:, sk.AT_CANDIDATE].tolist() == [0, 0, 1, 0]
+    assert table[2, sk.REACH] == 35  # the pixel 5 before the other one is the first that does not belong to it any more
+    assert table[2, sk.LENGTH] == 25
+
+
+def test_line_that_does_not_come_from_the_inner_circle_is_no_branch() -> None:
+    image = cross()
+    image[130, 110:150] = 1  # beside
+    image[100, 105:115] = 0  # cut off
+    table = branches(BinaryImage.from_array(image), (100, 100))
+    assert len(table) == 3
+
+
+def test_line_that_forks_outside_of_the_inner_circle_is_one_branch() -> None:
+    image = cross()
+    image[np.arange(71, 100), 100 + np.arange(49, 20, -1)] = 1  # leaves the right arm at column 120
+    table = branches(BinaryImage.from_array(image), (100, 100))
+    assert len(table) == 4
+    assert table[2, sk.LENGTH] > 49 + 20
+
+
+def test_branch_that_reaches_the_border_says_so() -> None:
+    image = np.zeros((101, 101), np.uint8)
+    image[50, 50:] = 1
+    image[20:50, 50] = 1
+    table = branches(BinaryImage.from_array(image), (50, 50))
+    assert table[:, sk.AT_BORDER].tolist() == [0, 1]
+
+
+def test_line_is_fitted_to_the_trusted_part_only() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    image[100, 100:151] = 1
+    image[np.arange(93, 100), np.arange(157, 150, -1)] = 1  # the tip bends away, 45 degrees, and ends 57 pixels off
+    packed = BinaryImage.from_array(image)
+    bent = branches(packed, (100, 100), trim=0.0)
+    assert abs(bent[0, sk.FIT_D_ROW]) > 0.02
+    trimmed = branches(packed, (100, 100), trim=12.0)
+    assert abs(trimmed[0, sk.FIT_D_ROW]) < 1e-9
+    short = branches(packed, (100, 100), fit=30.0)
+    assert abs(short[0, sk.FIT_D_ROW]) < 1e-9
+    assert short[0, sk.FIT_LENGTH] == 29
+
+
+def test_branch_with_nothing_to_trust_has_no_line() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    image[100, 100:116] = 1
+    table = branches(BinaryImage.from_array(image), (100, 100), trim=20.0)
+    assert table[0, sk.LENGTH] == 5
+    assert table[0, sk.FIT_LENGTH] == 0
+
+
+@pytest.mark.parametrize("angle_deg", [0, 10, 45, 77, 90, 135, 200, 290])
+def test_fitted_line_is_that_of_total_least_squares(angle_deg: float) -> None:
+    along = np.array([-math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))])  # row, column
+    image = np.zeros((201, 201), np.uint8)
+    end = np.round(100 + 80 * along).astype(int)
+    cv2.line(image, (100, 100), (int(end[1]), int(end[0])), 1)
+    packed = BinaryImage.from_array(image)
+    (row,) = branches(packed, (100, 100))
+    points = np.column_stack(packed.pixels()).astype(np.float64)
+    distance = np.hypot(*(points - 100).T)
+    points = points[(distance > 10) & (distance < 60)]
+    centred = points - points.mean(axis=0)
+    direction = np.linalg.svd(centred)[2][0]
+    direction *= np.sign(direction @ along)
+    np.testing.assert_allclose(row[[sk.FIT_ROW, sk.FIT_COL]], points.mean(axis=0))
+    np.testing.assert_allclose(row[[sk.FIT_D_ROW, sk.FIT_D_COL]], direction, atol=1e-9)
+    across = centred @ np.array([-direction[1], direction[0]])
+    np.testing.assert_allclose(row[sk.FIT_RMS], np.sqrt(np.mean(across**2)), atol=1e-6)
+    assert direction @ along > 0.999
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5))
+@settings(deadline=None, max_examples=20)
+def test_branches_are_those_of_the_plain_twin(seed: int, count: int) -> None:
+    line, _ = thinned_blobs(seed)
+    pixels = list(zip(*(axis.tolist() for axis in line.pixels()), strict=True))
+    picks = np.random.default_rng(seed).choice(len(pixels), count, replace=False)
+    candidates = [pixels[i] for i in picks]
+    table = branches(line, *candidates, inner=8.0, outer=30.0)
+    expected = plain_branches(plain_joined(line.to_array()), candidates, 8.0, 30.0, 5.0)
+    assert len(table) == len(expected)
+    measured = sorted((row[sk.LENGTH], row[sk.MEAN_ROW], row[sk.MEAN_COL], row[sk.AT_CANDIDATE]) for row in table)
+    literal = sorted((len(piece), *np.mean(sorted(piece), axis=0), blocked) for piece, blocked in expected)
+    np.testing.assert_allclose(measured, literal)
+
+
+def plain_branches(
+    graph_of: dict[Pixel, set[Pixel]], candidates: list[Pixel], inner: float, outer: float, stop: float
+) -> list[tuple[set[Pixel], bool]]:
+    """Return the pieces of the annulus around the first candidate that touch its inner disc."""
+    first, *others = candidates
+    ring = {p for p in graph_of if inner < math.dist(p, first) < outer}
+    blocked = {p for p in ring if any(math.dist(p, other) < stop for other in others)}
+    pieces: list[tuple[set[Pixel], bool]] = []
+    for start in sorted(ring):
+        if any(start in piece for piece, _ in pieces):
+            continue
+        if all(math.dist(q, first) > inner for q in graph_of[start]):
+            continue
+        piece, stack, at_candidate = {start}, [start], False
+        while stack:
+            for q in graph_of[stack.pop()] & ring:
+                if q in blocked and q not in piece:
+                    at_candidate = True
+                elif q not in piece:
+                    piece.add(q)
+                    stack.append(q)
+        pieces.append((piece, at_candidate))
+    return pieces
