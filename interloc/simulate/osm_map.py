@@ -87,10 +87,12 @@ class StreetMap:
 
 
 @dataclass(frozen=True)
-class _Way:
+class MapWay:
+    """A way: id, node ids, (N, 2) float64 longitudes and latitudes of the nodes, tags."""
+
     way_id: int
     nodes: list[int]
-    lonlat: list[tuple[float, float]]
+    lonlat: Array
     tags: dict[str, str]
 
 
@@ -120,7 +122,23 @@ def read_map(
         No OSM file, damaged, or without any street.
     """
     ways, circles = _read_ways(roads, {"highway", "building", "amenity"} if buildings is None else {"highway"})
-    areas = ways if buildings is None else _read_ways(buildings, {"building", "amenity"})[0]
+    areas = None if buildings is None else _read_ways(buildings, {"building", "amenity"})[0]
+    result = street_map_of(ways, frame, areas=areas, turning_circles=circles, box=box)
+    if not result.streets:
+        raise MapError(f"{roads}: no street near the track. Expected ways with highway=motorway ... service around it.")
+    return result
+
+
+def street_map_of(
+    ways: Iterable[MapWay],
+    frame: LocalFrame,
+    *,
+    areas: Iterable[MapWay] | None = None,
+    turning_circles: Iterable[int] = (),
+    box: tuple[float, float, float, float] | None = None,
+) -> StreetMap:
+    """Sort ways into streets, footways, car parks and buildings (the last two from `areas`, if given)."""
+    ways = list(ways)
     result = StreetMap(frame)
     driven = []
     for way, xy in _inside(ways, frame, box):
@@ -129,12 +147,10 @@ def read_map(
             driven.append((way, xy))
         elif kind in FOOTWAYS and way.tags.get("area") != "yes":
             result.footways.append((way.tags, xy))
-    if not driven:
-        raise MapError(f"{roads}: no street near the track. Expected ways with highway=motorway ... service around it.")
     result.streets = _split(driven)
     result.node_xy = {n: p for s in result.streets for n, p in zip(s.nodes, s.xy, strict=True)}
-    result.turning_circles = [n for n in circles if n in result.node_xy]
-    for way, xy in _inside(areas, frame, box):
+    result.turning_circles = [n for n in turning_circles if n in result.node_xy]
+    for way, xy in _inside(ways if areas is None else areas, frame, box):
         if len(xy) < 4 or way.nodes[0] != way.nodes[-1]:
             continue
         if way.tags.get("amenity") == "parking":
@@ -145,17 +161,17 @@ def read_map(
 
 
 def _inside(
-    ways: Iterable[_Way], frame: LocalFrame, box: tuple[float, float, float, float] | None
-) -> Iterator[tuple[_Way, Array]]:
+    ways: Iterable[MapWay], frame: LocalFrame, box: tuple[float, float, float, float] | None
+) -> Iterator[tuple[MapWay, Array]]:
     """Yield ways with their points in M, unless they lie wholly outside a box."""
     for way in ways:
-        xy = frame.xy(np.array(way.lonlat))
+        xy = frame.xy(way.lonlat)
         low, high = xy.min(axis=0), xy.max(axis=0)
         if box is None or not (high[0] < box[0] or high[1] < box[1] or low[0] > box[2] or low[1] > box[3]):
             yield way, xy
 
 
-def _read_ways(path: Path, keys: set[str]) -> tuple[list[_Way], list[int]]:
+def _read_ways(path: Path, keys: set[str]) -> tuple[list[MapWay], list[int]]:
     """Return the ways with any of the keys, and the nodes at which a dead end widens."""
     import osmium  # noqa: PLC0415 - half the start-up time of the command line
 
@@ -183,11 +199,11 @@ def _read_ways(path: Path, keys: set[str]) -> tuple[list[_Way], list[int]]:
     for way_id, refs, tags in found:
         known = [ref for ref in refs if ref in place]  # extracts are cut at their edge
         if len(known) > 1:
-            result.append(_Way(way_id, known, [place[ref] for ref in known], tags))
+            result.append(MapWay(way_id, known, np.array([place[ref] for ref in known]), tags))
     return result, circles
 
 
-def _split(driven: Iterable[tuple[_Way, Array]]) -> list[Street]:
+def _split(driven: Iterable[tuple[MapWay, Array]]) -> list[Street]:
     """Cut ways at every node that they share with another one, or visit twice."""
     driven = list(driven)
     uses = Counter(node for way, _ in driven for node in way.nodes)

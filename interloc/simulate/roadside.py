@@ -49,7 +49,7 @@ def furnish(
         With the ids of the streets, decides everything: the same street looks the same in every run.
     """
     walls = WallList()
-    yard = Yard(profiles, lines, driven_xy)
+    yard = Yard(profiles, lines, driven_xy, [xy for _, xy in street_map.parking])
     for xy, height in _buildings(street_map, profiles, lines, config, yard, seed):
         walls.add_line(xy, -1.0, height, Surface.BUILDING)
     for number, (profile, line) in enumerate(zip(profiles, lines, strict=True)):
@@ -64,17 +64,24 @@ def furnish(
 
 
 class Yard:
-    """Tells what is free: neither road nor the way of the vehicle."""
+    """Tells what is free: neither road nor car park nor the way of the vehicle."""
 
-    def __init__(self, profiles: Sequence[Profile], lines: Sequence[BaseGeometry], driven_xy: Array) -> None:
+    def __init__(
+        self, profiles: Sequence[Profile], lines: Sequence[BaseGeometry], driven_xy: Array, lots: Sequence[Array]
+    ) -> None:
         self._roads = [line.buffer(p.half_m) for p, line in zip(profiles, lines, strict=True)]
         self._tree = shapely.STRtree(self._roads)
+        self._lots = [Polygon(xy) for xy in lots]
         self._driven = cKDTree(driven_xy)
 
     def off_road(self, geometry: BaseGeometry, distance_m: float = 0.0, *, besides: int = -1) -> bool:
         """Tell whether no street (but the one of that number) comes nearer than a distance."""
         found = self._tree.query(geometry, predicate="dwithin", distance=distance_m)
         return not any(int(i) != besides for i in found)
+
+    def off_lots(self, geometry: BaseGeometry) -> bool:
+        """Tell whether a geometry touches no car park."""
+        return not any(lot.intersects(geometry) for lot in self._lots)
 
     def clear(self, places: Array, distance_m: float) -> bool:
         """Tell whether the vehicle never came nearer to any of (N, 2) places."""
@@ -112,13 +119,13 @@ def _buildings(
                 if part.area > 8.0:
                     yield shapely.get_coordinates(part.exterior), height
     if config.buildings == "made_up" or (config.buildings == "auto" and not known):
-        yield from _made_up(profiles, lines, config, yard, seed)
+        yield from made_up_houses(profiles, lines, config, yard, seed)
 
 
-def _made_up(
+def made_up_houses(
     profiles: Sequence[Profile], lines: Sequence[BaseGeometry], config: RoadsideConfig, yard: Yard, seed: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yield a row of houses on both sides of every street of a town."""
+    """Yield outlines (N, 2) in M and heights of a row of houses on both sides of every street of a town."""
     taken: list[Polygon] = []
     tree = shapely.STRtree([])
     for profile, line in zip(profiles, lines, strict=True):
@@ -136,7 +143,9 @@ def _made_up(
                 offset = profile.edge_m(left=left) + 2.0 + 5.0 * back + depth_m / 2
                 centre = place + (1 if left else -1) * offset * np.array([-np.sin(heading), np.cos(heading)])
                 outline = _rectangle(centre, heading, 9.0 + 5.0 * width, depth_m)
-                if not yard.off_road(outline, 3.5) or not yard.clear(shapely.get_coordinates(outline), 5.0):
+                if not (yard.off_road(outline, 3.5) and yard.off_lots(outline)) or not yard.clear(
+                    _corners(outline), 5.0
+                ):
                     continue
                 if len(tree.query(outline, predicate="dwithin", distance=1.0)) or any(
                     outline.distance(other) < 1.0 for other in fresh
@@ -224,6 +233,11 @@ def _at(line: LineString, along_m: float) -> tuple[Array, float]:
     a = shapely.get_coordinates(line.interpolate(max(along_m - 0.5, 0.0)))[0]
     b = shapely.get_coordinates(line.interpolate(along_m + 0.5))[0]
     return shapely.get_coordinates(line.interpolate(along_m))[0], float(np.arctan2(*(b - a)[::-1]))
+
+
+def _corners(outline: Polygon) -> Array:
+    corners: Array = shapely.get_coordinates(outline)
+    return corners
 
 
 def _rectangle(centre: Array, heading: float, length: float, width: float) -> Polygon:

@@ -1,0 +1,189 @@
+"""Reading the line of a track from GPX and CSV files. Both are somebody's upload: checked, never trusted."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.errors import DriveError
+from interloc.simulate.config import TrackConfig
+from interloc.simulate.tracks import Track, read_oxts, track_from_line, track_from_oxts
+
+Array = NDArray[np.float64]
+
+MAX_POINTS = 2_000_000
+_POINT_TAGS = {"trkpt", "rtept"}
+_LAT_NAMES = ("lat", "latitude", "lat_deg")
+_LON_NAMES = ("lon", "lng", "long", "longitude", "lon_deg")
+_ALT_NAMES = ("alt", "ele", "altitude", "elevation", "height", "alt_m")
+
+
+def open_track(path: Path, config: TrackConfig | None = None) -> Track:
+    """Read a track of any kind: .gpx, .csv, or else OXTS rows (a file, .gz too, or a folder `oxts/data`).
+
+    Raises
+    ------
+    DriveError
+        The file is none of these, or damaged.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".gpx":
+        return track_from_line(*read_gpx(path), config)
+    if suffix == ".csv":
+        return track_from_line(*read_csv(path), config)
+    rate = (config or TrackConfig()).rate_hz
+    return track_from_oxts(read_oxts(path), rate_hz=rate)
+
+
+def read_gpx(path: Path) -> tuple[Array, Array | None]:
+    """Read the points of the tracks of a GPX file, of its routes if it has no track.
+
+    Returns
+    -------
+    lonlat : (N, 2) float64
+        Degrees.
+    alt_m : (N,) float64 or None
+        Heights, where every point has one.
+
+    Raises
+    ------
+    DriveError
+        Not GPX, damaged, without points, or with a DOCTYPE.
+    """
+    reader = _GpxReader(path)
+    parser = expat.ParserCreate(namespace_separator=" ")
+    parser.StartElementHandler = reader.start
+    parser.EndElementHandler = reader.end
+    parser.CharacterDataHandler = reader.text
+    parser.StartDoctypeDeclHandler = reader.doctype
+    try:
+        with path.open("rb") as file:
+            while block := file.read(1 << 16):
+                parser.Parse(block)
+            parser.Parse(b"", True)
+    except expat.ExpatError as error:
+        raise DriveError(
+            f"{path}: is no GPX file ({error}). Expected XML with <gpx> and <trkpt lat=.. lon=..>."
+        ) from error
+    except OSError as error:
+        raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    points = reader.points["trkpt"] or reader.points["rtept"]
+    if not points:
+        raise DriveError(
+            f"{path}: no track in this file. Expected <trkpt lat=.. lon=..> elements; waypoints make no line."
+        )
+    return _checked(path, np.array(points))
+
+
+def read_csv(path: Path) -> tuple[Array, Array | None]:
+    """Read a track from a CSV file whose header names `lat`, `lon` and, if known, `alt`; other columns are skipped.
+
+    Returns
+    -------
+    lonlat, alt_m
+        As of `read_gpx`.
+
+    Raises
+    ------
+    DriveError
+        No such header, no rows, or no numbers.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            sample = file.readline()
+            file.seek(0)
+            rows = csv.reader(file, delimiter=";" if sample.count(";") > sample.count(",") else ",")
+            header = [name.strip().lower() for name in next(rows, [])]
+            lat, lon = _column(header, _LAT_NAMES), _column(header, _LON_NAMES)
+            alt = _column(header, _ALT_NAMES)
+            if lat is None or lon is None:
+                raise DriveError(
+                    f"{path}: the first line is {sample.strip()[:60]!r}. "
+                    "Expected a header that names the columns lat and lon (degrees), and alt (metres) if known."
+                )
+            points = []
+            for row in rows:
+                if not row:
+                    continue
+                points.append((float(row[lat]), float(row[lon]), _number(row[alt]) if alt is not None else math.nan))
+                if len(points) > MAX_POINTS:
+                    raise DriveError(f"{path}: more than {MAX_POINTS:,} points. Thin the track out first.")
+    except (ValueError, IndexError, csv.Error) as error:
+        raise DriveError(f"{path}: line {rows.line_num} is no point of a track ({error}). Expected degrees.") from error
+    except OSError as error:
+        raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    if not points:
+        raise DriveError(f"{path}: no rows below the header. Expected one point of the track a row.")
+    return _checked(path, np.array(points))
+
+
+@dataclass
+class _GpxReader:
+    path: Path
+    points: dict[str, list[list[float]]] = field(default_factory=lambda: {"trkpt": [], "rtept": []})
+    current: list[float] | None = None
+    in_height: bool = False
+    height: str = ""
+    depth: int = 0
+
+    def start(self, name: str, attributes: dict[str, str]) -> None:
+        tag = name.rsplit(" ", 1)[-1]
+        if self.depth == 0 and tag != "gpx":
+            raise DriveError(f"{self.path}: is XML, but no GPX: it starts with <{tag}>. Expected <gpx>.")
+        self.depth += 1
+        if tag in _POINT_TAGS:
+            try:
+                self.current = [float(attributes["lat"]), float(attributes["lon"]), math.nan]
+            except (KeyError, ValueError) as error:
+                raise DriveError(f"{self.path}: a <{tag}> without numbers for lat and lon.") from error
+            if len(self.points[tag]) >= MAX_POINTS:
+                raise DriveError(f"{self.path}: more than {MAX_POINTS:,} points. Thin the track out first.")
+            self.points[tag].append(self.current)
+        self.in_height = tag == "ele" and self.current is not None
+        self.height = ""
+
+    def text(self, data: str) -> None:
+        if self.in_height and len(self.height) < 40:
+            self.height += data
+
+    def end(self, name: str) -> None:
+        self.depth -= 1
+        tag = name.rsplit(" ", 1)[-1]
+        if tag in _POINT_TAGS:
+            self.current = None
+        elif tag == "ele" and self.current is not None:
+            self.current[2] = _number(self.height)
+        self.in_height = False
+
+    def doctype(self, *_: object) -> NoReturn:
+        raise DriveError(f"{self.path}: declares a DOCTYPE. GPX needs none, and entities are refused: remove it.")
+
+
+def _column(header: list[str], names: tuple[str, ...]) -> int | None:
+    return next((header.index(name) for name in names if name in header), None)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _checked(path: Path, points: Array) -> tuple[Array, Array | None]:
+    lat, lon, alt = points.T
+    bad = ~(np.isfinite(lat) & np.isfinite(lon) & (np.abs(lat) <= 90) & (np.abs(lon) <= 180))
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise DriveError(
+            f"{path}: point {k + 1} is at latitude {lat[k]}, longitude {lon[k]}. Expected degrees on the earth."
+        )
+    return np.column_stack([lon, lat]), (alt if np.isfinite(alt).all() else None)
