@@ -118,6 +118,9 @@ class BranchConfig(_Config):
         description="Inner circle in local road widths instead of a fixed one; a_i is its upper bound.",
     )
     outer_radius_m: float = Field(40.0, gt=0, le=200, description="a_o: outer circle.")
+    margin_m: float = Field(
+        0.0, ge=0, le=50, description="Candidates nearer than this to the border of the window are left out."
+    )
     min_branches: int = Field(3, ge=2, le=8, description="Branches that make an intersection.")
     min_reach_m: float = Field(
         14.0, ge=0, le=200, description="A branch reaches this far from its candidate, unless another one is nearer."
@@ -138,6 +141,15 @@ class BranchConfig(_Config):
         return self
 
 
+class CompoundConfig(_Config):
+    """Intersections side by side in one blob of road (beyond the paper: its section V-E)."""
+
+    separation_m: float = Field(7.0, gt=0, le=50, description="Nearer intersections are one.")
+    straight_deg: float = Field(25.0, gt=0, le=60, description="Most that two branches of a through road may bend ...")
+    offset_m: float = Field(4.0, gt=0, le=20, description="... and pass each other by.")
+    crossing_deg: float = Field(30.0, gt=0, le=90, description="Least angle at which roads cross.")
+
+
 class DetectorConfig(_Config):
     """All settings of the method, in the order of its steps."""
 
@@ -148,6 +160,7 @@ class DetectorConfig(_Config):
     centerline: CenterlineConfig = CenterlineConfig()
     candidates: Annotated[HarrisCandidates | CrossingCandidates, Field(discriminator="kind")] = CrossingCandidates()
     branches: BranchConfig = BranchConfig()
+    compound: CompoundConfig | None = Field(None, description="None: a candidate is one intersection, as in the paper.")
 
     @model_validator(mode="after")
     def _fits(self) -> DetectorConfig:
@@ -170,7 +183,10 @@ DEFAULT = DetectorConfig(
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(),
-    branches=BranchConfig(inner_radius_m=15.0, inner_widths=1.0, line="least_squares", stop_m=2.0, trim_m=2.0),
+    branches=BranchConfig(
+        inner_radius_m=15.0, inner_widths=1.0, line="least_squares", stop_m=2.0, trim_m=2.0, margin_m=8.0
+    ),
+    compound=CompoundConfig(),
 )
 
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,30 +28,46 @@ class Branches:
         Row and column, pixels.
     inner : float
         Radius of the inner circle, pixels.
-    count : int
-        Number of branches B.
     directions : (B, 2) float64
         Unit direction (row, column) of each branch, away from the candidate.
-    points, normals : (L, 2) float64
-        A point and the unit normal of each line, L <= B: a branch too short to tell its direction has none.
-    weights : (L,) float64
-        How much each line counts.
+    points : (B, 2) float64
+        A point on the line of each branch.
+    weights : (B,) float64
+        How much each line counts; 0 for a branch that is too short to tell its direction.
     lengths : (B,) float64
         Pixels of centerline in each branch.
+    core : (C, 2) float64
+        Junction pixels of the centerline that the candidate stands for; empty for Harris corners.
     """
 
     candidate: Floats
     inner: float
     directions: Floats
     points: Floats
-    normals: Floats
     weights: Floats
     lengths: Floats
+    core: Floats
 
     @property
     def count(self) -> int:
         """Number of branches."""
         return len(self.directions)
+
+    @property
+    def normals(self) -> Floats:
+        """(B, 2) float64 unit normals of the lines."""
+        return np.column_stack([self.directions[:, 1], -self.directions[:, 0]])
+
+    def only(self, which: list[int], candidate: Floats) -> Branches:
+        """Return some of the branches, around another point."""
+        return replace(
+            self,
+            candidate=candidate,
+            directions=self.directions[which],
+            points=self.points[which],
+            weights=self.weights[which],
+            lengths=self.lengths[which],
+        )
 
 
 def inner_radius(candidates: Candidates, which: int, resolution_m: float, config: BranchConfig) -> float:
@@ -119,15 +135,11 @@ def segment_branches(
         # A long straight branch knows better where the road runs than a short bent one.
         scatter = (table[:, sk.FIT_RMS] * resolution_m) ** 2 + STRAIGHT_M**2
         weights = table[:, sk.FIT_LENGTH] * resolution_m / scatter
-    normals = directions[has_line][:, ::-1] * np.array([1.0, -1.0])
+    weights = np.where(has_line, weights, 0.0)
+    if has_line.any():
+        weights /= weights[has_line].mean()
     return Branches(
-        candidates.positions[which],
-        inner,
-        directions,
-        points[has_line],
-        normals,
-        weights[has_line] / max(float(weights[has_line].mean()), 1e-9) if has_line.any() else np.empty(0),
-        table[:, sk.LENGTH],
+        candidates.positions[which], inner, directions, points, weights, table[:, sk.LENGTH], candidates.cores[which]
     )
 
 

@@ -25,10 +25,18 @@ class Candidates:
         Row and column in the image, pixels.
     widths : (C,) float64
         Road width there, pixels.
+    cores : list of (J, 2) float64
+        Row and column of the junction pixels that each one stands for; empty for Harris corners.
     """
 
     positions: Floats
     widths: Floats
+    cores: list[Floats]
+
+    def inside(self, size: int, margin: float) -> NDArray[np.int64]:
+        """Return which candidates lie at least a margin from the border of an image of ``size`` pixels a side."""
+        within = (self.positions >= margin) & (self.positions <= size - 1 - margin)
+        return np.flatnonzero(within.all(axis=1))
 
 
 def find_candidates(
@@ -61,7 +69,7 @@ def _harris(centerline: Centerline, resolution_m: float, config: HarrisCandidate
     positions = np.column_stack([centerline.rows[corners], centerline.cols[corners]]).astype(np.float64)
     positions, groups = merge_until_stable(positions, config.merge_m / resolution_m)
     widths = centerline.widths(corners)
-    return Candidates(positions, np.array([widths[group].mean() for group in groups]))
+    return Candidates(positions, np.array([widths[group].mean() for group in groups]), [np.empty((0, 2))] * len(groups))
 
 
 def merge_until_stable(positions: Floats, radius: float) -> tuple[Floats, list[list[int]]]:
@@ -110,4 +118,5 @@ def _crossings(centerline: Centerline, resolution_m: float, config: CrossingCand
     cols = np.bincount(label, centerline.cols[junctions], minlength=count) / members
     width = np.zeros(count)
     np.maximum.at(width, label, widths)
-    return Candidates(np.column_stack([rows, cols]), width)
+    pixels = np.column_stack([centerline.rows[junctions], centerline.cols[junctions]]).astype(np.float64)
+    return Candidates(np.column_stack([rows, cols]), width, [pixels[label == i] for i in range(count)])

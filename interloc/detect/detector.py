@@ -14,6 +14,7 @@ from interloc.detect.accumulation import RoadAccumulator
 from interloc.detect.branches import segment_branches
 from interloc.detect.candidates import Candidates, find_candidates
 from interloc.detect.centerline import Centerline, extract_centerline
+from interloc.detect.compound import split_compound
 from interloc.detect.image import BinaryImage, Roi
 from interloc.detect.keyframes import Keyframe, KeyframeSelector
 from interloc.detect.occupancy import infer_occupancy
@@ -120,9 +121,12 @@ class Detector:
         lap("candidates")
         branches = [  # III-C.1
             segment_branches(candidates, which, centerline, resolution_m, config.branches)
-            for which in range(len(candidates.positions))
+            for which in candidates.inside(roi.size, config.branches.margin_m / resolution_m)
         ]
-        junctions = [refine(b) for b in branches if b.count >= config.branches.min_branches]  # III-C.2
+        branches = [b for b in branches if b.count >= config.branches.min_branches]
+        if config.compound is not None:
+            branches = [part for b in branches for part in split_compound(b, resolution_m, config.compound)]
+        junctions = [refine(b) for b in branches]  # III-C.2
         lap("refinement")
         return Steps(roi, bev, occupancy, centerline, candidates, junctions)
 

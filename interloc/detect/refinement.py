@@ -54,7 +54,7 @@ def refine(branches: Branches) -> Junction:
     matrix = normals.T @ weighted
     offsets = np.einsum("ij,ij->i", normals, branches.points - candidate)
     least = _smaller_eigenvalue(matrix)
-    if len(normals) < 2 or least < PARALLEL * weights.sum():
+    if np.count_nonzero(weights) < 2 or least < PARALLEL * weights.sum():
         return Junction(candidate, branches.directions, math.inf, branches)
     shift = np.linalg.solve(matrix, weighted.T @ offsets)
     length = math.hypot(*shift)

@@ -42,6 +42,11 @@ class StreetConfig(_Config):
         0.2, ge=0, le=1, description="Share of the residential streets with marked bays (label parking) at the kerb."
     )
     parking_bay_width_m: float = Field(2.1, gt=1, le=6)
+    service_roads: Literal["other_ground", "road"] = Field(
+        "other_ground",
+        description="What service roads (not drives or lanes of car parks) are labelled. The ground truth policy "
+        "`drive` leaves them out; as road, each of their junctions is a false positive there.",
+    )
     lane_markings: bool = Field(True, description="Dashed centre lines on the larger streets.")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -73,15 +74,17 @@ def plan_ground(
     """
     paths, lots, drives = Layer(Surface.SIDEWALK), Layer(Surface.PARKING), Layer(Surface.PARKING)
     medians, walks, bays = Layer(Surface.OTHER_GROUND), Layer(Surface.SIDEWALK), Layer(Surface.PARKING)
-    aisles, roads, marks = Layer(Surface.PARKING), Layer(Surface.ROAD), Layer(Surface.MARKING)
+    aisles, alleys = Layer(Surface.PARKING), Layer(Surface.OTHER_GROUND)
+    roads, marks = Layer(Surface.ROAD), Layer(Surface.MARKING)
     for tags, xy in street_map.footways:
         paths.add(LineString(xy).buffer(1.8 if tags["highway"] == "pedestrian" else 1.1))
     for _, xy in street_map.parking:
         lots.add(shapely.make_valid(Polygon(xy)))
     for profile, line in zip(profiles, lines, strict=True):
         surface = line.buffer(profile.half_m)
-        if profile.is_yard:
-            (drives if profile.street.tags.get("service") == "driveway" else aisles).add(surface)
+        aside = _aside(profile, config)
+        if aside is not None:
+            {"drive": drives, "aisle": aisles, "alley": alleys}[aside].add(surface)
             continue
         roads.add(surface)
         for part in line_parts(line):
@@ -97,7 +100,14 @@ def plan_ground(
         roads.add(disc)
         walks.add(disc.buffer(config.sidewalk_width_m))
     roads.add(driven)
-    return [layer.close() for layer in (paths, lots, drives, medians, walks, bays, aisles, roads, marks)]
+    return [layer.close() for layer in (paths, lots, drives, medians, walks, bays, aisles, alleys, roads, marks)]
+
+
+def _aside(profile: Profile, config: StreetConfig) -> Literal["drive", "aisle", "alley"] | None:
+    """Tell what a driven way that is not labelled road is; None for road."""
+    if profile.is_yard:
+        return "drive" if profile.street.tags.get("service") == "driveway" else "aisle"
+    return "alley" if profile.is_service and config.service_roads == "other_ground" else None
 
 
 def paint(layers: Iterable[Layer], x0: float, y0: float, side_m: float, cells: int) -> NDArray[np.uint8]:
@@ -197,7 +207,12 @@ def _fillets(
         chosen = []
         for street, starts in arms:
             i = number[id(street)]
-            if profiles[i].is_yard or lines[i].is_empty or lines[i].distance(centre) > 0.1:
+            if (
+                profiles[i].is_yard
+                or _is_alley(profiles[i], config)
+                or lines[i].is_empty
+                or lines[i].distance(centre) > 0.1
+            ):
                 continue
             line = profiles[i].line
             arm = substring(line, 0, ARM_M) if starts else substring(line, line.length - ARM_M, line.length)
