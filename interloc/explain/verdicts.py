@@ -1,0 +1,169 @@
+"""What became of each candidate, and why: recomputed from the steps with the pixels that they do not keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.config import BranchConfig, DetectorConfig, HarrisCandidates
+from interloc.detect.branches import Branches, inner_radius, segment_branches
+from interloc.detect.candidates import Candidates, harris_corners, merge_until_stable
+from interloc.detect.centerline import Centerline
+from interloc.detect.detector import Steps
+from interloc.detect.refinement import Junction
+from interloc.kernels import skeleton as sk
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A connected piece of centerline that leaves the inner circle of a candidate.
+
+    Attributes
+    ----------
+    pixels : (P,) int64
+        Positions among the pixels of the centerline.
+    reach : float
+        Greatest distance from the candidate, pixels.
+    at_candidate : bool
+        It ends before another candidate.
+    is_branch : bool
+        It counts; otherwise it is too short.
+    """
+
+    pixels: NDArray[np.int64]
+    reach: float
+    at_candidate: bool
+    is_branch: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One candidate and what became of it.
+
+    Attributes
+    ----------
+    number : int
+        Its name in the pictures, from 1 on.
+    position : (2,) float64
+        Row and column, pixels.
+    width : float
+        Road width there, pixels.
+    merged : (M, 2) float64
+        The corners or junctions of the centerline that it is the average of, row and column.
+    branches
+    pieces
+        Those that are branches are in the order of ``branches``.
+    detection : int or None
+        Position among ``Steps.junctions``; None for a candidate that is no intersection.
+    why_not : str or None
+        Why it is none.
+    """
+
+    number: int
+    position: Floats
+    width: float
+    merged: Floats
+    branches: Branches
+    pieces: list[Piece]
+    detection: int | None
+    why_not: str | None
+
+
+def judge(steps: Steps, vehicle: Floats, config: DetectorConfig) -> list[Verdict]:
+    """Explain all candidates of a keyframe, the nearest to the vehicle (x, y in W, metres) first."""
+    candidates, centerline, resolution_m = steps.candidates, steps.centerline, steps.roi.resolution_m
+    merged = merged_points(centerline, resolution_m, config)
+    order = np.argsort(np.hypot(*(candidates.positions - steps.roi.image(vehicle)).T), kind="stable")
+    verdicts = []
+    for number, which in enumerate(order.tolist(), start=1):
+        branches = segment_branches(candidates, which, centerline, resolution_m, config.branches)
+        pieces = pieces_around(candidates, which, centerline, resolution_m, config.branches)
+        detection = _position(steps.junctions, branches)
+        verdicts.append(
+            Verdict(
+                number=number,
+                position=candidates.positions[which],
+                width=float(candidates.widths[which]),
+                merged=merged[which],
+                branches=branches,
+                pieces=pieces,
+                detection=detection,
+                why_not=_why_not(branches, pieces, resolution_m, config.branches) if detection is None else None,
+            )
+        )
+    return verdicts
+
+
+def merged_points(centerline: Centerline, resolution_m: float, config: DetectorConfig) -> list[Floats]:
+    """Return the points, (M, 2) row and column, that each candidate is the average of."""
+    if isinstance(config.candidates, HarrisCandidates):
+        corners, _ = harris_corners(centerline, config.candidates)
+        points = _points(centerline, corners)
+        _, groups = merge_until_stable(points, config.candidates.merge_m / resolution_m)
+        return [points[group] for group in groups]
+    settings = config.candidates
+    junctions = np.flatnonzero(centerline.degrees >= 3).astype(np.int32)
+    widths = centerline.widths(junctions) * settings.merge_widths
+    reach = np.clip(widths, settings.merge_min_m / resolution_m, settings.merge_max_m / resolution_m)
+    near = sk.grow_from(centerline.rows, centerline.cols, centerline.neighbours, junctions, reach / 2)
+    labels, count = sk.label_pieces(centerline.neighbours, near, junctions)
+    return [_points(centerline, junctions[labels[junctions] == label]) for label in range(count)]
+
+
+def pieces_around(
+    candidates: Candidates, which: int, centerline: Centerline, resolution_m: float, config: BranchConfig
+) -> list[Piece]:
+    """Find the pieces of centerline around a candidate pixel by pixel (paper, section III-C.1).
+
+    The numbers of these pieces are those of `interloc.kernels.skeleton.follow_branches`.
+    """
+    neighbours, here = centerline.neighbours, candidates.positions[which]
+    pixels = _points(centerline, np.arange(len(centerline.rows)))
+    distance = np.hypot(*(pixels - here).T)
+    inner = inner_radius(candidates, which, resolution_m, config)
+    annulus = (distance > inner) & (distance < config.outer_radius_m / resolution_m)
+    starts = np.flatnonzero(annulus & _beside(distance <= inner, neighbours)).astype(np.int32)
+    foreign = np.zeros(len(pixels), np.bool_)  # too near to another candidate
+    for other in np.delete(candidates.positions, which, axis=0):
+        foreign |= np.hypot(*(pixels - other).T) < config.stop_m / resolution_m
+    allowed = annulus & ~foreign
+    allowed[starts] = True
+    labels, count = sk.label_pieces(neighbours, allowed, starts)
+    at_candidate = _beside(annulus & foreign & (labels < 0), neighbours)
+    pieces = []
+    for label in range(count):
+        members = np.flatnonzero(labels == label)
+        reach, cut = float(distance[members].max()), bool(at_candidate[members].any())
+        pieces.append(Piece(members, reach, cut, cut or reach * resolution_m >= config.min_reach_m))
+    return pieces
+
+
+def _why_not(branches: Branches, pieces: list[Piece], resolution_m: float, config: BranchConfig) -> str:
+    why = f"{branches.count} {'branch' if branches.count == 1 else 'branches'}, {config.min_branches} needed"
+    short = [f"{piece.reach * resolution_m:.1f}" for piece in pieces if not piece.is_branch]
+    if short:
+        why += f"; {len(short)} too short ({', '.join(short)} of {config.min_reach_m:g} m)"
+    return why
+
+
+def _position(junctions: list[Junction], branches: Branches) -> int | None:
+    for i, junction in enumerate(junctions):
+        if np.array_equal(junction.branches.candidate, branches.candidate):
+            return i
+    return None
+
+
+def _points(centerline: Centerline, pixels: NDArray[np.integer]) -> Floats:
+    return np.column_stack([centerline.rows[pixels], centerline.cols[pixels]]).astype(np.float64)
+
+
+def _beside(mask: Flags, neighbours: NDArray[np.int32]) -> Flags:
+    """Return the pixels that are joined to one of a mask, (P,) bool."""
+    known: Flags = np.append(mask, False)[neighbours]  # -1, no neighbour, takes what is appended
+    beside: Flags = np.logical_or.reduce(known, axis=1)
+    return beside
