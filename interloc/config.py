@@ -130,6 +130,9 @@ class BranchConfig(_Config):
         "start_and_mean", description="How a line is laid through a branch."
     )
     fit_length_m: float = Field(30.0, gt=0, le=200, description="Length of a branch that a least squares line uses.")
+    candidate_std_m: float | None = Field(
+        None, gt=0, le=50, description="How well the candidate itself is placed, beside its lines; none: not counted."
+    )
     trim_m: float = Field(0.0, ge=0, le=20, description="Centerline nearer than this to a tip or the border is unused.")
 
     @model_validator(mode="after")
@@ -184,7 +187,13 @@ DEFAULT = DetectorConfig(
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(),
     branches=BranchConfig(
-        inner_radius_m=15.0, inner_widths=1.0, line="least_squares", stop_m=2.0, trim_m=2.0, margin_m=8.0
+        inner_radius_m=15.0,
+        inner_widths=1.0,
+        line="least_squares",
+        stop_m=2.0,
+        trim_m=2.0,
+        margin_m=8.0,
+        candidate_std_m=2.0,
     ),
     compound=CompoundConfig(),
 )

@@ -14,7 +14,8 @@ from interloc.kernels import skeleton as sk
 
 Floats = NDArray[np.float64]
 
-STRAIGHT_M = 0.3  # scatter of the centerline of a straight road
+STRAIGHT_M = 0.5  # how well the line of a straight road is known
+FULL_FIT_M = 15.0  # length that a line of that quality takes
 MIN_FIT_M = 3.0  # a shorter piece says nothing about the direction of a road
 
 
@@ -133,11 +134,8 @@ def segment_branches(
         fitted = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
         directions = np.where(has_line[:, None], fitted, _unit(means - candidates.positions[which]))
         # A long straight branch knows better where the road runs than a short bent one.
-        scatter = (table[:, sk.FIT_RMS] * resolution_m) ** 2 + STRAIGHT_M**2
-        weights = table[:, sk.FIT_LENGTH] * resolution_m / scatter
-    weights = np.where(has_line, weights, 0.0)
-    if has_line.any():
-        weights /= weights[has_line].mean()
+        scatter_m2 = (table[:, sk.FIT_RMS] * resolution_m) ** 2 + STRAIGHT_M**2
+        weights = np.where(has_line, table[:, sk.FIT_LENGTH] * resolution_m / FULL_FIT_M / scatter_m2, 0.0)
     return Branches(
         candidates.positions[which], inner, directions, points, weights, table[:, sk.LENGTH], candidates.cores[which]
     )

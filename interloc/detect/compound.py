@@ -63,7 +63,7 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
     reach = branches.inner + config.separation_m / resolution_m
     nodes = [(place, members) for place, members in crossing if math.dist(place, branches.candidate) < reach]
     groups = _group(nodes, config.separation_m / resolution_m)
-    if len(groups) < 2:
+    if len(groups) < 2 or not _have_junctions_each(branches.core, [place for place, _ in groups]):
         return [branches]
     return [branches.only(sorted(members), place) for place, members in groups]
 
@@ -148,6 +148,14 @@ def _link(branches: Branches) -> _Axis | None:
     if spread[0] < 1e-9:
         return None
     return _Axis(middle, rows[0], [])
+
+
+def _have_junctions_each(core: Floats, places: list[Floats]) -> bool:
+    """Tell whether each place has a junction of the centerline for itself: else a bent branch made it up."""
+    if not len(core):
+        return False
+    distance = np.hypot(*(core[:, None, :] - np.array(places)[None, :, :]).transpose(2, 0, 1))
+    return len(np.unique(distance.argmin(axis=1))) == len(places)
 
 
 def _group(nodes: list[tuple[Floats, set[int]]], separation: float) -> list[tuple[Floats, set[int]]]:

@@ -126,7 +126,8 @@ class Detector:
         branches = [b for b in branches if b.count >= config.branches.min_branches]
         if config.compound is not None:
             branches = [part for b in branches for part in split_compound(b, resolution_m, config.compound)]
-        junctions = [refine(b) for b in branches]  # III-C.2
+        prior = config.branches.candidate_std_m
+        junctions = [refine(b, 0.0 if prior is None else prior**-2) for b in branches]  # III-C.2
         lap("refinement")
         return Steps(roi, bev, occupancy, centerline, candidates, junctions)
 

@@ -39,8 +39,14 @@ class Junction:
     branches: Branches
 
 
-def refine(branches: Branches) -> Junction:
+def refine(branches: Branches, prior_weight: float = 0.0) -> Junction:
     """Move the candidate to the point of least squared distances to the lines of its branches, within the inner disc.
+
+    Parameters
+    ----------
+    branches
+    prior_weight : float
+        Weight of the candidate itself beside the lines; 0 as in the paper.
 
     Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite.
 
@@ -52,11 +58,12 @@ def refine(branches: Branches) -> Junction:
     candidate, normals, weights = branches.candidate, branches.normals, branches.weights
     weighted = normals * weights[:, None]
     matrix = normals.T @ weighted
+    held = matrix + prior_weight * np.eye(2)
     offsets = np.einsum("ij,ij->i", normals, branches.points - candidate)
-    least = _smaller_eigenvalue(matrix)
+    least = _smaller_eigenvalue(held)
     if np.count_nonzero(weights) < 2 or least < PARALLEL * weights.sum():
         return Junction(candidate, branches.directions, math.inf, branches)
-    shift = np.linalg.solve(matrix, weighted.T @ offsets)
+    shift = np.linalg.solve(held, weighted.T @ offsets)
     length = math.hypot(*shift)
     if length > branches.inner:
         shift = shift * (branches.inner / length)

@@ -207,12 +207,7 @@ def _fillets(
         chosen = []
         for street, starts in arms:
             i = number[id(street)]
-            if (
-                profiles[i].is_yard
-                or _is_alley(profiles[i], config)
-                or lines[i].is_empty
-                or lines[i].distance(centre) > 0.1
-            ):
+            if _aside(profiles[i], config) or lines[i].is_empty or lines[i].distance(centre) > 0.1:
                 continue
             line = profiles[i].line
             arm = substring(line, 0, ARM_M) if starts else substring(line, line.length - ARM_M, line.length)
