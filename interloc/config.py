@@ -193,7 +193,7 @@ DEFAULT = DetectorConfig(
         stop_m=2.0,
         trim_m=2.0,
         margin_m=8.0,
-        candidate_std_m=2.0,
+        candidate_std_m=1.0,
     ),
     compound=CompoundConfig(),
 )
