@@ -16,6 +16,8 @@ Ints = NDArray[np.int32]
 
 PROFILE_STEPS = 96
 BUCKETS = 2048
+STEP_M = 0.06
+"""Surfaces are raised by nothing, by this or by twice this."""
 
 
 @compiled
@@ -218,35 +220,25 @@ def cast_rays(
                 below = profile[k] - oz - slope * distance[k]
                 closing = max((above + below) / (distance[k] - distance[k - 1]), 1e-6)
                 s = distance[k - 1] + above / closing
-                best = s
-                surface = surface_at(tiles, index, rx0, ry0, tile_m, ox + ux * s, oy + uy * s)
-                lift = materials[surface, 1]
-                if lift > 0.0:
-                    low = max(s - lift / closing, 0.0)
-                    there = surface_at(tiles, index, rx0, ry0, tile_m, ox + ux * low, oy + uy * low)
-                    if materials[there, 1] >= lift:
-                        best = low
-                        surface = there
-                    else:  # the ray meets the face of a kerb somewhere between
-                        high = s
-                        for _ in range(6):
-                            mid = 0.5 * (low + high)
-                            there = surface_at(tiles, index, rx0, ry0, tile_m, ox + ux * mid, oy + uy * mid)
-                            if materials[there, 1] > 0.0:
-                                high = mid
-                                surface = there
-                            else:
-                                low = mid
-                        best = high
-                else:  # a kerb or an island may stand in the way just before
-                    for part in range(3, 0, -1):
-                        drop = part * 0.04
-                        before = max(s - drop / closing, 0.0)
-                        there = surface_at(tiles, index, rx0, ry0, tile_m, ox + ux * before, oy + uy * before)
-                        if materials[there, 1] >= drop - 1e-9:
-                            best = before
+                # From the highest possible kerb down: the first that the ray meets at its own height.
+                free = s
+                for part in range(2, -1, -1):
+                    height = part * STEP_M
+                    place = max(s - height / closing, 0.0)
+                    surface = surface_at(tiles, index, rx0, ry0, tile_m, ox + ux * place, oy + uy * place)
+                    if materials[surface, 1] >= height - 1e-9:
+                        best = place
+                        break
+                    free = place
+                if materials[surface, 1] > height + 1e-9 and part < 2:  # its face, somewhere between the two places
+                    for _ in range(6):
+                        middle = 0.5 * (free + best)
+                        there = surface_at(tiles, index, rx0, ry0, tile_m, ox + ux * middle, oy + uy * middle)
+                        if materials[there, 1] >= (s - middle) * closing:
+                            best = middle
                             surface = there
-                            break
+                        else:
+                            free = middle
             facing = closing / math.sqrt(1.0 + slope * slope)  # cosine of incidence, nearly
             wall_hit = False
 

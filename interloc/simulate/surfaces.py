@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-KERB_M = 0.12
+from interloc.kernels.raycast import STEP_M
+
+KERB_M = 2 * STEP_M
 
 
 class Surface(IntEnum):
@@ -56,7 +58,7 @@ class Material(NamedTuple):
 
 
 MATERIALS: dict[Surface, Material] = {
-    Surface.TERRAIN: Material(72, 0.06, 0.030, 0.35, 0.115, 1.2),
+    Surface.TERRAIN: Material(72, STEP_M, 0.030, 0.35, 0.115, 1.2),
     Surface.ROAD: Material(40, 0.0, 0.005, 0.265, 0.085, 1.0),
     Surface.MARKING: Material(60, 0.0, 0.005, 0.48, 0.12, 1.6),
     Surface.SIDEWALK: Material(48, KERB_M, 0.006, 0.295, 0.088, 1.1),

@@ -1,0 +1,91 @@
+"""A street, a house and a track, drawn in metres about a point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
+from interloc.simulate.lidar import Lidar
+from interloc.simulate.local_frame import LocalFrame
+from interloc.simulate.scene import Scene, build_scene
+from interloc.simulate.tracks import Track, track_from_line
+
+FRAME = LocalFrame(49.0, 8.4)
+BARE = RoadsideConfig(parked_car_density=0, hedge_share=0, buildings="map")
+PLAIN_STREETS = StreetConfig(parking_bay_share=0)
+SMALL_LIDAR = LidarConfig(columns=360)
+EXACT_LIDAR = LidarConfig(columns=720, range_noise_m=0, surface_noise=0, dropout=0, road_half_range_m=None)
+
+
+def osm_text(ways: list[tuple[list[tuple[float, float]], dict[str, str]]]) -> str:
+    """Ways by their points in metres; points at the same place are one node."""
+    places: dict[tuple[float, float], int] = {}
+    body = []
+    for number, (points, tags) in enumerate(ways):
+        ids = [places.setdefault(p, len(places) + 1) for p in points]
+        nodes = "".join(f'<nd ref="{i}"/>' for i in ids)
+        body.append(
+            f'<way id="{number + 1}" version="1">{nodes}'
+            + "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items())
+            + "</way>"
+        )
+    nodes = []
+    for p, i in places.items():
+        lon, lat = FRAME.lonlat(p)
+        nodes.append(f'<node id="{i}" version="1" lat="{lat:.7f}" lon="{lon:.7f}"/>')
+    return f'<?xml version="1.0"?><osm version="0.6">{"".join(nodes)}{"".join(body)}</osm>'
+
+
+STREET = ([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"})
+HOUSE = ([(10.0, 8.0), (20.0, 8.0), (20.0, 16.0), (10.0, 16.0), (10.0, 8.0)], {"building": "yes"})
+SHED = ([(30.0, 40.0), (34.0, 40.0), (34.0, 44.0), (30.0, 40.0)], {"building": "yes"})
+
+
+@pytest.fixture
+def write_map(tmp_path: Path) -> Callable[..., Path]:
+    def write(*ways: tuple[list[tuple[float, float]], dict[str, str]]) -> Path:
+        path = tmp_path / "map.osm"
+        path.write_text(osm_text(list(ways)))
+        return path
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def straight_track() -> Track:
+    line = FRAME.lonlat([[-60.0, 0.0], [60.0, 0.0]])
+    return track_from_line(line, None, TrackConfig(rate_hz=4))
+
+
+@pytest.fixture(scope="session")
+def street_scene(straight_track: Track, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """A straight residential street along x with one house to the north, flat."""
+    path = tmp_path_factory.mktemp("map") / "map.osm"
+    path.write_text(osm_text([STREET, HOUSE, SHED]))
+    return build_scene(straight_track, path, config=SceneConfig(roadside=BARE, streets=PLAIN_STREETS, flat=True))
+
+
+@pytest.fixture(scope="session")
+def exact_lidar() -> Lidar:
+    return Lidar(EXACT_LIDAR)
+
+
+@pytest.fixture(scope="session")
+def small_sensor() -> LidarConfig:
+    return SMALL_LIDAR
+
+
+@pytest.fixture(scope="session")
+def frame() -> LocalFrame:
+    return FRAME
+
+
+@pytest.fixture(scope="session")
+def kitti_dir() -> Path:
+    path = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti"
+    if not path.is_dir():
+        pytest.skip("no KITTI tracks and maps beside the repository (shared/data/kitti)")
+    return path

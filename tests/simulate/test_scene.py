@@ -1,0 +1,131 @@
+"""Maps that become scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.errors import MapError
+from interloc.kernels.raycast import surface_at
+from interloc.simulate.config import RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
+from interloc.simulate.heights import fit_heights
+from interloc.simulate.local_frame import LocalFrame
+from interloc.simulate.scene import Scene, build_scene
+from interloc.simulate.street_classes import road_width_m
+from interloc.simulate.surfaces import Surface
+from interloc.simulate.tracks import Track, track_from_line
+
+WriteMap = Callable[..., Path]
+BARE = SceneConfig(roadside=RoadsideConfig(buildings="none", parked_car_density=0, hedge_share=0), flat=True)
+
+
+def surface(scene: Scene, frame: LocalFrame, x: float, y: float, level: int = 0) -> Surface:
+    px, py = scene.frame.xy(frame.lonlat([x, y]))
+    scene.ground.show(px, py, 5.0, plan=level)
+    return Surface(surface_at(scene.ground.tiles, scene.ground.index, *scene.ground.frame, px, py))
+
+
+def test_the_vehicle_stands_on_road(street_scene: Scene, frame: LocalFrame) -> None:
+    for x in (-59.0, 0.0, 59.0):
+        assert surface(street_scene, frame, x, 0.0) == Surface.ROAD
+
+
+def test_it_stands_on_road_even_where_the_map_is_off(frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(([(-80.0, 5.0), (80.0, 5.0)], {"highway": "residential"}))
+    track = track_from_line(frame.lonlat([[-50, 0], [50, 0]]))
+    assert surface(build_scene(track, path, config=BARE), frame, 0.0, 0.0) == Surface.ROAD
+
+
+def test_the_cross_section_of_a_street(street_scene: Scene, frame: LocalFrame) -> None:
+    found = [surface(street_scene, frame, 30.0, y) for y in (3.0, 4.0, 5.0, 6.0, -4.0, -6.0)]
+    assert found == [Surface.ROAD, *[Surface.SIDEWALK] * 2, Surface.TERRAIN, Surface.SIDEWALK, Surface.TERRAIN]
+
+
+def test_kerbs_are_round_at_a_junction(straight_track: Track, frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(
+        ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], {"highway": "residential", "sidewalk": "no"}),
+        ([(0.0, 0.0), (0.0, 90.0)], {"highway": "residential", "sidewalk": "no"}),
+    )
+    scene = build_scene(straight_track, path, config=BARE)
+    corner = 3.25  # of the straight kerbs; the arc of radius 5.5 m cuts it off by 2.3 m
+    assert surface(scene, frame, corner + 0.9, corner + 0.9) == Surface.ROAD
+    assert surface(scene, frame, corner + 2.0, corner + 2.0) == Surface.TERRAIN
+    assert surface(scene, frame, corner + 0.9, 30.0) == Surface.TERRAIN
+
+
+def test_the_strip_between_two_carriageways_is_no_road(
+    straight_track: Track, frame: LocalFrame, write_map: WriteMap
+) -> None:
+    tags = {"highway": "secondary", "oneway": "yes"}
+    path = write_map(
+        ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], tags),
+        ([(150.0, 12.0), (0.0, 12.0), (-150.0, 12.0)], tags),
+        ([(0.0, 0.0), (0.0, 12.0)], {"highway": "secondary"}),
+    )
+    scene = build_scene(straight_track, path, config=BARE)
+    assert surface(scene, frame, 60.0, 6.0) == Surface.TERRAIN
+    assert surface(scene, frame, 60.0, 4.0) == Surface.OTHER_GROUND
+    assert surface(scene, frame, 0.0, 6.0) == Surface.ROAD
+
+
+def test_who_drives_over_a_bridge_does_not_see_the_road_below(frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(
+        ([(-150.0, 0.0), (-20.0, 0.0)], {"highway": "residential"}),
+        ([(-20.0, 0.0), (20.0, 0.0)], {"highway": "residential", "bridge": "yes", "layer": "1"}),
+        ([(20.0, 0.0), (150.0, 0.0)], {"highway": "residential"}),
+        ([(0.0, -150.0), (0.0, 150.0)], {"highway": "residential"}),
+    )
+    over = build_scene(track_from_line(frame.lonlat([[-100, 0], [100, 0]])), path, config=BARE)
+    under = build_scene(track_from_line(frame.lonlat([[0, -100], [0, 100]])), path, config=BARE)
+    middle = len(over.level) // 2
+    assert over.level[middle] == 1
+    assert over.level[0] == 0
+    assert not under.level.any()
+    assert surface(over, frame, 0.0, 15.0, level=1) == Surface.TERRAIN
+    assert surface(over, frame, 15.0, 0.0, level=1) == Surface.ROAD
+    assert surface(under, frame, 0.0, 15.0) == Surface.ROAD
+    assert surface(under, frame, 15.0, 0.0) == Surface.TERRAIN
+
+
+@pytest.mark.parametrize(
+    ("tags", "width"),
+    [
+        ({"highway": "residential"}, 6.5),
+        ({"highway": "residential", "width": "5.2 m"}, 5.2),
+        ({"highway": "residential", "width": "wide"}, 6.5),
+        ({"highway": "residential", "lanes": "1"}, 4.5),
+        ({"highway": "primary", "lanes": "4"}, 13.0),
+        ({"highway": "primary", "oneway": "yes"}, 7.0),
+        ({"highway": "tertiary", "oneway": "yes", "lanes": "1"}, 5.0),
+        ({"highway": "service", "service": "driveway"}, 3.5),
+    ],
+)
+def test_widths(tags: dict[str, str], width: float) -> None:
+    assert road_width_m(tags, StreetConfig()) == pytest.approx(width)
+
+
+def test_heights_follow_the_track_and_spread() -> None:
+    x = np.linspace(0, 200, 201)
+    field = fit_heights(np.column_stack([x, 0 * x, 50 + 0.05 * x]), margin_m=60)
+    assert field.at(100, 0) == pytest.approx(55.0, abs=0.1)
+    assert field.at(100, 50) == pytest.approx(55.0, abs=1.0)
+    assert 49.5 < field.at(-50, -50) < 52
+
+
+def test_a_map_of_another_place_is_refused(frame: LocalFrame, write_map: WriteMap) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
+    far = track_from_line(frame.lonlat([[5000, 0], [5100, 0]]))
+    with pytest.raises(MapError, match=r"no street within reach of the track.*Usual cause"):
+        build_scene(far, path)
+    beside = track_from_line(frame.lonlat([[-50, 70], [50, 70]]), None, TrackConfig())
+    with pytest.raises(MapError, match=r"70 m \(median\) from the nearest street"):
+        build_scene(beside, path)
+
+
+def test_a_map_without_streets_is_refused(straight_track: Track, write_map: WriteMap) -> None:
+    path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "footway"}))
+    with pytest.raises(MapError, match="no street"):
+        build_scene(straight_track, path)

@@ -1,0 +1,58 @@
+"""KITTI twins, where the real tracks and maps are at hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from shapely.geometry import LineString
+
+from interloc.drives.open import open_drive
+from interloc.errors import DriveError
+from interloc.geometry import lonlat_from_enu
+from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig
+from interloc.simulate.drive import simulate_drive
+from interloc.simulate.osm_map import read_map
+from interloc.simulate.twins import simulate_twin, twin_scene, twin_track
+
+
+def test_road_points_lie_on_the_streets_of_the_map(kitti_dir: Path, tmp_path: Path) -> None:
+    """From the written files alone: scan, OXTS and lever arm give longitudes and latitudes on the road surface."""
+    track = twin_track(kitti_dir, "07")
+    bare = SceneConfig(roadside=RoadsideConfig(buildings="none", parked_car_density=0), track_half_width_m=0)
+    scene = twin_scene(kitti_dir, "07", track, config=bare)
+    assert 0.3 < np.median(scene.distances_to_centrelines()) < 1.1
+    exact = LidarConfig(columns=180, range_noise_m=0, surface_noise=0, road_half_range_m=None)
+    simulate_drive(scene, track, tmp_path / "07", sensor=exact, keyframes_only=True, max_scans=40)
+    drive = open_drive(tmp_path / "07")
+    fix = drive.georeference
+    assert fix is not None
+    streets = read_map(kitti_dir / "osm" / "07.osm.gz", scene.frame).streets
+    tree = shapely.STRtree([LineString(s.xy) for s in streets])
+    worst = []
+    for k in range(0, 40, 8):
+        points = drive.ground_points(k).road[::50].astype(np.float64)
+        points = points[np.hypot(points[:, 0], points[:, 1]) < 25]
+        enu = points @ fix.R_enu_lidar[k].T
+        xy = scene.frame.xy(lonlat_from_enu(fix.lat_deg[k], fix.lon_deg[k], enu[:, :2]))
+        # The edge of the road is where the class width puts it: 8.5 m for the widest street here.
+        _, distance = tree.query_nearest(shapely.points(xy), return_distance=True, all_matches=False)
+        worst.append(float(np.percentile(distance, 95)))
+    assert max(worst) < 8.5 / 2 + 0.15
+
+
+def test_the_poses_written_are_the_given_ones(kitti_dir: Path, tmp_path: Path) -> None:
+    for poses in ("suma", "gt"):
+        out = tmp_path / poses
+        simulate_twin(kitti_dir, "07", out, poses=poses, max_scans=5, sensor=LidarConfig(columns=36))  # type: ignore[arg-type]
+        given = np.loadtxt(kitti_dir / f"poses_{poses}" / "07.txt")
+        written = np.loadtxt(out / "poses.txt")
+        assert all((np.abs(given - row).max(axis=1) < 1e-6).any() for row in written)
+        assert (out / "calib.txt").read_text() == (kitti_dir / "calib" / "07.txt").read_text()
+
+
+def test_a_missing_sequence_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DriveError, match="03"):
+        twin_track(tmp_path, "03")
