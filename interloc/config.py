@@ -218,28 +218,39 @@ def preset(name: str) -> DetectorConfig:
 def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorConfig:
     """Return a configuration with some settings replaced, each given as ``section.name=value``.
 
+    The value is JSON; what is none is text. A new ``kind`` sets its section back to the defaults of that kind, whatever
+    the order of the settings; ``section=null`` leaves out a step that may be left out.
+
     Raises
     ------
     ConfigError
         A setting does not exist, or its value is refused.
     """
     values: dict[str, Any] = config.model_dump(mode="json")
-    for setting in settings:
+    for setting in sorted(settings, key=lambda setting: ".kind=" not in setting):
         path, separator, text = setting.partition("=")
-        if not separator:
-            raise ConfigError(f"--set {setting}: expected section.name=value, for example bev.resolution_m=0.25")
-        try:
-            value = json.loads(text)
-        except ValueError:
-            value = text
+        value = _json_or_text(text)
         *sections, name = path.strip().split(".")
+        if not separator or not (sections or value is None):
+            raise ConfigError(f"--set {setting}: expected section.name=value, for example bev.resolution_m=0.25")
         target: Any = values
         for section in sections:
+            if isinstance(target, dict) and section in target and target[section] is None:
+                target[section] = {}  # a step that was left out comes back with its defaults
             target = target.get(section) if isinstance(target, dict) else None
-        if not isinstance(target, dict) or not sections:
+        if not isinstance(target, dict):
             raise ConfigError(f"--set {setting}: there is no section '{'.'.join(sections)}'; see interloc config")
+        if name == "kind" and target.get("kind") != value:
+            target.clear()
         target[name] = value
     return parse_config(values)
+
+
+def _json_or_text(text: str) -> Any:  # noqa: ANN401 - any JSON
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
 
 
 def parse_config(values: object) -> DetectorConfig:

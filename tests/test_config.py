@@ -1,0 +1,205 @@
+"""The settings of the method, their presets, and how they are changed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from pydantic import ValidationError
+
+from interloc.config import (
+    DEFAULT,
+    PAPER,
+    PRESETS,
+    BevConfig,
+    CrossingCandidates,
+    DetectorConfig,
+    HarrisCandidates,
+    parse_config,
+    preset,
+    with_settings,
+)
+from interloc.errors import ConfigError
+
+# --- presets ---------------------------------------------------------------------------------------------------------
+
+
+def test_paper_has_the_parameters_of_table_1() -> None:
+    paper = preset("paper")
+    assert (paper.keyframes.distance_m, paper.keyframes.angle_deg, paper.keyframes.window) == (2.0, 5.0, 20)
+    assert (paper.bev.size_m, paper.bev.resolution_m, paper.bev.min_points) == (120.0, 0.16, 5)
+    assert (paper.branches.inner_radius_m, paper.branches.outer_radius_m) == (10.0, 40.0)
+
+
+def test_paper_adds_nothing_to_the_method() -> None:
+    assert PAPER.keyframes.after == 20  # as many keyframes after the current one as before
+    assert not PAPER.bev.adaptive
+    assert PAPER.centerline.spur_widths == 0
+    assert isinstance(PAPER.candidates, HarrisCandidates)
+    assert PAPER.candidates.merge_m == 10.0
+    assert PAPER.branches.min_branches == 3
+    assert PAPER.branches.inner_widths is None
+    assert PAPER.branches.line == "start_and_mean"
+    assert PAPER.branches.margin_m == 0
+    assert PAPER.compound is None
+
+
+def test_default_sees_the_same_window_as_the_paper() -> None:
+    assert DEFAULT.bev.cells == PAPER.bev.cells == 750
+    assert DEFAULT.keyframes == PAPER.keyframes
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_preset_knows_its_name(name: str) -> None:
+    assert preset(name).preset == name
+
+
+def test_preset_that_does_not_exist_is_refused_with_the_choice() -> None:
+    with pytest.raises(ConfigError, match="there is no 'fast'; choose one of default, paper"):
+        preset("fast")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_configuration_survives_json(name: str) -> None:
+    config = preset(name)
+    assert parse_config(json.loads(config.model_dump_json())) == config
+
+
+def test_configuration_cannot_be_changed() -> None:
+    with pytest.raises(ValidationError, match="frozen"):
+        DEFAULT.bev.size_m = 50  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_setting_is_described(name: str) -> None:
+    for section in preset(name).__dict__.values():
+        for field, about in getattr(type(section), "model_fields", {}).items():
+            assert about.description or field == "kind", f"{type(section).__name__}.{field}"
+
+
+def test_lookahead_is_the_window_unless_set() -> None:
+    assert with_settings(DEFAULT, ["keyframes.window=7"]).keyframes.after == 7
+    assert with_settings(DEFAULT, ["keyframes.window=7", "keyframes.lookahead=0"]).keyframes.after == 0
+
+
+@pytest.mark.parametrize(("size_m", "resolution_m", "cells"), [(120, 0.16, 750), (120, 0.25, 480), (60, 0.3, 200)])
+def test_cells_are_counted_without_rounding_errors(size_m: float, resolution_m: float, cells: int) -> None:
+    assert BevConfig(size_m=size_m, resolution_m=resolution_m).cells == cells
+
+
+# --- settings --------------------------------------------------------------------------------------------------------
+
+
+def test_settings_replace_what_they_name_and_nothing_else() -> None:
+    config = with_settings(DEFAULT, ["bev.resolution_m=0.25", "keyframes.lookahead=3", "bev.adaptive=false"])
+    assert (config.bev.resolution_m, config.keyframes.lookahead, config.bev.adaptive) == (0.25, 3, False)
+    back = ["bev.resolution_m=0.16", "keyframes.lookahead=null", "bev.adaptive=true"]
+    assert with_settings(config, back) == DEFAULT
+
+
+def test_no_settings_change_nothing() -> None:
+    assert with_settings(PAPER, []) == PAPER
+
+
+def test_text_needs_no_quotes() -> None:
+    assert with_settings(PAPER, ["branches.line=least_squares"]).branches.line == "least_squares"
+    assert with_settings(PAPER, ['branches.line="least_squares"']).branches.line == "least_squares"
+
+
+def test_later_setting_wins() -> None:
+    assert with_settings(PAPER, ["bev.min_points=2", "bev.min_points=9"]).bev.min_points == 9
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("bev.resolution=0.25", "bev.resolution: Extra inputs are not permitted"),
+        ("map.size_m=3", "there is no section 'map'; see interloc config"),
+        ("bev.size_m.x=3", "there is no section 'bev.size_m'"),
+        ("bev.resolution_m", "expected section.name=value, for example bev.resolution_m=0.25"),
+        ("resolution_m=0.25", "expected section.name=value"),
+        ("preset=paper", "expected section.name=value"),
+        ("", "expected section.name=value"),
+        ("=3", "expected section.name=value"),
+        ("bev.=3", "bev.: Extra inputs"),
+        ("bev=null", "bev: Input should be"),
+        ("bev.resolution_m=fine", r"bev.resolution_m: Input should be a valid number.*\(found 'fine'\)"),
+        ("bev.resolution_m=", "bev.resolution_m: Input should be a valid number"),
+        ("bev.resolution_m=[0.25]", "bev.resolution_m: Input should be a valid number"),
+        ("bev.resolution_m=null", "bev.resolution_m: Input should be a valid number"),
+        ("bev.resolution_m=NaN", "bev.resolution_m: Input should be"),
+        ("bev.resolution_m=Infinity", "bev.resolution_m: Input should be"),
+        ("bev.resolution_m=1e999", "bev.resolution_m: Input should be"),
+        ("bev.resolution_m=0", "bev.resolution_m: Input should be greater than or equal to 0.05"),
+        ("bev.resolution_m=-1", r"greater than or equal to 0.05 \(found -1\)"),
+        ("bev.resolution_m=2", "makes 60 cells a side; expected 64 to 4096. Raise resolution_m or lower size_m"),
+        ("bev.size_m=1e9", "bev.size_m: Input should be less than or equal to 400"),
+        ("bev.min_points=2.5", "bev.min_points: Input should be a valid integer"),
+        ("bev.min_points=99999999999999999999999", "bev.min_points: Input should be"),
+        ("bev.adaptive=perhaps", "bev.adaptive: Input should be a valid boolean"),
+        ("keyframes.window=-1", "keyframes.window: Input should be greater than or equal to 0"),
+        ("keyframes.lookahead=501", "keyframes.lookahead: Input should be less than or equal to 500"),
+        ("branches.line=curved", "branches.line: Input should be 'start_and_mean' or 'least_squares'"),
+        ("branches.inner_radius_m=40", r"outer_radius_m \(40.0\) must be larger than inner_radius_m \(40.0\)"),
+        ("branches.outer_radius_m=60", r"must be less than half of bev.size_m \(120.0\)"),
+        ("candidates.kind=magic", "candidates.*'harris', 'crossing'"),
+        ("candidates.k=0.05", "candidates.k: Extra inputs are not permitted"),  # Harris', but these are crossings
+    ],
+)
+def test_setting_without_meaning_is_refused_by_name(setting: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        with_settings(DEFAULT, [setting])
+
+
+def test_deeply_nested_value_is_refused_like_any_other() -> None:
+    with pytest.raises(ConfigError, match=r"bev\.size_m"):
+        with_settings(DEFAULT, ["bev.size_m=" + "[" * 100_000])
+
+
+@pytest.mark.parametrize("name", ["block_px", "peak_px"])
+def test_window_of_even_width_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name} is a window around a pixel, so it must be odd, not 10"):
+        with_settings(PAPER, [f"candidates.{name}=10"])
+
+
+def test_all_faults_are_named_at_once() -> None:
+    with pytest.raises(ConfigError, match=r"keyframes\.distance_m.*; bev\.min_points.*"):
+        with_settings(DEFAULT, ["bev.min_points=0", "keyframes.distance_m=-2"])
+
+
+def test_body_that_is_no_object_is_refused() -> None:
+    with pytest.raises(ConfigError, match="configuration: Input should be a valid dictionary"):
+        parse_config([1, 2])
+
+
+def test_empty_body_is_the_plain_configuration() -> None:
+    assert parse_config({}) == DetectorConfig()
+
+
+# --- kinds, and steps that may be left out ---------------------------------------------------------------------------
+
+
+def test_new_kind_sets_its_section_back() -> None:
+    assert with_settings(DEFAULT, ["candidates.kind=harris"]).candidates == HarrisCandidates()
+    assert with_settings(PAPER, ["candidates.kind=crossing"]).candidates == CrossingCandidates()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [["candidates.kind=harris", "candidates.block_px=5"], ["candidates.block_px=5", "candidates.kind=harris"]],
+)
+def test_fields_of_the_new_kind_can_be_set_in_any_order(settings: list[str]) -> None:
+    assert with_settings(DEFAULT, settings).candidates == HarrisCandidates(block_px=5)
+
+
+def test_same_kind_keeps_its_section() -> None:
+    config = with_settings(PAPER, ["candidates.block_px=5"])
+    assert with_settings(config, ["candidates.kind=harris"]) == config
+
+
+def test_step_beyond_the_paper_can_be_left_out_and_taken_back() -> None:
+    without = with_settings(DEFAULT, ["compound=null"])
+    assert without.compound is None
+    back = with_settings(without, ["compound.separation_m=9"])
+    assert back.compound is not None
+    assert back.compound.separation_m == 9
