@@ -1,0 +1,232 @@
+"""Whole drives: offline equals online, ranges and processes change nothing, errors and progress arrive."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from interloc.config import DEFAULT, DetectorConfig
+from interloc.detect.detector import Detector, KeyframeDetections
+from interloc.detect.keyframes import select_keyframes
+from interloc.drives.drive import scans_of
+from interloc.drives.open import open_drive
+from interloc.drives.scans import FolderDrive
+from interloc.errors import DriveError
+from interloc.pipeline import detect, detect_range, split
+from interloc.results import DriveResult
+
+Array = NDArray[np.float64]
+
+JUNCTIONS = [(40.0 * i, 0.0) for i in range(12)]
+
+
+def ground() -> NDArray[np.float32]:
+    """Cover the roads of a street with a side road every 40 m, to the left and to the right in turn, in W."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(-30, 500, 0.8), np.arange(-40, 40, 0.8)))
+    nearest = np.round(x / 40)
+    side = (np.abs(x - 40 * nearest) < 4) & (np.where(nearest % 2 == 0, y, -y) > 0)
+    is_road = (np.abs(y) < 4) | side
+    return np.column_stack([x, y, np.full(x.size, -1.73)])[is_road].astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A SemanticKITTI sequence of 420 scans, a metre apart; every other one is a keyframe of `CONFIG`."""
+    path = tmp_path_factory.mktemp("drive") / "00"
+    (path / "velodyne").mkdir(parents=True)
+    (path / "labels").mkdir()
+    world = ground()
+    lines = []
+    for frame in range(420):
+        T = np.eye(4)
+        T[:2, 3] = frame, np.sin(frame / 20)
+        yaw = np.arctan(np.cos(frame / 20) / 20) - np.arctan(1 / 20)
+        T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+        lines.append(" ".join(f"{value:.17g}" for value in T[:3].ravel()))
+        near = world[np.abs(world[:, 0] - frame) < 25]
+        local = (near - T[:3, 3]) @ T[:3, :3]
+        points = np.column_stack([local, np.zeros(len(local))]).astype(np.float32)
+        points.tofile(path / "velodyne" / f"{frame:06d}.bin")
+        np.full(len(points), 40, np.uint32).tofile(path / "labels" / f"{frame:06d}.label")
+    (path / "poses.txt").write_text("\n".join(lines) + "\n")
+    return path
+
+
+def config_of(lookahead: int | None = None) -> DetectorConfig:
+    values = DEFAULT.model_dump()
+    values["keyframes"] |= {"distance_m": 1.5, "window": 6, "lookahead": lookahead}
+    values["bev"] |= {"size_m": 84, "resolution_m": 0.6, "min_points": 1}
+    return DetectorConfig.model_validate(values)
+
+
+CONFIG = config_of()
+
+
+@pytest.fixture(scope="module")
+def drive(folder: Path) -> FolderDrive:
+    return open_drive(folder, pose_frame="lidar", check=False)
+
+
+def bits(found: KeyframeDetections) -> tuple[int, bytes, bytes, list[bytes], bytes]:
+    """Return all that was found around a keyframe, bit by bit."""
+    angles = [a.tobytes() for a in found.branch_angles_rad]
+    return found.keyframe.frame, found.world_xy.tobytes(), found.lidar_xy.tobytes(), angles, found.score.tobytes()
+
+
+def table_bits(result: DriveResult) -> list[bytes]:
+    """Return the detections and intersections of a run, bit by bit."""
+    found, map_ = result.detections, result.intersections
+    columns = [found.keyframe, found.world_xy, found.lidar_xy, found.score, found.intersection, *found.bearings_deg]
+    return [column.tobytes() for column in [*columns, map_.world_xy, map_.observations]]
+
+
+def keyframes_of(drive: FolderDrive, config: DetectorConfig) -> NDArray[np.int64]:
+    return select_keyframes(drive.T_world_lidar, config.keyframes)
+
+
+@pytest.fixture(scope="module")
+def result(drive: FolderDrive) -> DriveResult:
+    return detect(drive, CONFIG)
+
+
+# --- what a run yields -----------------------------------------------------------------------------------------------
+
+
+def test_every_junction_is_found_and_becomes_one_intersection(result: DriveResult) -> None:
+    passed = np.array([place for place in JUNCTIONS if 20 < place[0] < 400])
+    map_ = result.intersections.world_xy
+    distance = np.hypot(*np.moveaxis(map_[:, None] - passed, -1, 0))
+    assert np.all(distance.min(axis=0) < 0.6)  # a cell
+    assert np.all(np.count_nonzero(distance < 10, axis=0) == 1)
+
+
+def test_tables_belong_together(result: DriveResult, drive: FolderDrive) -> None:
+    keyframes = keyframes_of(drive, CONFIG)
+    assert result.keyframes.frame.tolist() == drive.frames[keyframes].tolist()
+    assert np.all(np.diff(result.detections.keyframe) >= 0)
+    own = result.detections.intersection >= 0
+    centres = result.intersections.world_xy[result.detections.intersection[own]]
+    assert np.hypot(*(result.detections.world_xy[own] - centres).T).max() < 10
+
+
+def test_run_is_recorded(result: DriveResult) -> None:
+    run = result.run
+    assert run["drive"] == "00"
+    assert DetectorConfig.model_validate(run["config"]) == CONFIG
+    assert (run["scans"], run["keyframes"], run["workers"]) == (420, 210, 1)
+    assert run["georeference"] is None
+    assert {"python", "interloc", "numpy", "numba"} <= set(run["versions"])
+    assert 0 < sum(run["stage_seconds"].values()) <= run["seconds"]
+    assert run["peak_memory_bytes"] > 10_000_000
+
+
+# --- one code path ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lookahead", [0, None])
+def test_offline_is_the_online_detector_fed_from_the_drive(drive: FolderDrive, lookahead: int | None) -> None:
+    config = config_of(lookahead)
+    keyframes = keyframes_of(drive, config)[:60]
+    offline = detect_range(drive, keyframes, 0, 60, config).detections
+    detector = Detector(config)
+    scans = scans_of(drive, range(keyframes[-1] + 1))
+    online = [found for scan in scans if (found := detector.push(scan)) is not None] + list(detector.finish())
+    assert [bits(found) for found in online] == [bits(found) for found in offline]
+    assert sum(len(found.world_xy) for found in online) > 20
+
+
+@pytest.mark.parametrize("lookahead", [0, 2, None])
+def test_ranges_with_their_halo_find_exactly_what_one_run_does(drive: FolderDrive, lookahead: int | None) -> None:
+    config = config_of(lookahead)
+    keyframes = keyframes_of(drive, config)[:60]
+    whole = [bits(found) for found in detect_range(drive, keyframes, 0, 60, config).detections]
+    for edges in ([0, 30, 60], [0, 1, 5, 17, 59, 60]):
+        parts = [detect_range(drive, keyframes, start, stop, config) for start, stop in itertools.pairwise(edges)]
+        assert [part.start for part in parts] == edges[:-1]
+        assert [bits(found) for part in parts for found in part.detections] == whole
+
+
+def test_range_calls_back_after_each_of_its_keyframes(drive: FolderDrive) -> None:
+    calls: list[None] = []
+    part = detect_range(drive, keyframes_of(drive, CONFIG), 20, 33, CONFIG, lambda: calls.append(None))
+    assert len(calls) == len(part.detections) == 13
+
+
+def test_two_processes_find_exactly_what_one_does(drive: FolderDrive, result: DriveResult) -> None:
+    steps: list[tuple[int, int]] = []
+    parallel = detect(drive, CONFIG, workers=2, progress=lambda done, total: steps.append((done, total)))
+    assert table_bits(parallel) == table_bits(result)
+    assert parallel.run["workers"] == 2
+    assert set(parallel.run["stage_seconds"]) == set(result.run["stage_seconds"])
+    assert steps == [(105, 210), (210, 210)]
+
+
+# --- ranges ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("count", "workers"), [(1, 1), (5000, 1), (1, 8), (199, 4), (200, 2), (1234, 3), (100_000, 8)])
+def test_ranges_cover_all_keyframes_once(count: int, workers: int) -> None:
+    ranges = split(count, workers)
+    assert ranges[0][0] == 0
+    assert ranges[-1][1] == count
+    assert all(a[1] == b[0] for a, b in itertools.pairwise(ranges))
+    assert all(start < stop for start, stop in ranges)
+
+
+def test_ranges_are_several_a_process_but_none_is_short() -> None:
+    assert len(split(5000, 1)) == 1
+    assert len(split(5000, 2)) == 8
+    assert len(split(500, 2)) == 5
+    assert len(split(199, 2)) == 1
+    lengths = [stop - start for start, stop in split(1234, 3)]
+    assert max(lengths) - min(lengths) <= 1
+
+
+# --- progress and errors ---------------------------------------------------------------------------------------------
+
+
+def test_progress_counts_the_keyframes(drive: FolderDrive, result: DriveResult) -> None:
+    steps: list[tuple[int, int]] = []
+    again = detect(drive, CONFIG, progress=lambda done, total: steps.append((done, total)))
+    assert steps == [(i + 1, 210) for i in range(210)]
+    assert table_bits(again) == table_bits(result)
+
+
+@pytest.fixture
+def damaged(folder: Path, tmp_path: Path, drive: FolderDrive) -> FolderDrive:
+    """The drive, with a scan cut off since it was opened."""
+    copy = tmp_path / "00"
+    (copy / "velodyne").mkdir(parents=True)
+    for scan in (folder / "velodyne").iterdir():
+        (copy / "velodyne" / scan.name).hardlink_to(scan)
+    (copy / "labels").symlink_to(folder / "labels")
+    (copy / "poses.txt").write_text((folder / "poses.txt").read_text())
+    opened = open_drive(copy, pose_frame="lidar", check=False)
+    scan = copy / "velodyne" / "000300.bin"
+    content = scan.read_bytes()
+    scan.unlink()
+    scan.write_bytes(content[:-7])
+    return opened
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_damaged_scan_is_named_whichever_process_reads_it(damaged: FolderDrive, workers: int) -> None:
+    with pytest.raises(DriveError, match=r"velodyne/000300\.bin"):
+        detect(damaged, CONFIG, workers=workers)
+
+
+class EmptyDrive:
+    name = "nothing"
+    frames = np.empty(0, np.int64)
+    T_world_lidar = np.empty((0, 4, 4))
+    times_s = None
+    georeference = None
+
+
+def test_drive_without_scans_is_refused() -> None:
+    with pytest.raises(DriveError, match="nothing: the drive holds no scans"):
+        detect(EmptyDrive(), CONFIG)
