@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.config import HarrisCandidates
 from interloc.detect.candidates import harris_corners
-from interloc.evaluate.drawing import BLUE, GREEN, INK, PAPER, VERMILION, YELLOW
+from interloc.evaluate.drawing import BLUE, GREEN, INK, MUTED, PAPER, VERMILION, YELLOW
 from interloc.explain.evidence import Evidence
 from interloc.explain.panels import backdrop, draw_lines, segments
 from interloc.explain.sheet import Floats, extent
@@ -30,12 +30,15 @@ def candidates(axes: Axes, evidence: Evidence) -> list[str]:
         _draw_junctions(axes, evidence)
     _draw_merging(axes, evidence)
     _draw_short(axes, evidence)
+    _draw_margin(axes, evidence)
     for kept in (True, False):
         _draw_candidates(axes, evidence, kept=kept)
+    harris = isinstance(evidence.config.candidates, HarrisCandidates)
+    facts = ["radius of a corner: its score,", "in per cent of the best one", ""] if harris else []
     rows = [f"{v.number:>2}  {v.why_not or _kept(v)}" for v in evidence.verdicts]
     rows = [part for row in rows for part in _wrapped(row)]
     more = [f"... {len(rows) - _LISTED} more lines: explain.json"] if len(rows) > _LISTED else []
-    return ["candidates:", *rows[:_LISTED], *more] if rows else ["no candidates"]
+    return [*facts, "candidates:", *rows[:_LISTED], *more] if rows else ["no candidates"]
 
 
 def label_points(axes: Axes, evidence: Evidence, verdicts: list[Verdict]) -> None:
@@ -68,8 +71,8 @@ def _draw_corners(axes: Axes, evidence: Evidence, config: HarrisCandidates) -> N
     best = scores[corners].max()
     taken = scores[corners] >= config.min_score * best
     for mask, colour, name in (
-        (~taken, YELLOW, f"Harris corner, under {config.min_score:.0%} of best"),
-        (taken, GREEN, "Harris corner taken (radius: score)"),
+        (~taken, YELLOW, f"Harris corner under {config.min_score:.0%}"),
+        (taken, GREEN, "Harris corner taken"),
     ):
         chosen = corners[mask]
         place = evidence.around(line.rows[chosen].astype(np.float64), line.cols[chosen].astype(np.float64))
@@ -115,11 +118,11 @@ def _draw_junctions(axes: Axes, evidence: Evidence) -> None:
         *evidence.around(points[:, 0], points[:, 1]).T,
         linestyle="none",
         marker="s",
-        markersize=5.5,
+        markersize=4,
         markerfacecolor=YELLOW,
         markeredgecolor=INK,
         markeredgewidth=0.6,
-        zorder=4,
+        zorder=9.5,
         label="junction of the centerline",
     )
 
@@ -132,7 +135,7 @@ def _draw_merging(axes: Axes, evidence: Evidence) -> None:
         for point in v.merged
     ]
     if lines:
-        draw_lines(axes, np.array(lines), color=INK, linewidth=1.3, label="merged into one candidate", zorder=5)
+        draw_lines(axes, np.array(lines), color=INK, linewidth=1.3, label="merged into one", zorder=5)
 
 
 def _draw_short(axes: Axes, evidence: Evidence) -> None:
@@ -140,18 +143,24 @@ def _draw_short(axes: Axes, evidence: Evidence) -> None:
     short = np.zeros(len(evidence.steps.centerline.rows), np.bool_)
     for verdict in evidence.verdicts:
         for piece in verdict.pieces:
-            short[piece.pixels] |= verdict.detection is None and not piece.is_branch
+            short[piece.pixels] |= not verdict.is_kept and not piece.is_branch
     if short.any():
         draw_lines(axes, segments(evidence, short), color=VERMILION, linewidth=2.4, label="too short to be a branch")
 
 
+def _draw_margin(axes: Axes, evidence: Evidence) -> None:
+    """Draw the line beyond which candidates are left out, where there is one."""
+    margin_m = evidence.config.branches.margin_m
+    if margin_m > 0:
+        left, right, bottom, top = extent(evidence)
+        x, y = (left + margin_m, right - margin_m), (bottom + margin_m, top - margin_m)
+        corners = ([x[0], x[1], x[1], x[0], x[0]], [y[0], y[0], y[1], y[1], y[0]])
+        axes.plot(*corners, color=MUTED, linewidth=0.8, linestyle=(0, (6, 4)), zorder=2, label="no candidates beyond")
+
+
 def _draw_candidates(axes: Axes, evidence: Evidence, *, kept: bool) -> None:
-    chosen = [v for v in evidence.verdicts if (v.detection is not None) == kept]
-    needed = evidence.config.branches.min_branches
-    if kept:
-        style = {"marker": "o", "color": BLUE, "markersize": 9, "label": f"candidate kept: {needed} branches or more"}
-    else:
-        style = {"marker": "X", "color": VERMILION, "markersize": 9, "label": "candidate rejected: too few branches"}
+    chosen = [v for v in evidence.verdicts if v.is_kept == kept]
+    marker, colour, name = ("o", BLUE, "candidate kept") if kept else ("X", VERMILION, "candidate rejected")
     points = np.array([v.position for v in chosen]).reshape(-1, 2)
     axes.plot(
         *evidence.around(points[:, 0], points[:, 1]).T,
@@ -159,13 +168,17 @@ def _draw_candidates(axes: Axes, evidence: Evidence, *, kept: bool) -> None:
         markeredgecolor=PAPER,
         markeredgewidth=1.0,
         zorder=9,
-        **style,  # type: ignore[arg-type]
+        marker=marker,
+        markersize=9,
+        color=colour,
+        label=name,
     )
     label_points(axes, evidence, chosen)
 
 
 def _kept(verdict: Verdict) -> str:
-    return f"{verdict.branches.count} branches: kept"
+    split = len(verdict.detections)
+    return f"{verdict.branches.count} branches: " + ("kept" if split == 1 else f"split into {split} intersections")
 
 
 def _wrapped(row: str) -> list[str]:

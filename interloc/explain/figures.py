@@ -60,7 +60,7 @@ _TOP, _KEY = 56, 76  # for the title and the key
 
 def refinement_figure(evidence: Evidence, truth: GroundTruth | None) -> Figure:
     """Draw each intersection in a row: as far as its outer circle, and its inner circle enlarged."""
-    kept = [v for v in evidence.verdicts if v.detection is not None]
+    kept = [v for v in evidence.verdicts if v.is_kept]
     if not kept:
         return step_figure(Step(7, "", _REFINEMENT, refinement), evidence, truth)
     row = _CELL + _TEXT + _GAP
@@ -73,7 +73,7 @@ def refinement_figure(evidence: Evidence, truth: GroundTruth | None) -> Figure:
         figure.text(
             sheet.MAP_LEFT / sheet.WIDTH,
             (bottom + _CELL + 8) / height,
-            describe(evidence, verdict).capitalize(),
+            describe(evidence, verdict),
             fontsize=10,
             color=INK,
         )
@@ -115,7 +115,15 @@ def overview(evidence: Evidence, truth: GroundTruth | None) -> Figure:
     """Draw all steps side by side."""
     width, height = 4 * _TILE + 5 * _SPACE, _HEAD + 2 * (_TILE + _TILE_TITLE + _SPACE)
     figure = sheet.sheet(width, height)
-    figure.text(_SPACE / width, 1 - 10 / height, "From road points to intersections", fontsize=14, va="top", color=INK)
+    figure.text(
+        _SPACE / width,
+        1 - 10 / height,
+        "From road points to intersections",
+        fontsize=14,
+        va="top",
+        color=INK,
+        weight="bold",
+    )
     figure.text(
         _SPACE / width, 1 - 34 / height, _subtitle(evidence), fontsize=9, color=MUTED, va="top", parse_math=False
     )
@@ -143,12 +151,12 @@ def _overview_key(figure: Figure, evidence: Evidence, panels_drawn: list[Axes], 
     x, _, y, _ = sheet.extent(evidence)
     sheet.scale_bar(axes, x + 4.0, y + 2.0, 20.0)
     place = ((left + 6) / width, (bottom + _TILE) / height)
-    sheet.legend(figure, panels_drawn, *place, fontsize=8, ncols=2, columnspacing=1.0, handletextpad=0.6)
+    sheet.legend(figure, panels_drawn, *place, fontsize=7.5, ncols=2, columnspacing=0.8, handletextpad=0.5)
     facts = ["intersections (x ahead, y to the left):"]
-    for verdict in evidence.verdicts:
-        if verdict.detection is not None:
-            ahead, aside = evidence.detections.lidar_xy[verdict.detection]
-            facts.append(f"{verdict.number:>2}   x {ahead:.1f} m, y {aside:.1f} m, {verdict.branches.count} branches")
+    for number, i in [(verdict.number, i) for verdict in evidence.verdicts for i in verdict.detections]:
+        ahead, aside = evidence.detections.lidar_xy[i]
+        count = evidence.steps.junctions[i].branches.count
+        facts.append(f"{number:>2}   x {ahead:.1f} m, y {aside:.1f} m, {count} branches")
     if len(facts) == 1:
         facts = ["no intersections"]
     figure.text((left + 10) / width, (bottom + 44) / height, "\n".join(facts), fontsize=9, color=INK, linespacing=1.5)

@@ -27,14 +27,14 @@ def road_points(axes: Axes, evidence: Evidence) -> list[str]:
     pose, points = evidence.keyframe.T_world_lidar, evidence.points
     left, right, bottom, top = extent(evidence)
     for xyz, colour, size, name in (
-        (points.confusable, GROUND, 1.0, "other ground (sidewalk, parking, ...)"),
+        (points.confusable, GROUND, 1.0, "other ground"),
         (points.road, BLUE, 1.4, "road point of this scan"),
     ):
         x, y = (xyz.astype(np.float64) @ pose[:2, :3].T).T
         shown = (x > left) & (x < right) & (y > bottom) & (y < top)
         axes.scatter(x[shown], y[shown], s=size, color=colour, linewidths=0, zorder=2)
         swatch(axes, colour, name)
-    return [f"{points.road_count:,} road points", f"{len(points.confusable):,} other ground points"]
+    return [f"{points.road_count:,} road points", f"{len(points.confusable):,} points of other ground"]
 
 
 def panoramic_scan(axes: Axes, evidence: Evidence) -> list[str]:
@@ -128,7 +128,7 @@ def centerline(axes: Axes, evidence: Evidence) -> list[str]:
         x, y = evidence.around(rows.astype(np.float64), cols.astype(np.float64)).T
         axes.scatter(x, y, s=5, marker="s", linewidths=0, color=VERMILION, zorder=3)
         axes.plot([], [], color=VERMILION, linewidth=2.2, label="dead end dropped: no road")
-        facts = [f"dead ends under {evidence.config.centerline.spur_widths:g} road widths dropped"]
+        facts = [f"dead ends up to {evidence.config.centerline.spur_widths:g} x road width dropped"]
     draw_lines(axes, line, color=INK, linewidth=1.8, label="centerline")
     length_m = float(np.hypot(*(line[:, 1] - line[:, 0]).T).sum())
     return [f"{length_m:,.0f} m of centerline", *facts]

@@ -41,7 +41,7 @@ def record(evidence: Evidence, drive_name: str, truth: GroundTruth | None) -> di
             "centerline": len(steps.centerline.rows),
         },
         "candidates": [_candidate(evidence, verdict) for verdict in evidence.verdicts],
-        "detections": [_detection(evidence, v) for v in evidence.verdicts if v.detection is not None],
+        "detections": [_detection(evidence, v, i) for v in evidence.verdicts for i in v.detections],
         "ground_truth": None if truth is None else _ground_truth(evidence, truth),
         "config": evidence.config.model_dump(mode="json"),
     }
@@ -65,14 +65,12 @@ def _candidate(evidence: Evidence, verdict: Verdict) -> dict[str, Any]:
             {"reach_m": piece.reach * metre, "ends_at_candidate": piece.at_candidate, "is_branch": piece.is_branch}
             for piece in verdict.pieces
         ],
-        "kept": verdict.detection is not None,
+        "kept": verdict.is_kept,
         "why_not": verdict.why_not,
     }
 
 
-def _detection(evidence: Evidence, verdict: Verdict) -> dict[str, Any]:
-    i = verdict.detection
-    assert i is not None
+def _detection(evidence: Evidence, verdict: Verdict, i: int) -> dict[str, Any]:
     junction, found, metre = evidence.steps.junctions[i], evidence.detections, evidence.roi.resolution_m
     return {
         "candidate": verdict.number,

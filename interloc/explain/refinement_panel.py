@@ -23,7 +23,7 @@ _BRANCHES = (BLUE, "#E69F00", GREEN, VERMILION, "#7a5c00", INK)
 def refinement(axes: Axes, evidence: Evidence) -> list[str]:
     """Draw all intersections of the region (paper, III-C)."""
     backdrop(axes, evidence)
-    kept = [v for v in evidence.verdicts if v.detection is not None]
+    kept = [v for v in evidence.verdicts if v.is_kept]
     for verdict in kept:
         draw_intersection(axes, evidence, verdict)
     label_points(axes, evidence, kept)
@@ -32,21 +32,26 @@ def refinement(axes: Axes, evidence: Evidence) -> list[str]:
 
 def describe(evidence: Evidence, verdict: Verdict) -> str:
     """Say in a line what the refinement did."""
-    assert verdict.detection is not None
-    junction, metre = evidence.steps.junctions[verdict.detection], evidence.roi.resolution_m
-    moved_m = float(np.hypot(*(junction.position - verdict.position))) * metre
-    text = f"candidate {verdict.number}: {verdict.branches.count} branches, moved {moved_m:.2f} m"
-    if math.isfinite(junction.residual):
-        return f"{text}, lines pass within {junction.residual * metre:.2f} m (rms)"
-    return f"{text}: lines nearly parallel, the candidate stays"
+    metre = evidence.roi.resolution_m
+    parts = []
+    for i in verdict.detections:
+        junction = evidence.steps.junctions[i]
+        if not math.isfinite(junction.residual):
+            parts.append("the lines do not fix a point, the candidate stays")
+            continue
+        moved_m = float(np.hypot(*(junction.position - verdict.position))) * metre
+        parts.append(f"moved {moved_m:.2f} m, lines pass within {junction.residual * metre:.2f} m (rms)")
+    split = "" if len(parts) == 1 else f", split into {len(parts)}"
+    without = int((verdict.branches.weights <= 0).sum())
+    lineless = f" ({without} too short for a line)" if without else ""
+    return f"Candidate {verdict.number}: {verdict.branches.count} branches{lineless}{split}; {'; '.join(parts)}"
 
 
 def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale: float = 1.0) -> None:
     """Draw circles, branches, their lines, the candidate and the refined point."""
     from matplotlib.patches import Circle  # noqa: PLC0415 - slow to import
 
-    assert verdict.detection is not None
-    junction, metre = evidence.steps.junctions[verdict.detection], evidence.roi.resolution_m
+    metre = evidence.roi.resolution_m
     here = evidence.around(verdict.position[0], verdict.position[1])
     outer_m = evidence.config.branches.outer_radius_m
     inner_m = verdict.branches.inner * metre
@@ -64,11 +69,14 @@ def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale
         axes.plot(*ends.T, color=INK, linewidth=1.2 * scale, linestyle=(0, (4, 3)), zorder=5)
         if i == 0:
             axes.plot([], [], color=INK, linewidth=1.2, linestyle=(0, (4, 3)), label="line of a branch")
-    refined = evidence.around(junction.position[0], junction.position[1])
-    points = ((here, "o", SKY, 9, "candidate"), (refined, "*", PURPLE, 15, "refined point"))
+    refined = np.array([evidence.steps.junctions[i].position for i in verdict.detections])
+    points = (
+        (here[None], "o", SKY, 9, "candidate"),
+        (evidence.around(refined[:, 0], refined[:, 1]), "*", PURPLE, 15, "refined point"),
+    )
     for place, marker, colour, size, name in points:
         axes.plot(
-            *place,
+            *place.T,
             linestyle="none",
             marker=marker,
             markersize=size * scale,
@@ -81,18 +89,19 @@ def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale
 
 
 def _lines(evidence: Evidence, verdict: Verdict) -> list[Floats]:
-    """Return the ends, (2, 2), of the line of each branch: from a little behind the point to the end of the branch."""
+    """Return the ends, (2, 2), of the lines: from a little behind the refined point to the end of the branch."""
     branches = verdict.branches
-    assert verdict.detection is not None
-    refined = evidence.steps.junctions[verdict.detection].position
     reaches = [piece.reach for piece in verdict.pieces if piece.is_branch]
-    if len(reaches) != len(branches.points):  # a branch too short to have a line
-        reaches = [max(reaches)] * len(branches.points)
     lines = []
-    for point, normal, reach in zip(branches.points, branches.normals, reaches, strict=True):
-        direction = np.array([-normal[1], normal[0]])
-        middle = point + ((refined - point) @ direction) * direction
-        outwards = direction if (point - verdict.position) @ direction >= 0 else -direction
-        ends = np.stack([middle - 0.7 * branches.inner * outwards, middle + reach * outwards])
-        lines.append(evidence.around(ends[:, 0], ends[:, 1]))
+    for i in verdict.detections:
+        junction = evidence.steps.junctions[i]
+        for k in range(branches.count):
+            belongs = (junction.branches.points == branches.points[k]).all(axis=1).any()  # it may have been split
+            if not belongs or branches.weights[k] <= 0:
+                continue
+            point, outwards = branches.points[k], branches.directions[k]
+            middle = point + ((junction.position - point) @ outwards) * outwards
+            far = point + (reaches[k] - (point - verdict.position) @ outwards) * outwards
+            ends = np.stack([middle - 0.7 * branches.inner * outwards, far])
+            lines.append(evidence.around(ends[:, 0], ends[:, 1]))
     return lines

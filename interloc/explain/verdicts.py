@@ -11,8 +11,9 @@ from interloc.config import BranchConfig, DetectorConfig, HarrisCandidates
 from interloc.detect.branches import Branches, inner_radius, segment_branches
 from interloc.detect.candidates import Candidates, harris_corners, merge_until_stable
 from interloc.detect.centerline import Centerline
+from interloc.detect.compound import split_compound
 from interloc.detect.detector import Steps
-from interloc.detect.refinement import Junction
+from interloc.detect.image import Roi
 from interloc.kernels import skeleton as sk
 
 Floats = NDArray[np.float64]
@@ -54,12 +55,12 @@ class Verdict:
     width : float
         Road width there, pixels.
     merged : (M, 2) float64
-        The corners or junctions of the centerline that it is the average of, row and column.
+        The corners or junctions of the centerline that it stands for, row and column.
     branches
     pieces
         Those that are branches are in the order of ``branches``.
-    detection : int or None
-        Position among ``Steps.junctions``; None for a candidate that is no intersection.
+    detections : list of int
+        Positions among ``Steps.junctions``: none, one, or several where it was split.
     why_not : str or None
         Why it is none.
     """
@@ -70,49 +71,68 @@ class Verdict:
     merged: Floats
     branches: Branches
     pieces: list[Piece]
-    detection: int | None
+    detections: list[int]
     why_not: str | None
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether it became an intersection."""
+        return bool(self.detections)
 
 
 def judge(steps: Steps, vehicle: Floats, config: DetectorConfig) -> list[Verdict]:
     """Explain all candidates of a keyframe, the nearest to the vehicle (x, y in W, metres) first."""
     candidates, centerline, resolution_m = steps.candidates, steps.centerline, steps.roi.resolution_m
-    merged = merged_points(centerline, resolution_m, config)
+    merged = merged_points(centerline, candidates, resolution_m, config)
+    branches = [
+        segment_branches(candidates, which, centerline, resolution_m, config.branches)
+        for which in range(len(candidates.positions))
+    ]
+    detections = _detections(steps, branches, config)
     order = np.argsort(np.hypot(*(candidates.positions - steps.roi.image(vehicle)).T), kind="stable")
     verdicts = []
     for number, which in enumerate(order.tolist(), start=1):
-        branches = segment_branches(candidates, which, centerline, resolution_m, config.branches)
         pieces = pieces_around(candidates, which, centerline, resolution_m, config.branches)
-        detection = _position(steps.junctions, branches)
         verdicts.append(
             Verdict(
                 number=number,
                 position=candidates.positions[which],
                 width=float(candidates.widths[which]),
                 merged=merged[which],
-                branches=branches,
+                branches=branches[which],
                 pieces=pieces,
-                detection=detection,
-                why_not=_why_not(branches, pieces, resolution_m, config.branches) if detection is None else None,
+                detections=detections[which],
+                why_not=None if detections[which] else _why_not(branches[which], pieces, steps.roi, config.branches),
             )
         )
     return verdicts
 
 
-def merged_points(centerline: Centerline, resolution_m: float, config: DetectorConfig) -> list[Floats]:
-    """Return the points, (M, 2) row and column, that each candidate is the average of."""
-    if isinstance(config.candidates, HarrisCandidates):
-        corners, _ = harris_corners(centerline, config.candidates)
-        points = _points(centerline, corners)
-        _, groups = merge_until_stable(points, config.candidates.merge_m / resolution_m)
-        return [points[group] for group in groups]
-    settings = config.candidates
-    junctions = np.flatnonzero(centerline.degrees >= 3).astype(np.int32)
-    widths = centerline.widths(junctions) * settings.merge_widths
-    reach = np.clip(widths, settings.merge_min_m / resolution_m, settings.merge_max_m / resolution_m)
-    near = sk.grow_from(centerline.rows, centerline.cols, centerline.neighbours, junctions, reach / 2)
-    labels, count = sk.label_pieces(centerline.neighbours, near, junctions)
-    return [_points(centerline, junctions[labels[junctions] == label]) for label in range(count)]
+def merged_points(
+    centerline: Centerline, candidates: Candidates, resolution_m: float, config: DetectorConfig
+) -> list[Floats]:
+    """Return the points, (M, 2) row and column, that each candidate stands for."""
+    if not isinstance(config.candidates, HarrisCandidates):
+        return candidates.cores
+    corners, _ = harris_corners(centerline, config.candidates)
+    points = _points(centerline, corners)
+    _, groups = merge_until_stable(points, config.candidates.merge_m / resolution_m)
+    return [points[group] for group in groups]
+
+
+def _detections(steps: Steps, branches: list[Branches], config: DetectorConfig) -> list[list[int]]:
+    """Return the junctions that each candidate became; they are in the order of the candidates."""
+    found: list[list[int]] = [[] for _ in branches]
+    taken = 0
+    for which in steps.candidates.inside(steps.roi.size, config.branches.margin_m / steps.roi.resolution_m).tolist():
+        if branches[which].count < config.branches.min_branches:
+            continue
+        parts = 1
+        if config.compound is not None:
+            parts = len(split_compound(branches[which], steps.roi.resolution_m, config.compound))
+        found[which] = list(range(taken, taken + parts))
+        taken += parts
+    return found
 
 
 def pieces_around(
@@ -143,19 +163,16 @@ def pieces_around(
     return pieces
 
 
-def _why_not(branches: Branches, pieces: list[Piece], resolution_m: float, config: BranchConfig) -> str:
+def _why_not(branches: Branches, pieces: list[Piece], roi: Roi, config: BranchConfig) -> str:
+    if branches.count >= config.min_branches:
+        position = branches.candidate
+        gap_m = float(min(position.min(), roi.size - 1 - position.max())) * roi.resolution_m
+        return f"{gap_m:.1f} m from the border, {config.margin_m:g} m needed"
     why = f"{branches.count} {'branch' if branches.count == 1 else 'branches'}, {config.min_branches} needed"
-    short = [f"{piece.reach * resolution_m:.1f}" for piece in pieces if not piece.is_branch]
+    short = [f"{piece.reach * roi.resolution_m:.1f}" for piece in pieces if not piece.is_branch]
     if short:
         why += f"; {len(short)} too short ({', '.join(short)} of {config.min_reach_m:g} m)"
     return why
-
-
-def _position(junctions: list[Junction], branches: Branches) -> int | None:
-    for i, junction in enumerate(junctions):
-        if np.array_equal(junction.branches.candidate, branches.candidate):
-            return i
-    return None
 
 
 def _points(centerline: Centerline, pixels: NDArray[np.integer]) -> Floats:

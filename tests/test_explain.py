@@ -1,0 +1,258 @@
+"""The step pictures of one keyframe: a straight road along x, another across it at x = 40 m."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from interloc.config import PRESETS, DetectorConfig, with_settings
+from interloc.drives.drive import Drive, Georeference, GroundPoints
+from interloc.drives.open import open_drive
+from interloc.errors import ConfigError, DriveError, OutputError
+from interloc.explain import explain
+from interloc.explain.evidence import Evidence, gather
+from interloc.geometry import lonlat_from_enu, rotate_2d
+from interloc.osm.graph import RoadGraph, Ways
+
+SAMPLE = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "kitti360_0009"
+CROSSING = np.array([40.0, 0.0])
+STEP_M = 2.5
+LAT_DEG, LON_DEG, NORTH_TURN_RAD = 49.0, 8.4, 0.3  # where the drive starts, and how W lies to the east
+SHEETS = (
+    "1_road_points.png",
+    "2_panoramic_scan.png",
+    "3_bev.png",
+    "4_occupancy.png",
+    "5_centerline.png",
+    "6_candidates.png",
+)
+
+
+@dataclass(frozen=True)
+class RoadDrive:
+    """Points of two roads, 10 m wide, seen from a vehicle that drives along the first one; every other scan number."""
+
+    scans: int = 30
+    crossing: bool = True
+    georeference: Georeference | None = None
+    name: str = "a drive worth $5 or $10"
+
+    @property
+    def frames(self) -> NDArray[np.int64]:
+        return 100 + 2 * np.arange(self.scans)
+
+    @property
+    def T_world_lidar(self) -> NDArray[np.float64]:
+        poses = np.tile(np.eye(4), (self.scans, 1, 1))
+        poses[:, 0, 3] = STEP_M * np.arange(self.scans)
+        return poses
+
+    @property
+    def times_s(self) -> None:
+        return None
+
+    def ground_points(self, index: int) -> GroundPoints:
+        random = np.random.default_rng(index)
+        xy = random.uniform(-45.0, 45.0, (60_000, 2))
+        xy[:, 0] += STEP_M * index
+        is_road = np.abs(xy[:, 1]) < 5.0
+        if self.crossing:
+            is_road |= np.abs(xy[:, 0] - CROSSING[0]) < 5.0
+        near = is_road | (np.abs(xy[:, 1]) < 7.0)
+        xyz = np.column_stack([xy[:, 0] - STEP_M * index, xy[:, 1], np.full(len(xy), -1.7)]).astype(np.float32)
+        return GroundPoints.split(xyz[near], is_road[near])
+
+
+def small(preset: str = "default") -> DetectorConfig:
+    return with_settings(PRESETS[preset], ["keyframes.window=6", "bev.min_points=1"])
+
+
+def georeferenced(drive: RoadDrive) -> RoadDrive:
+    lonlat = lonlat_from_enu(LAT_DEG, LON_DEG, rotate_2d(drive.T_world_lidar[:, :2, 3], NORTH_TURN_RAD))
+    c, s = math.cos(NORTH_TURN_RAD), math.sin(NORTH_TURN_RAD)
+    attitude = np.tile(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), (drive.scans, 1, 1))
+    fixes = Georeference(lonlat[:, 1], lonlat[:, 0], np.zeros(drive.scans), attitude, "made up")
+    return RoadDrive(drive.scans, drive.crossing, fixes)
+
+
+def two_roads() -> RoadGraph:
+    ends = np.array([CROSSING, [-200.0, 0.0], [200.0, 0.0], [40.0, -200.0], [40.0, 200.0], [40.0, 1000.0]])
+    return RoadGraph(
+        node_id=np.arange(1, 7),
+        lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, rotate_2d(ends, NORTH_TURN_RAD)),
+        edges=np.array([[0, 1], [0, 2], [0, 3], [0, 4], [4, 5]]),
+        edge_way=np.zeros(5, np.int64),
+        ways=Ways(np.array([1]), ("residential",), ("",), np.array([False])),
+        source="made up",
+    )
+
+
+@pytest.fixture(scope="module")
+def explained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    out = tmp_path_factory.mktemp("explain") / "steps"
+    files = explain(georeferenced(RoadDrive()), 125, small(), out, graph=two_roads())
+    return out, files
+
+
+@pytest.fixture(scope="module")
+def seen() -> dict[str, Evidence]:
+    return {name: gather(RoadDrive(), 124, small(name)) for name in PRESETS}
+
+
+def test_a_picture_of_every_step_is_written(explained: tuple[Path, list[Path]]) -> None:
+    out, files = explained
+    names = [*SHEETS, "7_refinement.png", "overview.png", "explain.json"]
+    assert files == [out / name for name in names]
+    assert sorted(path.name for path in out.iterdir()) == sorted(names)
+
+
+@pytest.mark.parametrize("name", SHEETS)
+def test_steps_fit_a_laptop_screen_and_are_not_blank(explained: tuple[Path, list[Path]], name: str) -> None:
+    picture = cv2.imread(str(explained[0] / name))
+    assert picture is not None
+    assert picture.shape == (860, 1120, 3)
+    ink = (picture[60:800, 70:810] < 250).any(axis=2).mean()
+    assert 0.01 < ink < 0.5
+
+
+def test_refinement_and_overview_are_not_blank(explained: tuple[Path, list[Path]]) -> None:
+    for name, width in (("7_refinement.png", 1120), ("overview.png", 1680)):
+        picture = cv2.imread(str(explained[0] / name))
+        assert picture is not None
+        assert picture.shape[1] == width
+        assert 500 < picture.shape[0] < 1000
+        assert 0.02 < (picture < 250).any(axis=2).mean() < 0.5
+
+
+def test_a_cell_of_the_bev_image_is_a_pixel_of_the_picture(
+    explained: tuple[Path, list[Path]], seen: dict[str, Evidence]
+) -> None:
+    picture = cv2.imread(str(explained[0] / "3_bev.png"), cv2.IMREAD_GRAYSCALE)
+    assert picture is not None
+    shown = picture[860 - 54 - 750 : 860 - 54, 66 : 66 + 750]
+    inner = np.s_[10:300, 10:300]  # beside the vehicle and the frame
+    cells = seen["default"].steps.bev.to_array()[inner]
+    dark = (shown[inner] < 120).astype(np.uint8)
+    assert (cells != dark).mean() < 0.02  # the roads of the map are drawn on top
+
+
+def test_the_record_tells_what_was_done(explained: tuple[Path, list[Path]]) -> None:
+    record = json.loads((explained[0] / "explain.json").read_text())
+    assert (record["frame_asked"], record["frame"], record["keyframe"]) == (125, 124, 12)
+    assert record["keyframes_in_drive"] == 30
+    assert record["window"]["frames"] == list(range(112, 137, 2))
+    assert record["min_points"] == 1
+    assert record["cells"]["bev"] > record["cells"]["centerline"] > 0
+    (candidate,) = [c for c in record["candidates"] if c["kept"]]
+    assert candidate["branches"] == 4
+    assert candidate["why_not"] is None
+    (detection,) = record["detections"]
+    assert detection["candidate"] == candidate["number"]
+    assert math.dist((detection["world_x_m"], detection["world_y_m"]), CROSSING) < 0.5
+    assert detection["x_m"] == pytest.approx(detection["world_x_m"] - 12 * STEP_M)  # the vehicle looks along x
+    assert sorted(round(angle / 90) % 4 for angle in detection["branch_angles_deg"]) == [0, 1, 2, 3]
+
+
+def test_the_map_is_laid_over_the_pictures_by_the_fix_of_the_keyframe(explained: tuple[Path, list[Path]]) -> None:
+    truth = json.loads((explained[0] / "explain.json").read_text())["ground_truth"]
+    (node,) = truth["nodes"]
+    assert (truth["policy"], node["osm_id"]) == ("drive", 1)
+    assert math.dist((node["world_x_m"], node["world_y_m"]), CROSSING) < 0.01
+
+
+def test_without_georeference_the_map_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        explain(RoadDrive(scans=4), 100, small(), tmp_path / "out", graph=two_roads())
+    assert json.loads((tmp_path / "out" / "explain.json").read_text())["ground_truth"] is None
+    assert "without georeference" in caplog.text
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_the_pixels_shown_are_those_that_the_method_used(seen: dict[str, Evidence], preset: str) -> None:
+    for verdict in seen[preset].verdicts:
+        branches = [piece for piece in verdict.pieces if piece.is_branch]
+        assert [len(piece.pixels) for piece in branches] == verdict.branches.lengths.tolist()
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_every_detection_belongs_to_one_candidate(seen: dict[str, Evidence], preset: str) -> None:
+    evidence = seen[preset]
+    shown = sorted(i for verdict in evidence.verdicts for i in verdict.detections)
+    assert shown == list(range(len(evidence.steps.junctions)))
+    assert len(shown) >= 1
+    for verdict in evidence.verdicts:
+        assert verdict.is_kept == (verdict.why_not is None)
+        assert verdict.merged.mean(axis=0) == pytest.approx(verdict.position)
+
+
+def test_a_rejected_candidate_says_why() -> None:
+    config = with_settings(small(), ["branches.min_branches=5", "branches.min_reach_m=200", "branches.margin_m=0"])
+    verdict = gather(RoadDrive(), 124, config).verdicts[0]
+    assert verdict.why_not is not None
+    assert verdict.why_not.startswith("0 branches, 5 needed; 4 too short (")
+    assert verdict.why_not.endswith(" of 200 m)")
+
+
+def test_a_candidate_at_the_border_says_so() -> None:
+    config = with_settings(small(), ["branches.margin_m=25"])
+    (verdict,) = [v for v in gather(RoadDrive(), 100, config).verdicts if v.branches.count >= 3]
+    assert verdict.why_not is not None
+    distance, _, rest = verdict.why_not.partition(" m ")
+    assert float(distance) == pytest.approx(60.0 - CROSSING[0], abs=1.0)
+    assert rest == "from the border, 25 m needed"
+
+
+def test_a_road_without_intersection_has_all_pictures(tmp_path: Path) -> None:
+    files = explain(RoadDrive(scans=8, crossing=False), 106, small("paper"), tmp_path / "out")
+    assert all(path.stat().st_size > 0 for path in files)
+    record = json.loads((tmp_path / "out" / "explain.json").read_text())
+    assert record["detections"] == []
+    assert all(candidate["why_not"] for candidate in record["candidates"])
+
+
+def test_the_end_of_the_drive_cuts_the_window_short() -> None:
+    evidence = gather(RoadDrive(), 158, small())
+    assert evidence.keyframe.frame == 158
+    assert [scan.age for scan in evidence.window] == list(range(-6, 1))
+
+
+@pytest.mark.parametrize("frame", [99, 159, -1])
+def test_a_scan_that_the_drive_does_not_have_is_refused(tmp_path: Path, frame: int) -> None:
+    with pytest.raises(ConfigError, match="scans 100 to 158"):
+        explain(RoadDrive(), frame, small(), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_drive_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DriveError, match="no scans"):
+        explain(RoadDrive(scans=0), 0, small(), tmp_path / "out")
+
+
+def test_an_earlier_explanation_is_replaced_and_other_folders_stay(tmp_path: Path) -> None:
+    explain(RoadDrive(scans=3), 100, small(), tmp_path / "out")
+    explain(RoadDrive(scans=3), 104, small(), tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "explain.json").read_text())["frame"] == 104
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("")
+    with pytest.raises(OutputError, match=r"no explain\.json"):
+        explain(RoadDrive(scans=3), 100, small(), tmp_path / "mine")
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")
+def test_the_kitti360_sample_is_explained(tmp_path: Path) -> None:
+    drive: Drive = open_drive(SAMPLE, check=False)
+    explain(drive, 33, PRESETS["default"], tmp_path / "out")
+    record = json.loads((tmp_path / "out" / "explain.json").read_text())
+    assert record["min_points"] < 5  # sparse: one keyframe every 17 m
+    (detection,) = record["detections"]
+    assert math.hypot(detection["x_m"], detection["y_m"]) < 8.0
+    assert detection["branch_count"] == 3
