@@ -95,7 +95,8 @@ def plan_ground(
         roads.add(fillet)
         if profile_walk > 0:
             walks.add(fillet.buffer(profile_walk))
-    for node in street_map.turning_circles:
+    on_road = {n for p in profiles if _aside(p, config) is None for n in p.street.nodes}
+    for node in on_road.intersection(street_map.turning_circles):
         disc = Point(street_map.node_xy[node]).buffer(TURNING_CIRCLE_M)
         roads.add(disc)
         walks.add(disc.buffer(config.sidewalk_width_m))

@@ -17,12 +17,12 @@ from interloc.errors import ConfigError
 from interloc.geometry import bearing_deg
 from interloc.mapping.files import atomic_write
 from interloc.simulate.config import LidarConfig, SceneConfig, TrackConfig
-from interloc.simulate.drive import Progress, simulate_drive
+from interloc.simulate.drive import Progress
 from interloc.simulate.local_frame import LocalFrame
+from interloc.simulate.maps import simulate_map
 from interloc.simulate.osm_map import MapWay, StreetMap, street_map_of
 from interloc.simulate.profiles import find_crossings, street_profiles, visible_lines
 from interloc.simulate.roadside import Yard, made_up_houses
-from interloc.simulate.scene import build_scene
 from interloc.simulate.street_classes import is_oneway
 from interloc.simulate.town_plan import (
     CAR_PARK,
@@ -300,21 +300,20 @@ def simulate_town(
         `out` could not be written.
     """
     town = Town(part, seed=seed)
-    drive = town.track(track)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / MAP_FILE
         town.write_osm(path)
-        world = build_scene(drive, path, config=scene, seed=seed, sensor_height_m=(sensor or LidarConfig()).height_m)
-    return simulate_drive(
-        world,
-        drive,
-        out,
-        seed=seed,
-        sensor=sensor,
-        keyframes_only=keyframes_only,
-        ground_only=ground_only,
-        max_scans=max_scans,
-        extra_files={MAP_FILE: town.osm().encode()},
-        about={"town": part, "scene": (scene or SceneConfig()).model_dump()},
-        progress=progress,
-    )
+        return simulate_map(
+            town.track(track),
+            path,
+            out,
+            seed=seed,
+            keyframes_only=keyframes_only,
+            ground_only=ground_only,
+            max_scans=max_scans,
+            scene=scene,
+            sensor=sensor,
+            extra_files={MAP_FILE: path.read_bytes()},
+            about={"town": part},
+            progress=progress,
+        )

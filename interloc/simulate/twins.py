@@ -9,7 +9,8 @@ import numpy as np
 
 from interloc.errors import DriveError
 from interloc.simulate.config import LidarConfig, SceneConfig
-from interloc.simulate.drive import Progress, simulate_drive
+from interloc.simulate.drive import Progress
+from interloc.simulate.maps import simulate_map
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.tracks import Track, read_oxts, track_from_oxts
 
@@ -71,15 +72,14 @@ def twin_scene(
     seed: int = 0,
 ) -> Scene:
     """Return the world of a sequence: streets of `osm/NN.osm.gz`, buildings of `osm_buildings/NN.osm.gz`."""
-    root = Path(kitti_dir)
-    buildings = root / "osm_buildings" / f"{sequence}.osm.gz"
-    return build_scene(
-        track,
-        root / "osm" / f"{sequence}.osm.gz",
-        buildings=buildings if buildings.is_file() else None,
-        config=config,
-        seed=seed,
-    )
+    roads, buildings = twin_maps(kitti_dir, sequence)
+    return build_scene(track, roads, buildings=buildings, config=config, seed=seed)
+
+
+def twin_maps(kitti_dir: Path, sequence: str) -> tuple[Path, Path | None]:
+    """Return the OSM files of a sequence: streets, and buildings where there are any."""
+    buildings = Path(kitti_dir) / "osm_buildings" / f"{sequence}.osm.gz"
+    return Path(kitti_dir) / "osm" / f"{sequence}.osm.gz", buildings if buildings.is_file() else None
 
 
 def simulate_twin(
@@ -119,18 +119,18 @@ def simulate_twin(
     OutputError
         `out` could not be written.
     """
-    scene = scene or SceneConfig()
-    track = twin_track(kitti_dir, sequence, poses=poses)
-    world = twin_scene(kitti_dir, sequence, track, config=scene, seed=seed)
-    return simulate_drive(
-        world,
-        track,
+    roads, buildings = twin_maps(kitti_dir, sequence)
+    return simulate_map(
+        twin_track(kitti_dir, sequence, poses=poses),
+        roads,
         out,
+        buildings=buildings,
         seed=seed,
-        sensor=sensor,
         keyframes_only=keyframes_only,
         ground_only=ground_only,
         max_scans=max_scans,
-        about={"twin": sequence, "poses": poses, "scene": scene.model_dump()},
+        scene=scene,
+        sensor=sensor,
+        about={"twin": sequence, "poses": poses},
         progress=progress,
     )
