@@ -167,9 +167,9 @@ def _draw_candidates(axes: Axes, evidence: Evidence, *, kept: bool) -> None:
         linestyle="none",
         markeredgecolor=PAPER,
         markeredgewidth=1.0,
-        zorder=9,
+        zorder=9 if kept else 9.8,
         marker=marker,
-        markersize=9,
+        markersize=9 if kept else 11,
         color=colour,
         label=name,
     )
