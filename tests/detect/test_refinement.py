@@ -139,3 +139,26 @@ def test_no_branches_at_all() -> None:
     )
     assert refine(none).position.tolist() == [7, 7]
     assert refine(none).residual == math.inf
+
+
+# --- the candidate as one more observation (beyond the paper) --------------------------------------------------------
+
+
+def test_candidate_holds_the_point_back_by_its_weight() -> None:
+    lines = branches([(8.0, 0.0), (0.0, 4.0)], [90, 0])
+    np.testing.assert_allclose(refine(lines, 1.0).position, [4, 2])  # as heavy as a line: half of the way
+    np.testing.assert_allclose(refine(lines, 3.0).position, [2, 1])
+    np.testing.assert_allclose(refine(lines, 0.0).position, [8, 4])
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 10))
+def test_point_with_the_candidate_is_that_of_a_general_solver(seed: int, weight: float) -> None:
+    generator = np.random.default_rng(seed)
+    places = [tuple(p) for p in generator.uniform(-40, 40, (3, 2))]
+    lines = branches(places, [10, 100, 230], candidate=(5, -3), weights=generator.uniform(0.1, 3, 3).tolist())
+
+    def all_residuals(p: Floats) -> Floats:
+        return np.concatenate([residuals(p, lines), math.sqrt(weight) * (p - lines.candidate)])
+
+    expected = least_squares(all_residuals, np.zeros(2), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    np.testing.assert_allclose(refine(lines, weight).position, expected, atol=1e-5)
