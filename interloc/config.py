@@ -126,10 +126,17 @@ class BranchConfig(_Config):
         14.0, ge=0, le=200, description="A branch reaches this far from its candidate, unless another one is nearer."
     )
     stop_m: float = Field(1.0, gt=0, le=50, description="A branch ends this far before another candidate.")
+    end_at_rejected: bool = Field(
+        True, description="A branch also ends before a candidate that is no intersection itself."
+    )
     line: Literal["start_and_mean", "least_squares"] = Field(
         "start_and_mean", description="How a line is laid through a branch."
     )
-    fit_length_m: float = Field(30.0, gt=0, le=200, description="Length of a branch that a least squares line uses.")
+    fit_length_m: float = Field(30.0, gt=0, le=200, description="Most of a branch that a least squares line uses ...")
+    fit_least_m: float = Field(8.0, gt=0, le=200, description="... and least; in between ...")
+    straight_m: float = Field(
+        0.3, gt=0, le=10, description="... as far as the centerline is straight: root mean square distance from it."
+    )
     candidate_std_m: float | None = Field(
         None, gt=0, le=50, description="How well the candidate itself is placed, beside its lines; none: not counted."
     )
@@ -184,13 +191,16 @@ PAPER = DetectorConfig(
 DEFAULT = DetectorConfig(
     preset="default",
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
-    centerline=CenterlineConfig(spur_widths=1.0),
-    candidates=CrossingCandidates(),
+    centerline=CenterlineConfig(spur_widths=1.3),
+    candidates=CrossingCandidates(merge_widths=1.6),
     branches=BranchConfig(
         inner_radius_m=15.0,
-        inner_widths=1.0,
-        line="least_squares",
+        inner_widths=0.8,
+        min_reach_m=11.0,
         stop_m=2.0,
+        end_at_rejected=False,
+        line="least_squares",
+        straight_m=0.2,
         trim_m=2.0,
         margin_m=8.0,
         candidate_std_m=1.0,

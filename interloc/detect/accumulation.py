@@ -127,7 +127,7 @@ class RoadAccumulator:
         image = BinaryImage.empty(roi.size, roi.size)
         tiles = np.array([roi.left, roi.left + roi.size - 1, roi.top - roi.size + 1, roi.top]) // grid.TILE
         table = self._grid.table(tiles)
-        min_points = self._min_points(keyframe)
+        min_points = self.min_points(keyframe)
         grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, image.words)
         return image, roi
 
@@ -137,7 +137,7 @@ class RoadAccumulator:
         x, y = keyframe.T_world_lidar[0, 3], keyframe.T_world_lidar[1, 3]
         return Roi(math.floor(x / r) - size // 2, math.floor(y / r) - size // 2 + size - 1, size, r)
 
-    def _min_points(self, keyframe: Keyframe) -> int:
+    def min_points(self, keyframe: Keyframe) -> int:
         """Return m, in the share of a full window's keyframes that lie in the region of interest."""
         m = self._config.min_points
         if not self._config.adaptive:

@@ -25,6 +25,8 @@ class Branches:
 
     Attributes
     ----------
+    which : int
+        Number of the candidate.
     candidate : (2,) float64
         Row and column, pixels.
     inner : float
@@ -41,6 +43,7 @@ class Branches:
         Junction pixels of the centerline that the candidate stands for; empty for Harris corners.
     """
 
+    which: int
     candidate: Floats
     inner: float
     directions: Floats
@@ -71,30 +74,72 @@ class Branches:
         )
 
 
-def inner_radius(candidates: Candidates, which: int, resolution_m: float, config: BranchConfig) -> float:
+def inner_radius(
+    candidates: Candidates, which: int, others: NDArray[np.int64], resolution_m: float, config: BranchConfig
+) -> float:
     """Return the radius in pixels within which the centerline is bent by the junction itself."""
     radius = config.inner_radius_m / resolution_m
     if config.inner_widths is None:
         return radius
     radius = min(radius, config.inner_widths * float(candidates.widths[which]))
-    others = np.delete(candidates.positions, which, axis=0)
+    others = others[others != which]
     if len(others):
-        gap = float(np.min(np.hypot(*(others - candidates.positions[which]).T)))
-        radius = min(radius, 0.6 * gap)
+        gaps = candidates.positions[others] - candidates.positions[which]
+        radius = min(radius, 0.6 * float(np.hypot(gaps[:, 0], gaps[:, 1]).min()))
     return radius
 
 
+def segment_all(
+    candidates: Candidates, centerline: Centerline, resolution_m: float, config: BranchConfig
+) -> tuple[list[Branches], NDArray[np.int64]]:
+    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C).
+
+    Returns
+    -------
+    list of Branches
+        Of the candidates with enough branches.
+    (E,) int64
+        The candidates at which branches end: all, as in the paper, or only those that have enough branches themselves.
+    """
+    enders = np.arange(len(candidates.positions))
+    kept = _enough(candidates, enders, centerline, resolution_m, config)
+    if not config.end_at_rejected and len(kept) < len(enders):
+        enders = np.array([branches.which for branches in kept], np.int64)
+        kept = _enough(candidates, enders, centerline, resolution_m, config)
+    size = centerline.image.height
+    inside = candidates.inside(size, config.margin_m / resolution_m)
+    return [branches for branches in kept if branches.which in inside], enders
+
+
+def _enough(
+    candidates: Candidates,
+    enders: NDArray[np.int64],
+    centerline: Centerline,
+    resolution_m: float,
+    config: BranchConfig,
+) -> list[Branches]:
+    branches = [segment_branches(candidates, int(i), enders, centerline, resolution_m, config) for i in enders]
+    return [b for b in branches if b.count >= config.min_branches]
+
+
 def segment_branches(
-    candidates: Candidates, which: int, centerline: Centerline, resolution_m: float, config: BranchConfig
+    candidates: Candidates,
+    which: int,
+    enders: NDArray[np.int64],
+    centerline: Centerline,
+    resolution_m: float,
+    config: BranchConfig,
 ) -> Branches:
     """Follow the centerline from the inner circle outwards and lay a line through each branch.
 
     Parameters
     ----------
     candidates
-        All of the image: a branch ends before another one.
+        All of the image.
     which
         The one looked at.
+    enders : (E,) int64
+        The ones before which a branch ends.
     centerline
     resolution_m
         Side of a pixel.
@@ -105,17 +150,19 @@ def segment_branches(
     -----
     Paper, eq. 7 to 9.
     """
-    inner = inner_radius(candidates, which, resolution_m, config)
+    inner = inner_radius(candidates, which, enders, resolution_m, config)
     table = sk.follow_branches(
         centerline.rows,
         centerline.cols,
         centerline.neighbours,
-        candidates.positions,
-        which,
+        candidates.positions[which],
+        candidates.positions[enders[enders != which]],
         inner,
         config.outer_radius_m / resolution_m,
         config.stop_m / resolution_m,
         config.fit_length_m / resolution_m,
+        config.fit_least_m / resolution_m,
+        config.straight_m / resolution_m,
         config.trim_m / resolution_m,
         centerline.image.height,
         BORDER_PX,
@@ -137,7 +184,14 @@ def segment_branches(
         scatter_m2 = (table[:, sk.FIT_RMS] * resolution_m) ** 2 + STRAIGHT_M**2
         weights = np.where(has_line, table[:, sk.FIT_LENGTH] * resolution_m / FULL_FIT_M / scatter_m2, 0.0)
     return Branches(
-        candidates.positions[which], inner, directions, points, weights, table[:, sk.LENGTH], candidates.cores[which]
+        which,
+        candidates.positions[which],
+        inner,
+        directions,
+        points,
+        weights,
+        table[:, sk.LENGTH],
+        candidates.cores[which],
     )
 
 

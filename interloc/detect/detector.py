@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from interloc.config import DEFAULT, DetectorConfig
 from interloc.detect.accumulation import RoadAccumulator
-from interloc.detect.branches import segment_branches
+from interloc.detect.branches import segment_all
 from interloc.detect.candidates import Candidates, find_candidates
 from interloc.detect.centerline import Centerline, extract_centerline
 from interloc.detect.compound import split_compound
@@ -59,6 +59,7 @@ class Steps:
     occupancy: BinaryImage
     centerline: Centerline
     candidates: Candidates
+    enders: NDArray[np.int64]  # the candidates at which branches end
     junctions: list[Junction]
 
 
@@ -119,17 +120,13 @@ class Detector:
         lap("centerline")
         candidates = find_candidates(centerline, resolution_m, config.candidates)  # III-B.6
         lap("candidates")
-        branches = [  # III-C.1
-            segment_branches(candidates, which, centerline, resolution_m, config.branches)
-            for which in candidates.inside(roi.size, config.branches.margin_m / resolution_m)
-        ]
-        branches = [b for b in branches if b.count >= config.branches.min_branches]
+        branches, enders = segment_all(candidates, centerline, resolution_m, config.branches)  # III-C.1
         if config.compound is not None:
             branches = [part for b in branches for part in split_compound(b, resolution_m, config.compound)]
         prior = config.branches.candidate_std_m
         junctions = [refine(b, 0.0 if prior is None else prior**-2) for b in branches]  # III-C.2
         lap("refinement")
-        return Steps(roi, bev, occupancy, centerline, candidates, junctions)
+        return Steps(roi, bev, occupancy, centerline, candidates, enders, junctions)
 
 
 def locate(junctions: list[Junction], roi: Roi, keyframe: Keyframe) -> KeyframeDetections:

@@ -138,7 +138,7 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
     while keyframe is None or keyframe.frame != scan.frame:  # the end of the drive cuts the window short
         keyframe = detector.complete()
     steps = detector.steps(keyframe)
-    road_map = detector._road  # noqa: SLF001 - the one number that is not among the steps
+    road_map = detector._road  # noqa: SLF001 - what the steps do not keep
     return Evidence(
         asked=frame,
         index=scan.index,
@@ -148,7 +148,7 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
         config=config,
         points=drive.ground_points(scan.index),
         window=[_window_scan(other, first + i - number, config) for i, other in enumerate(scans)],
-        min_points=road_map._min_points(keyframe),  # noqa: SLF001
+        min_points=road_map.min_points(keyframe),
         steps=steps,
         verdicts=judge(steps, keyframe.T_world_lidar[:2, 3], config),
         detections=locate(steps.junctions, steps.roi, keyframe),

@@ -11,7 +11,6 @@ from interloc.config import BranchConfig, DetectorConfig, HarrisCandidates
 from interloc.detect.branches import Branches, inner_radius, segment_branches
 from interloc.detect.candidates import Candidates, harris_corners, merge_until_stable
 from interloc.detect.centerline import Centerline
-from interloc.detect.compound import split_compound
 from interloc.detect.detector import Steps
 from interloc.detect.image import Roi
 from interloc.kernels import skeleton as sk
@@ -85,14 +84,14 @@ def judge(steps: Steps, vehicle: Floats, config: DetectorConfig) -> list[Verdict
     candidates, centerline, resolution_m = steps.candidates, steps.centerline, steps.roi.resolution_m
     merged = merged_points(centerline, candidates, resolution_m, config)
     branches = [
-        segment_branches(candidates, which, centerline, resolution_m, config.branches)
+        segment_branches(candidates, which, steps.enders, centerline, resolution_m, config.branches)
         for which in range(len(candidates.positions))
     ]
-    detections = _detections(steps, branches, config)
+    detections = [[i for i, j in enumerate(steps.junctions) if j.branches.which == w] for w in range(len(branches))]
     order = np.argsort(np.hypot(*(candidates.positions - steps.roi.image(vehicle)).T), kind="stable")
     verdicts = []
     for number, which in enumerate(order.tolist(), start=1):
-        pieces = pieces_around(candidates, which, centerline, resolution_m, config.branches)
+        pieces = pieces_around(candidates, which, steps.enders, centerline, resolution_m, config.branches)
         verdicts.append(
             Verdict(
                 number=number,
@@ -120,23 +119,13 @@ def merged_points(
     return [points[group] for group in groups]
 
 
-def _detections(steps: Steps, branches: list[Branches], config: DetectorConfig) -> list[list[int]]:
-    """Return the junctions that each candidate became; they are in the order of the candidates."""
-    found: list[list[int]] = [[] for _ in branches]
-    taken = 0
-    for which in steps.candidates.inside(steps.roi.size, config.branches.margin_m / steps.roi.resolution_m).tolist():
-        if branches[which].count < config.branches.min_branches:
-            continue
-        parts = 1
-        if config.compound is not None:
-            parts = len(split_compound(branches[which], steps.roi.resolution_m, config.compound))
-        found[which] = list(range(taken, taken + parts))
-        taken += parts
-    return found
-
-
 def pieces_around(
-    candidates: Candidates, which: int, centerline: Centerline, resolution_m: float, config: BranchConfig
+    candidates: Candidates,
+    which: int,
+    enders: NDArray[np.int64],
+    centerline: Centerline,
+    resolution_m: float,
+    config: BranchConfig,
 ) -> list[Piece]:
     """Find the pieces of centerline around a candidate pixel by pixel (paper, section III-C.1).
 
@@ -145,11 +134,11 @@ def pieces_around(
     neighbours, here = centerline.neighbours, candidates.positions[which]
     pixels = _points(centerline, np.arange(len(centerline.rows)))
     distance = np.hypot(*(pixels - here).T)
-    inner = inner_radius(candidates, which, resolution_m, config)
+    inner = inner_radius(candidates, which, enders, resolution_m, config)
     annulus = (distance > inner) & (distance < config.outer_radius_m / resolution_m)
     starts = np.flatnonzero(annulus & _beside(distance <= inner, neighbours)).astype(np.int32)
     foreign = np.zeros(len(pixels), np.bool_)  # too near to another candidate
-    for other in np.delete(candidates.positions, which, axis=0):
+    for other in candidates.positions[enders[enders != which]]:
         foreign |= np.hypot(*(pixels - other).T) < config.stop_m / resolution_m
     allowed = annulus & ~foreign
     allowed[starts] = True

@@ -235,18 +235,22 @@ START_ROW, START_COL, MEAN_ROW, MEAN_COL, LENGTH, AT_CANDIDATE, AT_BORDER = rang
 FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH = range(7, 14)
 BRANCH_COLUMNS = 14
 
+RING_PX = 4.0  # a line grows by this much at a time
+
 
 @compiled
 def follow_branches(
     rows: Index,
     cols: Index,
     neighbours: Index,
-    candidates: NDArray[np.float64],
-    which: int,
+    candidate: NDArray[np.float64],
+    others: NDArray[np.float64],
     inner: float,
     outer: float,
     stop: float,
     fit_length: float,
+    least_fit: float,
+    straight: float,
     trim: float,
     size: int,
     border: int,
@@ -257,17 +261,18 @@ def follow_branches(
     ----------
     rows, cols, neighbours
         The centerline, see `neighbours_of`.
-    candidates : (C, 2) float64
-        Row and column of all candidates.
-    which : int
-        The candidate looked at.
+    candidate : (2,) float64
+        Row and column of the candidate.
+    others : (C, 2) float64
+        Those before which a branch ends.
     inner, outer : float
         Radii of the annulus, pixels.
     stop : float
         A branch ends this far before another candidate.
-    fit_length, trim : float
+    fit_length, least_fit, straight, trim : float
         The line is fitted to the pixels within ``inner`` + ``fit_length`` of the candidate that lie at least ``trim``
-        from a tip of the branch and from the border of the image.
+        from a tip of the branch and from the border of the image; beyond ``least_fit`` only as far as their root mean
+        square distance from the line stays within ``straight``.
     size, border : int
         Pixels a side of the image; width of the margin that counts as its border.
 
@@ -278,7 +283,7 @@ def follow_branches(
         candidate; its length is 0 where there is too little to fit.
     """
     n = rows.size
-    r0, c0 = candidates[which, 0], candidates[which, 1]
+    r0, c0 = candidate[0], candidate[1]
     distance = np.empty(n)
     for i in range(n):
         dr, dc = rows[i] - r0, cols[i] - c0
@@ -287,6 +292,8 @@ def follow_branches(
     stack = np.empty(n, np.int32)
     tips = np.empty(64, np.int32)
     branches = np.zeros((32, BRANCH_COLUMNS))
+    n_rings = max(1, int(fit_length / RING_PX))
+    rings = np.empty((n_rings, 6))
     count = 0
     for s in range(n):
         if seen[s] or not (inner < distance[s] < outer) or count == branches.shape[0]:
@@ -323,11 +330,10 @@ def follow_branches(
                     onward += 1
                     continue
                 blocked = False
-                for o in range(candidates.shape[0]):
-                    if o != which:
-                        dr, dc = rows[q] - candidates[o, 0], cols[q] - candidates[o, 1]
-                        if dr * dr + dc * dc < stop * stop:
-                            blocked = True
+                for o in range(others.shape[0]):
+                    dr, dc = rows[q] - others[o, 0], cols[q] - others[o, 1]
+                    if dr * dr + dc * dc < stop * stop:
+                        blocked = True
                 onward += 1
                 if blocked:
                     at_candidate = True
@@ -345,12 +351,12 @@ def follow_branches(
         row[START_ROW], row[START_COL] = rows[first], cols[first]
         row[MEAN_ROW], row[MEAN_COL] = sum_r / end, sum_c / end
         row[LENGTH], row[AT_CANDIDATE], row[AT_BORDER], row[REACH] = end, at_candidate, at_border, reach
-        # Fit a line to its trustworthy part.
-        m, mr, mc, srr, src, scc = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-        nearest, farthest = np.inf, 0.0
+        # Fit a line to its trustworthy part: from the inner circle outwards, ring by ring, as long as it is straight.
+        rings[:] = 0.0
         for j in range(end):
             p = stack[j]
-            if distance[p] > inner + fit_length:
+            ring = int((distance[p] - inner) / RING_PX)
+            if ring >= n_rings:
                 continue
             margin = min(rows[p], cols[p], size - 1 - rows[p], size - 1 - cols[p])
             usable = margin >= trim
@@ -361,24 +367,39 @@ def follow_branches(
             if not usable:
                 continue
             dr, dc = rows[p] - r0, cols[p] - c0
-            m += 1
-            mr += dr
-            mc += dc
-            srr += dr * dr
-            src += dr * dc
-            scc += dc * dc
-            nearest, farthest = min(nearest, distance[p]), max(farthest, distance[p])
-        if m >= 2:
-            mr /= m
-            mc /= m
-            vrr, vrc, vcc = srr / m - mr * mr, src / m - mr * mc, scc / m - mc * mc
+            rings[ring, 0] += 1.0
+            rings[ring, 1] += dr
+            rings[ring, 2] += dc
+            rings[ring, 3] += dr * dr
+            rings[ring, 4] += dr * dc
+            rings[ring, 5] += dc * dc
+        m, mr, mc, srr, src, scc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        first_ring = -1
+        for ring in range(n_rings):
+            if rings[ring, 0] == 0.0:
+                continue
+            if first_ring < 0:
+                first_ring = ring
+            m += rings[ring, 0]
+            mr += rings[ring, 1]
+            mc += rings[ring, 2]
+            srr += rings[ring, 3]
+            src += rings[ring, 4]
+            scc += rings[ring, 5]
+            if m < 2.0:
+                continue
+            ur, uc = mr / m, mc / m
+            vrr, vrc, vcc = srr / m - ur * ur, src / m - ur * uc, scc / m - uc * uc
             angle = 0.5 * np.arctan2(2.0 * vrc, vrr - vcc)
             d_row, d_col = np.cos(angle), np.sin(angle)
-            if d_row * mr + d_col * mc < 0.0:
+            rms = np.sqrt(max(vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row, 0.0))
+            length = (ring + 1 - first_ring) * RING_PX
+            if rms > straight and length > least_fit:
+                break
+            if d_row * ur + d_col * uc < 0.0:
                 d_row, d_col = -d_row, -d_col
-            across = vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row
-            row[FIT_ROW], row[FIT_COL] = r0 + mr, c0 + mc
+            row[FIT_ROW], row[FIT_COL] = r0 + ur, c0 + uc
             row[FIT_D_ROW], row[FIT_D_COL] = d_row, d_col
-            row[FIT_LENGTH], row[FIT_RMS] = farthest - nearest, np.sqrt(max(across, 0.0))
+            row[FIT_LENGTH], row[FIT_RMS] = length, rms
         count += 1
     return branches[:count]
