@@ -17,6 +17,8 @@ COMMANDS = {
     "run": "run",
     "explain": "explain",
     "robustness": "robustness",
+    "simulate": "simulate",
+    "benchmark": "benchmark",
     "config": "config",
 }
 """Command -> module of this package, which has a click command `command`."""

@@ -1,0 +1,173 @@
+"""What went wrong, place by place: false detections in groups, and nodes that were missed, with a guess at the kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from interloc.evaluate.evaluate import Evaluation
+from interloc.evaluate.matching import Floats, Integers
+from interloc.evaluate.metrics import STANDARD_THRESHOLD_M
+from interloc.geometry import enu_from_lonlat
+from interloc.mapping.geojson import DEGREE_DECIMALS, rounded
+from interloc.osm.policies import Policy, intersection_nodes
+
+GROUP_M = 6.0
+"""False detections nearer than this to each other are one group."""
+
+SAME_PLACE_M = 8.0
+"""A node of another policy so near explains a false detection."""
+
+OFF_TARGET_M = 15.0
+"""A false detection so near a node is an inaccurate one rather than one of nothing."""
+
+COMPOUND_M = 25.0
+"""Nodes so near each other are one compound junction."""
+
+Explain = Callable[[int], list[str]]
+"""Returns the command lines that show a frame."""
+
+
+def find_failures(evaluation: Evaluation, explain: Explain) -> dict[str, Any]:
+    """Gather the false detections and the missed nodes of a drive.
+
+    Parameters
+    ----------
+    evaluation
+    explain
+        Gives the command lines that show the steps of the method at a frame.
+
+    Returns
+    -------
+    dict
+        `false_detections`: groups, largest first: `lon`, `lat`, `detections`, `frames`, `error_m` (median),
+        `nearest_node` (`osm_id`, `degree`, `distance_m`), `kind`, `see`.
+        Kinds: "double" (beside a true detection of the same node at the same time), "off target" (5 to 15 m from a
+        node), "service road" and "path" (a junction of the map, but not of the policy), "no junction".
+        `missed_nodes`: those with most missed keyframes first: `osm_id`, `lon`, `lat`, `degree`, `found`,
+        `keyframes_in_zone`, `keyframes_missed`, `frames`, `best_error_m`, `kind`, `see`.
+        Kinds: "part of the time" (found, but not at every keyframe), "compound" (another node within 25 m),
+        "off target" (seen, but never within 5 m), "not seen".
+    """
+    return {
+        "false_detections": _false_detections(evaluation, explain),
+        "missed_nodes": _missed_nodes(evaluation, explain),
+    }
+
+
+def _false_detections(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
+    detections, matching = evaluation.detections, evaluation.matching
+    assert detections.lonlat is not None
+    false = np.flatnonzero(~(matching.error_m < STANDARD_THRESHOLD_M))
+    if len(false) == 0:
+        return []
+    lon, lat = np.median(detections.lonlat, axis=0)
+    xy = enu_from_lonlat(lat, lon, detections.lonlat[false])
+    nodes_xy = enu_from_lonlat(lat, lon, evaluation.nodes.lonlat)
+    others = {
+        "service road": enu_from_lonlat(lat, lon, _junctions(evaluation, "drive+service")),
+        "path": enu_from_lonlat(lat, lon, _junctions(evaluation, "all")),
+    }
+    true_pairs = {
+        (int(detections.keyframe[row]), int(matching.node[row]))
+        for row in np.flatnonzero(matching.error_m < STANDARD_THRESHOLD_M)
+    }
+    groups = []
+    for rows in _groups(xy):
+        place = np.median(xy[rows], axis=0)
+        node, distance = _nearest(nodes_xy, place)
+        members = false[rows]
+        frames = evaluation.keyframes.frame[detections.keyframe[members]]
+        beside = [(int(detections.keyframe[row]), int(matching.node[row])) in true_pairs for row in members]
+        if np.mean(beside) > 0.5:
+            kind = "double"
+        elif distance < OFF_TARGET_M:
+            kind = "off target"
+        else:
+            near = (kind for kind, places in others.items() if _nearest(places, place)[1] < SAME_PLACE_M)
+            kind = next(near, "no junction")
+        lonlat = np.median(detections.lonlat[members], axis=0)
+        errors = matching.error_m[members]
+        groups.append(
+            {
+                "lon": rounded(lonlat[0], DEGREE_DECIMALS),
+                "lat": rounded(lonlat[1], DEGREE_DECIMALS),
+                "detections": len(members),
+                "frames": sorted(set(frames.tolist())),
+                "error_m": rounded(np.median(errors), 2),
+                "nearest_node": None if node < 0 else _node(evaluation, node) | {"distance_m": rounded(distance, 2)},
+                "kind": kind,
+                "see": explain(_middle(frames)),
+            }
+        )
+    return sorted(groups, key=lambda group: -int(group["detections"]))
+
+
+def _missed_nodes(evaluation: Evaluation, explain: Explain) -> list[dict[str, Any]]:
+    table, matching, nodes = evaluation.node_table, evaluation.matching, evaluation.nodes
+    if len(nodes) == 0:
+        return []
+    lon, lat = np.median(nodes.lonlat, axis=0)
+    xy = enu_from_lonlat(lat, lon, nodes.lonlat)
+    missed = []
+    for node in np.flatnonzero(table.in_zone & (~table.found | (table.missed_keyframes > 0))).tolist():
+        at_node = matching.zone_node == node
+        misses = matching.zone_keyframe[at_node & ~matching.zone_found]
+        frames = evaluation.keyframes.frame[misses if len(misses) else matching.zone_keyframe[at_node]]
+        if table.found[node]:
+            kind = "part of the time"
+        elif np.count_nonzero(np.hypot(*(xy - xy[node]).T) < COMPOUND_M) > 1:
+            kind = "compound"
+        elif table.best_error_m[node] < OFF_TARGET_M:
+            kind = "off target"
+        else:
+            kind = "not seen"
+        missed.append(
+            {
+                **_node(evaluation, node),
+                "lon": rounded(nodes.lonlat[node, 0], DEGREE_DECIMALS),
+                "lat": rounded(nodes.lonlat[node, 1], DEGREE_DECIMALS),
+                "found": bool(table.found[node]),
+                "keyframes_in_zone": int(table.zone_keyframes[node]),
+                "keyframes_missed": int(table.missed_keyframes[node]),
+                "frames": frames.tolist(),
+                "best_error_m": rounded(table.best_error_m[node], 2),
+                "kind": kind,
+                "see": explain(_middle(frames)),
+            }
+        )
+    return sorted(missed, key=lambda entry: (entry["found"], -entry["keyframes_missed"]))
+
+
+def _junctions(evaluation: Evaluation, policy: Policy) -> Floats:
+    return intersection_nodes(evaluation.graph, policy).lonlat
+
+
+def _node(evaluation: Evaluation, node: int) -> dict[str, Any]:
+    return {"osm_id": int(evaluation.nodes.osm_id[node]), "degree": int(evaluation.nodes.degree[node])}
+
+
+def _nearest(places: Floats, place: Floats) -> tuple[int, float]:
+    if len(places) == 0:
+        return -1, np.inf
+    distance = np.hypot(*(places - place).T)
+    nearest = int(np.argmin(distance))
+    return nearest, float(distance[nearest])
+
+
+def _middle(frames: Integers) -> int:
+    return int(np.sort(frames)[len(frames) // 2])
+
+
+def _groups(xy: Floats) -> list[Integers]:
+    """Return the rows of each group of (N, 2) points that steps of at most `GROUP_M` join."""
+    from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.spatial import cKDTree  # noqa: PLC0415
+
+    pairs = cKDTree(xy).query_pairs(GROUP_M, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(xy), len(xy)))
+    count, group = connected_components(links, directed=False)
+    return [np.flatnonzero(group == each) for each in range(count)]

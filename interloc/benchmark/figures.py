@@ -1,0 +1,206 @@
+"""The figures of a benchmark: maps as the paper's Fig. 6, box plots and F1 curves as its Fig. 8."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from interloc.benchmark.row import MapPicture, Point, Row
+from interloc.benchmark.score import errors_m, estimate, f1
+from interloc.benchmark.tables import Measured
+from interloc.evaluate.drawing import BLUE, FAINT, GREEN, INK, MUTED, PURPLE, SKY, VERMILION, new_figure, quiet
+from interloc.evaluate.figures import PERCENTILES
+from interloc.evaluate.matching import Floats
+from interloc.evaluate.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY, INK)
+MARKERS = "os^Dv*"
+DASHES = ("-", "--", "-.", ":")
+F1_THRESHOLDS_M = tuple(0.5 * i for i in range(1, 21))
+
+_TITLE: dict[str, Any] = {"loc": "left", "fontsize": 11, "color": INK}
+
+
+def map_figure(picture: MapPicture) -> Figure:
+    """Draw detections, nodes, roads and track of a drive in metres, north up (paper, Fig. 6)."""
+    from matplotlib.collections import LineCollection  # noqa: PLC0415 - slow to import
+
+    track = np.array(picture.track, dtype=np.float64).reshape(-1, 2)
+    low, high = track.min(axis=0) - 45.0, track.max(axis=0) + 45.0
+    width, height = high - low
+    scale = min(6.0 / width, 6.0 / height)
+    figure = new_figure(max(3.2, width * scale), max(2.2, height * scale) + 0.9)
+    axes = figure.add_subplot()
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
+    axes.spines[:].set_color(FAINT)
+    roads = [((a, b), (c, d)) for a, b, c, d in picture.roads]
+    # Dashes of pieces of a few metres would merge: the roads are joined to long lines first.
+    axes.add_collection(
+        LineCollection(_joined(roads), colors=INK, linewidths=0.7, linestyles=(0, (4, 3)), alpha=0.75, zorder=2)
+    )
+    axes.plot([], [], color=INK, linewidth=0.7, linestyle=(0, (4, 3)), label="OSM road")
+    axes.plot(*track.T, color=BLUE, linewidth=1.6, alpha=0.9, zorder=3, label="track")
+    for points, style in (
+        (picture.true, {"marker": "o", "markersize": 2.6, "color": GREEN, "zorder": 4, "label": "true"}),
+        (picture.false, {"marker": "o", "markersize": 2.6, "color": VERMILION, "zorder": 5, "label": "false"}),
+        (
+            picture.beyond,
+            {"marker": "x", "markersize": 4.0, "color": MUTED, "zorder": 6, "label": "OSM node out of reach"},
+        ),
+        (
+            picture.found,
+            {"marker": "x", "markersize": 7, "color": INK, "zorder": 7, "markeredgewidth": 1.5, "label": "OSM node"},
+        ),
+    ):
+        _scatter(axes, points, style)
+    missed = {"markersize": 7, "markeredgewidth": 1.5, "color": INK, "marker": "x", "zorder": 7}
+    _scatter(axes, picture.missed, missed)
+    ring = {"markersize": 14, "markeredgewidth": 1.6, "color": PURPLE, "fillstyle": "none", "marker": "o", "zorder": 8}
+    _scatter(axes, picture.missed, ring | {"label": "missed"})
+    _draw_scale_bar(axes, low, high)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    return figure
+
+
+def _scatter(axes: Axes, points: Sequence[Point], style: dict[str, Any]) -> None:
+    xy = np.array(points, dtype=np.float64).reshape(-1, 2)
+    axes.plot(*xy.T, linestyle="none", **style)
+
+
+def _joined(pieces: list[tuple[Point, Point]]) -> list[list[Point]]:
+    """Join pieces that meet end to end at a place where no third one does."""
+    at: dict[Point, list[int]] = {}
+    for number, piece in enumerate(pieces):
+        for end in piece:
+            at.setdefault(end, []).append(number)
+    used = [False] * len(pieces)
+    lines = []
+    for number, (start, end) in enumerate(pieces):
+        if used[number]:
+            continue
+        used[number] = True
+        line = [start, end]
+        for _ in range(2):  # forward, then the other way
+            while len(there := at[line[-1]]) == 2 and not all(used[other] for other in there):
+                other = next(other for other in there if not used[other])
+                used[other] = True
+                a, b = pieces[other]
+                line.append(b if a == line[-1] else a)
+            line.reverse()
+        lines.append(line)
+    return lines
+
+
+def _draw_scale_bar(axes: Axes, low: Floats, high: Floats) -> None:
+    width = high[0] - low[0]
+    length = max(step * 10.0**power for power in range(1, 5) for step in (1, 2, 5) if step * 10.0**power <= width / 3)
+    x, y = low + 0.05 * (high - low)
+    axes.plot([x, x + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt", zorder=9)
+    axes.annotate(
+        f"{length:g} m", (x + length / 2, y), xytext=(0, 4), textcoords="offset points", ha="center", fontsize=8
+    )
+
+
+def drive_boxes_figure(measured: Measured) -> Figure:
+    """Draw the center errors of each drive, presets side by side, without label errors."""
+    noise = measured.noises[0]
+    names = [*measured.drives, *(["all"] if len(measured.drives) > 1 else [])]
+    samples = {
+        preset: [errors_m(measured.of(preset=preset, noise=noise, drive=name)) for name in names]
+        for preset in measured.presets
+    }
+    figure = new_figure(max(6.5, 1.0 + 0.95 * len(names)), 4.2)
+    axes = figure.add_subplot()
+    _draw_boxes(axes, samples)
+    axes.set(xticks=range(len(names)), xticklabels=names, xlim=(-0.6, len(names) - 0.4), ylabel="center error [m]")
+    if max(map(len, names)) > 9:
+        axes.tick_params(axis="x", labelrotation=30)
+    axes.set_title("Center error a drive (5th, 25th, 50th, 75th, 95th percentile)", **_TITLE)
+    return figure
+
+
+def curves_figure(measured: Measured) -> Figure:
+    """Draw F1 over the threshold of each preset, without label errors."""
+    figure = new_figure(6.5, 4.2)
+    axes = figure.add_subplot()
+    noise = measured.noises[0]
+    _draw_curves(axes, {preset: measured.of(preset=preset, noise=noise) for preset in measured.presets})
+    axes.set_title("F1 over the distance that still counts as found, all drives", **_TITLE)
+    return figure
+
+
+def noise_figure(measured: Measured) -> Figure:
+    """Draw center errors and F1 curves of each level of label errors, a line of figures a preset (paper, Fig. 8)."""
+    count = len(measured.presets)
+    figure = new_figure(10.5, 4.0 * count)
+    grid = figure.subplots(count, 2, width_ratios=(1, 1.25), squeeze=False, sharey="col")
+    for (boxes, curves), preset in zip(grid, measured.presets, strict=True):
+        levels = {noise: measured.of(preset=preset, noise=noise) for noise in measured.noises}
+        _draw_boxes(boxes, {preset: [errors_m(rows) for rows in levels.values()]})
+        boxes.set(xticks=range(len(levels)), xticklabels=list(levels), xlim=(-0.6, len(levels) - 0.4))
+        boxes.set(xlabel="label errors r-FPR / r-FNR [%]", ylabel="center error [m]")
+        boxes.tick_params(labelleft=True)
+        boxes.set_title(f"{preset}: center error", **_TITLE)
+        _draw_curves(curves, levels)
+        curves.tick_params(labelleft=True)
+        curves.set_title(f"{preset}: F1 over the threshold", **_TITLE)
+    return figure
+
+
+def _draw_boxes(axes: Axes, samples: dict[str, list[Floats]]) -> None:
+    """Draw groups of boxes: the n-th of each series stand side by side at x = n."""
+    width = 0.8 / len(samples)
+    for series, (name, values) in enumerate(samples.items()):
+        colour = COLOURS[series % len(COLOURS)]
+        for position, errors in enumerate(values):
+            if len(errors) == 0:
+                continue
+            low, first, middle, third, high = np.percentile(errors, PERCENTILES)
+            stats = {"whislo": low, "q1": first, "med": middle, "q3": third, "whishi": high, "fliers": []}
+            line = {"color": colour, "linewidth": 1.2}
+            axes.bxp(
+                [stats],
+                positions=[position - 0.4 + width * (series + 0.5)],
+                widths=0.75 * width,
+                showfliers=False,
+                patch_artist=True,
+                manage_ticks=False,
+                boxprops={"facecolor": f"{colour}30", "edgecolor": colour, "linewidth": 1.2},
+                medianprops={"color": INK, "linewidth": 1.8},
+                whiskerprops=line,
+                capprops=line,
+            )
+        if len(samples) > 1:
+            axes.plot([], [], color=colour, linewidth=6, alpha=0.5, label=name)
+    axes.set_ylim(bottom=0.0)
+    if len(samples) > 1:
+        axes.legend(frameon=False, fontsize=9)
+    quiet(axes)
+
+
+def _draw_curves(axes: Axes, series: dict[str, list[Row]]) -> None:
+    for number, (name, rows) in enumerate(series.items()):
+        values = [estimate(rows, partial(f1, threshold_m=d)).mean for d in F1_THRESHOLDS_M]
+        axes.plot(
+            F1_THRESHOLDS_M,
+            [np.nan if value is None else 100.0 * value for value in values],
+            color=COLOURS[number % len(COLOURS)],
+            marker=MARKERS[number % len(MARKERS)],
+            linestyle=DASHES[number % len(DASHES)],
+            markersize=4,
+            linewidth=1.6,
+            label=name,
+        )
+    axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+    axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
+    axes.set(xlabel="confidence threshold D [m]", ylabel="F1 [%]")
+    axes.legend(loc="lower right", frameon=False, fontsize=9)
+    quiet(axes)

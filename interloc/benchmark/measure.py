@@ -1,0 +1,148 @@
+"""One drive, one preset, one level of label errors: detect, evaluate, and keep what tables and figures need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.benchmark.failures import Explain, find_failures
+from interloc.benchmark.row import Cell, MapPicture, Point, Row
+from interloc.config import DetectorConfig
+from interloc.drives.drive import Drive
+from interloc.drives.noise import NoisyDrive
+from interloc.evaluate.evaluate import Evaluation, evaluate
+from interloc.evaluate.matching import Floats
+from interloc.evaluate.metrics import STANDARD_THRESHOLD_M
+from interloc.evaluate.robustness import parse_level
+from interloc.geometry import enu_from_lonlat
+from interloc.osm.graph import RoadGraph
+from interloc.osm.policies import Policy, road_ways
+from interloc.pipeline import detect
+from interloc.results import DriveResult
+
+MAP_MARGIN_M = 60.0
+_TRACK_STEP_M = 3.0
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """How detections are scored.
+
+    Attributes
+    ----------
+    policy : Policy
+    tolerance_m : float
+        Of policy `consolidated`.
+    """
+
+    policy: Policy = "drive"
+    tolerance_m: float = 15.0
+
+
+def measure(
+    cell: Cell,
+    fingerprint: str,
+    drive: Drive,
+    graph: RoadGraph,
+    config: DetectorConfig,
+    truth: GroundTruth,
+    explain: Explain,
+    *,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Row:
+    """Measure a cell of the benchmark.
+
+    Parameters
+    ----------
+    cell, fingerprint
+        Which measurement this is.
+    drive, graph
+        Drive without label errors, and its map.
+    config, truth
+    explain
+        Gives the command lines that show a frame.
+    workers, progress
+        See `interloc.pipeline.detect`.
+
+    Raises
+    ------
+    DriveError, GeoreferenceError, MapError
+        The drive is damaged, or does not fit its map.
+    """
+    r_fpr, r_fnr = parse_level(cell.noise)
+    source = NoisyDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
+    result = detect(source, config, workers=workers, progress=progress)
+    evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
+    matching, table, level = evaluation.matching, evaluation.node_table, evaluation.map_level
+    return Row(
+        cell=cell,
+        fingerprint=fingerprint,
+        policy=truth.policy,
+        keyframes=len(evaluation.keyframes),
+        errors_m=_rounded(matching.error_m[matching.is_matched]),
+        unmatched=int(np.count_nonzero(~matching.is_matched)),
+        fn=evaluation.scores.fn,
+        nodes_found=int(np.count_nonzero(table.in_zone & table.found)),
+        nodes_in_zone=int(np.count_nonzero(table.in_zone)),
+        map_true=int(np.count_nonzero(level.counts & np.isfinite(level.error_m))),
+        map_false=int(np.count_nonzero(level.counts & np.isinf(level.error_m))),
+        map_missed=int(np.count_nonzero(level.node_in_zone & ~level.node_found)),
+        map_nodes=int(np.count_nonzero(level.node_in_zone)),
+        map_errors_m=_rounded(level.errors_m),
+        compute_s=round(sum(result.run["stage_seconds"].values()), 4),
+        warnings=evaluation.warnings,
+        picture=map_picture(evaluation, result),
+        failures=find_failures(evaluation, explain),
+    )
+
+
+def map_picture(evaluation: Evaluation, result: DriveResult) -> MapPicture:
+    """Return what the map of an evaluated drive shows (paper, Fig. 6)."""
+    assert result.trajectory_lonlat is not None
+    assert evaluation.detections.lonlat is not None
+    lon, lat = np.median(result.trajectory_lonlat, axis=0)
+    track = _thin(enu_from_lonlat(lat, lon, result.trajectory_lonlat))
+    low, high = track.min(axis=0) - MAP_MARGIN_M, track.max(axis=0) + MAP_MARGIN_M
+
+    graph = evaluation.graph
+    near = np.abs(graph.lonlat - (lon, lat)).max(axis=1) < 1.0  # the plane has an end
+    place = np.full((len(graph.lonlat), 2), np.nan)
+    place[near] = enu_from_lonlat(lat, lon, graph.lonlat[near])
+    pieces = place[graph.edges_of(road_ways(graph, evaluation.nodes.policy))]
+    shown = ((pieces.min(axis=1) <= high) & (pieces.max(axis=1) >= low)).all(axis=1)
+
+    nodes = enu_from_lonlat(lat, lon, evaluation.nodes.lonlat)
+    inside = ((nodes >= low) & (nodes <= high)).all(axis=1)
+    table = evaluation.node_table
+    detections = enu_from_lonlat(lat, lon, evaluation.detections.lonlat)
+    true = evaluation.matching.error_m < STANDARD_THRESHOLD_M
+    return MapPicture(
+        roads=tuple((a, b, c, d) for a, b, c, d in np.round(pieces[shown].reshape(-1, 4), 1).tolist()),
+        track=_points(track),
+        true=_points(detections[true]),
+        false=_points(detections[~true]),
+        found=_points(nodes[table.in_zone & table.found]),
+        missed=_points(nodes[table.in_zone & ~table.found]),
+        beyond=_points(nodes[~table.in_zone & inside]),
+    )
+
+
+def _thin(track: Floats) -> Floats:
+    """Leave out points of a track that are nearer than a few metres to the one before; the last stays."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track, axis=0).T))])
+    _, first = np.unique((along / _TRACK_STEP_M).astype(np.int64), return_index=True)
+    thinned: Floats = track[np.unique([*first, len(track) - 1])]
+    return thinned
+
+
+def _points(xy: Floats) -> tuple[Point, ...]:
+    return tuple((x, y) for x, y in np.round(xy, 1).tolist())
+
+
+def _rounded(values: Floats) -> tuple[float, ...]:
+    return tuple(np.round(values, 4).tolist())

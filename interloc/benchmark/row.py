@@ -1,0 +1,150 @@
+"""One measured drive: all that tables and figures need of it, kept in a file so that nothing is measured twice."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from interloc.errors import OutputError
+from interloc.mapping.files import atomic_write, reason_of
+
+Point = tuple[float, float]
+Segment = tuple[float, float, float, float]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Cell(_Record):
+    """Which measurement a row is.
+
+    Attributes
+    ----------
+    drive : str
+        Name in the tables.
+    preset : str
+        Name of the settings.
+    noise : str
+        Label errors, r-FPR / r-FNR in percent: "20/20".
+    seed : int
+        Of the label errors and, where it is simulated, of the drive.
+    """
+
+    drive: str
+    preset: str
+    noise: str
+    seed: int
+
+    @property
+    def file_name(self) -> str:
+        """Name of its files, without an ending."""
+        parts = (self.drive, self.preset, self.noise, f"seed{self.seed}")
+        return "_".join(re.sub(r"[^\w.+-]+", "-", part).strip("-") for part in parts)
+
+
+class MapPicture(_Record):
+    """What the map of a drive shows, in metres east and north of the middle of its track.
+
+    Attributes
+    ----------
+    roads : tuple of (x, y, x, y)
+        Pieces of the roads of the policy around the track.
+    track : tuple of (x, y)
+    true, false : tuple of (x, y)
+        Detections within 5 m of their node, and all others.
+    found, missed, beyond : tuple of (x, y)
+        Nodes of the map: in the zone and found, in the zone and not found, around but never in the zone.
+    """
+
+    roads: tuple[Segment, ...]
+    track: tuple[Point, ...]
+    true: tuple[Point, ...]
+    false: tuple[Point, ...]
+    found: tuple[Point, ...]
+    missed: tuple[Point, ...]
+    beyond: tuple[Point, ...]
+
+
+class Row(_Record):
+    """A drive measured once.
+
+    Attributes
+    ----------
+    cell : Cell
+    fingerprint : str
+        Of everything that the figures depend on: settings, inputs, program.
+    policy : str
+    keyframes : int
+    errors_m : tuple of float
+        Center errors of all matched detections, metres.
+    unmatched : int
+        Detections without any node in their ROI.
+    fn : int
+        Nodes in the relevant zone without a detection, summed over the keyframes.
+    nodes_found, nodes_in_zone : int
+    map_true, map_false, map_missed, map_nodes : int
+        Fused intersections in the zone with and without a node; nodes in the zone without one; nodes in the zone.
+    map_errors_m : tuple of float
+        Of the assigned pairs, metres.
+    compute_s : float
+        Time in the steps of the method, reading included, summed over the processes.
+    warnings : tuple of str
+    picture : MapPicture
+    failures : dict
+        See `interloc.benchmark.failures`.
+    """
+
+    cell: Cell
+    fingerprint: str
+    policy: str
+    keyframes: int
+    errors_m: tuple[float, ...]
+    unmatched: int
+    fn: int
+    nodes_found: int
+    nodes_in_zone: int
+    map_true: int
+    map_false: int
+    map_missed: int
+    map_nodes: int
+    map_errors_m: tuple[float, ...]
+    compute_s: float
+    warnings: tuple[str, ...]
+    picture: MapPicture
+    failures: dict[str, Any]
+
+
+def write_row(row: Row, folder: Path) -> None:
+    """Keep a row in a folder.
+
+    Raises
+    ------
+    OutputError
+        It could not be written.
+    """
+    with atomic_write(folder / f"{row.cell.file_name}.json") as handle:
+        handle.write(row.model_dump_json(exclude_none=False).encode() + b"\n")
+
+
+def read_row(cell: Cell, fingerprint: str, folder: Path) -> Row | None:
+    """Read the row of a cell, if one is kept that was measured with the same settings, inputs and program.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be read.
+    """
+    path = folder / f"{cell.file_name}.json"
+    try:
+        row = Row.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except ValidationError:  # of another version of this program
+        return None
+    except OSError as error:
+        raise OutputError(f"{path} could not be read: {reason_of(error)}.") from error
+    return row if row.cell == cell and row.fingerprint == fingerprint else None

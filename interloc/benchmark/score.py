@@ -1,0 +1,160 @@
+"""From rows to figures: pooled over drives, mean and spread over seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from interloc.benchmark.row import Row
+from interloc.evaluate.matching import Floats
+from interloc.evaluate.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+
+PRECISION_THRESHOLD_M, RECALL_THRESHOLD_M = 6.9, 13.3
+"""Of the comparison with MMInsectDet (paper, section V-C)."""
+
+Metric = Callable[[Sequence[Row]], float | None]
+"""A figure of some rows, pooled: as if they were one drive. None where it is undefined."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure over several seeds.
+
+    Attributes
+    ----------
+    mean : float or None
+        None where it is undefined for every seed.
+    spread : float or None
+        Sample standard deviation over the seeds; None for one seed.
+    seeds : int
+        Over how many.
+    """
+
+    mean: float | None
+    spread: float | None = None
+    seeds: int = 1
+
+
+def errors_m(rows: Sequence[Row]) -> Floats:
+    """Return the center errors of all matched detections, metres."""
+    return np.concatenate([np.asarray(row.errors_m, dtype=np.float64) for row in rows] or [np.empty(0)])
+
+
+def ace_m(rows: Sequence[Row]) -> float | None:
+    """Return the average center error over all matched pairs (paper, eq. 15)."""
+    return _mean(errors_m(rows))
+
+
+def ace_under_10_m(rows: Sequence[Row]) -> float | None:
+    """Return the average center error of the pairs under 10 m."""
+    errors = errors_m(rows)
+    return _mean(errors[errors < NEAR_PAIR_M])
+
+
+def precision(rows: Sequence[Row], threshold_m: float = STANDARD_THRESHOLD_M) -> float | None:
+    """Return TP / (TP + FP) at a threshold (paper, eq. 18)."""
+    detections = sum(len(row.errors_m) + row.unmatched for row in rows)
+    return _ratio(_true(rows, threshold_m), detections)
+
+
+def recall(rows: Sequence[Row], threshold_m: float = STANDARD_THRESHOLD_M) -> float | None:
+    """Return TP / (TP + FN) at a threshold (paper, eq. 19)."""
+    true = _true(rows, threshold_m)
+    return _ratio(true, true + sum(row.fn for row in rows))
+
+
+def f1(rows: Sequence[Row], threshold_m: float = STANDARD_THRESHOLD_M) -> float | None:
+    """Return 2 TP / (2 TP + FP + FN) at a threshold."""
+    true = _true(rows, threshold_m)
+    detections = sum(len(row.errors_m) + row.unmatched for row in rows)
+    return _ratio(2 * true, true + detections + sum(row.fn for row in rows))
+
+
+def nodes_found(rows: Sequence[Row]) -> float | None:
+    """Return how many nodes had a detection within 5 m."""
+    return float(sum(row.nodes_found for row in rows))
+
+
+def nodes_in_zone(rows: Sequence[Row]) -> float | None:
+    """Return how many nodes came into the relevant zone."""
+    return float(sum(row.nodes_in_zone for row in rows))
+
+
+def map_precision(rows: Sequence[Row]) -> float | None:
+    """Return the share of the fused intersections that are nodes, one-to-one."""
+    true = sum(row.map_true for row in rows)
+    return _ratio(true, true + sum(row.map_false for row in rows))
+
+
+def map_recall(rows: Sequence[Row]) -> float | None:
+    """Return the share of the nodes that have a fused intersection, one-to-one."""
+    nodes = sum(row.map_nodes for row in rows)
+    return _ratio(nodes - sum(row.map_missed for row in rows), nodes)
+
+
+def map_median_m(rows: Sequence[Row]) -> float | None:
+    """Return the median error of the fused intersections that have a node."""
+    errors = np.concatenate([np.asarray(row.map_errors_m, dtype=np.float64) for row in rows] or [np.empty(0)])
+    return None if len(errors) == 0 else float(np.median(errors))
+
+
+def ms_a_keyframe(rows: Sequence[Row]) -> float | None:
+    """Return the time in the steps of the method on one core, reading included, milliseconds a keyframe."""
+    keyframes = sum(row.keyframes for row in rows)
+    return 1e3 * sum(row.compute_s for row in rows) / keyframes if keyframes else None
+
+
+METRICS: dict[str, Metric] = {
+    "ace_m": ace_m,
+    "ace_under_10_m": ace_under_10_m,
+    "precision_at_5": precision,
+    "recall_at_5": recall,
+    "f1_at_5": f1,
+    "precision_at_6_9": partial(precision, threshold_m=PRECISION_THRESHOLD_M),
+    "recall_at_13_3": partial(recall, threshold_m=RECALL_THRESHOLD_M),
+    "nodes_found": nodes_found,
+    "nodes_in_zone": nodes_in_zone,
+    "map_precision": map_precision,
+    "map_recall": map_recall,
+    "map_median_m": map_median_m,
+    "ms_a_keyframe": ms_a_keyframe,
+}
+"""Every figure under the name that `benchmark.json` gives it."""
+
+
+def estimate(rows: Sequence[Row], metric: Metric) -> Estimate:
+    """Pool the drives of each seed, then take mean and spread over the seeds.
+
+    Where only some drives have several seeds (without label errors, a recorded drive has but one), the drives with
+    one seed take part in every pool.
+    """
+    seeds = sorted({row.cell.seed for row in rows})
+    by_drive: dict[str, dict[int, Row]] = {}
+    for row in rows:
+        by_drive.setdefault(row.cell.drive, {})[row.cell.seed] = row
+    values = []
+    for seed in seeds:
+        pool = [of_drive.get(seed) or of_drive[min(of_drive)] for of_drive in by_drive.values()]
+        values.append(metric(pool))
+    known = [value for value in values if value is not None]
+    if not known:
+        return Estimate(None, None, len(seeds))
+    mean = math.fsum(known) / len(known)
+    spread = float(np.std(known, ddof=1)) if len(known) > 1 else None
+    return Estimate(mean, spread, len(known))
+
+
+def _true(rows: Sequence[Row], threshold_m: float) -> int:
+    return int(np.count_nonzero(errors_m(rows) < threshold_m))
+
+
+def _ratio(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def _mean(values: Floats) -> float | None:
+    return float(values.mean()) if len(values) else None

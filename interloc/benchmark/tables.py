@@ -1,0 +1,253 @@
+"""The paper's tables with our rows beside the published ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from interloc.benchmark.paper import AVERAGE, COMPARISON, NOISE, PERFORMANCE, RANGENET, SEQUENCES, Published
+from interloc.benchmark.row import Row
+from interloc.benchmark.score import METRICS, Estimate, estimate
+
+MISSING = "–"  # noqa: RUF001 - a dash, not a minus
+PUBLISHED = "published"
+ALL = "all"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table as text.
+
+    Attributes
+    ----------
+    title : str
+    header : tuple of str
+    groups : tuple of tuple of tuple of str
+        Rows that belong together; a line is drawn between groups.
+    labels : int
+        The first columns are words, the others are figures.
+    notes : tuple of str
+    """
+
+    title: str
+    header: tuple[str, ...]
+    groups: tuple[tuple[tuple[str, ...], ...], ...]
+    labels: int = 1
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The rows of a benchmark, by what they are.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+    drives, presets, noises : tuple of str
+        In the order of the tables.
+    labels : str
+        "labels" (by hand, or exact) or "predictions" (of a network).
+    """
+
+    rows: tuple[Row, ...]
+    drives: tuple[str, ...]
+    presets: tuple[str, ...]
+    noises: tuple[str, ...]
+    labels: str = "labels"
+
+    def of(self, *, preset: str, noise: str, drive: str = ALL) -> list[Row]:
+        """Return the rows of a preset at a level of label errors, of one drive or all."""
+        return [
+            row
+            for row in self.rows
+            if row.cell.preset == preset and row.cell.noise == noise and drive in {ALL, row.cell.drive}
+        ]
+
+    def estimate(self, metric: str, *, preset: str, noise: str, drive: str = ALL) -> Estimate:
+        """Return a figure of `METRICS`: pooled over the drives, mean and spread over the seeds."""
+        return estimate(self.of(preset=preset, noise=noise, drive=drive), METRICS[metric])
+
+    @property
+    def is_papers_set(self) -> bool:
+        """True where the drives are the eight of the paper, so that "all" is its average."""
+        return sorted(self.drives) == sorted(SEQUENCES)
+
+
+def performance_table(measured: Measured, noise: str) -> Table:
+    """Return the performance a drive (paper, Table "Performance on SemanticKITTI sequences") at a level of errors."""
+    columns = [*measured.drives, *([ALL] if len(measured.drives) > 1 else [])]
+    groups = []
+    for title, metric, say, published in (
+        ("ACE [m]", "ace_m", metres, _published_ace),
+        ("ACE, pairs < 10 m [m]", "ace_under_10_m", metres, None),
+        ("Pre@5 [%]", "precision_at_5", percent, _published_precision),
+        ("Rec@5 [%]", "recall_at_5", percent, _published_recall),
+        ("nodes found / in zone", "nodes_found", None, None),
+        ("map precision [%]", "map_precision", percent, None),
+        ("map recall [%]", "map_recall", percent, None),
+        ("map median error [m]", "map_median_m", metres, None),
+        ("ms a keyframe", "ms_a_keyframe", one_decimal, None),
+    ):
+        group = []
+        if published is not None and noise == "0/0":
+            values = [published(_published(measured, column)) for column in columns]
+            if any(value is not None for value in values):
+                group.append(("", PUBLISHED, *(_say(Estimate(value), say) for value in values)))
+        for preset in measured.presets:
+            cells = []
+            for column in columns:
+                value = measured.estimate(metric, preset=preset, noise=noise, drive=column)
+                if metric == "nodes_found":
+                    total = measured.estimate("nodes_in_zone", preset=preset, noise=noise, drive=column)
+                    cells.append(counted(value, total))
+                else:
+                    cells.append(_say(value, say))
+            group.append(("", preset, *cells))
+        group[0] = (title, *group[0][1:])
+        groups.append(tuple(group))
+    level = "" if noise == "0/0" else f", label errors {noise} %"
+    notes = ["All: detections, misses, errors and nodes of all drives taken together, as the paper's average is."]
+    if noise == "0/0" and any(drive in PERFORMANCE for drive in measured.drives):
+        notes.append("Published: SemanticKITTI with RangeNet++ labels.")
+    return Table(
+        title=f"I. Performance a drive{level}",
+        header=("", "", *columns),
+        groups=tuple(groups),
+        labels=2,
+        notes=(*notes[len(columns) == len(measured.drives) :], *_seed_note(measured)),
+    )
+
+
+def comparison_table(measured: Measured) -> Table:
+    """Return the comparison with MMInsectDet (paper, Table "Performance comparison with MMInsectDet")."""
+    published = tuple(
+        (name, metres(value.ace_m), percent(value.precision), percent(value.recall))
+        for name, value in COMPARISON.items()
+    )
+    noise = measured.noises[0]
+    ours = []
+    for preset in measured.presets:
+        values = (
+            _say(measured.estimate(metric, preset=preset, noise=noise), say)
+            for metric, say in (("ace_m", metres), ("precision_at_6_9", percent), ("recall_at_13_3", percent))
+        )
+        ours.append((f"this run, {preset}", *values))
+    return Table(
+        title="II. Comparison with MMInsectDet",
+        header=("", "ACE [m]", "Pre@6.9 [%]", "Rec@13.3 [%]"),
+        groups=(published, tuple(ours)),
+        notes=_other_set_note(measured),
+    )
+
+
+def noise_table(measured: Measured) -> Table:
+    """Return the performance at each level of label errors (paper, Table "... different segmentation error levels")."""
+    header = ["r-FPR / r-FNR"]
+    for method in (PUBLISHED, *measured.presets):
+        header += [f"{method}: ACE [m]", "Pre@5 [%]", "Rec@5 [%]"]
+    lines = []
+    for noise in measured.noises:
+        published = RANGENET if noise == "0/0" and measured.labels == "predictions" else NOISE.get(noise)
+        line = [noise]
+        for value, say in zip(_figures(published), (metres, percent, percent), strict=True):
+            line.append(_say(Estimate(value), say))
+        for preset in measured.presets:
+            for metric, say in (("ace_m", metres), ("precision_at_5", percent), ("recall_at_5", percent)):
+                line.append(_say(measured.estimate(metric, preset=preset, noise=noise), say))
+        lines.append(tuple(line))
+    source = "RangeNet++ labels" if measured.labels == "predictions" else "hand labels"
+    notes = (
+        f"Label errors in percent, on top of the labels as they are; 0/0 published: {source}.",
+        *_other_set_note(measured),
+    )
+    return Table(title="IV. Errors of the labels", header=tuple(header), groups=(tuple(lines),), notes=notes)
+
+
+def tables(measured: Measured) -> list[Table]:
+    """Return the tables of a benchmark: performance without label errors, comparison, label errors."""
+    return [performance_table(measured, measured.noises[0]), comparison_table(measured), noise_table(measured)]
+
+
+def text(table: Table) -> str:
+    """Return a table in aligned columns."""
+    lines = [table.header, *(row for group in table.groups for row in group)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(table.header))]
+    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
+
+    def aligned(line: tuple[str, ...]) -> str:
+        cells = [
+            cell.ljust(width) if i < table.labels else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ]
+        return "  ".join(cells).rstrip()
+
+    body = [table.title, rule, aligned(table.header), rule]
+    for number, group in enumerate(table.groups):
+        if number and len(table.groups[number - 1]) + len(group) > 2:
+            body.append("")
+        body += [aligned(line) for line in group]
+    return "\n".join([*body, rule, *table.notes])
+
+
+def metres(value: float) -> str:
+    """Say metres in a table."""
+    return f"{value:.2f}"
+
+
+def percent(value: float) -> str:
+    """Say a share in percent in a table."""
+    return f"{100.0 * value:.1f}"
+
+
+def one_decimal(value: float) -> str:
+    """Say a number with one decimal."""
+    return f"{value:.1f}"
+
+
+def counted(found: Estimate, total: Estimate) -> str:
+    """Say how many of how many: "25/26"; with several seeds the means."""
+    if found.mean is None or total.mean is None:
+        return MISSING
+    if found.seeds == 1:
+        return f"{found.mean:.0f}/{total.mean:.0f}"
+    return f"{found.mean:.1f}/{total.mean:.1f}"
+
+
+def _say(value: Estimate, say: Callable[[float], str] | None) -> str:
+    if value.mean is None or say is None:
+        return MISSING
+    return say(value.mean) if value.spread is None else f"{say(value.mean)} ± {say(value.spread)}"
+
+
+def _published(measured: Measured, column: str) -> Published | None:
+    if column == ALL:
+        return AVERAGE if measured.is_papers_set else None
+    return PERFORMANCE.get(column)
+
+
+def _figures(value: Published | None) -> Sequence[float | None]:
+    return (None, None, None) if value is None else (value.ace_m, value.precision, value.recall)
+
+
+def _published_ace(value: Published | None) -> float | None:
+    return None if value is None else value.ace_m
+
+
+def _published_precision(value: Published | None) -> float | None:
+    return None if value is None else value.precision
+
+
+def _published_recall(value: Published | None) -> float | None:
+    return None if value is None else value.recall
+
+
+def _seed_note(measured: Measured) -> tuple[str, ...]:
+    seeds = len({row.cell.seed for row in measured.rows})
+    return (f"{seeds} seeds: mean ± standard deviation over the seeds.",) if seeds > 1 else ()
+
+
+def _other_set_note(measured: Measured) -> tuple[str, ...]:
+    if measured.is_papers_set:
+        return ()
+    names = ", ".join(measured.drives) if len(measured.drives) <= 12 else f"{len(measured.drives)} drives"
+    return (f"Published: all eight sequences of SemanticKITTI; this run: {names}.",)

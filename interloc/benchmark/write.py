@@ -1,0 +1,146 @@
+"""The files of a benchmark: benchmark.json, benchmark.txt, benchmark.html, figures, failures."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from interloc.benchmark.figures import curves_figure, drive_boxes_figure, map_figure, noise_figure
+from interloc.benchmark.record import benchmark_record
+from interloc.benchmark.row import Row
+from interloc.benchmark.tables import Measured, Table, performance_table, tables, text
+from interloc.config import DetectorConfig
+from interloc.evaluate.drawing import image, metres, percent, write_image
+from interloc.evaluate.report import data_address, make_folder
+from interloc.mapping.files import atomic_write
+from interloc.mapping.geojson import encode
+
+PAGE = "benchmark.html"
+
+
+def write_benchmark(
+    measured: Measured, configs: dict[str, DetectorConfig], out: Path, *, title: str, about: str, policy: str
+) -> None:
+    """Write the outcome of a benchmark into its folder, each file whole or not at all.
+
+    Parameters
+    ----------
+    measured
+    configs
+        Settings of each preset.
+    out
+        Folder of the benchmark.
+    title, about
+        What was measured, for the head of the page.
+    policy
+        Which OSM nodes were intersections.
+
+    Raises
+    ------
+    OutputError
+        A file could not be written.
+    """
+    pictures, maps = _write_figures(measured, out / "figures")
+    make_folder(out / "failures")
+    for row in measured.rows:
+        with atomic_write(out / "failures" / f"{row.cell.file_name}.json") as handle:
+            record = {**row.cell.model_dump(), "policy": row.policy, **row.failures}
+            handle.write(encode(record, indent=1).encode() + b"\n")
+    record = benchmark_record(title, measured, configs, policy)
+    performance, comparison, noise = tables(measured)
+    page = _template().render(
+        title=title,
+        about=about,
+        policy=policy,
+        warnings=_warnings(measured.rows),
+        performance=performance,
+        comparison=comparison,
+        noise=noise,
+        noisy=[performance_table(measured, level) for level in measured.noises[1:]],
+        kinds=kinds_table(measured),
+        pictures=pictures,
+        maps=maps,
+        configs=[(name, json.dumps(config.model_dump(mode="json"), indent=2)) for name, config in configs.items()],
+        versions=", ".join(f"{name} {version}" for name, version in record["versions"].items()),
+    )
+    with atomic_write(out / PAGE) as handle:
+        handle.write(page.encode())
+    with atomic_write(out / "benchmark.txt") as handle:
+        handle.write(("\n\n".join(map(text, tables(measured))) + "\n").encode())
+    with atomic_write(out / "benchmark.json") as handle:  # last: whoever waits for it finds the rest
+        handle.write(encode(record, indent=2).encode() + b"\n")
+
+
+def kinds_table(measured: Measured) -> Table:
+    """Count the failures by kind: groups of false detections with the detections in them, nodes with their misses."""
+    header = ["", ""]
+    counts = []
+    for preset in measured.presets:
+        for noise in measured.noises:
+            header.append(preset if len(measured.noises) == 1 else f"{preset} {noise}")
+            counts.append(_kinds(measured.of(preset=preset, noise=noise)))
+    groups = []
+    for title, what in (("false detections", "groups (detections)"), ("missed nodes", "nodes (keyframes)")):
+        kinds = sorted({kind for count in counts for group, kind in count if group == title})
+        lines: list[tuple[str, ...]] = []
+        for kind in kinds:
+            cells = [f"{c[title, kind][0]} ({c[title, kind][1]})" if (title, kind) in c else "0" for c in counts]
+            lines.append((f"{title}: {what}" if not lines else "", kind, *cells))
+        if lines:
+            groups.append(tuple(lines))
+    return Table(title="Failures by kind", header=tuple(header), groups=tuple(groups), labels=2)
+
+
+def _kinds(rows: list[Row]) -> dict[tuple[str, str], tuple[int, int]]:
+    places: Counter[tuple[str, str]] = Counter()
+    times: Counter[tuple[str, str]] = Counter()
+    for row in rows:
+        for name, number in (("false_detections", "detections"), ("missed_nodes", "keyframes_missed")):
+            for entry in row.failures[name]:
+                key = (name.replace("_", " "), str(entry["kind"]))
+                places[key] += 1
+                times[key] += int(entry[number])
+    return {key: (places[key], times[key]) for key in places}
+
+
+def _warnings(rows: tuple[Row, ...]) -> list[str]:
+    return list(dict.fromkeys(f"{row.cell.drive}: {warning}" for row in rows for warning in row.warnings))
+
+
+def _write_figures(measured: Measured, folder: Path) -> tuple[dict[str, str], list[dict[str, Any]]]:
+    make_folder(folder)
+    pictures = {"noise": ""}
+    figures = {"boxes": drive_boxes_figure(measured), "curves": curves_figure(measured)}
+    if len(measured.noises) > 1:
+        figures["noise"] = noise_figure(measured)
+    for name, figure in figures.items():
+        svg = image(figure, "svg")
+        write_image(folder / f"{name}.svg", svg)
+        write_image(folder / f"{name}.png", image(figure, "png"))
+        pictures[name] = data_address(svg, "image/svg+xml")
+    maps = []
+    for drive in measured.drives:
+        shown = []
+        for preset in measured.presets:
+            row = measured.of(preset=preset, noise=measured.noises[0], drive=drive)[0]
+            png = image(map_figure(row.picture), "png", dpi=120)
+            write_image(folder / f"map_{row.cell.file_name}.png", png)
+            shown.append({"preset": preset, "picture": data_address(png, "image/png")})
+        maps.append({"name": drive, "maps": shown})
+    return pictures, maps
+
+
+def _template() -> Any:  # noqa: ANN401 - jinja2 is imported late
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
+
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader("interloc.benchmark"), PackageLoader("interloc.evaluate")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"percent": percent, "metres": metres}
+    return environment.get_template("benchmark.html")

@@ -1,0 +1,311 @@
+"""`interloc benchmark`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from interloc.cli import console, options
+
+if TYPE_CHECKING:
+    from interloc.benchmark.cases import Case, Poses
+    from interloc.osm.policies import Policy
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+SEQUENCES = "00,02,05,06,07,08,09,10"
+
+
+def _list(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _lists(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> tuple[str, ...]:
+    """Flatten an option that may be repeated, and may hold several values with commas."""
+    return tuple(dict.fromkeys(part for value in values for part in _list(value)))
+
+
+def measuring_options(command: Command) -> Command:
+    """Add the options that all benchmarks share."""
+    for decorate in reversed(
+        (
+            options.OUT,
+            click.option(
+                "--preset",
+                "presets",
+                multiple=True,
+                callback=_lists,
+                default=["default,paper"],
+                show_default="default and paper",
+                help="Settings to measure, side by side; repeat, or join with commas.",
+            ),
+            click.option(
+                "--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a setting of every preset."
+            ),
+            click.option(
+                "--noise",
+                "noises",
+                multiple=True,
+                callback=_lists,
+                metavar="FPR/FNR",
+                help="Label errors to add, r-FPR/r-FNR in percent, such as 20/20; repeat, or join with commas. "
+                "Without errors (0/0) is measured in any case.",
+            ),
+            click.option("--seeds", type=click.IntRange(1, 100), default=1, show_default=True, help="How often."),
+            options.POLICY,
+            options.TOLERANCE,
+            click.option("--fresh", is_flag=True, help="Measure anew what is kept in OUT/rows from before."),
+            options.workers_option,
+            options.QUIET,
+            options.JSON,
+        )
+    ):
+        command = decorate(command)
+    return command
+
+
+@click.group()
+def command() -> None:
+    """Repeat the paper's experiments: its Tables I, II and IV beside the published figures.
+
+    \b
+    Examples:
+      interloc benchmark twins --kitti kitti -o out                    simulated drives over the real tracks and maps
+      interloc benchmark twins --kitti kitti --sequences 07 --preset default --noise 20/20 --seeds 3 -o out
+      interloc benchmark semantickitti --root data --oxts raw --osm maps --labels predictions -o out
+      interloc benchmark drives first second --osm map.osm.gz -o out   any drives
+
+    OUT/benchmark.html has tables, figures and maps; OUT/failures what went wrong where. A run that was stopped goes
+    on where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
+    """
+
+
+@command.command()
+@click.option(
+    "--kitti",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder with oxts/NN.txt.gz, poses_suma/NN.txt, poses_gt/NN.txt, calib/NN.txt, times/NN.txt, osm/NN.osm.gz "
+    "and, for real houses, osm_buildings/NN.osm.gz.",
+)
+@click.option("--sequences", default=SEQUENCES, show_default=True, help="KITTI odometry sequences.")
+@click.option(
+    "--poses",
+    type=click.Choice(["suma", "gt"]),
+    default="suma",
+    show_default=True,
+    help="Poses that go with the drives: SemanticKITTI's, which drift, or KITTI's ground truth.",
+)
+@click.option("--keep", type=click.Path(path_type=Path), help="Keep the simulated drives here for the next time.")
+@click.option("--max-scans", type=click.IntRange(min=1), help="Only so many keyframes of each sequence: a quick look.")
+@measuring_options
+def twins(
+    kitti: Path,
+    sequences: str,
+    poses: Poses,
+    keep: Path | None,
+    max_scans: int | None,
+    seeds: int,
+    **measuring: Any,
+) -> None:
+    """Simulate drives along the real tracks of KITTI sequences over their real maps, and measure them.
+
+    A seed decides houses, cars, noise and label errors. Each drive is gone when it is measured, unless --keep.
+
+    \b
+    Example:
+      interloc benchmark twins --kitti kitti --sequences 00,05 --noise 20/20 -o out
+    """
+    from interloc.benchmark.plans import twin_cases
+
+    cases = twin_cases(kitti, _list(sequences), seeds=seeds, poses=poses, keep=keep, max_scans=max_scans)
+    _measure(
+        cases,
+        title="KITTI twins",
+        about="Simulated drives along the real tracks of KITTI sequences over their real OpenStreetMap, with exact "
+        f"labels; poses: {'SuMa' if poses == 'suma' else 'ground truth'}. The published figures are of the real scans.",
+        labels="labels",
+        seeds=seeds,
+        **measuring,
+    )
+
+
+@command.command()
+@click.option(
+    "--root",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="SemanticKITTI: the folder with sequences/NN or dataset/sequences/NN.",
+)
+@click.option(
+    "--oxts",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder with NN.txt[.gz] (a row a frame) or with KITTI raw drives (2011_10_03_drive_0027_sync, ...).",
+)
+@click.option(
+    "--osm", required=True, type=click.Path(path_type=Path), help="Folder with NN.osm, .osm.gz, .osm.bz2 or .osm.pbf."
+)
+@click.option("--sequences", default=SEQUENCES, show_default=True, help="Sequences to measure.")
+@click.option(
+    "--labels",
+    type=click.Choice(["labels", "predictions"]),
+    default="labels",
+    show_default=True,
+    help="Hand labels, or those of a network.",
+)
+@measuring_options
+def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: str, **measuring: Any) -> None:
+    """Measure the sequences of SemanticKITTI itself.
+
+    \b
+    Example:
+      interloc benchmark semantickitti --root SemanticKITTI --oxts KITTI/raw --osm maps --labels predictions -o out
+    """
+    from interloc.benchmark.plans import semantickitti_cases
+
+    cases = semantickitti_cases(root, oxts, osm, _list(sequences), labels=labels)
+    _measure(
+        cases,
+        title="SemanticKITTI",
+        about=f"The sequences of SemanticKITTI with {'hand labels' if labels == 'labels' else 'predicted labels'}. "
+        "The figures move with the state of the OSM files: the paper does not say which it used.",
+        labels=labels,
+        **measuring,
+    )
+
+
+@command.command()
+@click.argument("drives", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--osm",
+    "maps",
+    multiple=True,
+    required=True,
+    type=click.Path(path_type=Path),
+    help="OSM file: one for all drives, or repeat it, one a drive in their order.",
+)
+@options.drive_options
+@measuring_options
+def drives(
+    drives: tuple[Path, ...],
+    maps: tuple[Path, ...],
+    labels: str,
+    label_scheme: str,
+    pose_frame: str,
+    layout: str,
+    oxts: Path | None,
+    **measuring: Any,
+) -> None:
+    """Measure any DRIVES that have a georeference.
+
+    \b
+    Example:
+      interloc benchmark drives monday tuesday --osm town.osm.gz -o out
+    """
+    from interloc.benchmark.plans import folder_cases
+
+    if oxts is not None and len(drives) > 1:
+        raise click.UsageError("--oxts is of one drive; put oxts/data or geo.csv into each of several drives")
+    given = {"labels": labels, "label_scheme": label_scheme, "pose_frame": pose_frame, "layout": layout, "oxts": oxts}
+    cases = folder_cases(drives, maps, **given)
+    _measure(
+        cases,
+        title=", ".join(case.name for case in cases) if len(cases) <= 4 else f"{len(cases)} drives",
+        about=f"Drives as recorded, road points by {labels}/. Published figures stand beside drives that bear the name "
+        "of a SemanticKITTI sequence.",
+        labels=labels,
+        **measuring,
+    )
+
+
+def _measure(
+    cases: list[Case] | list[Any],
+    *,
+    title: str,
+    about: str,
+    labels: str,
+    out: Path,
+    presets: tuple[str, ...],
+    settings: tuple[str, ...],
+    noises: tuple[str, ...],
+    seeds: int,
+    policy: Policy,
+    tolerance_m: float,
+    fresh: bool,
+    workers: int,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    from interloc.benchmark.measure import GroundTruth
+    from interloc.benchmark.record import benchmark_record
+    from interloc.benchmark.run import NO_NOISE, Plan, Settings, run_plan
+    from interloc.benchmark.tables import Measured, tables, text
+    from interloc.benchmark.write import PAGE, write_benchmark
+    from interloc.errors import InterLocError
+    from interloc.evaluate.robustness import parse_level
+
+    levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
+    named = [_settings(Settings, preset, settings) for preset in presets]
+    plan = Plan(
+        tuple(cases),
+        tuple(named),
+        tuple(dict.fromkeys([NO_NOISE, *levels])),
+        seeds,
+        GroundTruth(policy, tolerance_m),
+    )
+    console.set_up_log(quiet=quiet)
+    bars = _Bars(quiet=quiet)
+    try:
+        rows = run_plan(plan, out, workers=workers, fresh=fresh, report=bars)
+    except KeyboardInterrupt:
+        raise InterLocError(
+            f"interrupted; finished rows are kept in {out / 'rows'}, and the same command goes on from there"
+        ) from None
+    finally:
+        bars.close()
+    measured = Measured(tuple(rows), tuple(plan.drives), tuple(each.name for each in named), plan.noises, labels)
+    configs = {each.name: each.config for each in named}
+    write_benchmark(measured, configs, out, title=title, about=about, policy=policy)
+    if as_json:
+        console.say_json(benchmark_record(title, measured, configs, policy))
+        return
+    click.echo("\n\n".join(map(text, tables(measured))))
+    click.echo(f"\nreport  {out / PAGE}")
+
+
+def _settings(kind: Any, preset: str, settings: tuple[str, ...]) -> Any:
+    """Return a preset with some settings changed, under a name that says so."""
+    changed = "".join(f" {setting}" for setting in settings)
+    arguments = ("--preset", preset, *(part for setting in settings for part in ("--set", setting)))
+    return kind(preset + changed, options.configure(preset, settings), arguments)
+
+
+class _Bars:
+    """One progress bar a task, gone when the task is."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._quiet = quiet
+        self._bars: dict[str, tuple[str, console.Bar]] = {}
+
+    def __call__(self, task: str, what: str, done: int, total: int) -> None:
+        """Show what a task is doing, and how much of it is done."""
+        known = self._bars.get(task)
+        if known is not None and (known[0] != what or total == 0):
+            known[1].close()
+            del self._bars[task]
+        if total == 0:
+            return
+        if task not in self._bars:
+            unit = "scan" if what == "simulate" else "keyframe"
+            self._bars[task] = (what, console.Bar(f"{task}: {what}", unit, quiet=self._quiet))
+        self._bars[task][1](done, total)
+
+    def close(self) -> None:
+        """Remove all bars."""
+        for _, bar in self._bars.values():
+            bar.close()
+        self._bars.clear()

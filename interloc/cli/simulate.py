@@ -1,0 +1,275 @@
+"""`interloc simulate`."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from interloc.cli import console, options
+
+if TYPE_CHECKING:
+    from interloc.benchmark.cases import Poses
+    from interloc.simulate.config import LidarConfig, SceneConfig, TrackConfig
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+DRIVE = click.option(
+    "-o",
+    "--out",
+    "drive",
+    required=True,
+    metavar="DRIVE",
+    type=click.Path(path_type=Path),
+    help="Folder of the drive to write; an older simulated drive there is replaced.",
+)
+EVERY_SCAN = click.option(
+    "--every-scan",
+    is_flag=True,
+    help="Write all scans, ten a second (2.6 MB each), not only the keyframes that the method looks at.",
+)
+SPEED = click.option(
+    "--speed",
+    "speed_mps",
+    type=click.FloatRange(0.2, 60),
+    default=8.0,
+    show_default=True,
+    help="Metres a second along the track; a track of OXTS rows keeps its own.",
+)
+
+
+def scene_options(command: Command) -> Command:
+    """Add the options that all simulations share."""
+    for decorate in reversed(
+        (
+            click.option(
+                "--seed",
+                type=click.IntRange(min=0),
+                default=0,
+                show_default=True,
+                help="Of all that chance decides: houses, cars, noise. The same seed gives the same drive.",
+            ),
+            click.option("--exact", is_flag=True, help="A LiDAR without noise, dropout and loss of range."),
+            click.option("--bare", is_flag=True, help="No houses, hedges and parked cars: nothing hides the road."),
+            click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
+            click.option("--max-scans", type=click.IntRange(min=1), help="Stop after so many scans."),
+            click.option(
+                "--columns",
+                type=click.IntRange(8, 8192),
+                default=2083,
+                show_default=True,
+                help="Shots of each of the 64 lasers a turn.",
+            ),
+            options.QUIET,
+        )
+    ):
+        command = decorate(command)
+    return command
+
+
+@click.group()
+def command() -> None:
+    """Write drives whose truth is known: a LiDAR drives through a made-up town, or along a real track over a real map.
+
+    \b
+    The made-up town, with every shape of junction that matters; its map is DRIVE/map.osm:
+      interloc simulate town -o DRIVE
+      interloc simulate town --small -o DRIVE              670 m, X, T and Y junctions only
+    \b
+    Any map, any track (GPX, CSV with lat and lon, OXTS rows):
+      interloc simulate track --osm map.osm.gz --track ride.gpx -o DRIVE
+      interloc simulate track --osm map.osm.gz --track oxts.txt.gz --every-scan -o DRIVE
+    \b
+    The twin of a KITTI sequence, as `interloc benchmark twins` measures it:
+      interloc simulate twin 07 --kitti kitti -o DRIVE
+
+    DRIVE is in SemanticKITTI format with oxts/: go on with `interloc run DRIVE -o OUT --osm MAP`.
+    """
+
+
+@command.command()
+@DRIVE
+@click.option("--small", is_flag=True, help="Only the plain part: X, T and Y junctions along 670 m.")
+@EVERY_SCAN
+@SPEED
+@scene_options
+def town(drive: Path, small: bool, every_scan: bool, speed_mps: float, **common: Any) -> None:
+    """Drive through a made-up town: oblique, staggered and compound junctions, roundabout, dual carriageway, bridge.
+
+    \b
+    Example:
+      interloc simulate town --small -o drive && interloc run drive -o out --osm drive/map.osm
+    """
+    from interloc.simulate.town import MAP_FILE, simulate_town
+
+    quiet = common["quiet"]
+    console.set_up_log(quiet=quiet)
+    with console.progress("simulate", "scan", quiet=quiet) as bar:
+        scans = simulate_town(
+            drive,
+            part="plain" if small else "full",
+            keyframes_only=not every_scan,
+            track=_track_config(speed_mps),
+            progress=bar,
+            **_common(**common),
+        )
+    _go_on(scans, drive, drive / MAP_FILE)
+
+
+@command.command()
+@DRIVE
+@click.option(
+    "--osm", required=True, type=click.Path(path_type=Path), help="OSM file with the streets around the track."
+)
+@click.option(
+    "--track",
+    "track_file",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Where to drive: .gpx, .csv with columns lat and lon, or OXTS rows (.txt, .txt.gz, a folder oxts/data).",
+)
+@click.option(
+    "--buildings", type=click.Path(path_type=Path), help="OSM file with the buildings; else those of --osm, or made up."
+)
+@EVERY_SCAN
+@SPEED
+@click.option(
+    "--offset",
+    "offset_m",
+    type=click.FloatRange(-20, 20),
+    default=0.0,
+    show_default=True,
+    help="Drive so many metres to the right of the track, where it is the centre line of the road.",
+)
+@scene_options
+def track(
+    drive: Path,
+    osm: Path,
+    track_file: Path,
+    buildings: Path | None,
+    every_scan: bool,
+    speed_mps: float,
+    offset_m: float,
+    **common: Any,
+) -> None:
+    """Drive along a real track over a real map.
+
+    \b
+    Example:
+      interloc simulate track --osm map.osm.gz --track ride.gpx -o drive && interloc run drive -o out --osm map.osm.gz
+    """
+    from interloc.simulate.drive import simulate_drive
+    from interloc.simulate.lines import open_track
+    from interloc.simulate.scene import build_scene
+
+    quiet = common["quiet"]
+    console.set_up_log(quiet=quiet)
+    settings = _common(**common)
+    scene = settings.pop("scene")
+    line = open_track(track_file, _track_config(speed_mps, offset_m))
+    world = build_scene(
+        line,
+        osm,
+        buildings=buildings,
+        config=scene,
+        seed=settings["seed"],
+        sensor_height_m=settings["sensor"].height_m,
+    )
+    with console.progress("simulate", "scan", quiet=quiet) as bar:
+        scans = simulate_drive(
+            world,
+            line,
+            drive,
+            keyframes_only=not every_scan,
+            about={"track": track_file.name, "osm": osm.name, "scene": scene.model_dump()},
+            progress=bar,
+            **settings,
+        )
+    _go_on(scans, drive, osm)
+
+
+@command.command()
+@click.argument("sequence")
+@click.option(
+    "--kitti",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder with oxts/, poses_suma/, poses_gt/, calib/, times/, osm/ and osm_buildings/ of the sequences.",
+)
+@DRIVE
+@click.option(
+    "--poses",
+    type=click.Choice(["suma", "gt"]),
+    default="suma",
+    show_default=True,
+    help="Poses that go with the drive: SemanticKITTI's or KITTI's ground truth.",
+)
+@EVERY_SCAN
+@scene_options
+def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool, **common: Any) -> None:
+    """Drive along the real track of KITTI odometry SEQUENCE (00, 02, ...) over its real map.
+
+    \b
+    Example:
+      interloc simulate twin 07 --kitti kitti -o drive && interloc run drive -o out --osm kitti/osm/07.osm.gz
+    """
+    from interloc.benchmark.plans import twin_cases
+    from interloc.simulate.twins import simulate_twin
+
+    quiet = common["quiet"]
+    console.set_up_log(quiet=quiet)
+    (case,) = twin_cases(kitti, [sequence], poses=poses)
+    with console.progress("simulate", "scan", quiet=quiet) as bar:
+        scans = simulate_twin(
+            kitti, sequence, drive, poses=poses, keyframes_only=not every_scan, progress=bar, **_common(**common)
+        )
+    _go_on(scans, drive, case.osm)
+
+
+def _common(
+    *, seed: int, exact: bool, bare: bool, ground_only: bool, max_scans: int | None, columns: int, quiet: bool
+) -> dict[str, Any]:
+    """Return the values of `scene_options` as the simulator takes them."""
+    del quiet
+    return {
+        "seed": seed,
+        "ground_only": ground_only,
+        "max_scans": max_scans,
+        "sensor": _lidar(columns, exact=exact),
+        "scene": _scene(bare=bare),
+    }
+
+
+def _lidar(columns: int, *, exact: bool) -> LidarConfig:
+    from interloc.simulate.config import LidarConfig
+
+    if not exact:
+        return LidarConfig(columns=columns)
+    return LidarConfig(columns=columns, range_noise_m=0.0, surface_noise=0.0, dropout=0.0, road_half_range_m=None)
+
+
+def _scene(*, bare: bool) -> SceneConfig:
+    from interloc.simulate.config import RoadsideConfig, SceneConfig
+
+    if not bare:
+        return SceneConfig()
+    return SceneConfig(roadside=RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none"))
+
+
+def _track_config(speed_mps: float, offset_m: float = 0.0) -> TrackConfig:
+    from interloc.simulate.config import TrackConfig
+
+    return TrackConfig(speed_mps=speed_mps, offset_m=offset_m)
+
+
+def _go_on(scans: int, drive: Path, osm: Path) -> None:
+    console.say_facts(
+        [
+            ("drive", f"{drive}: {scans} scans"),
+            ("map", str(osm)),
+            ("go on", shlex.join(["interloc", "run", str(drive), "-o", f"{drive}_result", "--osm", str(osm)])),
+        ]
+    )
