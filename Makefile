@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: install test lint format types bench clean
+.PHONY: install demo test lint format types bench clean
 
 install: $(READY)
 
@@ -13,6 +13,15 @@ $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[service,dev]"
 	@touch $(READY)
+
+# A drive through a made-up town, found, mapped and scored against the town's own map: all in demo/.
+demo: $(READY)
+	$(BIN)/interloc simulate town --small -o demo/drive
+	$(BIN)/interloc run demo/drive -o demo/result --osm demo/drive/map.osm
+	@echo
+	@echo "The report:                            demo/result/report.html"
+	@echo "The map, for QGIS or any GIS:          demo/result/intersections.geojson"
+	@echo "The steps of the method at one scan:   $(BIN)/interloc explain demo/drive --frame 100 -o demo/steps"
 
 test: lint types
 	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered
