@@ -36,7 +36,7 @@ def map_figure(picture: MapPicture) -> Figure:
     low, high = track.min(axis=0) - 45.0, track.max(axis=0) + 45.0
     width, height = high - low
     scale = min(6.0 / width, 6.0 / height)
-    figure = new_figure(max(3.2, width * scale), max(2.2, height * scale) + 0.9)
+    figure = new_figure(max(5.2, width * scale), max(2.2, height * scale) + 0.9)
     axes = figure.add_subplot()
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     axes.spines[:].set_color(FAINT)
@@ -117,7 +117,7 @@ def drive_boxes_figure(measured: Measured) -> Figure:
         preset: [errors_m(measured.of(preset=preset, noise=noise, drive=name)) for name in names]
         for preset in measured.presets
     }
-    figure = new_figure(max(6.5, 1.0 + 0.95 * len(names)), 4.2)
+    figure = new_figure(max(6.0, 1.0 + 0.95 * len(names)), 4.2)
     axes = figure.add_subplot()
     _draw_boxes(axes, samples)
     axes.set(xticks=range(len(names)), xticklabels=names, xlim=(-0.6, len(names) - 0.4), ylabel="center error [m]")
@@ -129,7 +129,7 @@ def drive_boxes_figure(measured: Measured) -> Figure:
 
 def curves_figure(measured: Measured) -> Figure:
     """Draw F1 over the threshold of each preset, without label errors."""
-    figure = new_figure(6.5, 4.2)
+    figure = new_figure(6.0, 4.2)
     axes = figure.add_subplot()
     noise = measured.noises[0]
     _draw_curves(axes, {preset: measured.of(preset=preset, noise=noise) for preset in measured.presets})

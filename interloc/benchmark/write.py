@@ -10,7 +10,7 @@ from typing import Any
 from interloc.benchmark.figures import curves_figure, drive_boxes_figure, map_figure, noise_figure
 from interloc.benchmark.record import benchmark_record
 from interloc.benchmark.row import Row
-from interloc.benchmark.tables import Measured, Table, performance_table, tables, text
+from interloc.benchmark.tables import Measured, Table, ours, performance_table, tables, text
 from interloc.config import DetectorConfig
 from interloc.evaluate.drawing import image, metres, percent, write_image
 from interloc.evaluate.report import data_address, make_folder
@@ -79,7 +79,7 @@ def kinds_table(measured: Measured) -> Table:
     counts = []
     for preset in measured.presets:
         for noise in measured.noises:
-            header.append(preset if len(measured.noises) == 1 else f"{preset} {noise}")
+            header.append(ours(preset) if len(measured.noises) == 1 else f"{ours(preset)}, {noise}")
             counts.append(_kinds(measured.of(preset=preset, noise=noise)))
     groups = []
     for title, what in (("false detections", "groups (detections)"), ("missed nodes", "nodes (keyframes)")):
@@ -127,7 +127,7 @@ def _write_figures(measured: Measured, folder: Path) -> tuple[dict[str, str], li
             row = measured.of(preset=preset, noise=measured.noises[0], drive=drive)[0]
             png = image(map_figure(row.picture), "png", dpi=120)
             write_image(folder / f"map_{row.cell.file_name}.png", png)
-            shown.append({"preset": preset, "picture": data_address(png, "image/png")})
+            shown.append({"preset": ours(preset), "picture": data_address(png, "image/png")})
         maps.append({"name": drive, "maps": shown})
     return pictures, maps
 
