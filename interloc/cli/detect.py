@@ -10,7 +10,7 @@ import click
 from interloc.cli import console, options, summary
 
 
-@click.command()
+@click.command(short_help="Find the intersections along a drive.")
 @options.DRIVE
 @options.OUT
 @options.config_options
@@ -47,5 +47,5 @@ def command(
         write_results(result, folder)
     if as_json:
         console.say_json(summary.run_summary(result, out))
-    else:
+    elif not quiet:
         console.say_facts(summary.run_facts(result, out))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from interloc.osm.policies import Policy
 
 
-@click.command()
+@click.command(short_help="Score a result against OpenStreetMap.")
 @click.argument("out", type=click.Path(path_type=Path))
 @options.OSM
 @options.OVERPASS
@@ -34,6 +34,8 @@ def command(
     from interloc.evaluate.record import report_record
     from interloc.evaluate.report import write_report
     from interloc.mapping.exports import read_results
+    from interloc.mapping.files import atomic_folder, atomic_write
+    from interloc.mapping.layout import RUN_FILE, file_names
 
     options.check_map_choice(osm, overpass=overpass)
     console.set_up_log(quiet=quiet)
@@ -42,9 +44,13 @@ def command(
     if graph is None:
         graph = options.fetch_map(result, quiet=quiet)
     evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
-    write_report(evaluation, result, out)
+    with atomic_folder(out) as folder:  # all of the new report, or the folder as it was
+        for name in (*file_names(georeferenced=True).values(), RUN_FILE):
+            with atomic_write(folder / name) as file:
+                file.write((out / name).read_bytes())
+        write_report(evaluation, result, folder)
     report = report_record(evaluation)
     if as_json:
         console.say_json(report)
-    else:
+    elif not quiet:
         console.say_facts(summary.report_facts(report, out))

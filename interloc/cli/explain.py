@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from interloc.osm.policies import Policy
 
 
-@click.command()
+@click.command(short_help="Draw the steps of the method for one keyframe.")
 @options.DRIVE
 @click.option("--frame", required=True, type=int, help="Scan number; the nearest keyframe is taken.")
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the pictures.")
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 @options.config_options
 @options.drive_options
 @options.QUIET
+@options.JSON
 def command(
     drive: Path,
     frame: int,
@@ -31,6 +32,7 @@ def command(
     preset: str,
     settings: tuple[str, ...],
     quiet: bool,
+    as_json: bool,
     **drive_: Any,
 ) -> None:
     """Draw the steps of the method for one keyframe of DRIVE, as PNGs.
@@ -44,5 +46,9 @@ def command(
     console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
     source = options.open_drive(drive, drive_)
-    for path in explain(source, frame, config, out, graph=options.read_map(osm), policy=policy):
-        click.echo(path)
+    paths = explain(source, frame, config, out, graph=options.read_map(osm), policy=policy)
+    if as_json:
+        console.say_json({"files": [str(path) for path in paths]})
+    elif not quiet:
+        for path in paths:
+            click.echo(path)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import signal
 import sys
 from importlib import import_module
 
@@ -51,15 +53,14 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: half-written results are taken away
     sys.exit(run())
 
 
 def run(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 1 (failed) or 2 (usage)."""
     try:
-        cli.main(args=arguments, prog_name="interloc", standalone_mode=False)
-    except click.exceptions.Exit as stop:
-        return stop.exit_code
+        code = cli.main(args=arguments, prog_name="interloc", standalone_mode=False)
     except click.UsageError as error:
         error.show()
         return 2
@@ -74,15 +75,24 @@ def run(arguments: list[str] | None = None) -> int:
         return 1
     except MemoryError:
         return _fail("out of memory; try fewer --workers or a coarser bev.resolution_m", 1)
-    except Exception as error:
-        if os.environ.get("INTERLOC_DEBUG"):
-            raise
-        return _fail(
-            f"a fault of InterLoc itself: {type(error).__name__}: {error}. "
-            "Run again with INTERLOC_DEBUG=1 for the details, and please report them.",
-            1,
-        )
-    return 0
+    except OSError as error:
+        if error.errno in {errno.ENOSPC, errno.EIO, errno.EFBIG} and error.filename is None:  # of writing to stdout
+            return _fail(f"the output could not be written: {os.strerror(error.errno or 0).lower()}", 1)
+        return _fault(error)
+    except Exception as error:  # noqa: BLE001 - whatever it is, the user gets a line
+        return _fault(error)
+    return code if isinstance(code, int) else 0  # click returns what `Exit` asked for
+
+
+def _fault(error: Exception) -> int:
+    """Report what should not have happened; raise it on request."""
+    if os.environ.get("INTERLOC_DEBUG"):
+        raise error
+    return _fail(
+        f"a fault of InterLoc itself: {type(error).__name__}: {error}. "
+        "Run again with INTERLOC_DEBUG=1 for the details, and please report them.",
+        1,
+    )
 
 
 def _fail(message: str, exit_code: int) -> int:

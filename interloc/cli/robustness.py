@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from interloc.osm.policies import Policy
 
 
-@click.command()
+@click.command(short_help="Repeat the experiment on label errors.")
 @options.DRIVE
 @options.OUT
 @options.OSM
@@ -84,6 +84,8 @@ def command(
         write_robustness(evaluations, folder)
     if as_json:
         console.say_json({"levels": [asdict(row) for row in robustness_table(evaluations)]})
+        return
+    if quiet:
         return
     click.echo("r-FPR/r-FNR   ACE [m]   Pre@5 [%]   Rec@5 [%]")
     for row in robustness_table(evaluations):

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from interloc.osm.policies import Policy
 
 
-@click.command()
+@click.command(short_help="Detect, map and evaluate in one go.")
 @options.DRIVE
 @options.OUT
 @options.OSM
@@ -69,5 +69,5 @@ def command(
     report = report_record(evaluation)
     if as_json:
         console.say_json({"run": summary.run_summary(result, out), "report": report})
-    else:
+    elif not quiet:
         console.say_facts(summary.run_facts(result, out)[:-1] + summary.report_facts(report, out))
