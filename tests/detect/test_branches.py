@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from interloc.config import BranchConfig
-from interloc.detect.branches import Branches, inner_radius, segment_branches
+from interloc.detect.branches import Branches, inner_radius, segment_all, segment_branches
 from interloc.detect.candidates import Candidates
 from interloc.detect.centerline import Centerline
 from interloc.detect.image import BinaryImage
@@ -38,10 +38,10 @@ def candidates(*positions: tuple[float, float], width: float = 20.0) -> Candidat
     return Candidates(np.array(positions), np.full(len(positions), width), [np.empty((0, 2))] * len(positions))
 
 
-def branches_at_the_middle(
-    line: Centerline, config: BranchConfig, *others: tuple[float, float], width: float = 20.0
-) -> Branches:
-    return segment_branches(candidates(MIDDLE, *others, width=width), 0, line, 1.0, config)
+def branches_at_the_middle(line: Centerline, config: BranchConfig, *others: tuple[float, float]) -> Branches:
+    """Follow the branches of a candidate in the middle; they end before the others."""
+    every = np.arange(1 + len(others))
+    return segment_branches(candidates(MIDDLE, *others), 0, every, line, 1.0, config)
 
 
 def angles_deg(branches: Branches) -> list[float]:
@@ -52,20 +52,31 @@ def angles_deg(branches: Branches) -> list[float]:
 # --- the inner circle ------------------------------------------------------------------------------------------------
 
 
+def radius_m(config: BranchConfig, *others: tuple[float, float], width: float) -> float:
+    """Return the inner circle of a candidate in the middle, with pixels of half a metre."""
+    every = np.arange(1 + len(others))
+    return inner_radius(candidates(MIDDLE, *others, width=width), 0, every, 0.5, config) * 0.5
+
+
 def test_fixed_inner_circle_does_not_look_at_the_road() -> None:
-    assert inner_radius(candidates(MIDDLE, (150, 151), width=99), 0, 0.5, BranchConfig(inner_radius_m=10)) == 20
+    assert radius_m(BranchConfig(inner_radius_m=10), (150, 151), width=99) == 10
 
 
 def test_inner_circle_follows_the_width_of_the_road() -> None:
     config = BranchConfig(inner_radius_m=15, inner_widths=1.5)
-    assert inner_radius(candidates(MIDDLE, width=20), 0, 0.5, config) == 30
-    assert inner_radius(candidates(MIDDLE, width=8), 0, 0.5, config) == 12
-    assert inner_radius(candidates(MIDDLE, width=80), 0, 0.5, config) == 30  # a_i is its bound
+    assert radius_m(config, width=18) == 13.5
+    assert radius_m(config, width=8) == 6
+    assert radius_m(config, width=80) == 15  # a_i is its bound
 
 
 def test_inner_circle_leaves_room_before_the_next_candidate() -> None:
     config = BranchConfig(inner_radius_m=15, inner_widths=1.0)
-    assert inner_radius(candidates(MIDDLE, (150, 160), (190, 150)), 0, 1.0, config) == pytest.approx(6)
+    assert radius_m(config, (150, 160), (190, 150), width=20) == pytest.approx(3)
+
+
+def test_candidate_that_ends_no_branch_takes_no_room() -> None:
+    config = BranchConfig(inner_radius_m=15, inner_widths=1.0)
+    assert inner_radius(candidates(MIDDLE, (150, 155)), 0, np.array([0]), 1.0, config) == 15
 
 
 # --- which pieces are branches ---------------------------------------------------------------------------------------
@@ -107,6 +118,21 @@ def test_arm_that_ends_at_another_candidate_is_a_branch_however_short() -> None:
     assert found.lengths.min() <= 2
 
 
+def test_branch_runs_on_past_a_candidate_that_ends_none() -> None:
+    found = segment_branches(candidates(MIDDLE, (150.0, 163.0)), 0, np.array([0]), arms(0, 120, 240), 1.0, PAPER)
+    assert found.lengths.min() >= 20
+
+
+@pytest.mark.parametrize(("end_at_rejected", "enders"), [(True, [0, 1]), (False, [0])])
+def test_candidate_that_is_no_intersection_ends_branches_if_told_so(end_at_rejected: bool, enders: list[int]) -> None:
+    both = candidates(MIDDLE, (150.0, 175.0))
+    config = BranchConfig(end_at_rejected=end_at_rejected)
+    kept, found = segment_all(both, arms(0, 120, 240), 1.0, config)
+    assert found.tolist() == enders
+    assert [branches.which for branches in kept] == [0]
+    assert (kept[0].lengths.min() > 20) == (not end_at_rejected)
+
+
 def test_two_arms_that_leave_the_circle_as_one_are_one() -> None:
     image = np.zeros((301, 301), np.uint8)
     cv2.line(image, (150, 150), (170, 150), 1)
@@ -126,8 +152,9 @@ def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> Non
 
 def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> None:
     config = BranchConfig(line="least_squares", trim_m=2)
-    found = branches_at_the_middle(arms(0, 120, 240), config, (150.0, 163.0))
+    found = branches_at_the_middle(arms(0, 120, 240), config, (150.0, 162.0))
     assert found.count == 3
+    assert found.lengths.min() == 1
     assert np.count_nonzero(found.weights) == 2
     assert np.count_nonzero(found.weights == 0) == 1
     assert np.all(np.isfinite(found.directions))

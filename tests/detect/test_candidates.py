@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from interloc.config import CrossingCandidates, HarrisCandidates
-from interloc.detect.candidates import find_candidates, harris_corners, merge_until_stable
+from interloc.detect.candidates import Candidates, find_candidates, harris_corners, merge_until_stable
 from interloc.detect.centerline import Centerline
 from interloc.detect.image import BinaryImage
 
@@ -179,3 +179,10 @@ def test_no_line_no_candidates(config: HarrisCandidates | CrossingCandidates) ->
     found = find_candidates(centerline(line_image()), ONE_M, config)
     assert found.positions.shape == (0, 2)
     assert found.widths.shape == (0,)
+
+
+def test_candidates_inside_keep_the_margin_to_every_border() -> None:
+    positions = np.array([[10, 50], [9.9, 50], [50, 89], [50, 89.1], [50, 10], [89.1, 10], [50, 50]])
+    found = Candidates(positions, np.ones(7), [np.empty((0, 2))] * 7)
+    assert found.inside(100, 10).tolist() == [0, 2, 4, 6]
+    assert found.inside(100, 0).tolist() == list(range(7))

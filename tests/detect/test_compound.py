@@ -25,7 +25,14 @@ def blob(*branches: Branch, core: list[tuple[float, float]], inner: float = 15.0
     directions = np.column_stack([-np.sin(angles), np.cos(angles)])
     count = len(branches)
     return Branches(
-        np.zeros(2), inner, directions, points, np.ones(count), np.full(count, 30.0), np.array(core).reshape(-1, 2)
+        which=0,
+        candidate=np.zeros(2),
+        inner=inner,
+        directions=directions,
+        points=points,
+        weights=np.ones(count),
+        lengths=np.full(count, 30.0),
+        core=np.array(core).reshape(-1, 2),
     )
 
 

@@ -30,7 +30,14 @@ def branches(
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     weight = np.ones(len(points)) if weights is None else np.array(weights)
     return Branches(
-        np.array(candidate), inner, directions, np.array(points), weight, np.full(len(points), 50.0), np.empty((0, 2))
+        which=0,
+        candidate=np.array(candidate),
+        inner=inner,
+        directions=directions.reshape(-1, 2),
+        points=np.array(points).reshape(-1, 2),
+        weights=weight,
+        lengths=np.full(len(points), 50.0),
+        core=np.empty((0, 2)),
     )
 
 
@@ -134,9 +141,7 @@ def test_fewer_than_two_lines_leave_the_candidate_where_it_is(weights: list[floa
 
 
 def test_no_branches_at_all() -> None:
-    none = Branches(
-        np.array([7.0, 7.0]), 10, np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.empty(0), np.empty((0, 2))
-    )
+    none = branches([], [], candidate=(7, 7))
     assert refine(none).position.tolist() == [7, 7]
     assert refine(none).residual == math.inf
 

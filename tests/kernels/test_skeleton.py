@@ -321,12 +321,17 @@ def branches(
     *candidates: Pixel,
     inner: float = 10.0,
     outer: float = 60.0,
-    trim: float = 0.0,
     fit: float = 99.0,
+    least_fit: float = 99.0,
+    straight: float = 1.0,
+    trim: float = 0.0,
 ) -> NDArray[np.float64]:
+    """Follow the branches of the first candidate; they end 5 pixels before another one, the border is 8 wide."""
     rows, cols, neighbours = graph(image)
-    positions = np.array(candidates, np.float64)
-    return sk.follow_branches(rows, cols, neighbours, positions, 0, inner, outer, 5.0, fit, trim, image.height, 8)
+    first, others = np.array(candidates[0], np.float64), np.array(candidates[1:], np.float64).reshape(-1, 2)
+    return sk.follow_branches(
+        rows, cols, neighbours, first, others, inner, outer, 5.0, fit, least_fit, straight, trim, image.height, 8
+    )
 
 
 def cross(size: int = 201) -> Image:
@@ -353,7 +358,7 @@ def test_branches_point_away_and_are_straight() -> None:
     directions = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
     np.testing.assert_allclose(directions, [[-1, 0], [0, -1], [0, 1], [1, 0]], atol=1e-12)
     np.testing.assert_allclose(table[:, sk.FIT_RMS], 0, atol=1e-6)
-    assert table[:, sk.FIT_LENGTH].tolist() == [48] * 4
+    np.testing.assert_allclose(table[:, sk.FIT_LENGTH], 49, atol=sk.RING_PX)
 
 
 def test_branch_ends_before_another_candidate() -> None:
@@ -398,7 +403,32 @@ def test_line_is_fitted_to_the_trusted_part_only() -> None:
     assert abs(trimmed[0, sk.FIT_D_ROW]) < 1e-9
     short = branches(packed, (100, 100), fit=30.0)
     assert abs(short[0, sk.FIT_D_ROW]) < 1e-9
-    assert short[0, sk.FIT_LENGTH] == 29
+    assert short[0, sk.FIT_LENGTH] == pytest.approx(30, abs=sk.RING_PX)
+
+
+def test_line_is_fitted_as_far_as_the_branch_is_straight() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    image[100, 100:130] = 1
+    image[np.arange(80, 100), np.arange(149, 129, -1)] = 1  # turns off by 45 degrees 30 pixels from the candidate
+    packed = BinaryImage.from_array(image)
+    (whole,) = branches(packed, (100, 100))
+    (straight,) = branches(packed, (100, 100), least_fit=8.0, straight=0.3)
+    assert abs(whole[sk.FIT_D_ROW]) > 0.3
+    assert abs(straight[sk.FIT_D_ROW]) < 0.05
+    assert straight[sk.FIT_RMS] <= 0.3
+    assert straight[sk.FIT_LENGTH] == pytest.approx(20, abs=2 * sk.RING_PX)
+    assert whole[sk.LENGTH] == straight[sk.LENGTH]
+
+
+def test_line_is_fitted_to_the_least_length_however_bent() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    angles = np.linspace(0, 1.5, 500)  # an arc of 40 pixels' radius
+    image[np.round(60 + 40 * np.cos(angles)).astype(int), np.round(100 + 40 * np.sin(angles)).astype(int)] = 1
+    packed = BinaryImage.from_array(image)
+    thin(packed.words, DELETABLE)
+    (row,) = branches(packed, (100, 100), least_fit=24.0, straight=0.1)
+    assert row[sk.FIT_RMS] > 0.1
+    assert row[sk.FIT_LENGTH] == pytest.approx(24, abs=sk.RING_PX)
 
 
 def test_branch_with_nothing_to_trust_has_no_line() -> None:
