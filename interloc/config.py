@@ -192,10 +192,10 @@ DEFAULT = DetectorConfig(
     preset="default",
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
     centerline=CenterlineConfig(spur_widths=1.3),
-    candidates=CrossingCandidates(merge_widths=1.6),
+    candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
     branches=BranchConfig(
         inner_radius_m=15.0,
-        inner_widths=0.8,
+        inner_widths=0.9,
         min_reach_m=11.0,
         stop_m=2.0,
         end_at_rejected=False,

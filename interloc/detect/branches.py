@@ -14,8 +14,7 @@ from interloc.kernels import skeleton as sk
 
 Floats = NDArray[np.float64]
 
-STRAIGHT_M = 0.5  # how well the line of a straight road is known
-FULL_FIT_M = 15.0  # length that a line of that quality takes
+FULL_FIT_M = 15.0  # a longer line counts no more
 MIN_FIT_M = 3.0  # a shorter piece says nothing about the direction of a road
 
 
@@ -36,7 +35,8 @@ class Branches:
     points : (B, 2) float64
         A point on the line of each branch.
     weights : (B,) float64
-        How much each line counts; 0 for a branch that is too short to tell its direction.
+        How much each line counts: 1 in the paper, else the inverse of its variance at the candidate, 1 / m^2; 0 for a
+        branch that is too short to tell its direction.
     lengths : (B,) float64
         Pixels of centerline in each branch.
     core : (C, 2) float64
@@ -157,11 +157,13 @@ def segment_branches(
         centerline.neighbours,
         candidates.positions[which],
         candidates.positions[enders[enders != which]],
+        float(candidates.widths[which]),
         inner,
         config.outer_radius_m / resolution_m,
         config.stop_m / resolution_m,
         config.fit_length_m / resolution_m,
         config.fit_least_m / resolution_m,
+        FULL_FIT_M / resolution_m,
         config.straight_m / resolution_m,
         config.trim_m / resolution_m,
         centerline.image.height,
@@ -180,9 +182,7 @@ def segment_branches(
         has_line = table[:, sk.FIT_LENGTH] * resolution_m >= MIN_FIT_M
         fitted = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
         directions = np.where(has_line[:, None], fitted, _unit(means - candidates.positions[which]))
-        # A long straight branch knows better where the road runs than a short bent one.
-        scatter_m2 = (table[:, sk.FIT_RMS] * resolution_m) ** 2 + STRAIGHT_M**2
-        weights = np.where(has_line, table[:, sk.FIT_LENGTH] * resolution_m / FULL_FIT_M / scatter_m2, 0.0)
+        weights = np.where(has_line, table[:, sk.WEIGHT] / resolution_m**2, 0.0)
     return Branches(
         which,
         candidates.positions[which],

@@ -232,10 +232,13 @@ def grow_from(
 
 # Columns of what `follow_branches` returns for each branch; rows and columns of the image in pixels.
 START_ROW, START_COL, MEAN_ROW, MEAN_COL, LENGTH, AT_CANDIDATE, AT_BORDER = range(7)
-FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH = range(7, 14)
-BRANCH_COLUMNS = 14
+FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH, WEIGHT = range(7, 15)
+BRANCH_COLUMNS = 15
 
 RING_PX = 4.0  # a line grows by this much at a time
+GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
+PIXEL_PX = 0.25  # how well its line is known
+BENT = 5.0  # where a line is prolonged, it is off by more than the centerline scatters about it
 
 
 @compiled
@@ -245,11 +248,13 @@ def follow_branches(
     neighbours: Index,
     candidate: NDArray[np.float64],
     others: NDArray[np.float64],
+    width: float,
     inner: float,
     outer: float,
     stop: float,
     fit_length: float,
     least_fit: float,
+    full_fit: float,
     straight: float,
     trim: float,
     size: int,
@@ -265,14 +270,15 @@ def follow_branches(
         Row and column of the candidate.
     others : (C, 2) float64
         Those before which a branch ends.
-    inner, outer : float
-        Radii of the annulus, pixels.
+    width, inner, outer : float
+        Road width and radii of the annulus, pixels.
     stop : float
         A branch ends this far before another candidate.
-    fit_length, least_fit, straight, trim : float
-        The line is fitted to the pixels within ``inner`` + ``fit_length`` of the candidate that lie at least ``trim``
-        from a tip of the branch and from the border of the image; beyond ``least_fit`` only as far as their root mean
-        square distance from the line stays within ``straight``.
+    fit_length, least_fit, full_fit, straight, trim : float
+        The line is fitted to pixels within ``inner`` + ``fit_length`` of the candidate that lie at least ``trim`` from
+        a tip of the branch and from the border of the image; beyond ``least_fit`` only as far as their root mean
+        square distance from the line stays within ``straight``. Its weight is its length, as far as ``full_fit``
+        counts, over its variance.
     size, border : int
         Pixels a side of the image; width of the margin that counts as its border.
 
@@ -280,7 +286,7 @@ def follow_branches(
     -------
     (B, BRANCH_COLUMNS) float64
         See the names of the columns above. The fitted line is given by a point and a unit direction away from the
-        candidate; its length is 0 where there is too little to fit.
+        candidate; its length and weight are 0 where there is too little to fit.
     """
     n = rows.size
     r0, c0 = candidate[0], candidate[1]
@@ -293,7 +299,8 @@ def follow_branches(
     tips = np.empty(64, np.int32)
     branches = np.zeros((32, BRANCH_COLUMNS))
     n_rings = max(1, int(fit_length / RING_PX))
-    rings = np.empty((n_rings, 6))
+    rings = np.zeros((branches.shape[0], n_rings, 6))
+    sums = np.empty(6)
     count = 0
     for s in range(n):
         if seen[s] or not (inner < distance[s] < outer) or count == branches.shape[0]:
@@ -351,8 +358,7 @@ def follow_branches(
         row[START_ROW], row[START_COL] = rows[first], cols[first]
         row[MEAN_ROW], row[MEAN_COL] = sum_r / end, sum_c / end
         row[LENGTH], row[AT_CANDIDATE], row[AT_BORDER], row[REACH] = end, at_candidate, at_border, reach
-        # Fit a line to its trustworthy part: from the inner circle outwards, ring by ring, as long as it is straight.
-        rings[:] = 0.0
+        # Moments of its trustworthy part, ring by ring from the inner circle outwards.
         for j in range(end):
             p = stack[j]
             ring = int((distance[p] - inner) / RING_PX)
@@ -367,29 +373,32 @@ def follow_branches(
             if not usable:
                 continue
             dr, dc = rows[p] - r0, cols[p] - c0
-            rings[ring, 0] += 1.0
-            rings[ring, 1] += dr
-            rings[ring, 2] += dc
-            rings[ring, 3] += dr * dr
-            rings[ring, 4] += dr * dc
-            rings[ring, 5] += dc * dc
-        m, mr, mc, srr, src, scc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            rings[count, ring, 0] += 1.0
+            rings[count, ring, 1] += dr
+            rings[count, ring, 2] += dc
+            rings[count, ring, 3] += dr * dr
+            rings[count, ring, 4] += dr * dc
+            rings[count, ring, 5] += dc * dc
+        count += 1
+
+    # Lay a line through each branch, from where its neighbours do not bend it any more, as long as it is straight.
+    for i in range(count):
+        row = branches[i]
+        start = int(max(_wedge(branches, i, count, r0, c0, width) - inner, 0.0) / RING_PX)
+        sums[:] = 0.0
         first_ring = -1
-        for ring in range(n_rings):
-            if rings[ring, 0] == 0.0:
+        for ring in range(min(start, n_rings - 1), n_rings):
+            if rings[i, ring, 0] == 0.0:
                 continue
             if first_ring < 0:
                 first_ring = ring
-            m += rings[ring, 0]
-            mr += rings[ring, 1]
-            mc += rings[ring, 2]
-            srr += rings[ring, 3]
-            src += rings[ring, 4]
-            scc += rings[ring, 5]
+            for k in range(6):
+                sums[k] += rings[i, ring, k]
+            m = sums[0]
             if m < 2.0:
                 continue
-            ur, uc = mr / m, mc / m
-            vrr, vrc, vcc = srr / m - ur * ur, src / m - ur * uc, scc / m - uc * uc
+            ur, uc = sums[1] / m, sums[2] / m
+            vrr, vrc, vcc = sums[3] / m - ur * ur, sums[4] / m - ur * uc, sums[5] / m - uc * uc
             angle = 0.5 * np.arctan2(2.0 * vrc, vrr - vcc)
             d_row, d_col = np.cos(angle), np.sin(angle)
             rms = np.sqrt(max(vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row, 0.0))
@@ -401,5 +410,21 @@ def follow_branches(
             row[FIT_ROW], row[FIT_COL] = r0 + ur, c0 + uc
             row[FIT_D_ROW], row[FIT_D_COL] = d_row, d_col
             row[FIT_LENGTH], row[FIT_RMS] = length, rms
-        count += 1
+            scatter = BENT * max(rms - GRID_PX, 0.0)
+            row[WEIGHT] = min(length, full_fit) / full_fit / (scatter * scatter + PIXEL_PX * PIXEL_PX)
     return branches[:count]
+
+
+@compiled
+def _wedge(branches: NDArray[np.float64], which: int, count: int, r0: float, c0: float, width: float) -> float:
+    """Return how far from the candidate the surface of a branch parts from that of its nearest neighbour, pixels.
+
+    Two roads of width w at an angle t part at (w / 2) / sin(t / 2); the centerline is bent until there.
+    """
+    least = np.pi
+    r, c = branches[which, MEAN_ROW] - r0, branches[which, MEAN_COL] - c0
+    for i in range(count):
+        if i != which:
+            ri, ci = branches[i, MEAN_ROW] - r0, branches[i, MEAN_COL] - c0
+            least = min(least, abs(np.arctan2(r * ci - c * ri, r * ri + c * ci)))
+    return 0.5 * width / max(np.sin(0.5 * least), 0.25)
