@@ -81,10 +81,8 @@ def _false_detections(evaluation: Evaluation, explain: Explain) -> list[dict[str
         members = false[rows]
         frames = evaluation.keyframes.frame[detections.keyframe[members]]
         beside = [(int(detections.keyframe[row]), int(matching.node[row])) in true_pairs for row in members]
-        if np.mean(beside) > 0.5:
-            kind = "double"
-        elif distance < OFF_TARGET_M:
-            kind = "off target"
+        if distance < OFF_TARGET_M:
+            kind = "double" if np.mean(beside) > 0.5 else "off target"
         else:
             near = (kind for kind, places in others.items() if _nearest(places, place)[1] < SAME_PLACE_M)
             kind = next(near, "no junction")

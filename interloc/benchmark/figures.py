@@ -10,7 +10,7 @@ import numpy as np
 
 from interloc.benchmark.row import MapPicture, Point, Row
 from interloc.benchmark.score import errors_m, estimate, f1
-from interloc.benchmark.tables import Measured
+from interloc.benchmark.tables import Measured, ours
 from interloc.evaluate.drawing import BLUE, FAINT, GREEN, INK, MUTED, PURPLE, SKY, VERMILION, new_figure, quiet
 from interloc.evaluate.figures import PERCENTILES
 from interloc.evaluate.matching import Floats
@@ -117,7 +117,7 @@ def drive_boxes_figure(measured: Measured) -> Figure:
         preset: [errors_m(measured.of(preset=preset, noise=noise, drive=name)) for name in names]
         for preset in measured.presets
     }
-    figure = new_figure(max(6.0, 1.0 + 0.95 * len(names)), 4.2)
+    figure = new_figure(max(5.7, 1.0 + 0.95 * len(names)), 4.2)
     axes = figure.add_subplot()
     _draw_boxes(axes, samples)
     axes.set(xticks=range(len(names)), xticklabels=names, xlim=(-0.6, len(names) - 0.4), ylabel="center error [m]")
@@ -129,7 +129,7 @@ def drive_boxes_figure(measured: Measured) -> Figure:
 
 def curves_figure(measured: Measured) -> Figure:
     """Draw F1 over the threshold of each preset, without label errors."""
-    figure = new_figure(6.0, 4.2)
+    figure = new_figure(5.7, 4.2)
     axes = figure.add_subplot()
     noise = measured.noises[0]
     _draw_curves(axes, {preset: measured.of(preset=preset, noise=noise) for preset in measured.presets})
@@ -140,18 +140,20 @@ def curves_figure(measured: Measured) -> Figure:
 def noise_figure(measured: Measured) -> Figure:
     """Draw center errors and F1 curves of each level of label errors, a line of figures a preset (paper, Fig. 8)."""
     count = len(measured.presets)
-    figure = new_figure(10.5, 4.0 * count)
-    grid = figure.subplots(count, 2, width_ratios=(1, 1.25), squeeze=False, sharey="col")
+    figure = new_figure(10.5, 4.1 * count)
+    grid = figure.subplots(count, 2, width_ratios=(1, 1.25), squeeze=False)
+    top = 0.0
     for (boxes, curves), preset in zip(grid, measured.presets, strict=True):
         levels = {noise: measured.of(preset=preset, noise=noise) for noise in measured.noises}
         _draw_boxes(boxes, {preset: [errors_m(rows) for rows in levels.values()]})
         boxes.set(xticks=range(len(levels)), xticklabels=list(levels), xlim=(-0.6, len(levels) - 0.4))
         boxes.set(xlabel="label errors r-FPR / r-FNR [%]", ylabel="center error [m]")
-        boxes.tick_params(labelleft=True)
-        boxes.set_title(f"{preset}: center error", **_TITLE)
+        top = max(top, boxes.get_ylim()[1])
+        boxes.set_title(f"\n{ours(preset)}: center error", **_TITLE)
         _draw_curves(curves, levels)
-        curves.tick_params(labelleft=True)
-        curves.set_title(f"{preset}: F1 over the threshold", **_TITLE)
+        curves.set_title(f"\n{ours(preset)}: F1 over the threshold", **_TITLE)
+    for boxes in grid[:, 0]:
+        boxes.set_ylim(0.0, top)  # one scale for all presets
     return figure
 
 

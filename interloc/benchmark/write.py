@@ -10,6 +10,7 @@ from typing import Any
 from interloc.benchmark.figures import curves_figure, drive_boxes_figure, map_figure, noise_figure
 from interloc.benchmark.record import benchmark_record
 from interloc.benchmark.row import Row
+from interloc.benchmark.run import NO_NOISE
 from interloc.benchmark.tables import Measured, Table, ours, performance_table, tables, text
 from interloc.config import DetectorConfig
 from interloc.evaluate.drawing import image, metres, percent, write_image
@@ -46,7 +47,10 @@ def write_benchmark(
     make_folder(out / "failures")
     for row in measured.rows:
         with atomic_write(out / "failures" / f"{row.cell.file_name}.json") as handle:
-            record = {**row.cell.model_dump(), "policy": row.policy, **row.failures}
+            record = {**row.cell.model_dump(), "policy": row.policy}
+            if row.cell.noise != NO_NOISE:
+                record["note"] = "`see` draws the frame without the label errors"
+            record |= row.failures
             handle.write(encode(record, indent=1).encode() + b"\n")
     record = benchmark_record(title, measured, configs, policy)
     performance, comparison, noise = tables(measured)

@@ -1,0 +1,126 @@
+"""`interloc simulate`."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.drives import open_drive
+
+FEW = ("--max-scans", 4, "--columns", 90)
+
+
+@pytest.fixture
+def street(tmp_path: Path) -> tuple[Path, Path]:
+    """A street of 200 m to the east, as a map, and a ride along it, as a CSV."""
+    osm, track = tmp_path / "street.osm", tmp_path / "ride.csv"
+    osm.write_text(
+        '<osm version="0.6"><node id="1" lat="49.0" lon="8.4"/><node id="2" lat="49.0" lon="8.4027"/>'
+        '<way id="1"><nd ref="1"/><nd ref="2"/><tag k="highway" v="residential"/></way></osm>'
+    )
+    track.write_text("lat,lon\n49.0,8.4005\n49.0,8.4022\n")
+    return osm, track
+
+
+def test_help_shows_each_use_by_example(interloc: Callable) -> None:
+    out = interloc("simulate", "--help").out
+    assert "interloc simulate town -o DRIVE" in out
+    assert "interloc simulate track --osm map.osm.gz --track ride.gpx -o DRIVE" in out
+    for command in ("town", "track", "twin"):
+        assert "Example" in interloc("simulate", command, "--help").out
+
+
+def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callable) -> None:
+    drive = tmp_path / "drive"
+    outcome = interloc("simulate", "town", "--small", "-o", drive, *FEW)
+    assert outcome.code == 0
+    assert not outcome.err  # no progress where nobody watches
+    assert "4 scans" in outcome.out
+    assert (drive / "map.osm").is_file()
+    (line,) = (line for line in outcome.out.splitlines() if line.startswith("go on"))
+    assert shlex.split(line)[2:] == [
+        *("interloc", "run", str(drive), "-o", f"{drive}_result", "--osm", str(drive / "map.osm"))
+    ]
+    opened = open_drive(drive)
+    assert opened.georeference is not None
+    assert np.linalg.norm(opened.T_world_lidar[1, :3, 3]) > 2.0  # keyframes
+
+
+def test_every_scan(tmp_path: Path, interloc: Callable) -> None:
+    drive = tmp_path / "drive"
+    assert interloc("simulate", "town", "--small", "-o", drive, "--every-scan", "--speed", 5, *FEW).code == 0
+    step = np.linalg.norm(np.diff(open_drive(drive).T_world_lidar[:, :3, 3], axis=0), axis=1)
+    assert step == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_same_seed_gives_the_same_drive(tmp_path: Path, interloc: Callable) -> None:
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        assert interloc("simulate", "town", "--small", "-o", tmp_path / name, "--seed", seed, *FEW).code == 0
+    first, second, third = ((tmp_path / name / "velodyne/000002.bin").read_bytes() for name in "abc")
+    assert first == second != third
+
+
+def test_an_exact_and_bare_world(tmp_path: Path, interloc: Callable) -> None:
+    drive = tmp_path / "drive"
+    assert interloc("simulate", "town", "--small", "-o", drive, "--exact", "--bare", "--ground-only", *FEW).code == 0
+    facts = json.loads((drive / "simulation.json").read_text())
+    assert facts["sensor"]["range_noise_m"] == facts["sensor"]["dropout"] == 0
+    assert facts["scene"]["roadside"]["buildings"] == "none"
+    labels = np.fromfile(drive / "labels/000000.label", dtype=np.uint32)
+    assert set(labels.tolist()) <= {40, 44, 48, 49, 60}
+
+
+def test_any_map_and_track(tmp_path: Path, street: tuple[Path, Path], interloc: Callable) -> None:
+    osm, track = street
+    drive = tmp_path / "drive"
+    outcome = interloc("simulate", "track", "--osm", osm, "--track", track, "-o", drive, "--offset", 1.5, *FEW)
+    assert outcome.code == 0
+    assert str(osm) in outcome.out
+    assert open_drive(drive).georeference is not None
+
+
+def test_a_track_of_another_place(tmp_path: Path, street: tuple[Path, Path], interloc: Callable) -> None:
+    osm, track = street
+    track.write_text("lat,lon\n48.0,8.4005\n48.0,8.4022\n")
+    outcome = interloc("simulate", "track", "--osm", osm, "--track", track, "-o", tmp_path / "drive")
+    assert outcome.code == 1
+    assert outcome.complaint
+    assert not (tmp_path / "drive").exists()
+
+
+@pytest.mark.parametrize("missing", ["osm", "track"])
+def test_a_missing_file_is_named(tmp_path: Path, street: tuple[Path, Path], missing: str, interloc: Callable) -> None:
+    osm, track = street
+    {"osm": osm, "track": track}[missing].unlink()
+    outcome = interloc("simulate", "track", "--osm", osm, "--track", track, "-o", tmp_path / "drive")
+    assert outcome.code == 1
+    assert str({"osm": osm, "track": track}[missing]) in outcome.complaint
+
+
+def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path, interloc: Callable) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    outcome = interloc("simulate", "town", "--small", "-o", tmp_path, *FEW)
+    assert outcome.code == 1
+    assert "It was not touched" in outcome.complaint
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_the_twin_of_an_unknown_sequence(tmp_path: Path, interloc: Callable) -> None:
+    outcome = interloc("simulate", "twin", "03", "--kitti", tmp_path, "-o", tmp_path / "drive")
+    assert outcome.code == 1
+    assert "sequence 03 has no oxts/03.txt.gz" in outcome.complaint
+
+
+def test_a_twin(tmp_path: Path, interloc: Callable) -> None:
+    kitti = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti"
+    if not kitti.is_dir():
+        pytest.skip("no KITTI tracks and maps beside the repository (shared/data/kitti)")
+    drive = tmp_path / "drive"
+    outcome = interloc("simulate", "twin", "07", "--kitti", kitti, "-o", drive, *FEW)
+    assert outcome.code == 0
+    assert len(open_drive(drive).frames) == 4
