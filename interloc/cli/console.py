@@ -13,15 +13,21 @@ import click
 
 
 def set_up_log(*, quiet: bool) -> None:
-    """Show what the library logs on stderr, a line each; only warnings with `quiet`."""
+    """Show what the library logs on stderr, a line each, warnings marked; only warnings with `quiet`."""
     logger = logging.getLogger("interloc")
     for handler in list(logger.handlers):
         logger.removeHandler(handler)
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("%(message)s"))
+    handler.setFormatter(_Formatter("%(message)s"))
     logger.addHandler(handler)
     logger.setLevel(logging.WARNING if quiet else logging.INFO)
     logger.propagate = False
+
+
+class _Formatter(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        text = super().format(record)
+        return f"{record.levelname.lower()}: {text}" if record.levelno >= logging.WARNING else text
 
 
 class Bar:

@@ -1,0 +1,202 @@
+"""A drive through one X junction with its own little map, and the command line to run on it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interloc.cli.main import run
+from interloc.geometry import lonlat_from_enu
+
+LAT_DEG, LON_DEG = 49.0, 8.4
+SPACING_M = 0.6  # between scans; every fourth one is a keyframe
+SCANS = 210
+CROSSING_M = (60.0, 0.0)
+CROSSING_RAD = np.radians(70.0)
+
+T_CAM_LIDAR = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0.0, 0.0, 0.0, 1.0]])
+"""KITTI's, rounded."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """The one JSON object on stdout."""
+        value = json.loads(self.out)
+        assert isinstance(value, dict)
+        return value
+
+    @property
+    def complaint(self) -> str:
+        """The one line on stderr of a command that failed."""
+        assert self.code != 0
+        assert "Traceback" not in self.err
+        (line,) = self.err.splitlines()
+        return line
+
+
+Interloc = Callable[..., Outcome]
+
+
+@pytest.fixture
+def interloc(capfd: pytest.CaptureFixture[str]) -> Interloc:
+    """Run a command in this process."""
+
+    def call(*arguments: object) -> Outcome:
+        capfd.readouterr()
+        code = run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return Outcome(code, out, err)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def command() -> tuple[str, ...]:
+    """The console script, for a process of its own."""
+    return (sys.executable, "-c", "from interloc.cli.main import main; main()")
+
+
+@pytest.fixture(scope="session")
+def environment() -> dict[str, str]:
+    """Variables of a process that shows its own faults and no others."""
+    return {**os.environ, "PYTHONWARNINGS": "error", "INTERLOC_DEBUG": ""}
+
+
+def camera_pose(x_m: float) -> np.ndarray:
+    """Pose of the camera of a vehicle that has driven so far along x, as poses.txt has it."""
+    pose = np.eye(4)
+    pose[0, 3] = x_m
+    return T_CAM_LIDAR @ pose @ np.linalg.inv(T_CAM_LIDAR)
+
+
+def scan_at(x_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the plane within 35 m, and their labels: road, sidewalk beside it, terrain."""
+    x, y = np.meshgrid(np.arange(-48, 176, 0.8), np.arange(-48, 48, 0.8))
+    near = np.hypot(x - x_m, y) < 35
+    x, y = x[near], y[near]
+    across = np.abs((x - CROSSING_M[0]) * np.sin(CROSSING_RAD) - (y - CROSSING_M[1]) * np.cos(CROSSING_RAD))
+    aside = np.minimum(np.abs(y), across)
+    points = np.stack([x - x_m, y, np.full_like(x, -1.73), np.full_like(x, 0.3)], axis=1)
+    labels = np.where(aside < 5, 40, np.where(aside < 7, 48, 72))
+    return points.astype(np.float32), labels.astype(np.uint32)
+
+
+def write_drive(root: Path) -> Path:
+    """Write the drive in SemanticKITTI layout, without a georeference."""
+    (root / "velodyne").mkdir(parents=True)
+    (root / "labels").mkdir()
+    lines = []
+    for frame in range(SCANS):
+        points, labels = scan_at(frame * SPACING_M)
+        points.tofile(root / f"velodyne/{frame:06d}.bin")
+        labels.tofile(root / f"labels/{frame:06d}.label")
+        lines.append(" ".join(f"{value:.9e}" for value in camera_pose(frame * SPACING_M)[:3].ravel()))
+    (root / "poses.txt").write_text("\n".join(lines) + "\n")
+    (root / "calib.txt").write_text("Tr: " + " ".join(f"{value:.9e}" for value in T_CAM_LIDAR[:3].ravel()) + "\n")
+    (root / "times.txt").write_text("".join(f"{0.1 * frame:.6e}\n" for frame in range(SCANS)))
+    return root
+
+
+def write_geo_csv(path: Path) -> Path:
+    """Write fixes of a vehicle that drives east."""
+    east = np.stack([np.arange(SCANS) * SPACING_M, np.zeros(SCANS)], axis=1)
+    rows = ["frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad"]
+    for frame, (lon, lat) in enumerate(lonlat_from_enu(LAT_DEG, LON_DEG, east)):
+        rows.append(f"{frame},{lat:.10f},{lon:.10f},110,0,0,0")
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def osm_text() -> str:
+    """Map of the two streets, and of one that leaves the extract: its last node is missing."""
+    c, s = np.cos(CROSSING_RAD), np.sin(CROSSING_RAD)
+    x, y = CROSSING_M
+    enu = [(-50.0, 0.0), CROSSING_M, (190.0, 0.0), (x - 80 * c, y - 80 * s), (x + 80 * c, y + 80 * s)]
+    nodes = [
+        f'<node id="{number}" lat="{lat:.9f}" lon="{lon:.9f}"/>'
+        for number, (lon, lat) in enumerate(lonlat_from_enu(LAT_DEG, LON_DEG, np.array(enu)), 1)
+    ]
+    ways = [
+        f'<way id="{number}">{"".join(f"<nd ref={chr(34)}{ref}{chr(34)}/>" for ref in refs)}'
+        '<tag k="highway" v="residential"/></way>'
+        for number, refs in enumerate([(1, 2, 3), (4, 2, 5)], 10)
+    ]
+    return "\n".join(['<?xml version="1.0"?>', '<osm version="0.6">', *nodes, *ways, "</osm>", ""])
+
+
+@pytest.fixture(scope="session")
+def local_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The drive without a georeference. Shared: do not change it."""
+    return write_drive(tmp_path_factory.mktemp("drives") / "local")
+
+
+@pytest.fixture(scope="session")
+def drive(local_drive: Path) -> Path:
+    """The drive with a geo.csv. Shared: do not change it."""
+    root = local_drive.parent / "crossing"
+    shutil.copytree(local_drive, root, copy_function=os.link)
+    write_geo_csv(root / "geo.csv")
+    return root
+
+
+@pytest.fixture(scope="session")
+def osm(drive: Path) -> Path:
+    """Map of the drive. Shared: do not change it."""
+    path = drive.parent / "map.osm"
+    path.write_text(osm_text())
+    return path
+
+
+@pytest.fixture
+def short_drive(drive: Path, tmp_path: Path) -> Path:
+    """The first 16 scans, to be damaged."""
+    root = tmp_path / "short"
+    for folder, suffix in (("velodyne", "bin"), ("labels", "label")):
+        (root / folder).mkdir(parents=True)
+        for frame in range(16):
+            shutil.copy(drive / folder / f"{frame:06d}.{suffix}", root / folder)
+    for name, lines in (("poses.txt", 16), ("times.txt", 16), ("geo.csv", 17), ("calib.txt", 1)):
+        text = (drive / name).read_text().splitlines(keepends=True)
+        (root / name).write_text("".join(text[:lines]))
+    return root
+
+
+@pytest.fixture
+def data() -> Callable[[str], Path]:
+    """Find a folder or file of the real data beside the project, or skip."""
+    root = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+
+    def find(name: str) -> Path:
+        path = root / name
+        if not path.exists():
+            pytest.skip(f"real data not here: {name}")
+        return path
+
+    return find
+
+
+@pytest.fixture
+def strict_json() -> Callable[[Path], Any]:
+    """Read JSON as the standard has it: no NaN, no infinity."""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+
+    return lambda path: json.loads(path.read_text(), parse_constant=refuse)

@@ -1,0 +1,63 @@
+"""`interloc config`: the settings of a preset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from interloc.config import DEFAULT, PAPER, parse_config
+
+
+@pytest.mark.parametrize(("arguments", "preset"), [([], DEFAULT), (["--preset", "paper"], PAPER)])
+def test_the_output_is_the_preset(arguments: list[str], preset: object, interloc: Callable) -> None:
+    outcome = interloc("config", *arguments)
+    assert outcome.code == 0
+    assert parse_config(outcome.json) == preset
+
+
+def test_the_paper_preset_is_table_1_of_the_paper(interloc: Callable) -> None:
+    paper = interloc("config", "--preset", "paper").json
+    assert (paper["keyframes"]["distance_m"], paper["keyframes"]["angle_deg"]) == (2.0, 5.0)
+    assert paper["keyframes"]["window"] == 20
+    bev = paper["bev"]
+    assert (bev["size_m"], bev["resolution_m"], bev["min_points"], bev["adaptive"]) == (120.0, 0.16, 5, False)
+    branches = paper["branches"]
+    assert (branches["inner_radius_m"], branches["outer_radius_m"], branches["min_branches"]) == (10.0, 40.0, 3)
+
+
+def test_settings_replace_values_of_the_preset(interloc: Callable) -> None:
+    changed = interloc("config", "--set", "bev.resolution_m=0.25", "--set", "keyframes.lookahead=0").json
+    assert changed["bev"]["resolution_m"] == 0.25
+    assert changed["keyframes"]["lookahead"] == 0
+    assert changed["preset"] == "default"
+
+
+def test_a_setting_can_be_none(interloc: Callable) -> None:
+    assert interloc("config", "--set", "branches.inner_widths=null").json["branches"]["inner_widths"] is None
+
+
+def test_the_schema_explains_every_setting(interloc: Callable) -> None:
+    schema = interloc("config", "--schema").json
+    resolution = schema["$defs"]["BevConfig"]["properties"]["resolution_m"]
+    assert resolution["description"]
+    assert resolution["minimum"] == 0.05
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("bev.resolution_m", "expected section.name=value"),
+        ("bev.nope=1", "bev.nope"),
+        ("nope.size_m=1", "there is no section 'nope'"),
+        ("bev.resolution_m=fine", "bev.resolution_m"),
+        ("bev.resolution_m=0.001", "greater than or equal to 0.05"),
+        ("bev.resolution_m=NaN", "bev.resolution_m"),
+        ("bev.size_m=60", "branches.outer_radius_m (40.0) must be less than half of bev.size_m (60.0)"),
+    ],
+)
+def test_a_setting_that_has_no_meaning_is_wrong_usage(setting: str, says: str, interloc: Callable) -> None:
+    outcome = interloc("config", "--set", setting)
+    assert outcome.code == 2
+    assert says in outcome.complaint
+    assert not outcome.out

@@ -1,0 +1,160 @@
+"""`interloc detect`: from a drive to a result folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+FILES = {"detections", "keyframes", "intersections", "trajectory"}
+
+
+@pytest.fixture(scope="module")
+def crossing_m() -> tuple[float, float]:
+    """Where the streets cross, in W."""
+    return 60.0, 0.0
+
+
+def test_the_files_of_the_contract(interloc: Callable, drive: Path, tmp_path: Path, strict_json: Callable) -> None:
+    out = tmp_path / "out"
+    outcome = interloc("detect", drive, "-o", out)
+    assert outcome.code == 0
+    assert not outcome.err
+    assert {path.name for path in out.iterdir()} == {f"{name}.geojson" for name in FILES} | {"run.json"}
+    detections = strict_json(out / "detections.geojson")["features"]
+    assert len(detections) > 20
+    assert detections[0]["properties"].keys() >= {
+        *("frame", "x_m", "y_m", "world_x_m", "world_y_m", "branch_count", "branch_bearings_deg"),
+        *("score", "intersection"),
+    }
+    keyframes = strict_json(out / "keyframes.geojson")["features"]
+    assert [k["properties"]["frame"] for k in keyframes] == list(range(0, 210, 4))
+    assert keyframes[0]["properties"].keys() >= {"frame", "time_s", "heading_deg", "detections"}
+    assert sum(k["properties"]["detections"] for k in keyframes) == len(detections)
+    (line,) = strict_json(out / "trajectory.geojson")["features"]
+    assert line["geometry"]["type"] == "LineString"
+
+
+def test_the_junction_is_found(
+    interloc: Callable, drive: Path, tmp_path: Path, strict_json: Callable, crossing_m: tuple[float, float]
+) -> None:
+    interloc("detect", drive, "-o", tmp_path / "out")
+    (intersection,) = strict_json(tmp_path / "out" / "intersections.geojson")["features"]
+    facts = intersection["properties"]
+    assert facts.keys() >= {
+        *("id", "observations", "position_std_m", "branch_count", "branch_bearings_deg"),
+        *("first_frame", "last_frame", "confidence"),
+    }
+    assert np.hypot(facts["world_x_m"] - crossing_m[0], facts["world_y_m"] - crossing_m[1]) < 0.5
+    assert sorted(facts["branch_bearings_deg"]) == pytest.approx([20, 90, 200, 270], abs=3)
+    lon, lat = intersection["geometry"]["coordinates"]
+    assert (lon, lat) == (pytest.approx(8.4008206, abs=1e-5), pytest.approx(49.0, abs=1e-5))
+
+
+def test_run_json_tells_what_the_run_was(
+    interloc: Callable, drive: Path, tmp_path: Path, strict_json: Callable
+) -> None:
+    interloc("detect", drive, "-o", tmp_path / "out", "--set", "bev.resolution_m=0.2")
+    run = strict_json(tmp_path / "out" / "run.json")
+    assert run["config"]["bev"]["resolution_m"] == 0.2
+    assert (run["scans"], run["keyframes"], run["drive"]) == (210, 53, "crossing")
+    assert run["versions"].keys() >= {"interloc", "numpy", "numba", "python"}
+    assert run["stage_seconds"].keys() >= {"read", "accumulate", "bev", "occupancy", "centerline", "candidates"}
+    assert run["peak_memory_bytes"] > 1e7
+
+
+def test_the_paper_preset_finds_it_too(
+    interloc: Callable, drive: Path, tmp_path: Path, strict_json: Callable, crossing_m: tuple[float, float]
+) -> None:
+    assert interloc("detect", drive, "-o", tmp_path / "out", "--preset", "paper").code == 0
+    assert strict_json(tmp_path / "out" / "run.json")["config"]["preset"] == "paper"
+    (intersection,) = strict_json(tmp_path / "out" / "intersections.geojson")["features"]
+    facts = intersection["properties"]
+    assert np.hypot(facts["world_x_m"] - crossing_m[0], facts["world_y_m"] - crossing_m[1]) < 1.0
+
+
+def test_without_georeference_nothing_pretends_to_be_degrees(
+    interloc: Callable, local_drive: Path, tmp_path: Path, strict_json: Callable, crossing_m: tuple[float, float]
+) -> None:
+    out = tmp_path / "out"
+    outcome = interloc("detect", local_drive, "-o", out)
+    assert outcome.code == 0
+    assert "none: positions are metres in the frame of the first scan" in outcome.out
+    assert {path.name for path in out.iterdir()} == {f"{name}.local.json" for name in FILES} | {"run.json"}
+    intersections = strict_json(out / "intersections.local.json")
+    assert intersections["local"]
+    assert "crs" not in intersections
+    (intersection,) = intersections["features"]
+    assert intersection["geometry"]["coordinates"] == pytest.approx(crossing_m, abs=0.5)
+
+
+def test_two_processes_give_the_same_bytes(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    every_scan = ("--set", "keyframes.distance_m=0.5")  # enough keyframes that two processes share them
+    for workers in (1, 2):
+        arguments = ("detect", drive, "-o", tmp_path / str(workers), "--workers", workers, *every_scan)
+        assert interloc(*arguments).code == 0
+    for name in sorted(FILES):
+        one, two = ((tmp_path / str(workers) / f"{name}.geojson").read_bytes() for workers in (1, 2))
+        assert one == two, name
+    assert b'"workers": 2' in (tmp_path / "2" / "run.json").read_bytes()
+
+
+def test_a_second_run_replaces_the_first(interloc: Callable, local_drive: Path, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    interloc("detect", local_drive, "-o", out)
+    (out / "notes.txt").write_text("mine")
+    assert interloc("detect", drive, "-o", out).code == 0
+    names = {path.name for path in out.iterdir()}
+    assert names == {f"{name}.geojson" for name in FILES} | {"run.json", "notes.txt"}
+
+
+def test_a_folder_of_somebody_else_is_refused(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    outcome = interloc("detect", drive, "-o", tmp_path)
+    assert outcome.code == 1
+    assert "is no InterLoc result: it holds thesis.tex but no run.json. It was not touched." in outcome.complaint
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_the_drive_itself_is_refused_as_output(interloc: Callable, short_drive: Path) -> None:
+    before = sorted(short_drive.rglob("*"))
+    assert interloc("detect", short_drive, "-o", short_drive).code == 1
+    assert sorted(short_drive.rglob("*")) == before
+
+
+def test_json_is_one_object(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    outcome = interloc("detect", drive, "-o", tmp_path / "out", "--json")
+    assert outcome.json.keys() >= {"out", "drive", "detections", "intersections", "georeferenced", "keyframes"}
+    assert outcome.json["intersections"] == 1
+    assert not outcome.err
+
+
+def test_quiet_says_nothing(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    outcome = interloc("detect", drive, "-o", tmp_path / "out", "--quiet")
+    assert (outcome.code, outcome.out, outcome.err) == (0, "", "")
+
+
+def test_a_setting_that_does_not_exist_is_wrong_usage(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    outcome = interloc("detect", drive, "-o", tmp_path / "out", "--set", "bev.nope=1")
+    assert outcome.code == 2
+    assert "bev.nope" in outcome.complaint
+    assert not list(tmp_path.iterdir())
+
+
+def test_labels_of_another_folder_and_scheme(interloc: Callable, short_drive: Path, tmp_path: Path) -> None:
+    for path in (short_drive / "labels").iterdir():
+        labels = np.fromfile(path, np.uint32)
+        np.where(labels == 40, 3, 1).astype(np.uint32).tofile(path)
+    (short_drive / "labels").rename(short_drive / "predictions")
+    options = ("--labels", "predictions", "--label-scheme", "3")
+    assert interloc("detect", short_drive, "-o", tmp_path / "out", *options).code == 0
+    assert "predictions" in interloc("detect", short_drive, "-o", tmp_path / "other").complaint
+
+
+def test_a_real_excerpt(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:
+    outcome = interloc("detect", data("semantickitti_mini/sequences/07"), "-o", tmp_path / "out", "--json")
+    assert outcome.code == 0
+    assert outcome.json["scans"] == 10
+    assert outcome.json["georeferenced"] is False

@@ -1,0 +1,115 @@
+"""`interloc evaluate`: a result folder against OpenStreetMap."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from interloc.cli.main import run
+
+REPORT = {"report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "figures"}
+
+
+@pytest.fixture(scope="module")
+def detected(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result folder, to be copied."""
+    out = tmp_path_factory.mktemp("detected") / "out"
+    assert run(["detect", str(drive), "-o", str(out), "--quiet"]) == 0
+    return out
+
+
+@pytest.fixture
+def out(detected: Path, tmp_path: Path) -> Path:
+    """A result folder of one's own."""
+    return Path(shutil.copytree(detected, tmp_path / "out"))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_report_joins_the_result(interloc: Callable, out: Path, osm: Path) -> None:
+    before = contents(out)
+    outcome = interloc("evaluate", out, "--osm", osm)
+    assert outcome.code == 0
+    assert {path.name for path in out.iterdir()} == set(before) | REPORT
+    assert before.items() <= contents(out).items()
+    facts = dict(line.split("  ", 1) for line in outcome.out.splitlines())
+    assert facts["nodes found"].strip() == "1 of 1"
+    assert facts["policy"].strip() == "drive: 1 OSM nodes in the relevant zone"
+
+
+@pytest.mark.parametrize("policy", ["drive+service", "consolidated"])
+def test_the_policy_is_saved(policy: str, interloc: Callable, out: Path, osm: Path, strict_json: Callable) -> None:
+    assert interloc("evaluate", out, "--osm", osm, "--policy", policy, "--tolerance", 12).code == 0
+    report = strict_json(out / "report.json")
+    assert report["policy"] == policy
+    assert report["tolerance_m"] == (12 if policy == "consolidated" else None)
+    assert report["nodes_found"] == 1
+
+
+def test_a_second_evaluation_replaces_the_first(
+    interloc: Callable, out: Path, osm: Path, strict_json: Callable
+) -> None:
+    quiet = interloc("evaluate", out, "--osm", osm, "--policy", "all", "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    (out / "notes.txt").write_text("mine")
+    outcome = interloc("evaluate", out, "--osm", osm, "--json")
+    assert outcome.json == strict_json(out / "report.json")
+    assert outcome.json["policy"] == "drive"
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_a_folder_that_is_no_result_is_refused(interloc: Callable, tmp_path: Path, osm: Path) -> None:
+    assert "is no InterLoc result: it has no run.json" in interloc("evaluate", tmp_path, "--osm", osm).complaint
+    assert "is no folder" in interloc("evaluate", tmp_path / "none", "--osm", osm).complaint
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_result_is_refused(interloc: Callable, out: Path, osm: Path) -> None:
+    path = out / "detections.geojson"
+    path.write_bytes(path.read_bytes()[:-100])
+    before = contents(out)
+    assert "detections.geojson" in interloc("evaluate", out, "--osm", osm).complaint
+    assert contents(out) == before
+
+
+def test_local_coordinates_are_refused_in_words(
+    interloc: Callable, local_drive: Path, tmp_path: Path, osm: Path
+) -> None:
+    out = tmp_path / "out"
+    interloc("detect", local_drive, "-o", out)
+    before = contents(out)
+    outcome = interloc("evaluate", out, "--osm", osm)
+    assert outcome.code == 1
+    assert "the run has no georeference" in outcome.complaint
+    assert "--oxts" in outcome.complaint
+    assert contents(out) == before
+
+
+def test_a_map_of_another_place_is_refused(interloc: Callable, out: Path, osm: Path) -> None:
+    elsewhere = out.parent / "elsewhere.osm"
+    elsewhere.write_text(osm.read_text().replace('lat="49.', 'lat="48.').replace('lat="48.9', 'lat="47.9'))
+    before = contents(out)
+    assert "elsewhere.osm" in interloc("evaluate", out, "--osm", elsewhere).complaint
+    assert contents(out) == before
+
+
+def test_an_older_report_survives_a_failure(
+    interloc: Callable, out: Path, osm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interloc("evaluate", out, "--osm", osm)
+    before = contents(out)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("interloc.evaluate.report.render_html", interrupt)  # the figures are written by then
+    outcome = interloc("evaluate", out, "--osm", osm, "--policy", "all")
+    assert outcome.code == 1
+    assert outcome.err.strip() == "interloc: interrupted; nothing was written"
+    assert contents(out) == before
+    assert [path.name for path in out.parent.iterdir()] == ["out"]

@@ -1,0 +1,52 @@
+"""`interloc explain`: the pictures of one keyframe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import pytest
+
+PICTURES = [
+    *("1_road_points.png", "2_panoramic_scan.png", "3_bev.png", "4_occupancy.png", "5_centerline.png"),
+    *("6_candidates.png", "7_refinement.png", "overview.png"),
+]
+
+
+def test_the_steps_of_a_keyframe(interloc: Callable, drive: Path, tmp_path: Path, strict_json: Callable) -> None:
+    out = tmp_path / "steps"
+    outcome = interloc("explain", drive, "--frame", 101, "-o", out)
+    assert outcome.code == 0
+    assert "keyframe 26 of 53 is scan 100" in outcome.err
+    assert [Path(line) for line in outcome.out.splitlines()] == [out / name for name in (*PICTURES, "explain.json")]
+    for name in PICTURES:
+        assert cv2.imread(str(out / name)).std() > 1, name  # something is drawn
+    assert strict_json(out / "explain.json")["keyframe"] == 25
+
+
+def test_again_with_the_map_on_top(interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
+    out = tmp_path / "steps"
+    quiet = interloc("explain", drive, "--frame", 0, "-o", out, "--preset", "paper", "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    outcome = interloc("explain", drive, "--frame", 100, "-o", out, "--osm", osm, "--json")
+    assert [Path(name).name for name in outcome.json["files"]] == [*PICTURES, "explain.json"]
+
+
+@pytest.mark.parametrize("frame", [-1, 210])
+def test_a_scan_that_the_drive_does_not_have(frame: int, interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    outcome = interloc("explain", drive, "--frame", frame, "-o", tmp_path / "steps")
+    assert outcome.code == 2
+    assert "crossing has the scans 0 to 209" in outcome.complaint
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_somebody_else_is_refused(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    assert "is no InterLoc result" in interloc("explain", drive, "--frame", 0, "-o", tmp_path, "--quiet").complaint
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_real_scan(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:
+    arguments = ("explain", data("semantickitti_mini/sequences/07"), "--frame", 5, "-o", tmp_path / "steps", "--quiet")
+    assert interloc(*arguments).code == 0

@@ -1,0 +1,70 @@
+"""`interloc info`: what is in a drive, and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+
+def test_a_sound_drive_at_a_glance(interloc: Callable, drive: Path) -> None:
+    outcome = interloc("info", drive)
+    assert outcome.code == 0
+    assert not outcome.err
+    facts = dict(line.split(maxsplit=1) for line in outcome.out.splitlines() if not line.startswith("This"))
+    assert facts["layout"] == "semantickitti"
+    assert facts["scans"].startswith("210 (frames 0 to 209), about 6,0")
+    assert facts["poses"].startswith("210, camera frame: it moves along its z axis")
+    assert facts["way"] == "125 m, 0.6 m between scans, 21 s"
+    assert facts["labels"] == "labels, scheme semantickitti, 25 % road"
+    assert facts["georeference"].startswith("geo.csv")
+    assert outcome.out.endswith("This drive can be used.\n")
+
+
+def test_without_georeference_it_says_why(interloc: Callable, local_drive: Path) -> None:
+    outcome = interloc("info", local_drive)
+    assert outcome.code == 0
+    assert "none: the drive has neither oxts/ nor geo.csv" in outcome.out
+
+
+def test_json_is_one_object(interloc: Callable, drive: Path) -> None:
+    outcome = interloc("info", drive, "--json", "--thorough")
+    assert outcome.code == 0
+    assert not outcome.err
+    facts = outcome.json
+    assert facts["ok"] is True
+    assert (facts["scans"], facts["poses"], facts["pose_frame"]) == (210, 210, "camera")
+    assert facts["looked_into"] == 210
+    assert facts["problems"] == []
+
+
+def test_a_drive_that_cannot_be_used(interloc: Callable, short_drive: Path) -> None:
+    damaged = short_drive / "velodyne" / "000004.bin"
+    damaged.write_bytes(damaged.read_bytes()[:-7])
+    (short_drive / "labels" / "000009.label").write_bytes(b"1234")
+    outcome = interloc("info", short_drive)
+    assert outcome.code == 1
+    errors = [line for line in outcome.out.splitlines() if line.startswith("ERROR: ")]
+    assert [error.split(": ")[1] for error in errors] == ["velodyne/000004.bin", "labels/000009.label"]
+    assert outcome.out.endswith("This drive cannot be used as it is.\n")
+    assert not outcome.err
+
+
+def test_a_drive_that_cannot_be_used_as_json(interloc: Callable, tmp_path: Path) -> None:
+    outcome = interloc("info", tmp_path, "--json")
+    assert outcome.code == 1
+    assert outcome.json["ok"] is False
+    assert [problem["severity"] for problem in outcome.json["problems"]] == ["error"]
+
+
+def test_a_drive_that_is_not_there(interloc: Callable, tmp_path: Path) -> None:
+    outcome = interloc("info", tmp_path / "none")
+    assert outcome.code == 1
+    assert "does not exist. Expected the folder of one drive." in outcome.out
+
+
+def test_a_real_excerpt_is_explained(interloc: Callable, data: Callable[[str], Path]) -> None:
+    outcome = interloc("info", data("semantickitti_mini/sequences/07"))
+    assert outcome.code == 0
+    assert "10 (frames 0 to 9)" in outcome.out
+    assert "camera frame" in outcome.out
+    assert "1,101 poses for 10 scans; the poses of other frames are not used." in outcome.out

@@ -1,0 +1,178 @@
+"""The group: help, exit codes, and what only a process of its own shows."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+COMMANDS = ["info", "detect", "evaluate", "run", "explain", "robustness", "simulate", "benchmark", "config"]
+
+
+def test_help_lists_the_commands(interloc: Callable) -> None:
+    outcome = interloc("--help")
+    assert outcome.code == 0
+    listed = [line.split()[0] for line in outcome.out.split("Commands:")[1].splitlines() if line.strip()]
+    assert [name for name in listed if name in COMMANDS] == COMMANDS
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_explains_itself(command: str, interloc: Callable) -> None:
+    outcome = interloc(command, "--help")
+    assert outcome.code == 0
+    assert "Example" in outcome.out or command in {"simulate", "benchmark"}
+
+
+def test_version(interloc: Callable) -> None:
+    outcome = interloc("--version")
+    assert outcome.code == 0
+    assert outcome.out.startswith("InterLoc ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nonsense"], "No such command 'nonsense'"),
+        (["detect"], "Missing argument 'DRIVE'"),
+        (["detect", "drive"], "Missing option '-o'"),
+        (["detect", "drive", "-o", "out", "--preset", "best"], "'best' is not one of 'default', 'paper'"),
+        (["detect", "drive", "-o", "out", "--workers", "0"], "0 is not in the range"),
+        (["run", "drive", "-o", "out"], "one of --osm FILE and --overpass"),
+        (["run", "drive", "-o", "out", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
+        (["evaluate", "out"], "one of --osm FILE and --overpass"),
+        (["evaluate", "out", "--osm", "map.osm", "--policy", "mine"], "'mine' is not one of"),
+        (["explain", "drive", "-o", "out"], "Missing option '--frame'"),
+    ],
+)
+def test_wrong_usage_is_exit_code_2(arguments: list[str], says: str, interloc: Callable) -> None:
+    outcome = interloc(*arguments)
+    assert outcome.code == 2
+    assert says in outcome.err
+    assert not outcome.out
+
+
+def test_a_fault_of_our_own_is_one_line(interloc: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr("interloc.drives.inspect.inspect_drive", broken)
+    assert "a fault of InterLoc itself: ZeroDivisionError: division by zero" in interloc("info", "drive").complaint
+    monkeypatch.setenv("INTERLOC_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        interloc("info", "drive")
+
+
+def test_no_slow_import_before_a_command_needs_it(environment: dict[str, str]) -> None:
+    code = (
+        "import sys; from interloc.cli.main import run; code = run(['--help']);"
+        "slow = {'numba', 'numpy', 'scipy', 'matplotlib', 'osmnx', 'pydantic', 'osmium', 'cv2'} & sys.modules.keys();"
+        "print('slow imports:', sorted(slow), file=sys.stderr); sys.exit(code)"
+    )
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    assert process.stderr == "slow imports: []\n"
+
+
+def test_exit_code_of_the_process(command: tuple[str, ...], environment: dict[str, str], tmp_path: Path) -> None:
+    for arguments, code in ((["--version"], 0), (["info", str(tmp_path / "none")], 1), (["info"], 2)):
+        process = subprocess.run([*command, *arguments], capture_output=True, text=True, env=environment, check=False)
+        assert process.returncode == code
+        assert "Traceback" not in process.stderr
+
+
+def test_the_console_script(tmp_path: Path) -> None:
+    script = Path(sys.executable).with_name("interloc")
+    if not script.exists():
+        pytest.skip("interloc is not installed, only importable")
+    process = subprocess.run([script, "info", tmp_path], capture_output=True, text=True, check=False)
+    assert process.returncode == 1
+    assert "This drive cannot be used" in process.stdout
+
+
+def test_a_reader_that_went_away_is_no_error(command: tuple[str, ...], environment: dict[str, str]) -> None:
+    with subprocess.Popen(
+        [*command, "config", "--schema"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() == 1
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_output_that_cannot_be_written(command: tuple[str, ...], environment: dict[str, str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        process = subprocess.run(
+            [*command, "config"], stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False
+        )
+    assert process.returncode == 1
+    assert process.stderr == "interloc: the output could not be written: no space left on device\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals and terminals of Unix")
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_that_is_stopped_leaves_nothing(
+    stop: signal.Signals, command: tuple[str, ...], environment: dict[str, str], drive: Path, tmp_path: Path
+) -> None:
+    arguments = ["detect", str(drive), "-o", "out", "--workers", "1", "--set", "keyframes.distance_m=0.1"]
+    with subprocess.Popen(
+        [*command, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.iterdir()):  # its temporary folder: detection has begun
+            assert time.monotonic() < deadline
+            assert process.poll() is None
+            time.sleep(0.005)
+        process.send_signal(stop)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert err.strip() == "interloc: interrupted; nothing was written"
+    assert not out
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals and terminals of Unix")
+def test_progress_is_shown_on_a_terminal_only(
+    command: tuple[str, ...], environment: dict[str, str], drive: Path, tmp_path: Path
+) -> None:
+    detect = [*command, "detect", str(drive), "--workers", "1"]
+    shown = stderr_on_terminal([*detect, "-o", str(tmp_path / "a")], environment)
+    assert "detect" in shown
+    assert "keyframe" in shown
+    assert not stderr_on_terminal([*detect, "-o", str(tmp_path / "b"), "--quiet"], environment)
+    piped = subprocess.run([*detect, "-o", str(tmp_path / "c")], capture_output=True, env=environment, check=True)
+    assert piped.stderr == b""
+
+
+def stderr_on_terminal(arguments: list[str], environment: dict[str, str]) -> str:
+    """Run a command whose stderr is a terminal, and return what it shows there."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+    try:
+        with subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=theirs, env=environment) as process:
+            os.close(theirs)
+            shown = b""
+            while True:
+                select.select([ours], [], [], 60)
+                try:
+                    piece = os.read(ours, 65536)
+                except OSError:  # the other end was closed
+                    break
+                if not piece:
+                    break
+                shown += piece
+        assert process.returncode == 0
+    finally:
+        os.close(ours)
+    return shown.decode()

@@ -1,0 +1,49 @@
+"""`interloc robustness`: the paper's experiment on label errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+
+def test_two_levels(interloc: Callable, drive: Path, osm: Path, tmp_path: Path, strict_json: Callable) -> None:
+    out = tmp_path / "out"
+    outcome = interloc("robustness", drive, "-o", out, "--osm", osm, "--levels", "0/0, 20/20")
+    assert outcome.code == 0
+    assert [line.split()[0] for line in outcome.out.splitlines()] == ["r-FPR/r-FNR", "0/0", "20/20", "report"]
+    assert {path.name for path in out.iterdir()} == {"robustness.json", "robustness.html", "figures"}
+    clean, noisy = strict_json(out / "robustness.json")["levels"]
+    assert (clean["level"], noisy["level"]) == ("0/0", "20/20")
+    assert clean["paper_ace_m"] == 1.86
+    assert clean["precision"] == clean["recall"] == 1.0
+    assert clean["ace_m"] <= noisy["ace_m"] < 2.0
+
+
+def test_the_same_seed_gives_the_same_figures(interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
+    def levels(name: str, seed: int) -> object:
+        options = ("--levels", "20/20", "--seed", seed, "--json", "--set", "bev.resolution_m=0.3")
+        return interloc("robustness", drive, "-o", tmp_path / name, "--osm", osm, *options).json["levels"]
+
+    assert levels("a", 1) == levels("b", 1) != levels("c", 2)
+
+
+@pytest.mark.parametrize("level", ["5-5", "500/5", "5/", "-5/5", "nan/0", ""])
+def test_a_level_that_has_no_meaning(level: str, interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
+    outcome = interloc("robustness", drive, "-o", tmp_path / "out", "--osm", osm, "--levels", level)
+    assert outcome.code == 2
+    assert "Expected r-FPR/r-FNR in percent, such as 5/20." in outcome.complaint
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_georeference_it_refuses(interloc: Callable, local_drive: Path, osm: Path, tmp_path: Path) -> None:
+    outcome = interloc("robustness", local_drive, "-o", tmp_path / "out", "--osm", osm)
+    assert "the drive has no georeference" in outcome.complaint
+
+
+def test_a_result_of_detect_is_not_replaced(interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
+    interloc("detect", drive, "-o", tmp_path / "out")
+    outcome = interloc("robustness", drive, "-o", tmp_path / "out", "--osm", osm, "--levels", "0/0")
+    assert outcome.code == 1
+    assert (tmp_path / "out" / "run.json").exists()

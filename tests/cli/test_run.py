@@ -1,0 +1,135 @@
+"""`interloc run`: detect and evaluate in one go."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from interloc.cli.main import run
+
+FILES = {
+    *("detections.geojson", "keyframes.geojson", "trajectory.geojson", "intersections.geojson", "run.json"),
+    *("report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "figures"),
+}
+REPORT_FIELDS = {
+    *("policy", "osm", "keyframes", "detections", "matched", "ace_m", "ace_tp_m", "median_m", "p95_m", "rmse_m"),
+    *("tp", "fp", "fn", "precision", "recall", "f1", "roi_m", "relevant_zone_m", "nodes_in_zone", "nodes_found"),
+    "map_level",
+}
+
+
+@pytest.fixture(scope="module")
+def out(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result folder of a run. Shared: do not change it."""
+    folder = tmp_path_factory.mktemp("run") / "out"
+    assert run(["run", str(drive), "-o", str(folder), "--osm", str(osm), "--quiet"]) == 0
+    return folder
+
+
+def test_all_files_are_there_and_can_be_read(out: Path, strict_json: Callable) -> None:
+    assert {path.name for path in out.iterdir()} == FILES
+    for path in out.glob("*json"):
+        assert strict_json(path)
+    assert {path.suffix for path in (out / "figures").iterdir()} == {".png", ".svg"}
+    page = (out / "report.html").read_text()
+    assert "<svg" in page or "data:image" in page
+    assert "crossing" in page
+
+
+def test_the_report_has_the_fields_of_the_contract(out: Path, strict_json: Callable) -> None:
+    report = strict_json(out / "report.json")
+    assert report.keys() >= REPORT_FIELDS
+    assert report["osm"].keys() >= {"source", "date", "nodes"}
+    thresholds = {f"{0.5 * i:.1f}" for i in range(1, 21)} | {"6.9", "13.3"}
+    for name in ("tp", "fp", "fn", "precision", "recall", "f1"):
+        assert report[name].keys() == thresholds
+    assert (report["policy"], report["roi_m"], report["relevant_zone_m"]) == ("drive", 120.0, 40.0)
+    assert (report["nodes_found"], report["nodes_in_zone"]) == (1, 1)
+    assert report["precision"]["5.0"] == report["recall"]["5.0"] == 1.0
+    assert report["ace_m"] < 1.0
+    assert report["map_level"]["precision"] == report["map_level"]["recall"] == 1.0
+
+
+def test_matches_lead_to_the_node(out: Path, strict_json: Callable) -> None:
+    (node,) = strict_json(out / "osm_nodes.geojson")["features"]
+    matches = strict_json(out / "matches.geojson")["features"]
+    assert len(matches) > 20
+    for match in matches:
+        assert match["geometry"]["coordinates"][1] == pytest.approx(node["geometry"]["coordinates"])
+        assert match["properties"]["outcome"] == "TP"
+        assert match["properties"]["error_m"] < 5.0
+
+
+def test_evaluate_repeats_the_evaluation_of_run(
+    interloc: Callable, out: Path, osm: Path, tmp_path: Path, strict_json: Callable
+) -> None:
+    copy = shutil.copytree(out, tmp_path / "out")
+    assert interloc("evaluate", copy, "--osm", osm).code == 0
+    assert close(strict_json(copy / "report.json"), strict_json(out / "report.json"))
+
+
+def close(a: object, b: object) -> bool:
+    """Say whether two values are equal but for what rounding of the positions in the files can do."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(close(a[key], b[key]) for key in a)
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(map(close, a, b))
+    if isinstance(a, float) and isinstance(b, float):
+        return a == pytest.approx(b, abs=3e-4)
+    return a == b
+
+
+def test_json_is_one_object(interloc: Callable, drive: Path, osm: Path, tmp_path: Path, strict_json: Callable) -> None:
+    outcome = interloc("run", drive, "-o", tmp_path / "out", "--osm", osm, "--json")
+    assert outcome.json["report"] == strict_json(tmp_path / "out" / "report.json")
+    assert outcome.json["run"]["keyframes"] == 53
+    assert not outcome.err
+
+
+def test_a_second_run_replaces_the_first(
+    interloc: Callable, drive: Path, osm: Path, tmp_path: Path, strict_json: Callable
+) -> None:
+    out = tmp_path / "out"
+    interloc("detect", drive, "-o", out)
+    outcome = interloc("run", drive, "-o", out, "--osm", osm, "--preset", "paper", "--quiet")
+    assert (outcome.code, outcome.out, outcome.err) == (0, "", "")
+    assert strict_json(out / "run.json")["config"]["preset"] == "paper"
+    assert {path.name for path in out.iterdir()} == FILES
+    interloc("detect", drive, "-o", out)
+    assert not (out / "report.json").exists()  # it was about another run
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_without_georeference_it_refuses_before_the_work(
+    interloc: Callable, local_drive: Path, osm: Path, tmp_path: Path
+) -> None:
+    outcome = interloc("run", local_drive, "-o", tmp_path / "out", "--osm", osm)
+    assert outcome.code == 1
+    assert "the drive has no georeference" in outcome.complaint
+    assert "--oxts" in outcome.complaint
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("labels", ["labels", "predictions"])
+def test_the_sparse_sample_of_kitti_360(
+    labels: str, interloc: Callable, data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    arguments = ("-o", tmp_path / "out", "--osm", data("kitti/osm/00.osm.gz"), "--labels", labels, "--json")
+    report = interloc("run", data("kitti360_0009"), *arguments).json["report"]
+    assert report["nodes_in_zone"] == 5
+    assert report["nodes_found"] >= 4
+
+
+def test_an_excerpt_of_kitti_07_by_its_oxts_rows(
+    interloc: Callable, data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    sequence, osm = data("semantickitti_mini/sequences/07"), data("kitti/osm/07.osm.gz")
+    refused = interloc("run", sequence, "-o", tmp_path / "out", "--osm", osm, "--quiet")
+    assert "the drive has no georeference" in refused.complaint
+    arguments = ("-o", tmp_path / "out", "--osm", osm, "--oxts", data("kitti/oxts/07.txt.gz"), "--json")
+    outcome = interloc("run", sequence, *arguments)
+    assert outcome.code == 0
+    assert outcome.json["run"]["georeferenced"] is True

@@ -1,0 +1,155 @@
+"""What `import interloc` offers, whatever else was imported before."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import interloc
+
+SPACING_M = 2.5
+
+
+@pytest.mark.parametrize("name", interloc.__all__)
+def test_every_name_resolves(name: str) -> None:
+    assert callable(getattr(interloc, name))
+    assert name in dir(interloc)
+
+
+def test_a_name_that_is_not_there() -> None:
+    with pytest.raises(AttributeError, match="module 'interloc' has no attribute 'nothing'"):
+        interloc.nothing  # noqa: B018
+
+
+IMPORTS = {
+    "nothing before": "",
+    "the modules before": "import interloc.detect.detector, interloc.evaluate.evaluate, interloc.pipeline",
+    "the packages before": "import interloc.detect, interloc.evaluate",
+    "the functions before": "from interloc import detect, evaluate; assert callable(detect) and callable(evaluate)",
+    "the functions themselves before": "from interloc.pipeline import detect; from interloc.evaluate.evaluate import "
+    "evaluate; import interloc.explain",
+}
+
+CALL = """
+import interloc
+from interloc.errors import DriveError
+class Empty:
+    name, times_s, georeference = "empty", None, None
+    import numpy as np
+    frames, T_world_lidar = np.empty(0, np.int64), np.empty((0, 4, 4))
+try:
+    interloc.detect(Empty())
+except DriveError as error:
+    assert "no scans" in str(error)
+else:
+    raise AssertionError
+try:
+    interloc.evaluate()
+except TypeError as error:
+    assert "evaluate() missing" in str(error), error
+else:
+    raise AssertionError
+from interloc.detect.detector import Detector
+from interloc.evaluate.evaluate import evaluate
+assert interloc.Detector is Detector
+"""
+
+
+@pytest.mark.parametrize("before", IMPORTS.values(), ids=IMPORTS)
+def test_detect_and_evaluate_can_be_called(before: str) -> None:
+    environment = {**os.environ, "PYTHONWARNINGS": "error"}
+    process = subprocess.run(
+        [sys.executable, "-c", before + CALL], capture_output=True, text=True, env=environment, check=False
+    )
+    assert process.stderr == ""
+
+
+def road_at(x_m: float) -> np.ndarray:
+    """Road points of a crossing 60 m from the start, seen within 35 m from a vehicle on one of its streets."""
+    x, y = np.meshgrid(np.arange(-48, 176, 0.8), np.arange(-48, 48, 0.8))
+    seen = (np.hypot(x - x_m, y) < 35) & ((np.abs(y) < 5) | (np.abs(x - 60) < 5))
+    return np.stack([x[seen] - x_m, y[seen], np.full(int(seen.sum()), -1.73)], axis=1).astype(np.float32)
+
+
+def pose_at(x_m: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[0, 3] = x_m
+    return pose
+
+
+def test_online_scan_by_scan() -> None:
+    detector = interloc.Detector(interloc.preset("default"))
+    found = []
+    for frame in range(48):
+        T_world_lidar = pose_at(SPACING_M * frame)
+        road_points = road_at(SPACING_M * frame)
+        detections = detector.push(interloc.Scan(frame, T_world_lidar, road_points))
+        assert (detections is None) == (frame < 20)  # 20 keyframes pass before the first comes back
+        if detections is not None:
+            assert detections.keyframe.frame == frame - 20
+            found.append(detections)
+    found += detector.finish()
+    assert [detections.keyframe.frame for detections in found] == list(range(48))
+    positions = np.concatenate([detections.world_xy for detections in found])
+    assert len(positions) > 20
+    assert np.hypot(*(np.median(positions, axis=0) - (60, 0))) < 0.5
+
+
+def test_online_without_lookahead() -> None:
+    config = interloc.DetectorConfig.model_validate({"keyframes": {"lookahead": 0}})
+    detector = interloc.Detector(config)
+    for frame in range(3):
+        scan = interloc.Scan(frame, pose_at(SPACING_M * frame), road_at(SPACING_M * frame))
+        detections = detector.push(scan)
+        assert detections is not None
+        assert detections.keyframe.frame == frame
+
+
+def test_the_example_of_the_docstring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run it as it stands there, on a drive and a map of these names."""
+    monkeypatch.chdir(tmp_path)
+    write_drive(Path("sequences/07"), Path("2011_09_30_drive_0027_sync"))
+    lines = (interloc.__doc__ or "").splitlines()
+    example = "\n".join(lines[lines.index("import interloc") :]).replace("map.osm.gz", "map.osm")
+    names = {"frame": 0, "T_world_lidar": np.eye(4), "road_points": road_at(0.0)}
+    exec(example, names)  # noqa: S102 - our own words
+    assert names["evaluation"].node_table.found.tolist() == [True]
+    assert names["detections"] is None
+
+
+def write_drive(root: Path, raw: Path) -> None:
+    """Write a drive through the crossing, with the OXTS of a raw drive beside, and its map."""
+    (root / "velodyne").mkdir(parents=True)
+    (root / "labels").mkdir()
+    (raw / "oxts" / "data").mkdir(parents=True)
+    (raw / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: 0 0 0\n")
+    lines = []
+    for frame in range(48):
+        x_m = SPACING_M * frame
+        points = np.pad(road_at(x_m), ((0, 0), (0, 1)))
+        points.tofile(root / f"velodyne/{frame:06d}.bin")
+        np.full(len(points), 40, np.uint32).tofile(root / f"labels/{frame:06d}.label")
+        lines.append(" ".join(f"{value:g}" for value in pose_at(x_m)[:3].ravel()))
+        lon_deg = 8.4 + np.degrees(x_m / (6_390_400 * np.cos(np.radians(49.0))))
+        values = [49.0, lon_deg, 110.0, 0.0, 0.0, 0.0, *([0.0] * 24)]
+        (raw / f"oxts/data/{frame:010d}.txt").write_text(" ".join(f"{value:.12g}" for value in values) + "\n")
+    (root / "poses.txt").write_text("\n".join(lines) + "\n")
+    east, north = np.degrees(60 / (6_390_400 * np.cos(np.radians(49.0)))), np.degrees(100 / 6_382_000)
+    nodes = [(0, 0), (east, 0), (4 * east, 0), (east, -north), (east, north)]
+    Path("map.osm").write_text(
+        '<osm version="0.6">'
+        + "".join(
+            f'<node id="{i}" lat="{49 + lat:.9f}" lon="{8.4 + lon:.9f}"/>' for i, (lon, lat) in enumerate(nodes, 1)
+        )
+        + "".join(
+            f'<way id="{i}">{"".join(f"<nd ref={chr(34)}{ref}{chr(34)}/>" for ref in refs)}'
+            '<tag k="highway" v="residential"/></way>'
+            for i, refs in enumerate([(1, 2, 3), (4, 2, 5)], 1)
+        )
+        + "</osm>"
+    )
