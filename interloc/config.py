@@ -191,7 +191,7 @@ PAPER = DetectorConfig(
 DEFAULT = DetectorConfig(
     preset="default",
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
-    centerline=CenterlineConfig(spur_widths=1.3),
+    centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
     branches=BranchConfig(
         inner_radius_m=15.0,
@@ -202,7 +202,7 @@ DEFAULT = DetectorConfig(
         line="least_squares",
         straight_m=0.2,
         trim_m=2.0,
-        margin_m=8.0,
+        margin_m=15.0,
         candidate_std_m=1.0,
     ),
     compound=CompoundConfig(),

@@ -42,13 +42,13 @@ class Junction:
 def refine(branches: Branches, prior_weight: float = 0.0) -> Junction:
     """Move the candidate to the point of least squared distances to the lines of its branches, within the inner disc.
 
+    Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite.
+
     Parameters
     ----------
     branches
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper.
-
-    Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite.
 
     Notes
     -----
@@ -56,14 +56,13 @@ def refine(branches: Branches, prior_weight: float = 0.0) -> Junction:
     (sum w n n^T) p = sum w n n^T a.
     """
     candidate, normals, weights = branches.candidate, branches.normals, branches.weights
-    weighted = normals * weights[:, None]
-    matrix = normals.T @ weighted
-    held = matrix + prior_weight * np.eye(2)
-    offsets = np.einsum("ij,ij->i", normals, branches.points - candidate)
-    least = _smaller_eigenvalue(held)
-    if np.count_nonzero(weights) < 2 or least < PARALLEL * weights.sum():
+    counted = normals[weights > 0]
+    # Whether lines are near-parallel is a matter of their directions, however unlike their weights.
+    if len(counted) < 2 or _smaller_eigenvalue(counted.T @ counted) < PARALLEL * len(counted):
         return Junction(candidate, branches.directions, math.inf, branches)
-    shift = np.linalg.solve(held, weighted.T @ offsets)
+    weighted = normals * weights[:, None]
+    offsets = np.einsum("ij,ij->i", normals, branches.points - candidate)
+    shift = np.linalg.solve(normals.T @ weighted + prior_weight * np.eye(2), weighted.T @ offsets)
     length = math.hypot(*shift)
     if length > branches.inner:
         shift = shift * (branches.inner / length)

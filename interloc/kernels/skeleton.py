@@ -232,13 +232,12 @@ def grow_from(
 
 # Columns of what `follow_branches` returns for each branch; rows and columns of the image in pixels.
 START_ROW, START_COL, MEAN_ROW, MEAN_COL, LENGTH, AT_CANDIDATE, AT_BORDER = range(7)
-FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH, WEIGHT = range(7, 15)
-BRANCH_COLUMNS = 15
+FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH, WEIGHT, FIT_START = range(7, 16)
+BRANCH_COLUMNS = 16
 
 RING_PX = 4.0  # a line grows by this much at a time
 GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
-PIXEL_PX = 0.25  # how well its line is known
-BENT = 5.0  # where a line is prolonged, it is off by more than the centerline scatters about it
+PIXEL_PX = 0.1  # how well its line is known
 
 
 @compiled
@@ -409,10 +408,29 @@ def follow_branches(
                 d_row, d_col = -d_row, -d_col
             row[FIT_ROW], row[FIT_COL] = r0 + ur, c0 + uc
             row[FIT_D_ROW], row[FIT_D_COL] = d_row, d_col
-            row[FIT_LENGTH], row[FIT_RMS] = length, rms
-            scatter = BENT * max(rms - GRID_PX, 0.0)
-            row[WEIGHT] = min(length, full_fit) / full_fit / (scatter * scatter + PIXEL_PX * PIXEL_PX)
+            row[FIT_START], row[FIT_LENGTH], row[FIT_RMS] = inner + first_ring * RING_PX, length, rms
+
+    # A short branch may look straight by chance: it is not better known than the others around it.
+    common, total = 0.0, 0.0
+    for i in range(count):
+        scatter = max(branches[i, FIT_RMS] - GRID_PX, 0.0)
+        common += branches[i, FIT_LENGTH] * scatter * scatter
+        total += branches[i, FIT_LENGTH]
+    for i in range(count):
+        row = branches[i]
+        if row[FIT_LENGTH] > 0.0:
+            scatter = max(row[FIT_RMS] - GRID_PX, 0.0)
+            variance = 0.5 * (scatter * scatter + common / total) + PIXEL_PX * PIXEL_PX
+            variance *= _spread(row[FIT_START], row[FIT_LENGTH])
+            row[WEIGHT] = min(row[FIT_LENGTH], full_fit) / full_fit / variance
     return branches[:count]
+
+
+@compiled
+def _spread(start: float, length: float) -> float:
+    """Return by how much the variance of a fitted line grows where it is prolonged back to the candidate."""
+    far = (start + 0.5 * length) / length
+    return 1.0 + 12.0 * far * far
 
 
 @compiled
@@ -427,4 +445,5 @@ def _wedge(branches: NDArray[np.float64], which: int, count: int, r0: float, c0:
         if i != which:
             ri, ci = branches[i, MEAN_ROW] - r0, branches[i, MEAN_COL] - c0
             least = min(least, abs(np.arctan2(r * ci - c * ri, r * ri + c * ci)))
-    return 0.5 * width / max(np.sin(0.5 * least), 0.25)
+    distance: float = 0.5 * width / max(np.sin(0.5 * least), 0.25)
+    return distance
