@@ -133,6 +133,17 @@ def test_lines_that_run_apart_enough_fix_the_point() -> None:
     np.testing.assert_allclose(found.position, [0, 0], atol=1e-9)
 
 
+def test_crossing_lines_fix_the_point_however_unlike_their_weights() -> None:
+    found = refine(branches([(0.0, 3.0), (0.0, 3.0), (5.0, 0.0)], [0, 180, 90], weights=[600, 600, 0.5]))
+    np.testing.assert_allclose(found.position, [5, 3], atol=1e-6)
+
+
+def test_parallel_lines_fix_nothing_however_heavy_the_candidate() -> None:
+    found = refine(branches([(0.0, 3.0), (0.0, 4.0)], [0, 180], candidate=(7, 7)), 100.0)
+    assert found.position.tolist() == [7, 7]
+    assert found.residual == math.inf
+
+
 @pytest.mark.parametrize("weights", [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
 def test_fewer_than_two_lines_leave_the_candidate_where_it_is(weights: list[float]) -> None:
     found = refine(branches([(0.0, 1.0), (1.0, 0.0), (2.0, 2.0)], [0, 90, 45], candidate=(7, 7), weights=weights))
