@@ -64,6 +64,7 @@ def write_benchmark(
         noise=noise,
         noisy=[performance_table(measured, level) for level in measured.noises[1:]],
         kinds=kinds_table(measured),
+        places=[(ours(preset), worst_places(measured, preset)) for preset in measured.presets],
         pictures=pictures,
         maps=maps,
         configs=[(name, json.dumps(config.model_dump(mode="json"), indent=2)) for name, config in configs.items()],
@@ -95,6 +96,36 @@ def kinds_table(measured: Measured) -> Table:
         if lines:
             groups.append(tuple(lines))
     return Table(title="Failures by kind", header=tuple(header), groups=tuple(groups), labels=2)
+
+
+def worst_places(measured: Measured, preset: str, count: int = 40) -> list[dict[str, Any]]:
+    """Return the failures of a preset without label errors that cost most, worst first."""
+    places = []
+    for row in measured.of(preset=preset, noise=measured.noises[0]):
+        for entry in row.failures["false_detections"]:
+            off = entry["nearest_node"]["distance_m"] if entry["nearest_node"] else None
+            places.append((entry["detections"], row.cell, f"false: {entry['kind']}", off, entry))
+        for entry in row.failures["missed_nodes"]:
+            cost = max(entry["keyframes_missed"], 0 if entry["found"] else 1)
+            places.append((cost, row.cell, f"missed: {entry['kind']}", entry["best_error_m"], entry))
+    places.sort(key=lambda place: -place[0])
+    return [
+        {
+            "drive": cell.drive if len(_seeds(measured)) == 1 else f"{cell.drive} seed {cell.seed}",
+            "kind": kind,
+            "times": cost,
+            "off_m": off,
+            "lonlat": f"{entry['lon']:.6f}, {entry['lat']:.6f}",
+            "frames": f"{entry['frames'][0]}..{entry['frames'][-1]}",
+            "see": entry["see"],
+        }
+        for cost, cell, kind, off, entry in places[:count]
+    ]
+
+
+def _seeds(measured: Measured) -> set[int]:
+    """Return the seeds that were measured."""
+    return {row.cell.seed for row in measured.rows}
 
 
 def _kinds(rows: list[Row]) -> dict[tuple[str, str], tuple[int, int]]:

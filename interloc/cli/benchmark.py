@@ -39,7 +39,7 @@ def measuring_options(command: Command) -> Command:
                 multiple=True,
                 callback=_lists,
                 default=["default,paper"],
-                show_default="default and paper",
+                show_default="default,paper",
                 help="Settings to measure, side by side; repeat, or join with commas.",
             ),
             click.option(
@@ -54,7 +54,13 @@ def measuring_options(command: Command) -> Command:
                 help="Label errors to add, r-FPR/r-FNR in percent, such as 20/20; repeat, or join with commas. "
                 "Without errors (0/0) is measured in any case.",
             ),
-            click.option("--seeds", type=click.IntRange(1, 100), default=1, show_default=True, help="How often."),
+            click.option(
+                "--seeds",
+                type=click.IntRange(1, 100),
+                default=1,
+                show_default=True,
+                help="Measure so often, and give mean and spread.",
+            ),
             options.POLICY,
             options.TOLERANCE,
             click.option("--fresh", is_flag=True, help="Measure anew what is kept in OUT/rows from before."),
