@@ -319,19 +319,20 @@ def test_reach_is_that_of_the_plain_twin(seed: int, count: int) -> None:
 def branches(
     image: BinaryImage,
     *candidates: Pixel,
+    width: float = 0.0,
     inner: float = 10.0,
     outer: float = 60.0,
     fit: float = 99.0,
     least_fit: float = 99.0,
+    full_fit: float = 20.0,
     straight: float = 1.0,
     trim: float = 0.0,
 ) -> NDArray[np.float64]:
     """Follow the branches of the first candidate; they end 5 pixels before another one, the border is 8 wide."""
     rows, cols, neighbours = graph(image)
     first, others = np.array(candidates[0], np.float64), np.array(candidates[1:], np.float64).reshape(-1, 2)
-    return sk.follow_branches(
-        rows, cols, neighbours, first, others, inner, outer, 5.0, fit, least_fit, straight, trim, image.height, 8
-    )
+    fits = fit, least_fit, full_fit, straight, trim
+    return sk.follow_branches(rows, cols, neighbours, first, others, width, inner, outer, 5.0, *fits, image.height, 8)
 
 
 def cross(size: int = 201) -> Image:
@@ -431,12 +432,42 @@ def test_line_is_fitted_to_the_least_length_however_bent() -> None:
     assert row[sk.FIT_LENGTH] == pytest.approx(24, abs=sk.RING_PX)
 
 
+def test_line_begins_where_the_road_parts_from_its_neighbours() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    image[100, 100:180] = 1
+    image[20:101, 100] = 1
+    image[100, 100:130] = 0
+    image[np.round(100 - 4 * np.linspace(1, 0, 60)).astype(int), np.linspace(100, 130, 60).astype(int)] = 1  # bent
+    packed = BinaryImage.from_array(image)
+    early = branches(packed, (100, 100), inner=5.0)
+    late = branches(packed, (100, 100), inner=5.0, width=43.0)  # two such roads part at 30 pixels: 43 / 2 / sin 45
+    assert abs(early[-1, sk.FIT_D_ROW]) > 0.02
+    assert abs(late[-1, sk.FIT_D_ROW]) < 0.01
+    assert late[-1, sk.FIT_LENGTH] == pytest.approx(30, abs=2 * sk.RING_PX)
+    np.testing.assert_array_equal(early[:, sk.LENGTH], late[:, sk.LENGTH])
+
+
+def test_longer_line_weighs_more() -> None:
+    image = BinaryImage.from_array(cross())
+    weights = [branches(image, (100, 100), fit=fit)[0, sk.WEIGHT] for fit in (12.0, 24.0, 48.0)]
+    assert 0 < weights[0] < weights[1] < weights[2]
+
+
+def test_bent_line_weighs_less_than_a_straight_one() -> None:
+    image = cross()
+    image[100, 131:] = 0
+    image[np.arange(101, 131), np.arange(131, 161)] = 1
+    table = branches(BinaryImage.from_array(image), (100, 100))
+    assert table[2, sk.FIT_RMS] > 1
+    assert 0 < table[2, sk.WEIGHT] < table[0, sk.WEIGHT]
+
+
 def test_branch_with_nothing_to_trust_has_no_line() -> None:
     image = np.zeros((201, 201), np.uint8)
     image[100, 100:116] = 1
     table = branches(BinaryImage.from_array(image), (100, 100), trim=20.0)
     assert table[0, sk.LENGTH] == 5
-    assert table[0, sk.FIT_LENGTH] == 0
+    assert table[0, sk.FIT_LENGTH] == table[0, sk.WEIGHT] == 0
 
 
 @pytest.mark.parametrize("angle_deg", [0, 10, 45, 77, 90, 135, 200, 290])
