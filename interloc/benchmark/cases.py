@@ -14,6 +14,7 @@ from typing import Any, Literal, Protocol
 from interloc.benchmark.fingerprint import SIMULATING, code_fingerprint, file_facts, fingerprint
 from interloc.drives.drive import Drive
 from interloc.drives.open import open_drive
+from interloc.errors import DriveError, GeoreferenceError
 from interloc.mapping.files import atomic_write
 
 Progress = Callable[[int, int], None]
@@ -44,6 +45,10 @@ class Case(Protocol):
 
     def facts(self) -> dict[str, Any]:
         """Return what the drive depends on, as plain values."""
+        ...
+
+    def check(self) -> None:
+        """Raise what is wrong with the drive, as far as that shows without reading all of it."""
         ...
 
     @contextmanager
@@ -82,6 +87,26 @@ class FolderCase:
             "files": file_facts([self.path, self.osm, *given]),
             "options": {key: str(value) for key, value in self.options.items() if key != "oxts"},
         }
+
+    def check(self) -> None:
+        """Raise what is wrong with the drive, as far as that shows without reading all of it.
+
+        Raises
+        ------
+        DriveError, GeoreferenceError
+            The drive is damaged, or has no georeference to compare it with a map by.
+        """
+        try:
+            drive = open_drive(self.path, **self.options)
+        except GeoreferenceError as error:
+            raise GeoreferenceError(f"{self.path}: {error}") from error
+        except DriveError as error:
+            raise DriveError(f"{self.path}: {error}") from error
+        if drive.georeference is None:
+            raise GeoreferenceError(
+                f"{self.path}: the drive has no georeference, so it cannot be compared with OpenStreetMap. "
+                "Put oxts/data or geo.csv into it."
+            )
 
     @contextmanager
     def opened(self, scratch: Path, progress: Progress | None = None) -> Iterator[Drive]:  # noqa: ARG002 - as the others
@@ -155,6 +180,9 @@ class TwinCase:
             "files": file_facts(self.inputs),
             "simulator": code_fingerprint(SIMULATING),
         }
+
+    def check(self) -> None:
+        """Nothing: its inputs were looked for when it was planned."""
 
     @contextmanager
     def opened(self, scratch: Path, progress: Progress | None = None) -> Iterator[Drive]:

@@ -9,6 +9,7 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -151,6 +152,12 @@ def run_plan(
             tasks.append((case, missing))
     if done:
         logger.info("%d of the rows are kept from before (%s); --fresh measures them anew", len(done), rows_dir)
+    try:
+        for case, _ in tasks:  # all of them before any long work
+            case.check()
+    except InterLocError:
+        _remove_if_empty(rows_dir, out)
+        raise
     at_once = max(1, min(workers, len(tasks)))
     full = [_Task(case, tuple(cells), plan.truth, out, max(1, workers // at_once)) for case, cells in tasks]
     try:
@@ -176,6 +183,12 @@ def _make_folder(out: Path) -> Path:
     for leftover in out.glob(".twin-*"):  # of a run that was killed
         shutil.rmtree(leftover, ignore_errors=True)
     return rows
+
+
+def _remove_if_empty(*folders: Path) -> None:
+    with suppress(OSError):
+        for folder in folders:
+            folder.rmdir()
 
 
 def _run_here(tasks: Sequence[_Task], report: Report | None) -> list[Row]:
@@ -218,13 +231,8 @@ def _stop(pool: ProcessPoolExecutor) -> None:
 
 
 def _obey_main_process() -> None:
-    """Leave Ctrl-C to the main process; when that ends the worker, tidy up on the way out."""
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
+    """Leave Ctrl-C to the main process, which ends the workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, stop)
 
 
 def _pass_on(messages: Any, report: Report | None) -> None:  # noqa: ANN401 - a proxy
@@ -244,7 +252,11 @@ def _run_task_reporting(task: _Task, messages: Any) -> list[Row]:  # noqa: ANN40
         if done == total or done % 10 == 0:
             messages.put((name, what, done, total))
 
-    return _run_task(task, report, messages.put)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # tidy up on the way out
+    try:
+        return _run_task(task, report, messages.put)
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _run_task(

@@ -124,7 +124,18 @@ def test_a_georeference_of_several_drives_is_refused(drive: Path, osm: Path, int
 def test_a_drive_without_georeference(local_drive: Path, osm: Path, interloc: Callable, tmp_path: Path) -> None:
     outcome = interloc("benchmark", "drives", local_drive, "--osm", osm, "-o", tmp_path / "out", "--quiet")
     assert outcome.code == 1
-    assert "georeference" in outcome.complaint
+    assert f"{local_drive}: the drive has no georeference" in outcome.complaint
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_drive_is_named_before_any_is_measured(
+    drive: Path, short_drive: Path, osm: Path, interloc: Callable, tmp_path: Path
+) -> None:
+    (short_drive / "labels/000003.label").unlink()
+    outcome = interloc("benchmark", "drives", drive, short_drive, "--osm", osm, "-o", tmp_path / "out", "--quiet")
+    assert outcome.code == 1
+    assert str(short_drive) in outcome.complaint
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_sequence_without_a_map(interloc: Callable, tmp_path: Path) -> None:
