@@ -195,15 +195,15 @@ DEFAULT = DetectorConfig(
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
     branches=BranchConfig(
         inner_radius_m=15.0,
-        inner_widths=0.9,
-        min_reach_m=11.0,
+        inner_widths=0.85,
+        min_reach_m=12.0,
         stop_m=2.0,
         end_at_rejected=False,
         line="least_squares",
         straight_m=0.2,
         trim_m=2.0,
         margin_m=15.0,
-        candidate_std_m=1.0,
+        candidate_std_m=2.0,
     ),
     compound=CompoundConfig(),
 )
