@@ -27,10 +27,11 @@ def test_the_steps_of_a_keyframe(interloc: Callable, drive: Path, tmp_path: Path
 
 def test_again_with_the_map_on_top(interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
     out = tmp_path / "steps"
-    quiet = interloc("explain", drive, "--frame", 0, "-o", out, "--preset", "paper", "--quiet")
-    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
-    outcome = interloc("explain", drive, "--frame", 100, "-o", out, "--osm", osm, "--json")
+    out.mkdir()
+    (out / "explain.json").write_text("{}")  # of an earlier call
+    outcome = interloc("explain", drive, "--frame", 100, "-o", out, "--osm", osm, "--preset", "paper", "--json")
     assert [Path(name).name for name in outcome.json["files"]] == [*PICTURES, "explain.json"]
+    assert (out / "explain.json").stat().st_size > 100
 
 
 @pytest.mark.parametrize("frame", [-1, 210])
@@ -45,8 +46,3 @@ def test_a_folder_of_somebody_else_is_refused(interloc: Callable, drive: Path, t
     (tmp_path / "thesis.tex").write_text("mine")
     assert "is no InterLoc result" in interloc("explain", drive, "--frame", 0, "-o", tmp_path, "--quiet").complaint
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-def test_a_real_scan(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:
-    arguments = ("explain", data("semantickitti_mini/sequences/07"), "--frame", 5, "-o", tmp_path / "steps", "--quiet")
-    assert interloc(*arguments).code == 0

@@ -144,9 +144,9 @@ def test_a_run_that_is_stopped_leaves_nothing(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals and terminals of Unix")
 def test_progress_is_shown_on_a_terminal_only(
-    command: tuple[str, ...], environment: dict[str, str], drive: Path, tmp_path: Path
+    command: tuple[str, ...], environment: dict[str, str], short_drive: Path, tmp_path: Path
 ) -> None:
-    detect = [*command, "detect", str(drive), "--workers", "1"]
+    detect = [*command, "detect", str(short_drive), "--workers", "1"]
     shown = stderr_on_terminal([*detect, "-o", str(tmp_path / "a")], environment)
     assert "detect" in shown
     assert "keyframe" in shown
