@@ -7,7 +7,7 @@ carriageway) or branches that meet an axis at distinct places (a staggered junct
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ from interloc.config import CompoundConfig
 from interloc.detect.branches import Branches
 
 Floats = NDArray[np.float64]
+
+SAME_ROAD_RAD = math.radians(30.0)  # two branches nearer than this in direction are one road
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,25 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
     groups = _group(nodes, config.separation_m / resolution_m)
     if len(groups) < 2 or not _have_junctions_each(branches.core, [place for place, _ in groups]):
         return [branches]
-    return [branches.only(sorted(members), place) for place, members in groups]
+    places = [place for place, _ in groups]
+    return [_connected(branches.only(sorted(members), place), places) for place, members in groups]
+
+
+def _connected(part: Branches, places: list[Floats]) -> Branches:
+    """Add the short road to the nearest other intersection of the blob, where no branch leads there already."""
+    gaps = [place - part.candidate for place in places if place is not part.candidate]
+    gap = min(gaps, key=lambda vector: math.hypot(*vector))
+    length = math.hypot(*gap)
+    toward = gap / max(length, 1e-9)
+    if len(part.directions) and float((part.directions @ toward).max()) > math.cos(SAME_ROAD_RAD):
+        return part
+    return replace(
+        part,
+        directions=np.vstack([part.directions, toward]),
+        points=np.vstack([part.points, part.candidate]),
+        weights=np.append(part.weights, 0.0),
+        lengths=np.append(part.lengths, length),
+    )
 
 
 def _axes(branches: Branches, resolution_m: float, config: CompoundConfig) -> tuple[list[_Axis], list[_Axis]]:

@@ -84,7 +84,12 @@ def test_two_carriageways_cross_a_road_twice() -> None:
 
 def test_two_carriageways_joined_across_are_two_intersections() -> None:
     joined = blob(north(-6), south(-6), north(6), south(6), core=[(0, -6), (0, 6)])
-    assert places(split_compound(joined, 1.0, CONFIG)) == [[0, -6], [0, 6]]
+    parts = split_compound(joined, 1.0, CONFIG)
+    assert places(parts) == [[0, -6], [0, 6]]
+    for part in parts:  # both ways along the carriageway, and the road to the other one, which is no line of its own
+        assert part.count == 3
+        assert part.weights.tolist() == [1, 1, 0]
+        np.testing.assert_allclose(part.directions[2], [0, -np.sign(part.candidate[1])], atol=1e-9)
 
 
 def test_place_without_a_junction_of_the_centerline_does_not_split() -> None:
