@@ -48,3 +48,12 @@ class OutputError(InterLocError):
     """A result that could not be written or is not where it is looked for."""
 
     http_status = 507
+
+
+def is_interruption(error: BaseException) -> bool:
+    """Tell whether Ctrl-C is behind an error.
+
+    In a compiled loop it comes as "SystemError: CPUDispatcher(...) returned a result with an exception set".
+    """
+    compiled = isinstance(error, SystemError) and "returned a result with an exception set" in str(error)
+    return compiled or isinstance(error, KeyboardInterrupt)

@@ -9,7 +9,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-MEASURING = ("detect", "drives", "evaluate", "kernels", "mapping", "osm", "pipeline.py", "geometry.py")
+MEASURING = (
+    *("detect", "drives", "evaluate", "kernels", "mapping", "osm", "pipeline.py", "geometry.py"),
+    *("benchmark/measure.py", "benchmark/failures.py", "benchmark/row.py"),
+)
 """Parts of this package that figures depend on, beside the settings."""
 
 SIMULATING = ("simulate", "kernels/raycast.py", "geometry.py")

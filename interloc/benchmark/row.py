@@ -91,7 +91,7 @@ class Row(_Record):
     map_errors_m : tuple of float
         Of the assigned pairs, metres.
     compute_s : float
-        Time in the steps of the method, reading included, summed over the processes.
+        Processor time from files to intersections.
     warnings : tuple of str
     picture : MapPicture
     failures : dict

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import logging
-import queue
 import shutil
-import signal
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +15,8 @@ from interloc.benchmark.cases import Case
 from interloc.benchmark.fingerprint import MEASURING, code_fingerprint, fingerprint
 from interloc.benchmark.measure import GroundTruth, measure
 from interloc.benchmark.row import Cell, Row, read_row, write_row
+from interloc.benchmark.score import ace_m, precision, recall
+from interloc.benchmark.workers import Report, Say, run_in_processes
 from interloc.config import DetectorConfig
 from interloc.errors import InterLocError, OutputError
 from interloc.mapping.files import reason_of
@@ -28,12 +25,13 @@ from interloc.pipeline import versions
 
 logger = logging.getLogger(__name__)
 
-Report = Callable[[str, str, int, int], None]
-"""Called with a task, what it is doing, and how much of how much is done; with 0 of 0 at its end."""
-
 ROWS = "rows"
 NO_NOISE = "0/0"
 _DRIVE_POLICY = GroundTruth()
+
+
+def _no_report(task: str, what: str, done: int, total: int) -> None:
+    """Keep it."""
 
 
 @dataclass(frozen=True)
@@ -100,16 +98,13 @@ class _Task:
     cells: tuple[tuple[Cell, Settings, str], ...]
     truth: GroundTruth
     out: Path
-    workers: int
 
     @property
     def name(self) -> str:
         return self.case.name if self.case.seed is None else f"{self.case.name} seed {self.case.seed}"
 
 
-def run_plan(
-    plan: Plan, out: Path, *, workers: int = 1, fresh: bool = False, report: Report | None = None
-) -> list[Row]:
+def run_plan(plan: Plan, out: Path, *, workers: int = 1, fresh: bool = False, report: Report = _no_report) -> list[Row]:
     """Measure everything that is planned, and keep each row in `out/rows` as soon as it is there.
 
     Parameters
@@ -118,7 +113,7 @@ def run_plan(
     out
         Folder of the benchmark; is made where it is missing.
     workers : int
-        Processes. The rows do not depend on it, except for their times.
+        Drives at a time, each in a process. The rows do not depend on it.
     fresh : bool
         Measure anew what is kept from before.
     report
@@ -159,13 +154,16 @@ def run_plan(
         _remove_if_empty(rows_dir, out)
         raise
     at_once = max(1, min(workers, len(tasks)))
-    full = [_Task(case, tuple(cells), plan.truth, out, max(1, workers // at_once)) for case, cells in tasks]
+    full = [_Task(case, tuple(cells), plan.truth, out) for case, cells in tasks]
     try:
-        for row in _run_here(full, report) if at_once == 1 else _run_in_processes(full, at_once, report):
-            done[row.cell] = row
+        if at_once > 1:
+            found = run_in_processes(_run_task, full, at_once, report, logger.info)
+        else:
+            found = [_run_task(task, report, logger.info) for task in full]
     finally:
         for leftover in out.glob(".twin-*"):
             shutil.rmtree(leftover, ignore_errors=True)
+    done |= {row.cell: row for rows in found for row in rows}
     return [done[cell] for case in plan.cases for cell, _ in plan.cells(case)]
 
 
@@ -191,81 +189,11 @@ def _remove_if_empty(*folders: Path) -> None:
             folder.rmdir()
 
 
-def _run_here(tasks: Sequence[_Task], report: Report | None) -> list[Row]:
-    return [row for task in tasks for row in _run_task(task, report)]
-
-
-def _run_in_processes(tasks: Sequence[_Task], workers: int, report: Report | None) -> list[Row]:
-    """Run several drives at a time; what they report comes through a queue."""
-    context = get_context("spawn")
-    rows: list[Row] = []
-    with context.Manager() as manager:
-        messages: Any = manager.Queue()
-        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_obey_main_process)
-        try:
-            waiting: set[Future[list[Row]]] = {pool.submit(_run_task_reporting, task, messages) for task in tasks}
-            while waiting:
-                finished, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
-                _pass_on(messages, report)
-                for future in finished:
-                    rows += future.result()
-        except BrokenProcessPool:
-            raise InterLocError(
-                "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers. "
-                "Finished rows are kept: the same command goes on from there."
-            ) from None
-        except BaseException:
-            _stop(pool)
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-    return rows
-
-
-def _stop(pool: ProcessPoolExecutor) -> None:
-    """End the workers in the middle of their work: what they finished is on disk."""
-    processes = list((pool._processes or {}).values())  # noqa: SLF001 - no public way before Python 3.14
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.terminate()
-
-
-def _obey_main_process() -> None:
-    """Leave Ctrl-C to the main process, which ends the workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _pass_on(messages: Any, report: Report | None) -> None:  # noqa: ANN401 - a proxy
-    while True:
-        try:
-            message = messages.get_nowait()
-        except queue.Empty:
-            return
-        if isinstance(message, str):
-            logger.info("%s", message)
-        elif report is not None:
-            report(*message)
-
-
-def _run_task_reporting(task: _Task, messages: Any) -> list[Row]:  # noqa: ANN401 - a proxy
-    def report(name: str, what: str, done: int, total: int) -> None:
-        if done == total or done % 10 == 0:
-            messages.put((name, what, done, total))
-
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # tidy up on the way out
-    try:
-        return _run_task(task, report, messages.put)
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
-def _run_task(
-    task: _Task, report: Report | None, say: Callable[[str], object] = lambda text: logger.info("%s", text)
-) -> list[Row]:
+def _run_task(task: _Task, report: Report, say: Say) -> list[Row]:
     """Measure what is missing of one drive."""
 
     def progress(what: str) -> Callable[[int, int], None]:
-        return lambda done, total: report(task.name, what, done, total) if report is not None else None
+        return partial(report, task.name, what)
 
     rows = []
     graph = read_osm(task.case.osm)
@@ -279,21 +207,17 @@ def _run_task(
                 settings.config,
                 task.truth,
                 partial(task.case.explain, settings=settings.arguments),
-                workers=task.workers,
                 progress=progress(f"{cell.preset} {cell.noise}"),
             )
             write_row(row, task.out / ROWS)
             rows.append(row)
             say(describe(row))
-    if report is not None:
-        report(task.name, "", 0, 0)
+    report(task.name, "", 0, 0)
     return rows
 
 
 def describe(row: Row) -> str:
     """Say the main figures of a row in a line."""
-    from interloc.benchmark.score import ace_m, precision, recall  # noqa: PLC0415 - for the eye only
-
     cell = row.cell
     ace, pre, rec = ace_m([row]), precision([row]), recall([row])
     return (

@@ -103,7 +103,7 @@ def map_median_m(rows: Sequence[Row]) -> float | None:
 
 
 def ms_a_keyframe(rows: Sequence[Row]) -> float | None:
-    """Return the time in the steps of the method on one core, reading included, milliseconds a keyframe."""
+    """Return the processor time from files to intersections, milliseconds a keyframe."""
     keyframes = sum(row.keyframes for row in rows)
     return 1e3 * sum(row.compute_s for row in rows) / keyframes if keyframes else None
 

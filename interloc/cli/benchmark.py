@@ -251,7 +251,7 @@ def _measure(
     from interloc.benchmark.run import NO_NOISE, Plan, Settings, run_plan
     from interloc.benchmark.tables import Measured, tables, text
     from interloc.benchmark.write import PAGE, write_benchmark
-    from interloc.errors import InterLocError
+    from interloc.errors import InterLocError, is_interruption
     from interloc.evaluate.robustness import parse_level
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
@@ -267,7 +267,9 @@ def _measure(
     bars = _Bars(quiet=quiet)
     try:
         rows = run_plan(plan, out, workers=workers, fresh=fresh, report=bars)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        if not is_interruption(error):
+            raise
         raise InterLocError(
             f"interrupted; finished rows are kept in {out / 'rows'}, and the same command goes on from there"
         ) from None

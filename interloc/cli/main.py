@@ -10,7 +10,7 @@ from importlib import import_module
 
 import click
 
-from interloc.errors import InterLocError
+from interloc.errors import InterLocError, is_interruption
 
 COMMANDS = {
     "info": "info",
@@ -86,6 +86,8 @@ def run(arguments: list[str] | None = None) -> int:
 
 def _fault(error: Exception) -> int:
     """Report what should not have happened; raise it on request."""
+    if is_interruption(error):
+        return _fail("interrupted; nothing was written", 1)
     if os.environ.get("INTERLOC_DEBUG"):
         raise error
     return _fail(
