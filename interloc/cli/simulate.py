@@ -161,32 +161,21 @@ def track(
     Example:
       interloc simulate track --osm map.osm.gz --track ride.gpx -o drive && interloc run drive -o out --osm map.osm.gz
     """
-    from interloc.simulate.drive import simulate_drive
     from interloc.simulate.lines import open_track
-    from interloc.simulate.scene import build_scene
+    from interloc.simulate.maps import simulate_map
 
     quiet = common["quiet"]
     console.set_up_log(quiet=quiet)
-    settings = _common(**common)
-    scene = settings.pop("scene")
-    line = open_track(track_file, _track_config(speed_mps, offset_m))
-    world = build_scene(
-        line,
-        osm,
-        buildings=buildings,
-        config=scene,
-        seed=settings["seed"],
-        sensor_height_m=settings["sensor"].height_m,
-    )
     with console.progress("simulate", "scan", quiet=quiet) as bar:
-        scans = simulate_drive(
-            world,
-            line,
+        scans = simulate_map(
+            open_track(track_file, _track_config(speed_mps, offset_m)),
+            osm,
             drive,
+            buildings=buildings,
             keyframes_only=not every_scan,
-            about={"track": track_file.name, "osm": osm.name, "scene": scene.model_dump()},
+            about={"track": track_file.name},
             progress=bar,
-            **settings,
+            **_common(**common),
         )
     _go_on(scans, drive, osm)
 
