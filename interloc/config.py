@@ -46,6 +46,9 @@ class BevConfig(_Config):
     adaptive: bool = Field(
         True, description="Lower m where fewer keyframes than a full window reach into the region of interest."
     )
+    vote: bool = Field(
+        False, description="Points of sidewalk, parking and other ground in a cell take as many road points back."
+    )
     max_range_m: float = Field(150.0, ge=10, le=1000, description="Points farther from the sensor are left out.")
 
     @property
@@ -190,6 +193,7 @@ PAPER = DetectorConfig(
 
 DEFAULT = DetectorConfig(
     preset="default",
+    bev=BevConfig(vote=True),
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
@@ -278,5 +282,6 @@ def parse_config(values: object) -> DetectorConfig:
         for item in error.errors():
             where = ".".join(str(part) for part in item["loc"] if part not in {"harris", "crossing"}) or "configuration"
             found = "" if isinstance(item["input"], dict) else f" (found {item['input']!r})"
-            lines.append(f"{where}: {item['msg'].removeprefix('Value error, ')}{found}")
+            what = "there is no such setting" if item["type"] == "extra_forbidden" else item["msg"]
+            lines.append(f"{where}: {what.removeprefix('Value error, ')}{found}")
         raise ConfigError("; ".join(lines)) from None

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import platform
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import pairwise
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any
 
 import numpy as np
@@ -203,9 +207,10 @@ def _detect_in_processes(
 ) -> list[RangeResult]:
     done = 0
     results = []
-    pool = ProcessPoolExecutor(min(workers, len(ranges)), mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(min(workers, len(ranges)), mp_context=get_context("spawn"), initializer=_end_with_parent)
     try:
-        futures = [pool.submit(detect_range, drive, keyframes, start, stop, config) for start, stop in ranges]
+        with _interrupts_held_back():  # the workers inherit this: Ctrl-C is the parent's business
+            futures = [pool.submit(detect_range, drive, keyframes, start, stop, config) for start, stop in ranges]
         for future in as_completed(futures):
             part = future.result()
             results.append(part)
@@ -219,6 +224,30 @@ def _detect_in_processes(
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
     return sorted(results, key=lambda part: part.start)
+
+
+def _end_with_parent() -> None:
+    """Let a worker process end when its parent is killed, instead of waiting for work for ever."""
+
+    def watch() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def peak_memory_bytes() -> int:

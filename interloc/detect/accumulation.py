@@ -63,8 +63,7 @@ class TileGrid:
 @dataclass(frozen=True)
 class _Entry:
     keyframe: Keyframe
-    where: NDArray[np.int32]
-    tiles: list[tuple[int, int]]
+    votes: list[tuple[NDArray[np.int32], list[tuple[int, int]], int]]  # where, in which tiles, for or against road
 
 
 class RoadAccumulator:
@@ -82,7 +81,9 @@ class RoadAccumulator:
         self._first = 0  # number of the first keyframe in the window
         self._next = 0  # number of the next keyframe to complete
 
-    def add(self, keyframe: Keyframe, road_points: NDArray[np.float32]) -> Keyframe | None:
+    def add(
+        self, keyframe: Keyframe, road_points: NDArray[np.float32], other_points: NDArray[np.float32] | None = None
+    ) -> Keyframe | None:
         """Add a keyframe; return the one that has all its successors now, if any.
 
         Parameters
@@ -90,22 +91,31 @@ class RoadAccumulator:
         keyframe
         road_points : (N, 3) float32
             Road points in L, metres.
+        other_points : (M, 3) float32 or None
+            Points of what road is most often confused with, in L, metres: each takes one road point of its cell back.
         """
+        votes = [self._cast(keyframe, road_points, 1)]
+        if other_points is not None:
+            votes.append(self._cast(keyframe, other_points, -1))
+        self._window.append(_Entry(keyframe, votes))
+        if self._first + len(self._window) <= self._next + self._after:
+            return None
+        return self._complete()
+
+    def _cast(
+        self, keyframe: Keyframe, points: NDArray[np.float32], vote: int
+    ) -> tuple[NDArray[np.int32], list[tuple[int, int]], int]:
         cells, tiles = grid.cells_of(
-            np.ascontiguousarray(road_points, np.float32),
+            np.ascontiguousarray(points, np.float32),
             np.ascontiguousarray(keyframe.T_world_lidar, np.float64),
             self._config.resolution_m,
             self._config.max_range_m,
         )
-        if len(cells):
-            keys = self._grid.acquire(tiles)
-            where = grid.add_cells(self._grid.pool, self._grid.table(tiles), int(tiles[0]), int(tiles[2]), cells)
-        else:
-            keys, where = [], np.empty(0, np.int32)
-        self._window.append(_Entry(keyframe, where, keys))
-        if self._first + len(self._window) <= self._next + self._after:
-            return None
-        return self._complete()
+        if not len(cells):
+            return np.empty(0, np.int32), [], vote
+        keys = self._grid.acquire(tiles)
+        where = grid.add_cells(self._grid.pool, self._grid.table(tiles), int(tiles[0]), int(tiles[2]), cells, vote)
+        return where, keys, vote
 
     def finish(self) -> Keyframe | None:
         """Complete the next keyframe although not all its successors came; None when there is none left."""
@@ -114,8 +124,9 @@ class RoadAccumulator:
     def _complete(self) -> Keyframe:
         while self._first < self._next - self._before:
             entry = self._window.popleft()
-            grid.remove_cells(self._grid.pool, entry.where)
-            self._grid.release(entry.tiles)
+            for where, tiles, vote in entry.votes:
+                grid.remove_cells(self._grid.pool, where, vote)
+                self._grid.release(tiles)
             self._first += 1
         keyframe = self._window[self._next - self._first].keyframe
         self._next += 1

@@ -94,8 +94,10 @@ class Detector:
             return None
         self.stopwatch.start()
         road_points = scan.road_points  # III-B.1
+        other_points = scan.other_points if self.config.bev.vote else None
         self.stopwatch.lap("read")
-        completed = self._road.add(Keyframe(scan.frame, scan.T_world_lidar, scan.time_s), road_points)  # III-B.2
+        keyframe = Keyframe(scan.frame, scan.T_world_lidar, scan.time_s)
+        completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
         self.stopwatch.lap("accumulate")
         return completed
 

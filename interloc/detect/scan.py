@@ -20,6 +20,8 @@ class ScanLike(Protocol):
     def time_s(self) -> float | None: ...
     @property
     def road_points(self) -> NDArray[np.float32]: ...
+    @property
+    def other_points(self) -> NDArray[np.float32] | None: ...
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,13 @@ class Scan:
         Points of the road in L, metres (paper, eq. 1).
     time_s : float or None
         Time of the scan, seconds.
+    other_points : (M, 3) float32 or None
+        Points of sidewalk, parking and other ground in L, metres, where known: they tell road from what is confused
+        with it (`BevConfig.vote`).
     """
 
     frame: int
     T_world_lidar: NDArray[np.float64]
     road_points: NDArray[np.float32]
     time_s: float | None = None
+    other_points: NDArray[np.float32] | None = None

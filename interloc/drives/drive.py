@@ -133,9 +133,18 @@ class DriveScan:
         return None if self.drive.times_s is None else float(self.drive.times_s[self.index])
 
     @cached_property
+    def _points(self) -> GroundPoints:
+        return self.drive.ground_points(self.index)
+
+    @property
     def road_points(self) -> NDArray[np.float32]:
         """(M, 3) float32 road points in L, metres."""
-        return self.drive.ground_points(self.index).road
+        return self._points.road
+
+    @property
+    def other_points(self) -> NDArray[np.float32]:
+        """(N, 3) float32 points of sidewalk, parking and other ground in L, metres."""
+        return self._points.confusable
 
 
 def scans_of(drive: Drive, indices: Iterable[int] | None = None) -> Iterator[DriveScan]:

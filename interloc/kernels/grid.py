@@ -74,9 +74,9 @@ def cells_of(
 
 @compiled
 def add_cells(
-    pool: NDArray[np.int32], table: NDArray[np.int32], first_x: int, first_y: int, cells: NDArray[np.int32]
+    pool: NDArray[np.int32], table: NDArray[np.int32], first_x: int, first_y: int, cells: NDArray[np.int32], vote: int
 ) -> NDArray[np.int32]:
-    """Count the cells into the pool; return where each was counted, for `remove_cells`.
+    """Add a vote to the pool for each cell; return where, for `remove_cells`.
 
     Parameters
     ----------
@@ -85,6 +85,8 @@ def add_cells(
         Slot of the pool of each tile, from tile row ``first_y`` and column ``first_x`` on.
     cells : (M, 2) int32
         ix, iy.
+    vote : int
+        1 for road, -1 against it.
 
     Returns
     -------
@@ -97,17 +99,17 @@ def add_cells(
         ix, iy = np.int64(cells[i, 0]), np.int64(cells[i, 1])
         slot = np.int64(table[(iy >> _SHIFT) - first_y, (ix >> _SHIFT) - first_x])
         k = slot * TILE * TILE + ((iy & _MASK) << _SHIFT) + (ix & _MASK)
-        flat[k] += 1
+        flat[k] += vote
         where[i] = k
     return where
 
 
 @compiled
-def remove_cells(pool: NDArray[np.int32], where: NDArray[np.int32]) -> None:
-    """Take back what `add_cells` counted."""
+def remove_cells(pool: NDArray[np.int32], where: NDArray[np.int32], vote: int) -> None:
+    """Take back the votes that `add_cells` gave."""
     flat = pool.reshape(-1)
     for i in range(where.size):
-        flat[where[i]] -= 1
+        flat[where[i]] -= vote
 
 
 @compiled

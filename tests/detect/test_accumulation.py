@@ -139,8 +139,10 @@ def test_memory_does_not_grow_with_the_drive_and_is_clean_in_the_end() -> None:
     assert len(accumulator._window) <= 11
     while accumulator._window:
         entry = accumulator._window.popleft()
-        accumulator._grid.pool.reshape(-1)[:] -= np.bincount(entry.where, minlength=accumulator._grid.pool.size)
-        accumulator._grid.release(entry.tiles)
+        for where, tiles, vote in entry.votes:
+            counted = np.bincount(where, minlength=accumulator._grid.pool.size)
+            accumulator._grid.pool.reshape(-1)[:] -= vote * counted
+            accumulator._grid.release(tiles)
     assert not accumulator._grid.pool.any()
     assert not accumulator._grid._slots
     assert sorted(accumulator._grid._free) == list(range(len(accumulator._grid.pool)))
@@ -169,3 +171,26 @@ def test_start_of_a_drive_needs_fewer_points_in_a_cell() -> None:
     scans = straight(9, 1.0)
     first = next(run(RoadAccumulator(KeyframeConfig(window=4, lookahead=0), bev), scans))
     np.testing.assert_array_equal(first[1].to_array(), literal_bev(scans, 0, 4, 0, bev, 1))
+
+
+def test_points_of_other_ground_take_road_points_back() -> None:
+    bev = BevConfig(size_m=20, resolution_m=0.2, min_points=2, adaptive=False)
+    accumulator = RoadAccumulator(KeyframeConfig(window=1, lookahead=0), bev)
+    here, there = [0.1, 0.1, -1.7], [3.1, 0.1, -1.7]
+    road = np.array([here] * 3 + [there] * 3, np.float32)
+    other = np.array([there] * 2 + [[9.1, 9.1, -1.7]], np.float32)
+    keyframe = accumulator.add(Keyframe(0, np.eye(4), None), road, other)
+    assert keyframe is not None
+    image, roi = accumulator.bev(keyframe)
+    rows, cols = image.pixels()
+    np.testing.assert_allclose(roi.world(rows, cols), [[0.1, 0.1]])
+
+
+def test_votes_against_road_leave_with_their_keyframe() -> None:
+    bev = BevConfig(size_m=20, resolution_m=0.2, min_points=1, adaptive=False)
+    accumulator = RoadAccumulator(KeyframeConfig(window=0, lookahead=0), bev)
+    point = np.array([[0.1, 0.1, -1.7]], np.float32)
+    accumulator.add(Keyframe(0, np.eye(4), None), point, np.repeat(point, 5, axis=0))
+    keyframe = accumulator.add(Keyframe(1, np.eye(4), None), point)
+    assert keyframe is not None
+    assert accumulator.bev(keyframe)[0].pixels()[0].size == 1

@@ -271,6 +271,7 @@ def test_points_are_asked_of_keyframes_only(drive: list[Scan]) -> None:
     class Guarded:
         def __init__(self, scan: Scan) -> None:
             self.frame, self.T_world_lidar, self.time_s, self._points = scan.frame, scan.T_world_lidar, None, scan
+            self.other_points = None
             self.asked = 0
 
         @property

@@ -97,12 +97,12 @@ def test_scan_without_points_falls_into_no_tile() -> None:
 def test_counts_are_those_of_the_plain_twin_and_taking_back_leaves_nothing(seed: int, count: int) -> None:
     first, second = some_cells(seed, count), some_cells(seed + 1, count)
     pool, table = shuffled_tiles(seed)
-    where_first = add_cells(pool, table, FIRST, FIRST, first)
-    where_second = add_cells(pool, table, FIRST, FIRST, second)
+    where_first = add_cells(pool, table, FIRST, FIRST, first, 1)
+    where_second = add_cells(pool, table, FIRST, FIRST, second, 1)
     np.testing.assert_array_equal(counts_of(pool, table), plain_counts(first) + plain_counts(second))
-    remove_cells(pool, where_first)
+    remove_cells(pool, where_first, 1)
     np.testing.assert_array_equal(counts_of(pool, table), plain_counts(second))
-    remove_cells(pool, where_second)
+    remove_cells(pool, where_second, 1)
     assert not pool.any()
 
 
@@ -117,7 +117,7 @@ def test_counts_are_those_of_the_plain_twin_and_taking_back_leaves_nothing(seed:
 def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, size: int, least: int) -> None:
     cells = some_cells(seed, 30_000)
     pool, table = shuffled_tiles(seed)
-    add_cells(pool, table, FIRST, FIRST, cells)
+    add_cells(pool, table, FIRST, FIRST, cells, 1)
     first_col, last_col = left // TILE - FIRST, (left + size - 1) // TILE - FIRST
     first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
     window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
