@@ -45,13 +45,19 @@ def _combine(source: Words, half_widths: NDArray[np.int64], width: int, invert: 
     target = np.zeros((n_rows, n_words), np.uint64)
     wide = np.empty(n_words, np.uint64)
     wider = np.empty(n_words, np.uint64)
+    full = np.zeros(n_rows, np.bool_)  # rows of the target that are set throughout: no need to look at them again
     for r in range(1, n_rows - 1):
-        empty = True
+        empty, whole = True, True
         for w in range(n_words):
             wide[w] = (~source[r, w] & masks[w]) if invert else source[r, w]
             if wide[w] != 0:
                 empty = False
+            if wide[w] != masks[w]:
+                whole = False
         if empty:
+            continue
+        if whole:
+            full[max(r - radius, 1) : min(r + radius, n_rows - 2) + 1] = True
             continue
         grown = 0
         # The rows far from the disc's middle are its narrowest, so one row is widened step by step.
@@ -66,15 +72,17 @@ def _combine(source: Words, half_widths: NDArray[np.int64], width: int, invert: 
                     wider[w] = word & masks[w]
                 wide, wider = wider, wide
                 grown += 1
-            if r - dy >= 1:
+            if r - dy >= 1 and not full[r - dy]:
                 for w in range(n_words):
                     target[r - dy, w] |= wide[w]
-            if dy > 0 and r + dy < n_rows - 1:
+            if dy > 0 and r + dy < n_rows - 1 and not full[r + dy]:
                 for w in range(n_words):
                     target[r + dy, w] |= wide[w]
-    if invert:
-        for r in range(1, n_rows - 1):
-            for w in range(n_words):
+    for r in range(1, n_rows - 1):
+        for w in range(n_words):
+            if full[r]:
+                target[r, w] = masks[w]
+            if invert:
                 target[r, w] = ~target[r, w] & masks[w]
     return target
 
