@@ -20,13 +20,9 @@ Find = Callable[[str, str, float], DriveResult]
 BRANCHES = {"X": 4, "T": 3, "Y": 3}
 BOUND_M = 0.3
 
-LEANS = "the line of an arm that is seen in passing leans towards its ragged end; the map is off by {} m"
-NOT_YET = {
-    ("T", "straight", 45): LEANS.format(0.50),
-    ("Y", "straight", 45): LEANS.format(0.54),
-    ("Y", "straight", 60): LEANS.format(0.43),
-    ("Y", "turning", 45): LEANS.format(0.53),
-}
+NOT_YET = {("T", "straight", 45), ("Y", "straight", 45), ("Y", "straight", 60), ("Y", "turning", 45)}
+"""Far out on an arm that is only seen in passing one edge is seen better than the other, so that its line leans by a
+degree; where arms meet at a sharp angle that moves the intersection along their bisector by 0.4 to 0.7 m."""
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +56,8 @@ def test_it_is_where_the_streets_meet(
     route: str,
     angle_deg: float,
 ) -> None:
-    if reason := NOT_YET.get((shape, route, angle_deg)):
+    if (shape, route, angle_deg) in NOT_YET:
+        reason = "the line of an arm that is seen in passing leans towards its ragged end"
         request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
     found = find(shape, route, angle_deg).intersections
     assert found.lonlat is not None

@@ -50,7 +50,7 @@ def test_map_has_each_intersection_once(evaluation: Evaluation) -> None:
         pytest.param(
             "T45",
             marks=pytest.mark.xfail(
-                strict=True, reason="the line of a road seen in passing leans towards its ragged end: 0.46 m"
+                strict=True, reason="the line of a road seen in passing leans towards its ragged end"
             ),
         ),
         *sorted(JUNCTIONS.keys() - {"T45"}),
