@@ -35,6 +35,7 @@ Progress = Callable[[int, int], None]
 """Called with the keyframes done and the keyframes in all."""
 
 _LEAST_RANGE = 100  # keyframes: a shorter range would mostly read its halo
+_PAYS_OFF = 400  # keyframes for each process: fewer are done before it has started
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ def detect(
     config: DetectorConfig = DEFAULT,
     *,
     fusion: FusionConfig | None = None,
-    workers: int = 1,
+    workers: int | None = 1,
     progress: Progress | None = None,
 ) -> DriveResult:
     """Find the intersections along a drive and fuse them into a map.
@@ -124,8 +125,8 @@ def detect(
         Settings of the method; see `interloc.config.preset`.
     fusion
         Settings of the fusion of detections into intersections.
-    workers : int
-        Processes. The result does not depend on it.
+    workers : int or None
+        Processes; None: as many as pay off. The result does not depend on it.
     progress
         Called with the keyframes done and the keyframes in all.
 
@@ -143,6 +144,8 @@ def detect(
     keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
     if not len(keyframes):
         raise DriveError(f"{drive.name}: the drive holds no scans")
+    if workers is None:
+        workers = min(cores(), max(1, len(keyframes) // _PAYS_OFF))
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:
         results = [_detect_here(drive, keyframes, config, progress)]
@@ -181,6 +184,11 @@ def split(count: int, workers: int) -> list[tuple[int, int]]:
     parts = 1 if workers <= 1 else max(1, min(4 * workers, count // _LEAST_RANGE))
     edges = [round(i * count / parts) for i in range(parts + 1)]
     return list(pairwise(edges))
+
+
+def cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _detect_here(

@@ -242,7 +242,7 @@ def _measure(
     policy: Policy,
     tolerance_m: float,
     fresh: bool,
-    workers: int,
+    workers: int | None,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -253,6 +253,7 @@ def _measure(
     from interloc.benchmark.write import PAGE, write_benchmark
     from interloc.errors import InterLocError, is_interruption
     from interloc.evaluate.robustness import parse_level
+    from interloc.pipeline import cores
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
     named = [_settings(Settings, preset, settings) for preset in presets]
@@ -266,7 +267,7 @@ def _measure(
     console.set_up_log(quiet=quiet)
     bars = _Bars(quiet=quiet)
     try:
-        rows = run_plan(plan, out, workers=workers, fresh=fresh, report=bars)
+        rows = run_plan(plan, out, workers=workers or cores(), fresh=fresh, report=bars)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interruption(error):
             raise

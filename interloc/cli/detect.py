@@ -23,7 +23,7 @@ def command(
     out: Path,
     preset: str,
     settings: tuple[str, ...],
-    workers: int,
+    workers: int | None,
     quiet: bool,
     as_json: bool,
     **drive_: Any,

@@ -91,15 +91,10 @@ config_options = _together(
 )
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 workers_option = click.option(
     "--workers",
     type=click.IntRange(1, 256),
-    default=_cores,
-    show_default="all cores",
+    show_default="as many as pay off",
     help="Processes; the result does not depend on it.",
 )
 

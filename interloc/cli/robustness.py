@@ -40,7 +40,7 @@ def command(
     seed: int,
     preset: str,
     settings: tuple[str, ...],
-    workers: int,
+    workers: int | None,
     quiet: bool,
     as_json: bool,
     **drive_: Any,

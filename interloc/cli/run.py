@@ -34,7 +34,7 @@ def command(
     tolerance_m: float,
     preset: str,
     settings: tuple[str, ...],
-    workers: int,
+    workers: int | None,
     quiet: bool,
     as_json: bool,
     **drive_: Any,
