@@ -193,14 +193,14 @@ PAPER = DetectorConfig(
 
 DEFAULT = DetectorConfig(
     preset="default",
-    bev=BevConfig(vote=True),
+    bev=BevConfig(min_points=2, vote=True),
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
     branches=BranchConfig(
         inner_radius_m=15.0,
         inner_widths=0.85,
-        min_reach_m=12.0,
+        min_reach_m=14.0,
         stop_m=2.0,
         end_at_rejected=False,
         line="least_squares",
