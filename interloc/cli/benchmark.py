@@ -39,7 +39,7 @@ def measuring_options(command: Command) -> Command:
                 multiple=True,
                 callback=_lists,
                 default=["default,paper"],
-                show_default="default,paper",
+                show_default="both",
                 help="Settings to measure, side by side; repeat, or join with commas.",
             ),
             click.option(
@@ -73,7 +73,7 @@ def measuring_options(command: Command) -> Command:
     return command
 
 
-@click.group()
+@click.group(short_help="Measure presets on many drives: the tables of the paper.")
 def command() -> None:
     """Repeat the paper's experiments: its Tables I, II and IV beside the published figures.
 

@@ -70,7 +70,7 @@ def scene_options(command: Command) -> Command:
     return command
 
 
-@click.group()
+@click.group(short_help="Make a drive whose truth is known: town, track or KITTI twin.")
 def command() -> None:
     """Write drives whose truth is known: a LiDAR drives through a made-up town, or along a real track over a real map.
 
