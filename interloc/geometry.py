@@ -71,7 +71,13 @@ def wrap_angle(angle_rad: float | Array) -> float | Array:
 
 def bearing_deg(angle_rad: ArrayLike) -> Array:
     """Turn mathematical angles (counter-clockwise from +x, east) into bearings (clockwise from +y, north), [0, 360)."""
-    return (90.0 - np.degrees(np.asarray(angle_rad, dtype=np.float64))) % 360.0
+    return wrap_bearing(90.0 - np.degrees(np.asarray(angle_rad, dtype=np.float64)))
+
+
+def wrap_bearing(degrees: ArrayLike) -> Array:
+    """Bring bearings into [0, 360): a tiny negative number too, which the remainder alone would round to 360."""
+    wrapped = np.asarray(degrees, dtype=np.float64) % 360.0
+    return np.where(wrapped >= 360.0, 0.0, wrapped)
 
 
 def invert_transform(transform: Array) -> Array:

@@ -7,6 +7,7 @@ import logging
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import click
@@ -30,6 +31,18 @@ class _Formatter(logging.Formatter):
         return f"{record.levelname.lower()}: {text}" if record.levelno >= logging.WARNING else text
 
 
+class Interruption:
+    """Ctrl-C or SIGTERM, remembered: an exception raised within a callback of a library would be lost."""
+
+    asked = False
+
+    @classmethod
+    def ask(cls, signum: int, frame: FrameType | None) -> None:  # noqa: ARG003 - the signature of a signal handler
+        """Handle the signal: stop here, or else at the next sign of progress."""
+        cls.asked = True
+        raise KeyboardInterrupt
+
+
 class Bar:
     """A progress bar on stderr: shown on a terminal only, created when there is something to count."""
 
@@ -39,6 +52,8 @@ class Bar:
 
     def __call__(self, done: int, total: int) -> None:
         """Show how much of how much is done."""
+        if Interruption.asked:
+            raise KeyboardInterrupt
         if self._quiet or not sys.stderr.isatty():
             return
         if self._bar is None:

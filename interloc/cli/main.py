@@ -10,6 +10,7 @@ from importlib import import_module
 
 import click
 
+from interloc.cli.console import Interruption
 from interloc.errors import InterLocError, is_interruption
 
 COMMANDS = {
@@ -53,7 +54,8 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: half-written results are taken away
+    for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM as Ctrl-C: half-written results are taken away
+        signal.signal(stop, Interruption.ask)
     sys.exit(run())
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from interloc.geometry import Array
+from interloc.geometry import Array, wrap_bearing
 
 Labels = NDArray[np.int64]
 
@@ -217,7 +217,7 @@ def fuse_bearings(
         seen_by = np.unique(owner[rows])
         share = float(weight[seen_by].sum() / weight.sum())
         turn = float(np.average(away[rows, number], weights=weight[owner[rows]]))
-        found.append((share, (peak + turn) % 360.0))
+        found.append((share, float(wrap_bearing(peak + turn))))
     found.sort(key=lambda branch: (-branch[0], branch[1]))
     return np.sort([bearing for rank, (share, bearing) in enumerate(found) if share >= support or rank < 3])
 

@@ -514,18 +514,20 @@ def plain_branches(
     ring = {p for p in graph_of if inner < math.dist(p, first) < outer}
     blocked = {p for p in ring if any(math.dist(p, other) < stop for other in others)}
     pieces: list[tuple[set[Pixel], bool]] = []
+    taken: set[Pixel] = set()  # a pixel belongs to the first piece that reaches it
     for start in sorted(ring):
-        if any(start in piece for piece, _ in pieces):
+        if start in taken:
             continue
         if all(math.dist(q, first) > inner for q in graph_of[start]):
             continue
         piece, stack, at_candidate = {start}, [start], False
         while stack:
             for q in graph_of[stack.pop()] & ring:
-                if q in blocked and q not in piece:
+                if q in blocked and q not in piece and q not in taken:
                     at_candidate = True
-                elif q not in piece:
+                elif q not in piece and q not in taken:
                     piece.add(q)
                     stack.append(q)
         pieces.append((piece, at_candidate))
+        taken |= piece
     return pieces
