@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
 @click.command(short_help="Score a result against OpenStreetMap.")
 @click.argument("out", type=click.Path(path_type=Path))
-@options.OSM
-@options.OVERPASS
-@options.POLICY
-@options.TOLERANCE
+@options.map_options
 @options.QUIET
 @options.JSON
 def command(

@@ -79,6 +79,8 @@ drive_options = _together(
     ),
 )
 
+map_options = _together(OSM, OVERPASS, POLICY, TOLERANCE)
+
 config_options = _together(
     click.option(
         "--preset",

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 @click.command(short_help="Repeat the experiment on label errors.")
 @options.DRIVE
 @options.OUT
-@options.OSM
-@options.OVERPASS
-@options.POLICY
-@options.TOLERANCE
+@options.map_options
 @click.option("--levels", default="0/0,5/5,5/20,20/5,20/20", show_default=True, help="r-FPR/r-FNR in percent.")
 @click.option("--seed", default=0, show_default=True, help="Of the label errors.")
 @options.config_options

@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 @click.command(short_help="Detect, map and evaluate in one go.")
 @options.DRIVE
 @options.OUT
-@options.OSM
-@options.OVERPASS
-@options.POLICY
-@options.TOLERANCE
+@options.map_options
 @options.config_options
 @options.drive_options
 @options.workers_option

@@ -231,9 +231,9 @@ def grow_from(
 
 
 # Columns of what `follow_branches` returns for each branch; rows and columns of the image in pixels.
-START_ROW, START_COL, MEAN_ROW, MEAN_COL, LENGTH, AT_CANDIDATE, AT_BORDER = range(7)
-FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH, WEIGHT, FIT_START = range(7, 16)
-BRANCH_COLUMNS = 16
+START_ROW, START_COL, MEAN_ROW, MEAN_COL, LENGTH, AT_CANDIDATE = range(6)
+FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH, WEIGHT, FIT_START = range(6, 15)
+BRANCH_COLUMNS = 15
 
 RING_PX = 4.0  # a line grows by this much at a time
 GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
@@ -315,7 +315,7 @@ def follow_branches(
         top, end = 0, 1
         stack[0] = s
         seen[s] = True
-        at_candidate, at_border = False, False
+        at_candidate = False
         n_tips = 0
         first = s
         sum_r, sum_c, reach = 0.0, 0.0, 0.0
@@ -348,15 +348,13 @@ def follow_branches(
                 stack[end] = q
                 end += 1
             near_border = min(rows[p], cols[p], size - 1 - rows[p], size - 1 - cols[p]) < border
-            if near_border:
-                at_border = True
             if onward <= 1 and not near_border and n_tips < tips.size:
                 tips[n_tips] = p
                 n_tips += 1
         row = branches[count]
         row[START_ROW], row[START_COL] = rows[first], cols[first]
         row[MEAN_ROW], row[MEAN_COL] = sum_r / end, sum_c / end
-        row[LENGTH], row[AT_CANDIDATE], row[AT_BORDER], row[REACH] = end, at_candidate, at_border, reach
+        row[LENGTH], row[AT_CANDIDATE], row[REACH] = end, at_candidate, reach
         # Moments of its trustworthy part, ring by ring from the inner circle outwards.
         for j in range(end):
             p = stack[j]

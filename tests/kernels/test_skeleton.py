@@ -351,7 +351,7 @@ def test_crossing_lines_have_four_branches_from_circle_to_circle() -> None:
     assert means.tolist() == [[65, 100], [100, 65], [100, 135], [135, 100]]
     assert table[:, sk.LENGTH].tolist() == [49] * 4
     assert table[:, sk.REACH].tolist() == [59] * 4
-    assert not table[:, [sk.AT_CANDIDATE, sk.AT_BORDER]].any()
+    assert not table[:, sk.AT_CANDIDATE].any()
 
 
 def test_branches_point_away_and_are_straight() -> None:
@@ -383,14 +383,6 @@ def test_line_that_forks_outside_of_the_inner_circle_is_one_branch() -> None:
     table = branches(BinaryImage.from_array(image), (100, 100))
     assert len(table) == 4
     assert table[2, sk.LENGTH] > 49 + 20
-
-
-def test_branch_that_reaches_the_border_says_so() -> None:
-    image = np.zeros((101, 101), np.uint8)
-    image[50, 50:] = 1
-    image[20:50, 50] = 1
-    table = branches(BinaryImage.from_array(image), (50, 50))
-    assert table[:, sk.AT_BORDER].tolist() == [0, 1]
 
 
 def test_line_is_fitted_to_the_trusted_part_only() -> None:
