@@ -31,6 +31,10 @@ class _Formatter(logging.Formatter):
         return f"{record.levelname.lower()}: {text}" if record.levelno >= logging.WARNING else text
 
 
+def _ignore(_: object) -> None:
+    pass
+
+
 class Interruption:
     """Ctrl-C or SIGTERM, remembered: an exception raised within a callback of a library would be lost."""
 
@@ -40,6 +44,7 @@ class Interruption:
     def ask(cls, signum: int, frame: FrameType | None) -> None:  # noqa: ARG003 - the signature of a signal handler
         """Handle the signal: stop here, or else at the next sign of progress."""
         cls.asked = True
+        sys.unraisablehook = _ignore  # objects that were stopped half-made complain when they are cleared away
         raise KeyboardInterrupt
 
 
