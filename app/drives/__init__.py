@@ -1,0 +1,1 @@
+"""Uploads: names, files, batches, archives, limits, clean-up."""

@@ -1,0 +1,1 @@
+"""The queue and those who work on it: leases, runner, executors."""

@@ -1,0 +1,52 @@
+"""The application: `create_app` puts the parts together, ``uvicorn app.main:create_app --factory`` serves it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from app.problems import ProblemDocument, add_handlers
+from app.routes import archive, drives, events, exports, files, jobs, page, results, scans, system
+from app.service import Service
+from app.settings import Settings
+from interloc.pipeline import versions
+
+API = "/api/v1"
+
+
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """Make the application.
+
+    Parameters
+    ----------
+    settings
+        Read from the environment (``INTERLOC_*``) by default.
+    """
+    settings = settings or Settings()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        service = Service.open(settings)
+        app.state.service = service
+        try:
+            yield
+        finally:
+            service.database.close()
+
+    app = FastAPI(
+        title="InterLoc",
+        version=str(versions()["interloc"]),
+        summary="Find road intersections in LiDAR drives, map them, and score them against OpenStreetMap.",
+        lifespan=lifespan,
+        root_path=settings.root_path,
+        responses={422: {"model": ProblemDocument}},
+    )
+    app.state.settings = settings
+    add_handlers(app)
+    for module in (drives, files, scans, archive, jobs, events, results, exports):
+        app.include_router(module.router, prefix=API)
+    for module in (system, page):
+        app.include_router(module.router)
+    return app

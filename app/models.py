@@ -1,0 +1,111 @@
+"""The tables: drives, their files, jobs, tokens."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+
+def new_id() -> str:
+    """Return an id that nobody can guess."""
+    return secrets.token_hex(8)
+
+
+class Base(DeclarativeBase):
+    """All times are seconds since 1970 by the clock of the database."""
+
+    type_annotation_map = {dict[str, Any]: JSON(none_as_null=True), str: String(255), int: BigInteger, float: Float}  # noqa: RUF012
+
+
+class Drive(Base):
+    """A drive that is being uploaded, or is ready for jobs."""
+
+    __tablename__ = "drives"
+
+    id: Mapped[str] = mapped_column(primary_key=True, default=new_id)
+    name: Mapped[str]
+    owner: Mapped[str]
+    state: Mapped[str] = mapped_column(default="uploading")
+    """uploading, checking (its commit job runs), ready."""
+    options: Mapped[dict[str, Any]] = mapped_column(default=dict)
+    """How it is to be read: label_scheme, pose_frame, layout, oxts."""
+    keep_raw: Mapped[bool] = mapped_column(default=False)
+    report: Mapped[dict[str, Any] | None]
+    """The DriveReport of its last commit, good or bad."""
+    file_count: Mapped[int] = mapped_column(default=0)
+    size_bytes: Mapped[int] = mapped_column(default=0)
+    """Of the files as uploaded."""
+    stored_bytes: Mapped[int] = mapped_column(default=0)
+    """Of what is kept."""
+    created_at: Mapped[float]
+    touched_at: Mapped[float]
+
+    __table_args__ = (Index("ix_drives_state_touched", "state", "touched_at"),)
+
+
+class DriveFile(Base):
+    """One uploaded file; it stays listed when the drive was reduced, so that an upload can go on."""
+
+    __tablename__ = "drive_files"
+
+    drive_id: Mapped[str] = mapped_column(ForeignKey("drives.id", ondelete="CASCADE"), primary_key=True)
+    path: Mapped[str] = mapped_column(String(512), primary_key=True)
+    size_bytes: Mapped[int]
+    sha256: Mapped[str] = mapped_column(String(64))
+
+
+class Job(Base):
+    """A piece of work: find intersections, or check and unpack an upload. Durable, leased by one server at a time."""
+
+    __tablename__ = "jobs"
+
+    id: Mapped[str] = mapped_column(primary_key=True, default=new_id)
+    kind: Mapped[str]
+    """intersections, commit or unpack."""
+    drive_id: Mapped[str] = mapped_column(ForeignKey("drives.id", ondelete="CASCADE"))
+    owner: Mapped[str]
+    request: Mapped[dict[str, Any]]
+    idempotency_key: Mapped[str | None]
+
+    state: Mapped[str] = mapped_column(default="accepted")
+    """accepted, running, successful, failed, dismissed."""
+    stage: Mapped[str] = mapped_column(default="waiting")
+    message: Mapped[str | None] = mapped_column(Text)
+    """What it is waiting for, in words."""
+    done: Mapped[int] = mapped_column(default=0)
+    total: Mapped[int | None]
+    """Keyframes (intersections), scans (commit), files (unpack)."""
+    version: Mapped[int] = mapped_column(default=1)
+    """Counts the changes; the id of the events."""
+    error: Mapped[dict[str, Any] | None]
+    """The problem document of its failure."""
+    summary: Mapped[dict[str, Any] | None]
+    """The outcome in a few figures, with timings and memory."""
+
+    created_at: Mapped[float]
+    started_at: Mapped[float | None]
+    finished_at: Mapped[float | None]
+
+    attempts: Mapped[int] = mapped_column(Integer, default=0)
+    lease_owner: Mapped[str | None]
+    lease_until: Mapped[float | None]
+    cancel_requested: Mapped[bool] = mapped_column(default=False)
+
+    __table_args__ = (
+        UniqueConstraint("owner", "idempotency_key", name="uq_jobs_idempotency"),
+        Index("ix_jobs_state_created", "state", "created_at"),
+        Index("ix_jobs_drive", "drive_id"),
+    )
+
+
+class Token(Base):
+    """An API token; only its SHA-256 is kept."""
+
+    __tablename__ = "tokens"
+
+    name: Mapped[str] = mapped_column(primary_key=True)
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    created_at: Mapped[float]

@@ -1,0 +1,163 @@
+"""Problem documents (RFC 9457): everything that the service answers with when it does not do what was asked."""
+
+from __future__ import annotations
+
+import errno
+import logging
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.encoders import jsonable_encoder
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict, Field
+from sqlalchemy.exc import OperationalError
+from starlette.exceptions import HTTPException
+
+from interloc.errors import InterLocError
+
+MEDIA_TYPE = "application/problem+json"
+
+_log = logging.getLogger(__name__)
+
+
+class FileProblem(BaseModel):
+    """One thing that is wrong with, or to be said of, a file or field."""
+
+    severity: str = Field(examples=["error"])
+    path: str = Field(examples=["labels/000010.label"])
+    message: str = Field(examples=["121,480 labels for 120,991 points in velodyne/000010.bin."])
+
+
+class ProblemDocument(BaseModel):
+    """An error: what happened, and what to do."""
+
+    model_config = ConfigDict(extra="allow")
+
+    type: str = Field("about:blank", examples=["about:blank"])
+    title: str = Field(examples=["Drive not found"])
+    status: int = Field(examples=[404])
+    detail: str = Field(examples=["There is no drive 5f0c. GET /api/v1/drives lists them."])
+    instance: str | None = Field(None, examples=["/api/v1/drives/5f0c"])
+    problems: list[FileProblem] | None = None
+
+
+class Problem(Exception):  # noqa: N818 - the name of RFC 9457
+    """Raised anywhere in the service to answer with a problem document.
+
+    Parameters
+    ----------
+    status
+        HTTP status.
+    title
+        A few words, the same for every problem of this kind.
+    detail
+        What was found, what was expected, what to do.
+    headers
+        For example ``Retry-After``.
+    **more
+        Further members of the document, for example ``problems``.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        title: str,
+        detail: str,
+        *,
+        headers: dict[str, str] | None = None,
+        **more: Any,  # noqa: ANN401 - whatever JSON can hold
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.title = title
+        self.detail = detail
+        self.headers = headers
+        self.more = more
+
+    def document(self) -> dict[str, Any]:
+        """Return the document, without its instance."""
+        return {
+            "type": "about:blank",
+            "title": self.title,
+            "status": self.status,
+            "detail": self.detail,
+            **jsonable_encoder(self.more),
+        }
+
+
+def from_error(error: InterLocError) -> Problem:
+    """Turn an error of the library into a problem."""
+    titles = {"DriveError": "Drive not usable", "DriveFileError": "Drive not usable", "ConfigError": "Bad setting"}
+    return Problem(error.http_status, titles.get(type(error).__name__, "Not possible"), str(error))
+
+
+def disk_full() -> Problem:
+    """Say that the disk of the service has no room."""
+    return Problem(
+        507,
+        "Disk full",
+        "The service has no disk space left. Nothing of this request was kept; delete drives that are no longer needed "
+        "(DELETE /api/v1/drives/{id}) or ask its operator, then send it again.",
+    )
+
+
+def add_handlers(app: FastAPI) -> None:
+    """Answer every error with a problem document."""
+    for error, to_problem in _TO_PROBLEM.items():
+        app.add_exception_handler(error, _handler(to_problem))
+
+
+def _handler(to_problem: Callable[[Any], Problem]) -> Callable[[Request, Exception], JSONResponse]:
+    def handle(request: Request, error: Exception) -> JSONResponse:
+        problem = to_problem(error)
+        document = {**problem.document(), "instance": request.url.path}
+        return JSONResponse(document, problem.status, headers=problem.headers, media_type=MEDIA_TYPE)
+
+    return handle
+
+
+def _of_http_error(error: HTTPException) -> Problem:
+    headers = dict(error.headers) if error.headers else None
+    return Problem(error.status_code, HTTPStatus(error.status_code).phrase, str(error.detail), headers=headers)
+
+
+def _of_validation_error(error: RequestValidationError) -> Problem:
+    problems = [
+        FileProblem(severity="error", path=".".join(str(part) for part in each["loc"]), message=each["msg"])
+        for each in error.errors()
+    ]
+    detail = f"{problems[0].path}: {problems[0].message}."
+    if len(problems) > 1:
+        detail += f" And {len(problems) - 1} more."
+    return Problem(422, "Request not valid", detail, problems=problems)
+
+
+def _of_os_error(error: OSError) -> Problem:
+    return disk_full() if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else _of_fault(error)
+
+
+def _of_database_error(error: OperationalError) -> Problem:
+    if "disk is full" in str(error) or "No space left" in str(error):
+        return disk_full()
+    _log.error("database: %s", error)
+    detail = "The database did not answer in time. Send the request again in a moment."
+    return Problem(503, "Database busy", detail, headers={"Retry-After": "5"})
+
+
+def _of_fault(error: Exception) -> Problem:
+    _log.error("a fault of the service itself", exc_info=error)
+    return Problem(500, "Fault of the service", "A fault of the service itself; its log tells more. Please report it.")
+
+
+_TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {
+    Problem: lambda error: error,
+    InterLocError: from_error,
+    HTTPException: _of_http_error,
+    RequestValidationError: _of_validation_error,
+    OSError: _of_os_error,
+    OperationalError: _of_database_error,
+    Exception: _of_fault,
+}

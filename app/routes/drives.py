@@ -1,0 +1,7 @@
+"""Endpoints: drives."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+router = APIRouter(tags=["drives"])

@@ -1,0 +1,7 @@
+"""Endpoints: scans."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+router = APIRouter(tags=["scans"])

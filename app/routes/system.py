@@ -1,0 +1,7 @@
+"""Endpoints: system."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+router = APIRouter(tags=["system"])

@@ -1,0 +1,99 @@
+"""Jobs."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from app.problems import ProblemDocument
+from interloc.config import DetectorConfig
+from interloc.drives.options import LabelFolder
+from interloc.osm.policies import Policy
+
+JobState = Literal["accepted", "running", "successful", "failed", "dismissed"]
+JobKind = Literal["intersections", "commit", "unpack"]
+
+
+class OsmFile(BaseModel):
+    """A map among the files of the drive."""
+
+    model_config = ConfigDict(extra="forbid")
+    file: str = Field(max_length=512, examples=["map.osm.gz"])
+
+
+class OsmOverpass(BaseModel):
+    """The map of today from a public Overpass server."""
+
+    model_config = ConfigDict(extra="forbid")
+    overpass: Literal[True]
+
+
+class NewJob(BaseModel):
+    """Find the intersections of a drive, and score them where a map is given."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [{"drive_id": "5f0c2b7d9a41e386", "preset": "default", "osm": {"file": "map.osm.gz"}}]
+        },
+    )
+
+    drive_id: str = Field(max_length=64)
+    preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
+    config: dict[str, Any] | None = Field(
+        None,
+        description="Settings that differ from the preset, in its shape (GET /api/v1/presets/{name}).",
+        examples=[{"bev": {"resolution_m": 0.25}}],
+    )
+    labels: LabelFolder | None = Field(None, description="Folder of the labels; the one that is there by default.")
+    osm: Annotated[OsmFile | OsmOverpass | None, Field(description="Map to score against; none: only detect.")] = None
+    policy: Policy = Field("drive", description="Which OSM nodes count as intersections.")
+    tolerance_m: float = Field(15.0, gt=0, le=100, description="Merging reach of policy consolidated.")
+    name: str | None = Field(None, max_length=200, description="Shown in lists.")
+
+
+class Progress(BaseModel):
+    """How far a job is."""
+
+    done: int
+    total: int | None = Field(description="Keyframes (scans of a commit, files of an archive); null until known.")
+    fraction: float = Field(ge=0, le=1)
+    seconds_left: float | None
+
+
+class JobModel(BaseModel):
+    """A job."""
+
+    id: str = Field(examples=["9b1e44f00c7a2d53"])
+    kind: JobKind
+    drive_id: str
+    drive_name: str
+    owner: str
+    state: JobState
+    stage: str = Field(description="waiting, preparing, detecting, mapping, evaluating, ...", examples=["detecting"])
+    message: str | None = Field(None, description="What it is waiting for.")
+    progress: Progress
+    request: dict[str, Any]
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    attempts: int
+    error: ProblemDocument | None = None
+    summary: dict[str, Any] | None = Field(
+        None,
+        description="Outcome in figures: keyframes, detections, intersections, seconds, peak_memory_bytes, report.",
+    )
+    links: dict[str, str] = Field(default_factory=dict, description="Results of a successful job, by name.")
+    version: int = Field(description="Counts the changes; the id of its events.")
+
+
+class JobList(BaseModel):
+    """A page of jobs, the newest first."""
+
+    jobs: list[JobModel]
+    next: str | None = Field(None, description="Give it as `after` for the next page; null on the last.")
+
+
+__all__ = ["DetectorConfig", "JobList", "JobModel", "JobState", "NewJob", "Progress"]

@@ -1,0 +1,77 @@
+"""Settings of the service: environment variables ``INTERLOC_*``; `interloc serve` has options for the common ones."""
+
+from __future__ import annotations
+
+import ipaddress
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, SecretStr
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+MB = 1024**2
+GB = 1024**3
+
+
+class Settings(BaseSettings):
+    """How the service runs; every field is read from ``INTERLOC_<NAME>``."""
+
+    model_config = SettingsConfigDict(env_prefix="INTERLOC_", frozen=True, extra="ignore")
+
+    # Where things are.
+    data_dir: Path = Field(Path("interloc-data"), description="Folder of drives, results and the default database.")
+    database_url: str | None = Field(
+        None, description="SQLAlchemy URL, postgresql+psycopg://...; a SQLite file in the data folder by default."
+    )
+    static_dir: Path | None = Field(None, description="Folder of the page; the one beside the package by default.")
+
+    # Where it listens.
+    host: str = "127.0.0.1"
+    port: int = Field(8000, ge=0, le=65535)
+    root_path: str = Field("", description="Path under which a reverse proxy shows the service, as /interloc.")
+    trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
+    token: SecretStr | None = Field(None, description="One API token; more are made with `interloc token add`.")
+    allow_anonymous: bool = Field(False, description="Serve other addresses than this machine's without any token.")
+
+    # Who does the work.
+    workers: int | None = Field(None, ge=1, le=256, description="Worker processes; one a core by default.")
+    dask: str | None = Field(None, description="Address of a Dask scheduler to use instead, as tcp://host:8786.")
+    jobs_at_once: int | None = Field(None, ge=1, le=256, description="Jobs worked on together; two by default.")
+    max_attempts: int = Field(3, ge=1, le=20, description="Tries of a job whose worker dies.")
+    lease_s: float = Field(30.0, ge=1.0, description="A job whose server is silent for so long is taken over.")
+
+    # Limits.
+    max_file_bytes: int = Field(256 * MB, ge=1)
+    max_archive_bytes: int = Field(32 * GB, ge=1)
+    max_archive_ratio: float = Field(50.0, ge=1.0, description="Unpacked size over packed size.")
+    max_batch_bytes: int = Field(512 * MB, ge=1, description="One multipart request.")
+    max_batch_files: int = Field(1000, ge=1, description="Files in one multipart request.")
+    max_drive_bytes: int = Field(64 * GB, ge=1)
+    max_drive_files: int = Field(200_000, ge=1)
+    min_free_bytes: int = Field(1 * GB, ge=0, description="No upload or job begins with less space on the disk.")
+    max_queued_jobs: int = Field(100, ge=1, description="Jobs of one client that wait or run.")
+    upload_expires_h: float = Field(7 * 24.0, gt=0, description="An upload untouched for so long is removed.")
+
+    # What the page may show and fetch.
+    overpass: bool = Field(True, description="Let jobs fetch the map from a public Overpass server.")
+    tile_url: str | None = Field(
+        "https://tile.openstreetmap.org/{z}/{x}/{y}.png", description="Tiles that the page offers; empty for none."
+    )
+    tile_attribution: str = "© OpenStreetMap contributors"
+
+    # What is logged.
+    log_format: Literal["json", "text"] = "json"
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @property
+    def is_loopback(self) -> bool:
+        """True where only this machine can connect."""
+        try:
+            return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False
+
+    @property
+    def sqlalchemy_url(self) -> str:
+        """Address of the database."""
+        return self.database_url or f"sqlite:///{(self.data_dir.absolute() / 'interloc.sqlite3').as_posix()}"

@@ -1,0 +1,85 @@
+"""Where the bytes are kept: one small interface, and the folder that implements it.
+
+Keys are paths below one root: ``drives/<id>/files/...`` (as uploaded), ``drives/<id>/reduced/...`` (what jobs read),
+``jobs/<id>/scratch/...`` (checkpoints, progress), ``jobs/<id>/result/...``. The library reads and writes folders, so a
+storage can show a key as one (`Storage.folder`); a storage of objects would do so by a local copy.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+from interloc.errors import InterLocError
+
+
+class Storage(Protocol):
+    """Where drives and results lie."""
+
+    def writer(self, key: str) -> AbstractContextManager[BinaryIO]:
+        """Open a new file that takes its name when the block ends without error: whole, on disk, or not at all."""
+        ...
+
+    def folder(self, key: str) -> Path:
+        """Return the folder of a key, for code that works on folders; it need not exist."""
+        ...
+
+    def delete(self, key: str) -> None:
+        """Remove a file or a folder with all that is in it; nothing happens where it is not there."""
+        ...
+
+    def free_bytes(self) -> int:
+        """Return the space that is left."""
+        ...
+
+
+class LocalStorage:
+    """A folder on this machine, or on a file system that all servers and workers mount at the same place."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = Path(os.path.realpath(root))
+
+    def folder(self, key: str) -> Path:  # noqa: D102 - see Storage
+        path = Path(os.path.normpath(self.root / key))
+        if not path.is_relative_to(self.root) or path == self.root:
+            raise InterLocError(f"{key!r} leads out of the data folder")
+        return path
+
+    @contextmanager
+    def writer(self, key: str) -> Iterator[BinaryIO]:  # noqa: D102 - see Storage
+        path = self.folder(key)
+        incoming = self.root / "incoming"
+        incoming.mkdir(parents=True, exist_ok=True)
+        temporary = incoming / secrets.token_hex(12)
+        try:
+            with temporary.open("xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            path.parent.mkdir(parents=True, exist_ok=True)
+            temporary.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+
+    def delete(self, key: str) -> None:  # noqa: D102 - see Storage
+        path = self.folder(key)
+        if path.is_dir() and not path.is_symlink():
+            # Renamed first: what is half deleted must not be found under its name.
+            doomed = self.root / "incoming" / secrets.token_hex(12)
+            doomed.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileNotFoundError):
+                path.replace(doomed)
+                shutil.rmtree(doomed, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+    def free_bytes(self) -> int:  # noqa: D102 - see Storage
+        self.root.mkdir(parents=True, exist_ok=True)
+        return shutil.disk_usage(self.root).free

@@ -1,0 +1,1 @@
+"""What worker processes do: pure functions of a task, without database and web."""

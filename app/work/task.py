@@ -1,0 +1,104 @@
+"""A piece of work as worker processes see it: a task cut into parts, all of it files in the data folder.
+
+Every kind of job is a module of this package with three functions that run in worker processes, on this machine or on
+a cluster, and know neither the database nor the web:
+
+``prepare(task) -> Plan``
+    Look at the input, cut the work into parts.
+``run(task, part, report) -> None``
+    Do one part and leave its outcome in the scratch folder, written whole or not at all. A part that is there already
+    (a restart) is not done again.
+``finish(task, plan) -> Outcome``
+    Join the parts into the result.
+
+They raise `InterLocError` where the input is at fault: the job fails with that message and is not tried again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from interloc.errors import InterLocError
+
+Report = Callable[[int], None]
+"""Called with the number of units of the part that are done; raises `Cancelled` when nobody waits for the rest."""
+
+
+class Cancelled(InterLocError):  # noqa: N818 - it is no fault
+    """The job was cancelled while it ran."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be done.
+
+    Attributes
+    ----------
+    kind, job_id : str
+    drive_name : str
+    request : dict
+        The request as the client sent it, checked.
+    drive : Path
+        Folder of the drive: ``files/`` as uploaded, ``reduced/`` once it is committed.
+    scratch : Path
+        Folder of this job for checkpoints and progress; it outlives a restart and goes when the job ends.
+    result : Path
+        Folder of the result.
+    limits : dict
+        Settings that the work must keep to, by name.
+    """
+
+    kind: str
+    job_id: str
+    drive_name: str
+    request: dict[str, Any]
+    drive: Path
+    scratch: Path
+    result: Path
+    limits: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a task: the units ``start..stop`` of it."""
+
+    number: int
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a task is cut.
+
+    Attributes
+    ----------
+    parts
+    total : int
+        Units in all: keyframes, scans, files.
+    notes : dict
+        What `finish` needs to know of it.
+    """
+
+    parts: list[Part]
+    total: int
+    notes: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a task ended.
+
+    Attributes
+    ----------
+    summary : dict
+        For the client, in figures.
+    report : dict or None
+        What a check found (`DriveReport.to_dict`).
+    """
+
+    summary: dict[str, Any]
+    report: dict[str, Any] | None = None

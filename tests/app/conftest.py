@@ -1,0 +1,57 @@
+"""A real server on a free port of this machine, and a client for it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import uvicorn
+
+from app.main import create_app
+from app.settings import Settings
+
+API = "/api/v1"
+
+
+@contextmanager
+def running_server(data_dir: Path, **settings: Any) -> Iterator[str]:
+    """Serve from a thread of this process; yields the address."""
+    options: dict[str, Any] = {"min_free_bytes": 0, "workers": 1, "log_level": "warning", **settings}
+    app = create_app(Settings(data_dir=data_dir, port=0, **options))
+    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning", lifespan="on"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive(), "the server did not start"
+        time.sleep(0.02)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    try:
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        server.should_exit = True
+        thread.join(30)
+        assert not thread.is_alive(), "the server did not stop"
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
+    """Start a server with given settings; returns a client whose base address is the server's."""
+    with ExitStack() as stack:
+
+        def start(data_dir: Path | None = None, **settings: Any) -> httpx.Client:
+            address = stack.enter_context(running_server(data_dir or tmp_path / "data", **settings))
+            return stack.enter_context(httpx.Client(base_url=address, timeout=120))
+
+        yield start
+
+
+@pytest.fixture
+def client(serve: Callable[..., httpx.Client]) -> httpx.Client:
+    """A client of a server with default settings."""
+    return serve()
