@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
 from fastapi import FastAPI
 
@@ -16,24 +16,37 @@ from interloc.pipeline import versions
 API = "/api/v1"
 
 
-def create_app(settings: Settings | None = None) -> FastAPI:
+@contextmanager
+def _remembering_faults(app: FastAPI) -> Iterator[None]:
+    """Keep why the start failed: the server knows it as text only."""
+    try:
+        yield
+    except Exception as error:
+        app.state.start_fault = error
+        raise
+
+
+def create_app(settings: Settings | None = None, service: Service | None = None) -> FastAPI:
     """Make the application.
 
     Parameters
     ----------
     settings
         Read from the environment (``INTERLOC_*``) by default.
+    service
+        Opened already; otherwise at start. It is closed at the end.
     """
     settings = settings or Settings()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        service = Service.open(settings)
-        app.state.service = service
+        with _remembering_faults(app):
+            opened = service or Service.open(settings)
+            app.state.service = opened
         try:
             yield
         finally:
-            service.database.close()
+            opened.close()
 
     app = FastAPI(
         title="InterLoc",

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+import secrets
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
 from fastapi import Depends, Request
@@ -10,6 +14,7 @@ from fastapi import Depends, Request
 from app.database import Database
 from app.settings import Settings
 from app.storage import LocalStorage, Storage
+from interloc.errors import OutputError
 
 
 @dataclass(frozen=True)
@@ -19,14 +24,39 @@ class Service:
     settings: Settings
     database: Database
     storage: Storage
+    stopping: threading.Event = field(default_factory=threading.Event)
+    """Set when the server begins to stop: streams and waits that would go on must end."""
 
     @classmethod
     def open(cls, settings: Settings) -> Service:
-        """Create the data folder where it is missing, and bring the database up to date."""
-        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        """Create the data folder where it is missing, and bring the database up to date.
+
+        Raises
+        ------
+        OutputError
+            The data folder cannot be written.
+        """
+        _check_writable(settings.data_dir)
         database = Database(settings.sqlalchemy_url)
         database.upgrade()
         return cls(settings, database, LocalStorage(settings.data_dir))
+
+    def close(self) -> None:
+        """Close the database."""
+        self.database.close()
+
+
+def _check_writable(folder: Path) -> None:
+    probe = folder / f".probe-{secrets.token_hex(4)}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"the data folder {folder} cannot be written: {os.strerror(error.errno or 0).lower()}. "
+            "--data-dir (INTERLOC_DATA_DIR) chooses another one."
+        ) from error
 
 
 def _service(request: Request) -> Service:

@@ -22,6 +22,7 @@ COMMANDS = {
     "robustness": "robustness",
     "simulate": "simulate",
     "benchmark": "benchmark",
+    "serve": "serve",
     "config": "config",
 }
 """Command -> module of this package, which has a click command `command`."""

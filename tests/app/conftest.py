@@ -11,9 +11,9 @@ from typing import Any
 
 import httpx
 import pytest
-import uvicorn
 
 from app.main import create_app
+from app.server import Server
 from app.settings import Settings
 
 API = "/api/v1"
@@ -23,16 +23,15 @@ API = "/api/v1"
 def running_server(data_dir: Path, **settings: Any) -> Iterator[str]:
     """Serve from a thread of this process; yields the address."""
     options: dict[str, Any] = {"min_free_bytes": 0, "workers": 1, "log_level": "warning", **settings}
-    app = create_app(Settings(data_dir=data_dir, port=0, **options))
-    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning", lifespan="on"))
+    settings_ = Settings(data_dir=data_dir, port=0, **options)
+    server = Server(create_app(settings_), settings_)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     while not server.started:
         assert thread.is_alive(), "the server did not start"
         time.sleep(0.02)
-    port = server.servers[0].sockets[0].getsockname()[1]
     try:
-        yield f"http://127.0.0.1:{port}"
+        yield f"http://127.0.0.1:{server.port}"
     finally:
         server.should_exit = True
         thread.join(30)

@@ -1,0 +1,134 @@
+"""The process that `interloc serve` runs: it listens, serves, and ends in good order."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import socket
+from collections.abc import Callable
+
+import uvicorn
+from fastapi import FastAPI
+
+from app import logs
+from app.main import create_app
+from app.security import check_exposure
+from app.service import Service
+from app.settings import Settings
+from interloc.errors import ConfigError, InterLocError
+
+_BACKLOG = 2048
+_KEEP_ALIVE_S = 75  # longer than the 60 s of common reverse proxies: they must be the ones that close
+_GRACE_S = 10  # for uploads that are under way when the service is stopped
+
+_log = logging.getLogger(__name__)
+
+
+class Server(uvicorn.Server):
+    """Serves an application, and tells its parts as soon as it is to stop.
+
+    Parameters
+    ----------
+    app
+        Made by `create_app`.
+    settings
+        Its settings.
+    started
+        Called with the port when requests are answered.
+    """
+
+    def __init__(self, app: FastAPI, settings: Settings, started: Callable[[int], None] | None = None) -> None:
+        config = uvicorn.Config(
+            app,
+            host=settings.host,
+            port=settings.port,
+            lifespan="on",
+            ws="none",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            proxy_headers=True,
+            forwarded_allow_ips=settings.trusted_proxies,
+            backlog=_BACKLOG,
+            timeout_keep_alive=_KEEP_ALIVE_S,
+            timeout_graceful_shutdown=_GRACE_S,
+        )
+        super().__init__(config)
+        self._app = app
+        self._tell_started = started
+
+    @property
+    def port(self) -> int:
+        """The port that it listens on."""
+        port: int = self.servers[0].sockets[0].getsockname()[1]
+        return port
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Open the service, then listen."""
+        notes = logging.getLogger("uvicorn.error")
+        level = notes.level
+        notes.setLevel(logging.CRITICAL)  # why a start failed is told once, by `serve`
+        try:
+            await super().startup(sockets)
+        except SystemExit as error:
+            raise getattr(self._app.state, "start_fault", error) from None
+        finally:
+            notes.setLevel(level)
+        if self.started and self._tell_started is not None:
+            self._tell_started(self.port)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End the streams that would never end by themselves, wait for the rest, close the service."""
+        self._app.state.service.stopping.set()
+        await super().shutdown(sockets)
+
+
+def serve(settings: Settings, started: Callable[[int], None] | None = None) -> None:
+    """Serve until SIGINT or SIGTERM.
+
+    Raises
+    ------
+    ConfigError
+        Other machines could connect, and there is no token.
+    OutputError
+        The data folder cannot be written.
+    InterLocError
+        The address is taken.
+    """
+    logs.set_up(settings)
+    service = Service.open(settings)
+    try:
+        check_exposure(service)
+        listener = listen(settings.host, settings.port)
+    except BaseException:
+        service.close()
+        raise
+    server = Server(create_app(settings, service), settings, started)
+    with listener:
+        try:
+            server.run(sockets=[listener])
+        except KeyboardInterrupt:  # uvicorn sends the signal again when it has stopped: that is how it is meant to end
+            if not server.started:
+                raise
+    _log.info("stopped")
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Bind the address; whoever holds it is told in one line."""
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        listener = socket.create_server(
+            address, family=family, backlog=_BACKLOG, dualstack_ipv6=host == "::" and socket.has_dualstack_ipv6()
+        )
+    except socket.gaierror as error:
+        raise ConfigError(f"--host {host}: no such address ({error.strerror})") from error
+    except OSError as error:
+        reason = {
+            errno.EADDRINUSE: "something listens there already; --port chooses another port",
+            errno.EACCES: "ports below 1024 need privileges; --port chooses another port",
+            errno.EADDRNOTAVAIL: "this machine has no such address",
+        }.get(error.errno or 0, os.strerror(error.errno or 0))
+        raise InterLocError(f"cannot listen on {host} port {port}: {reason}") from error
+    listener.setblocking(False)
+    return listener
