@@ -1,0 +1,317 @@
+/**
+ * The service as the page uses it: requests with the token, errors in the server's words, events, downloads.
+ *
+ * Paths are relative to `/api/v1/` ("drives", `jobs/${id}/report`). Works in workers too, but for the question for a token.
+ * @module api
+ */
+
+/** Where the page is served, with a slash at the end; right behind a reverse proxy with a path prefix too. */
+export const ROOT = new URL("../../", import.meta.url);
+const API = new URL("api/v1/", ROOT);
+const TOKEN_KEY = "interloc.token";
+
+/** What went wrong, in the words of the server's problem document. */
+export class ApiError extends Error {
+  /**
+   * @param {number} status HTTP status; 0 when the server was not reached.
+   * @param {{title?: string, detail?: string, problems?: Array<FileProblem>|null, [more: string]: any}} problem
+   * @param {number|null} [retryAfter] Seconds.
+   */
+  constructor(status, problem, retryAfter = null) {
+    super(problem.detail || problem.title || `The server answered ${status}.`);
+    this.name = "ApiError";
+    this.status = status;
+    this.title = problem.title || (status ? `Error ${status}` : "Server not reached");
+    this.detail = this.message;
+    /** @type {Array<FileProblem>} */
+    this.problems = problem.problems ?? [];
+    this.document = problem;
+    this.retryAfter = retryAfter;
+  }
+
+  /** True where the same request may succeed in a moment. */
+  get isPassing() {
+    return this.status === 0 || this.status === 429 || this.status === 502 || this.status === 503 || this.status === 504;
+  }
+}
+
+/** @typedef {{severity: string, path: string, message: string}} FileProblem */
+
+/** @returns {string|null} */
+export function getToken() {
+  return globalThis.sessionStorage?.getItem(TOKEN_KEY) ?? null;
+}
+
+/** @param {string|null} token Kept until the tab is closed; null forgets it. */
+export function setToken(token) {
+  if (token) sessionStorage.setItem(TOKEN_KEY, token);
+  else sessionStorage.removeItem(TOKEN_KEY);
+}
+
+/** @type {((wrong: boolean) => Promise<string|null>)|null} */
+let askToken = null;
+/** @type {Promise<boolean>|null} */
+let asking = null;
+
+/**
+ * Set who asks the person for a token when the server wants one.
+ * @param {(wrong: boolean) => Promise<string|null>} ask Told whether one was refused; null: the person gave up.
+ */
+export function onTokenNeeded(ask) {
+  askToken = ask;
+}
+
+/** @param {string|null} used @returns {Promise<boolean>} True where the request is worth another try. */
+function renewToken(used) {
+  if (getToken() !== used) return Promise.resolve(true); // another request was faster
+  if (!askToken) return Promise.resolve(false);
+  asking ??= askToken(used !== null)
+    .then((token) => {
+      if (token) setToken(token);
+      return Boolean(token);
+    })
+    .finally(() => {
+      asking = null;
+    });
+  return asking;
+}
+
+/** @param {string} path @returns {string} Address of a path of the API. */
+export function address(path) {
+  return new URL(path, API).href;
+}
+
+/** @param {string} path @returns {string} A path of a drive, each part encoded: "a b/ü.bin" -> "a%20b/%C3%BC.bin". */
+export function encodePath(path) {
+  return path.split("/").map(encodeURIComponent).join("/");
+}
+
+/** @param {Record<string, string>} [extra] @returns {Record<string, string>} */
+export function authHeaders(extra = {}) {
+  const token = getToken();
+  return token ? { Authorization: `Bearer ${token}`, ...extra } : { ...extra };
+}
+
+/** @param {number} status @param {string} text @param {string|null} retryAfter @returns {ApiError} */
+function errorOf(status, text, retryAfter) {
+  /** @type {any} */
+  let problem = {};
+  try {
+    problem = JSON.parse(text);
+  } catch {
+    problem = { detail: text.length < 300 && !text.startsWith("<") ? text : "" };
+  }
+  const seconds = retryAfter === null ? NaN : Number(retryAfter);
+  return new ApiError(status, problem, Number.isFinite(seconds) ? seconds : null);
+}
+
+/** @param {unknown} cause @returns {Error} */
+function unreachable(cause) {
+  if (cause instanceof DOMException && cause.name === "AbortError") return cause;
+  return new ApiError(0, {
+    title: "Server not reached",
+    detail: "The server does not answer. Is it still running, and is this machine connected to it?",
+  });
+}
+
+/**
+ * Send a request; anything but success is thrown.
+ *
+ * @param {string} path
+ * @param {{method?: string, json?: any, body?: BodyInit|null, headers?: Record<string, string>, signal?: AbortSignal,
+ *   cache?: RequestCache, keepalive?: boolean}} [options] `json` is sent as such.
+ * @returns {Promise<Response>}
+ * @throws {ApiError}
+ */
+export async function request(path, { json, headers = {}, ...options } = {}) {
+  for (;;) {
+    const used = getToken();
+    const all = authHeaders(headers);
+    if (json !== undefined) {
+      all["Content-Type"] = "application/json";
+      options.body = JSON.stringify(json);
+    }
+    let response;
+    try {
+      response = await fetch(address(path), { ...options, headers: all });
+    } catch (cause) {
+      throw unreachable(cause);
+    }
+    if (response.ok) return response;
+    if (response.status === 401 && (await renewToken(used))) continue;
+    throw errorOf(response.status, await response.text(), response.headers.get("Retry-After"));
+  }
+}
+
+/** @param {string} path @param {{signal?: AbortSignal, headers?: Record<string, string>}} [options] @returns {Promise<any>} */
+export async function getJson(path, options = {}) {
+  return (await request(path, { headers: { Accept: "application/json", ...options.headers }, signal: options.signal })).json();
+}
+
+/**
+ * @param {"POST"|"PUT"|"PATCH"|"DELETE"} method
+ * @param {string} path
+ * @param {any} [json]
+ * @param {{headers?: Record<string, string>, signal?: AbortSignal}} [options]
+ * @returns {Promise<any>} The answer, null where it is empty.
+ */
+export async function sendJson(method, path, json, options = {}) {
+  const response = await request(path, { method, json, ...options });
+  const text = await response.text();
+  return text ? JSON.parse(text) : null;
+}
+
+/**
+ * Send a file, with progress.
+ *
+ * @param {string} path
+ * @param {Blob|ArrayBuffer|Uint8Array} data
+ * @param {{digest?: string|null, onProgress?: (sent: number) => void, signal?: AbortSignal, method?: string,
+ *   headers?: Record<string, string>}} [options] `digest`: SHA-256 in Base64, checked by the server.
+ * @returns {Promise<any>} The answer as JSON.
+ * @throws {ApiError}
+ */
+export async function putFile(path, data, { digest = null, onProgress, signal, method = "PUT", headers = {} } = {}) {
+  for (;;) {
+    const used = getToken();
+    const { status, text, retryAfter } = await new Promise((resolve, reject) => {
+      signal?.throwIfAborted();
+      const xhr = new XMLHttpRequest();
+      const abort = () => xhr.abort();
+      xhr.open(method, address(path));
+      const all = authHeaders({ "Content-Type": "application/octet-stream", ...headers });
+      if (digest) all["Content-Digest"] = `sha-256=:${digest}:`;
+      for (const [name, value] of Object.entries(all)) xhr.setRequestHeader(name, value);
+      if (onProgress) xhr.upload.onprogress = (event) => onProgress(event.loaded);
+      xhr.onload = () => resolve({ status: xhr.status, text: xhr.responseText, retryAfter: xhr.getResponseHeader("Retry-After") });
+      xhr.onerror = () => reject(unreachable(null));
+      xhr.onabort = () => reject(new DOMException("The upload was stopped.", "AbortError"));
+      xhr.onloadend = () => signal?.removeEventListener("abort", abort);
+      signal?.addEventListener("abort", abort);
+      xhr.send(/** @type {any} */ (data));
+    });
+    if (status >= 200 && status < 300) return text ? JSON.parse(text) : null;
+    if (status === 401 && (await renewToken(used))) continue;
+    throw errorOf(status, text, retryAfter);
+  }
+}
+
+/**
+ * Follow server-sent events until the stream ends by itself; reconnects where the connection breaks.
+ *
+ * @param {string} path
+ * @param {{onEvent: (data: any, event: {id: string|null, type: string}) => boolean|void, signal?: AbortSignal,
+ *   onConnection?: (connected: boolean) => void}} options `onEvent` gets the data parsed as JSON; returning true says that
+ *   nothing more is to come.
+ * @returns {Promise<void>} Resolves at the end; rejects with an `ApiError` where the server refuses.
+ */
+export async function follow(path, { onEvent, signal, onConnection }) {
+  /** @type {string|null} */
+  let lastId = null;
+  let wait = 1000;
+  while (!signal?.aborted) {
+    try {
+      /** @type {Record<string, string>} */
+      const headers = { Accept: "text/event-stream" };
+      if (lastId !== null) headers["Last-Event-ID"] = lastId;
+      const response = await request(path, { headers, signal, cache: "no-store" });
+      onConnection?.(true);
+      wait = 1000;
+      for await (const event of parseEvents(response)) {
+        if (event.id !== null) lastId = event.id;
+        if (event.data && onEvent(JSON.parse(event.data), event)) return;
+      }
+    } catch (error) {
+      if (signal?.aborted) return;
+      if (error instanceof ApiError && !error.isPassing) throw error;
+      // A broken connection or a restarting server: go on where it stopped.
+    }
+    if (signal?.aborted) return;
+    onConnection?.(false);
+    await sleep(wait, signal);
+    wait = Math.min(15000, 1.7 * wait);
+  }
+}
+
+/**
+ * @param {Response} response
+ * @returns {AsyncGenerator<{id: string|null, type: string, data: string}>}
+ */
+async function* parseEvents(response) {
+  if (!response.body) return;
+  const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+  let rest = "";
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) return;
+    rest += value.replace(/\r\n?/g, "\n");
+    let end = rest.indexOf("\n\n");
+    while (end >= 0) {
+      const event = { id: /** @type {string|null} */ (null), type: "message", data: "" };
+      const data = [];
+      for (const line of rest.slice(0, end).split("\n")) {
+        const [, field, text] = /^([^:]*):? ?(.*)$/s.exec(line) ?? [];
+        if (field === "data") data.push(text);
+        else if (field === "event") event.type = text;
+        else if (field === "id") event.id = text;
+      }
+      event.data = data.join("\n");
+      if (event.data) yield event;
+      rest = rest.slice(end + 2);
+      end = rest.indexOf("\n\n");
+    }
+  }
+}
+
+/** @param {number} ms @param {AbortSignal} [signal] Wakes up at once. @returns {Promise<void>} */
+export function sleep(ms, signal) {
+  return new Promise((resolve) => {
+    const timer = setTimeout(resolve, ms);
+    signal?.addEventListener("abort", () => (clearTimeout(timer), resolve()), { once: true });
+  });
+}
+
+/**
+ * Save what an address gives: the browser's own download where it may, through memory where a token is needed.
+ *
+ * @param {string} path
+ * @param {string} name Of the file, should the server not say.
+ */
+export async function download(path, name) {
+  if (!getToken()) {
+    save(address(path), name);
+    return;
+  }
+  const response = await request(path);
+  const said = /filename="?([^";]+)"?/.exec(response.headers.get("Content-Disposition") ?? "");
+  const url = URL.createObjectURL(await response.blob());
+  save(url, said ? said[1] : name);
+  setTimeout(() => URL.revokeObjectURL(url), 60000);
+}
+
+/** @param {string} url @param {string} name */
+function save(url, name) {
+  const link = document.createElement("a");
+  link.href = url;
+  link.download = name;
+  document.body.append(link);
+  link.click();
+  link.remove();
+}
+
+/**
+ * @typedef {{version: string, tile_url: string|null, tile_attribution: string, overpass: boolean, needs_token: boolean,
+ *   limits: Record<string, number>}} PageConfig
+ */
+
+/** @returns {Promise<PageConfig>} What the page is told about the server. */
+export async function loadConfig() {
+  let response;
+  try {
+    response = await fetch(new URL("config.json", ROOT));
+  } catch (cause) {
+    throw unreachable(cause);
+  }
+  if (!response.ok) throw errorOf(response.status, await response.text(), null);
+  return response.json();
+}

@@ -1,0 +1,151 @@
+/**
+ * Elements and figures: the small helpers that every part of the page uses.
+ * @module dom
+ */
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/**
+ * Make an element.
+ *
+ * `class`, `style` (an object), `dataset` (an object) and `on…` (a listener) are special; what the element has as a
+ * property is set as one (`value`, `disabled`, `htmlFor`), anything else becomes an attribute (`aria-label`, `role`).
+ * A value of null, undefined or false leaves it out.
+ *
+ * @param {string} tag
+ * @param {Record<string, any>} [props]
+ * @param {...(Node|string|number|null|undefined|false|Array<any>)} children
+ * @returns {any} The element.
+ */
+export function el(tag, props, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(props ?? {})) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name === "class") element.className = value;
+    else if (name === "style") Object.assign(element.style, value);
+    else if (name === "dataset") Object.assign(element.dataset, value);
+    else if (name.startsWith("on")) element.addEventListener(name.slice(2).toLowerCase(), value);
+    else if (name in element && !name.includes("-") && name !== "list" && name !== "form") {
+      /** @type {any} */ (element)[name] = value;
+    } else element.setAttribute(name, value === true ? "" : String(value));
+  }
+  append(element, children);
+  return element;
+}
+
+/**
+ * Make an SVG element; all props are attributes but `on…`.
+ *
+ * @param {string} tag
+ * @param {Record<string, any>} [props]
+ * @param {...any} children
+ * @returns {any}
+ */
+export function svg(tag, props, ...children) {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(props ?? {})) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2).toLowerCase(), value);
+    else element.setAttribute(name, String(value));
+  }
+  append(element, children);
+  return element;
+}
+
+/** @param {Element} parent @param {any} children */
+function append(parent, children) {
+  for (const child of children) {
+    if (child === null || child === undefined || child === false) continue;
+    if (Array.isArray(child)) append(parent, child);
+    else parent.append(child instanceof Node ? child : String(child));
+  }
+}
+
+/**
+ * Put new children in the place of the old ones.
+ * @param {Element} parent
+ * @param {...any} children
+ */
+export function fill(parent, ...children) {
+  parent.replaceChildren();
+  append(parent, children);
+}
+
+/**
+ * An icon of `icons.svg`, drawn in the colour of the text.
+ * @param {string} name
+ * @param {string} [label] Read aloud; without one the icon is decoration.
+ */
+export function icon(name, label) {
+  const use = svg("use", { href: new URL(`../icons.svg#${name}`, import.meta.url).href });
+  return svg("svg", { class: "icon", role: label ? "img" : null, "aria-label": label, "aria-hidden": label ? null : "true" }, use);
+}
+
+/**
+ * Say something to screen readers, at the next pause.
+ * @param {string} text
+ */
+export function announce(text) {
+  const region = document.getElementById("announcer");
+  if (region && region.textContent !== text) region.textContent = text;
+}
+
+const thin = "\u00a0";
+
+/** @param {number} count @returns {string} 12345 -> "12,345" */
+export function formatCount(count) {
+  return Math.round(count).toLocaleString("en");
+}
+
+/** @param {number} count @param {string} one @param {string} [many] @returns {string} "1 scan", "3 scans" */
+export function plural(count, one, many = `${one}s`) {
+  return `${formatCount(count)} ${Math.round(count) === 1 ? one : many}`;
+}
+
+/** @param {number} bytes @returns {string} 1536 -> "1.5 kB" (steps of 1,000, as file managers show) */
+export function formatBytes(bytes) {
+  const units = ["B", "kB", "MB", "GB", "TB"];
+  let value = bytes;
+  let unit = 0;
+  while (value >= 999.5 && unit < units.length - 1) {
+    value /= 1000;
+    unit += 1;
+  }
+  return `${unit === 0 || value >= 99.95 ? Math.round(value) : value.toFixed(1)}${thin}${units[unit]}`;
+}
+
+/** @param {number|null|undefined} seconds @returns {string} 0.4 -> "0.4 s", 75 -> "1 min 15 s", 7300 -> "2 h 02 min" */
+export function formatDuration(seconds) {
+  if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return "–";
+  if (seconds < 9.95) return `${seconds.toFixed(1)}${thin}s`;
+  const whole = Math.round(seconds);
+  if (whole < 60) return `${whole}${thin}s`;
+  if (whole < 3600) return `${Math.floor(whole / 60)}${thin}min ${String(whole % 60).padStart(2, "0")}${thin}s`;
+  const minutes = Math.round(whole / 60);
+  return `${Math.floor(minutes / 60)}${thin}h ${String(minutes % 60).padStart(2, "0")}${thin}min`;
+}
+
+/** @param {number|null|undefined} metres @param {number} [digits] @returns {string} 1.157 -> "1.16 m", 5200 -> "5.2 km" */
+export function formatMetres(metres, digits = 2) {
+  if (metres === null || metres === undefined || !Number.isFinite(metres)) return "–";
+  if (Math.abs(metres) >= 1000) return `${(metres / 1000).toFixed(1)}${thin}km`;
+  return `${metres.toFixed(digits)}${thin}m`;
+}
+
+/** @param {number|null|undefined} share 0..1 @returns {string} 0.895 -> "89.5 %" */
+export function formatPercent(share) {
+  if (share === null || share === undefined || !Number.isFinite(share)) return "–";
+  return `${(100 * share).toFixed(1)}${thin}%`;
+}
+
+/** @param {string|null|undefined} iso @returns {string} "just now", "5 min ago", "yesterday", "21 Nov 2026" */
+export function formatAgo(iso) {
+  if (!iso) return "–";
+  const then = new Date(iso);
+  const seconds = (Date.now() - then.getTime()) / 1000;
+  if (seconds < 45) return "just now";
+  if (seconds < 3600) return `${Math.max(1, Math.round(seconds / 60))} min ago`;
+  if (seconds < 20 * 3600) return `${Math.round(seconds / 3600)} h ago`;
+  if (seconds < 44 * 3600) return "yesterday";
+  return then.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric" });
+}

@@ -1,0 +1,35 @@
+/**
+ * The page: puts header, panels, map, timeline and drawer together.
+ *
+ * A panel is a module with `mount(container)`: called once, when the panel is first shown. It keeps itself up to date by
+ * `subscribe` (state.js) and leaves for another panel by `setState({panel: "job", job: id})`.
+ * @module main
+ */
+import { loadConfig, onTokenNeeded } from "./api.js";
+import { getState, subscribe } from "./state.js";
+import { showError } from "./shell/messages.js";
+import { askForToken } from "./shell/token.js";
+import { mountHeader } from "./shell/header.js";
+import { mountTabs } from "./shell/tabs.js";
+import { setConfig } from "./shell/config.js";
+import { mountStage } from "./map/stage.js";
+
+const PANELS = {
+  drives: { title: "Drives", load: () => import("./drives/panel.js") },
+  upload: { title: "Upload", load: () => import("./upload/panel.js") },
+  job: { title: "Job", load: () => import("./job/panel.js") },
+  report: { title: "Report", load: () => import("./report/panel.js") },
+  export: { title: "Export", load: () => import("./exports/panel.js") },
+};
+
+async function start() {
+  onTokenNeeded(askForToken);
+  window.addEventListener("unhandledrejection", (event) => showError(event.reason));
+  setConfig(await loadConfig());
+  mountHeader(/** @type {HTMLElement} */ (document.getElementById("header")));
+  mountTabs(PANELS);
+  await mountStage();
+  subscribe(["drive", "job"], () => (document.title = getState().job ? "InterLoc – result" : "InterLoc"));
+}
+
+start().catch(showError);

@@ -1,0 +1,110 @@
+/**
+ * What the page shows: one small store. The part of it that makes a permalink lives in the address behind "#".
+ * @module state
+ */
+
+/**
+ * @typedef {object} State
+ * @property {string} panel drives, upload, job, report, export
+ * @property {string|null} drive Id of the drive that is shown.
+ * @property {string|null} job Id of the job that is shown.
+ * @property {number|null} frame Scan number of the keyframe that is shown.
+ * @property {string|null} view Of the map: "zoom/lat/lon".
+ * @property {string[]|null} layers Switched on; null for the usual ones.
+ * @property {boolean} drawer Whether the keyframe is shown at large.
+ */
+
+/** @type {State} */
+const initial = { panel: "drives", drive: null, job: null, frame: null, view: null, layers: null, drawer: false };
+
+/** @type {State} */
+let state = { ...initial, ...parse(globalThis.location?.hash ?? "") };
+
+/** @type {Set<{keys: string[]|null, call: (state: State, before: State) => void}>} */
+const listeners = new Set();
+
+/** @returns {Readonly<State>} */
+export function getState() {
+  return state;
+}
+
+/**
+ * Change the state; listeners of what really changed are called.
+ * @param {Partial<State>} patch
+ */
+export function setState(patch) {
+  const before = state;
+  const changed = Object.keys(patch).filter((key) => !same(/** @type {any} */ (patch)[key], /** @type {any} */ (before)[key]));
+  if (!changed.length) return;
+  state = { ...before, ...patch };
+  writeHash(changed.some((key) => key === "panel" || key === "job" || key === "drive"));
+  for (const { keys, call } of [...listeners]) {
+    if (!keys || keys.some((key) => changed.includes(key))) call(state, before);
+  }
+}
+
+/**
+ * Call a function whenever one of the keys changes.
+ * @param {string[]|null} keys null for any.
+ * @param {(state: State, before: State) => void} call
+ * @returns {() => void} Stops it.
+ */
+export function subscribe(keys, call) {
+  const listener = { keys, call };
+  listeners.add(listener);
+  return () => listeners.delete(listener);
+}
+
+/** @param {Partial<State>} [patch] @returns {string} An address that shows what the page shows now, or would show. */
+export function permalink(patch = {}) {
+  const url = new URL(location.href);
+  url.hash = format({ ...state, ...patch });
+  return url.href;
+}
+
+/** @param {any} a @param {any} b */
+function same(a, b) {
+  return a === b || (Array.isArray(a) && Array.isArray(b) && a.length === b.length && a.every((each, i) => each === b[i]));
+}
+
+/** @param {State} shown @returns {string} */
+function format(shown) {
+  const parts = [];
+  for (const key of /** @type {const} */ (["panel", "drive", "job", "frame", "view"])) {
+    const value = shown[key];
+    if (value !== null && value !== initial[key]) parts.push(`${key}=${encodeURIComponent(value).replaceAll("%2F", "/")}`);
+  }
+  if (shown.layers) parts.push(`layers=${shown.layers.join(",")}`);
+  if (shown.drawer) parts.push("drawer=1");
+  return parts.join("&");
+}
+
+/** @param {string} hash @returns {State} */
+function parse(hash) {
+  const fields = new URLSearchParams(hash.replace(/^#/, ""));
+  const frame = fields.get("frame");
+  const layers = fields.get("layers");
+  return {
+    panel: fields.get("panel") ?? initial.panel,
+    drive: fields.get("drive"),
+    job: fields.get("job"),
+    frame: frame !== null && /^\d+$/.test(frame) ? Number(frame) : null,
+    view: fields.get("view"),
+    layers: layers === null ? null : layers.split(",").filter(Boolean),
+    drawer: fields.get("drawer") === "1",
+  };
+}
+
+/** @param {boolean} step True where "back" should undo it. */
+function writeHash(step) {
+  const hash = `#${format(state)}`;
+  if (hash === location.hash || (hash === "#" && !location.hash)) return;
+  if (step) history.pushState(null, "", hash);
+  else history.replaceState(null, "", hash);
+}
+
+globalThis.addEventListener?.("popstate", () => {
+  const before = state;
+  state = { ...initial, ...parse(location.hash) };
+  for (const { call } of [...listeners]) call(state, before);
+});
