@@ -1,7 +1,233 @@
-"""Endpoints: results."""
+"""What a successful job yields: layers, report, files, one archive of all."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+import hashlib
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
-router = APIRouter(tags=["results"])
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.responses import StreamingResponse
+
+from app.problems import ProblemDocument
+from app.results.archive import pack
+from app.results.delivery import REVALIDATE, deliver, is_known, media_type_of, prefers_html
+from app.results.folder import open_result
+from app.schemas.results import ResultFile, ResultFileList
+from app.service import ServiceDep
+
+JobId = Annotated[str, Path(description="Of a successful job of kind intersections.", max_length=64)]
+
+PROBLEMS: dict[int | str, dict[str, Any]] = {
+    404: {"model": ProblemDocument, "description": "No such job; or its result has no such part, and why."},
+    409: {"model": ProblemDocument, "description": "The job is not successful (yet)."},
+    410: {"model": ProblemDocument, "description": "The result is no longer on disk."},
+}
+_CACHED: dict[int | str, dict[str, Any]] = {
+    206: {"description": "The range that was asked for."},
+    304: {"description": "The client has it (If-None-Match, If-Modified-Since)."},
+    416: {"description": "There is no such range."},
+}
+
+
+def answers(media_type: str, schema: dict[str, Any], description: str) -> dict[int | str, dict[str, Any]]:
+    """Describe the answers of an address that gives a file."""
+    return {200: {"description": description, "content": {media_type: {"schema": schema}}}, **_CACHED, **PROBLEMS}
+
+
+_GEOJSON: dict[str, Any] = {
+    "type": "object",
+    "required": ["type", "features"],
+    "properties": {
+        "type": {"const": "FeatureCollection"},
+        "bbox": {"type": "array", "items": {"type": "number"}},
+        "features": {"type": "array", "items": {"type": "object"}},
+    },
+}
+
+_DESCRIPTIONS = {
+    "intersections": (
+        "The map: one point a physical intersection",
+        (
+            "Properties `id`, `observations`, `position_std_m` (one sigma), `branch_count`, `branch_bearings_deg` "
+            "(clockwise from north), `first_frame`, `last_frame`, `confidence` (0..1)."
+        ),
+    ),
+    "detections": (
+        "One point a detection a keyframe",
+        (
+            "Each georeferenced from the fix of its own keyframe. Properties `frame`, `x_m`, `y_m` (from the LiDAR), "
+            "`branch_count`, `branch_bearings_deg`, `score` (0..1), `intersection` (id of the fused one, or null)."
+        ),
+    ),
+    "trajectory": ("The way of the LiDAR as one line", "A LineString, thinned to a point every half metre."),
+    "keyframes": (
+        "One point a keyframe",
+        (
+            "Properties `frame`, `time_s`, `heading_deg`, `detections`, and its pose in W: `world_x_m`, `world_y_m`, "
+            "`world_yaw_rad`."
+        ),
+    ),
+    "osm-nodes": (
+        "The ground truth: OpenStreetMap's intersections near the drive",
+        (
+            "Properties `osm_id`, `degree`, `in_zone`, `found`, `keyframes_in_zone`, `keyframes_missed`, `detections`, "
+            "`median_error_m`. © OpenStreetMap contributors, ODbL."
+        ),
+    ),
+    "matches": (
+        "Lines from each detection to the OpenStreetMap node it was matched to",
+        "Properties `frame`, `error_m`, `outcome` (TP or FP at 5 m), `osm_id`. © OpenStreetMap contributors, ODbL.",
+    ),
+    "osm-roads": (
+        "OpenStreetMap's roads around the drive",
+        "LineStrings for a base map without tiles. © OpenStreetMap contributors, ODbL.",
+    ),
+}
+
+router = APIRouter(tags=["Results"])
+
+
+def get(path: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:  # noqa: ANN401 - FastAPI's
+    """Register an address for GET, and for HEAD without a second entry in the OpenAPI."""
+
+    def register(endpoint: Callable[..., Any]) -> Callable[..., Any]:
+        router.add_api_route(path, endpoint, methods=["GET"], **options)
+        router.add_api_route(path, endpoint, methods=["HEAD"], include_in_schema=False, response_class=Response)
+        return endpoint
+
+    return register
+
+
+def _add_layer(layer: str, summary: str, description: str) -> None:
+    def read_layer(job_id: JobId, request: Request, service: ServiceDep) -> Response:
+        result = open_result(service, job_id)
+        name = f"{result.slug}-{layer}.geojson"
+        return deliver(request, result.layer(layer), twins=result.cache, name=name)
+
+    get(
+        f"/jobs/{{job_id}}/{layer}",
+        summary=summary,
+        description=f"{description}\n\nThe same bytes as the command line writes: RFC 7946, longitude first.",
+        operation_id=f"read_{layer.replace('-', '_')}",
+        response_class=Response,
+        responses=answers("application/geo+json", _GEOJSON, summary + "."),
+    )(read_layer)
+
+
+for _layer, (_summary, _description) in _DESCRIPTIONS.items():
+    _add_layer(_layer, _summary, _description)
+
+
+@get(
+    "/jobs/{job_id}/report",
+    summary="The evaluation, for programs or for people",
+    operation_id="read_report",
+    response_class=Response,
+    responses={
+        **answers("application/json", {"type": "object"}, "The report."),
+        200: {
+            "description": "The report: `report.json`, or `report.html` as one file with its figures.",
+            "content": {
+                "application/json": {"schema": {"type": "object"}},
+                "text/html": {"schema": {"type": "string"}},
+            },
+        },
+    },
+)
+def read_report(
+    job_id: JobId,
+    request: Request,
+    service: ServiceDep,
+    format: Annotated[  # noqa: A002 - the name in the address
+        Literal["html", "json"] | None, Query(description="Wins over the Accept header.")
+    ] = None,
+) -> Response:
+    """Score against OpenStreetMap: ACE, precision, recall and F1 over D, per node and on the map.
+
+    Answers with JSON, or with HTML where the `Accept` header prefers `text/html` (as a browser's does).
+    """
+    result = open_result(service, job_id)
+    html = format == "html" or (format is None and prefers_html(request.headers.get("accept", "")))
+    path = result.evaluation_file("report.html" if html else "report.json")
+    name = f"{result.slug}-{path.name}"
+    return deliver(request, path, twins=result.cache, name=name, vary="Accept")
+
+
+@get(
+    "/jobs/{job_id}/run",
+    summary="What the run was",
+    operation_id="read_run",
+    response_class=Response,
+    responses=answers("application/json", {"type": "object"}, "`run.json`."),
+)
+def read_run(job_id: JobId, request: Request, service: ServiceDep) -> Response:
+    """Give the full configuration, versions, timings a stage and peak memory."""
+    result = open_result(service, job_id)
+    return deliver(request, result.file("run.json"), twins=result.cache, name=f"{result.slug}-run.json")
+
+
+@get(
+    "/jobs/{job_id}/files",
+    summary="List the files of the result",
+    operation_id="list_result_files",
+    response_model=ResultFileList,
+    responses=PROBLEMS,
+)
+def list_result_files(job_id: JobId, service: ServiceDep) -> ResultFileList:
+    """List the result folder, exactly as the command line writes it."""
+    result = open_result(service, job_id)
+    return ResultFileList(
+        files=[
+            ResultFile(
+                name=name.as_posix(),
+                size_bytes=(result.folder / name).stat().st_size,
+                media_type=media_type_of(name),
+                href=f"{result.address}/files/{name.as_posix()}",
+            )
+            for name in result.files()
+        ]
+    )
+
+
+@get(
+    "/jobs/{job_id}/files/{name:path}",
+    summary="Read a file of the result",
+    operation_id="read_result_file",
+    response_class=Response,
+    responses=answers("application/octet-stream", {"type": "string", "format": "binary"}, "The file, by its type."),
+)
+def read_result_file(
+    job_id: JobId,
+    name: Annotated[str, Path(description="As listed.", examples=["figures/map.svg"], max_length=512)],
+    request: Request,
+    service: ServiceDep,
+) -> Response:
+    """Give any file of the result; without georeference these are the way to the `*.local.json` layers."""
+    result = open_result(service, job_id)
+    path = result.file(name)
+    return deliver(request, path, twins=result.cache, name=f"{result.slug}-{path.name}")
+
+
+@get(
+    "/jobs/{job_id}/archive.zip",
+    summary="Download everything as one archive",
+    operation_id="download_archive",
+    response_class=Response,
+    responses=answers("application/zip", {"type": "string", "format": "binary"}, "The result folder, packed."),
+)
+def download_archive(job_id: JobId, request: Request, service: ServiceDep) -> Response:
+    """Give the whole result folder as a .zip, packed while it is sent."""
+    result = open_result(service, job_id)
+    names = result.files()
+    stats = [(name.as_posix(), (stat := (result.folder / name).stat()).st_mtime_ns, stat.st_size) for name in names]
+    etag = f'"{hashlib.sha256(repr(stats).encode()).hexdigest()[:24]}"'
+    headers = {"etag": etag, "cache-control": REVALIDATE}
+    if is_known(request, etag):
+        return Response(status_code=304, headers=headers)
+    headers["content-disposition"] = f'attachment; filename="{result.slug}-{job_id}.zip"'
+    if request.method == "HEAD":
+        return Response(headers=headers, media_type="application/zip")
+    return StreamingResponse(
+        pack(result.folder, names, f"{result.slug}-{job_id}"), headers=headers, media_type="application/zip"
+    )

@@ -1,0 +1,186 @@
+"""Files over HTTP: strong validators, ranges, and a compressed twin where that pays."""
+
+from __future__ import annotations
+
+import gzip
+import re
+import shutil
+from contextlib import suppress
+from email.utils import formatdate, parsedate_to_datetime
+from pathlib import Path
+
+from fastapi import Request
+from fastapi.responses import FileResponse, Response
+
+from interloc.errors import OutputError
+from interloc.mapping.files import atomic_write
+
+MEDIA_TYPES = {
+    ".css": "text/css; charset=utf-8",
+    ".csv": "text/csv; charset=utf-8",
+    ".fgb": "application/vnd.flatgeobuf",
+    ".geojson": "application/geo+json",
+    ".gpkg": "application/geopackage+sqlite3",
+    ".html": "text/html; charset=utf-8",
+    ".ico": "image/x-icon",
+    ".js": "text/javascript; charset=utf-8",
+    ".json": "application/json",
+    ".kml": "application/vnd.google-earth.kml+xml",
+    ".map": "application/json",
+    ".mjs": "text/javascript; charset=utf-8",
+    ".png": "image/png",
+    ".svg": "image/svg+xml",
+    ".webmanifest": "application/manifest+json",
+    ".woff2": "font/woff2",
+    ".zip": "application/zip",
+}
+REVALIDATE = "private, no-cache"
+"""Keep it, but ask every time whether it is still the same: one short exchange, and a purged result is gone."""
+
+DOCUMENT_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'self'; "
+    "sandbox allow-popups allow-popups-to-escape-sandbox allow-top-navigation-by-user-activation"
+)
+"""For documents made of data (reports, SVG): they bring their own style, and no script of theirs would run."""
+
+_COMPRESSIBLE = frozenset({".css", ".csv", ".geojson", ".html", ".js", ".json", ".kml", ".map", ".mjs", ".svg"})
+_LEAST_BYTES = 1400  # what fits one packet does not travel faster when it is smaller
+
+
+class _File(FileResponse):
+    chunk_size = 1024 * 1024  # a thread switch each: large results go at the speed of the disk cache
+
+
+def media_type_of(path: Path) -> str:
+    """Return the media type of a file by its name."""
+    return MEDIA_TYPES.get(path.suffix.lower(), "application/octet-stream")
+
+
+def deliver(
+    request: Request,
+    path: Path,
+    *,
+    twins: Path | None = None,
+    name: str | None = None,
+    download: bool = False,
+    cache_control: str = REVALIDATE,
+    vary: str = "",
+) -> Response:
+    """Answer a GET or HEAD with a file: 200, 206 for a range, 304 where the client has it.
+
+    Parameters
+    ----------
+    path
+        The file. It is never changed in place, so its time and size stand for its bytes.
+    twins
+        Folder of the compressed twins, which are made when first asked for; None: no compression.
+    name
+        File name offered to whoever saves it.
+    download
+        Save it rather than show it.
+    vary
+        Other request headers that the choice of the file depends on.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    """
+    stat = path.stat()
+    etag = f'"{stat.st_mtime_ns:x}-{stat.st_size:x}'
+    headers = {"cache-control": cache_control}
+    media_type = media_type_of(path)
+    if twins is not None and path.suffix.lower() in _COMPRESSIBLE and stat.st_size >= _LEAST_BYTES:
+        vary = f"{vary}, Accept-Encoding" if vary else "Accept-Encoding"
+        if "range" not in request.headers and _accepts_gzip(request.headers.get("accept-encoding", "")):
+            twin = _twin(path, twins / f"{path.name}.{stat.st_mtime_ns:x}.gz")
+            if twin is not None:
+                path, etag = twin, f"{etag}-gzip"
+                headers["content-encoding"] = "gzip"
+    headers["etag"] = f'{etag}"'
+    headers["last-modified"] = formatdate(stat.st_mtime, usegmt=True)
+    if vary:
+        headers["vary"] = vary
+    if media_type.startswith(("text/html", "image/svg")):
+        headers["content-security-policy"] = DOCUMENT_POLICY
+    if is_known(request, headers["etag"], stat.st_mtime):
+        headers.pop("content-encoding", None)
+        return Response(status_code=304, headers=headers)
+    return _File(
+        path,
+        headers=headers,
+        media_type=media_type,
+        filename=name,
+        content_disposition_type="attachment" if download else "inline",
+        stat_result=path.stat(),
+    )
+
+
+def is_known(request: Request, etag: str, modified: float | None = None) -> bool:
+    """Tell whether the client has what it asks for (RFC 9110, section 13.2.2)."""
+    known = request.headers.get("if-none-match")
+    if known is not None:
+        tags = re.findall(r'(?:W/)?("[^"]*")', known)
+        return known.strip() == "*" or etag in tags
+    since = request.headers.get("if-modified-since")
+    if since is None or modified is None:
+        return False
+    try:
+        return int(modified) <= parsedate_to_datetime(since).timestamp()
+    except (ValueError, TypeError):
+        return False
+
+
+def _accepts_gzip(header: str) -> bool:
+    weights = _weights(header)
+    return weights.get("gzip", weights.get("*", 0.0)) > 0
+
+
+def prefers_html(header: str) -> bool:
+    """Tell whether an Accept header would rather have HTML than JSON; JSON where it does not care."""
+    weights = _weights(header)
+    anything = weights.get("*/*", 0.0)
+    html = weights.get("text/html", weights.get("text/*", anything))
+    return html > weights.get("application/json", weights.get("application/*", anything))
+
+
+def _weights(header: str) -> dict[str, float]:
+    """Return the alternatives of an Accept or Accept-Encoding header with their weights."""
+    weights = {}
+    for part in header.split(","):
+        value, *parameters = (piece.strip() for piece in part.lower().split(";"))
+        weight = 1.0
+        for parameter in parameters:
+            if parameter.startswith("q="):
+                try:
+                    weight = float(parameter[2:])
+                except ValueError:
+                    weight = 0.0
+        if value:
+            weights[value] = weight
+    return weights
+
+
+def _twin(path: Path, twin: Path) -> Path | None:
+    """Return the compressed twin of a file, made if need be; None where it cannot be, as on a full disk."""
+    if twin.exists():
+        return twin
+    try:
+        twin.parent.mkdir(parents=True, exist_ok=True)
+        with (
+            path.open("rb") as source,
+            atomic_write(twin) as sink,
+            gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=sink, mtime=0) as packer,
+        ):
+            shutil.copyfileobj(source, packer, 1024 * 1024)
+    except (OSError, OutputError):
+        return None
+    for other in twin.parent.glob(f"{_escape(path.name)}.*.gz"):  # of an older file of that name
+        if other != twin:
+            with suppress(OSError):
+                other.unlink()
+    return twin
+
+
+def _escape(name: str) -> str:
+    return re.sub(r"([\[\]*?])", r"[\1]", name)

@@ -1,0 +1,162 @@
+"""The result folder of a job, and in words why there is none."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.models import Drive, Job
+from app.problems import Problem
+from app.service import Service
+from interloc.mapping.layout import RUN_FILE, TABLES, file_names
+
+EVALUATION_FILES = {"osm-nodes": "osm_nodes.geojson", "matches": "matches.geojson", "osm-roads": "osm_roads.geojson"}
+LAYERS = (*TABLES, *EVALUATION_FILES)
+"""GeoJSON layers of a result, by the names of their addresses."""
+
+_STATES = {
+    "accepted": "It waits for its turn; follow GET {job}/events.",
+    "running": "It runs; follow GET {job}/events.",
+    "failed": "It failed; GET {job} says why.",
+    "dismissed": "It was cancelled; submit it again.",
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a successful job.
+
+    Attributes
+    ----------
+    address : str
+        Of the job, below the root of the service.
+    drive : Path
+        Folder of its drive.
+    cache : Path
+        Folder for what is derived from the result; it goes with the job.
+    """
+
+    job_id: str
+    drive_id: str
+    drive_name: str
+    address: str
+    folder: Path
+    drive: Path
+    cache: Path
+
+    @property
+    def is_georeferenced(self) -> bool:
+        """Whether positions have longitude and latitude."""
+        return (self.folder / file_names(georeferenced=True)["keyframes"]).exists()
+
+    @property
+    def slug(self) -> str:
+        """Name of the drive, fit for file names."""
+        return re.sub(r"[^A-Za-z0-9._-]+", "_", self.drive_name).strip("._")[:80] or "drive"
+
+    def layer(self, name: str) -> Path:
+        """Return the GeoJSON file of one of `LAYERS`.
+
+        Raises
+        ------
+        Problem
+            404 that says why the result has none.
+        """
+        if name in TABLES:
+            path = self.folder / file_names(georeferenced=True)[name]
+            if not path.exists():
+                local = file_names(georeferenced=False)[name]
+                self.require_georeference(f"The same in metres of its own frame: {self.address}/files/{local}")
+            return path
+        path = self.folder / EVALUATION_FILES[name]
+        if not path.exists():
+            self.evaluation_file("report.json")
+            raise Problem(404, "Not in this result", f"The result of job {self.job_id} has no {path.name}.")
+        return path
+
+    def require_georeference(self, hint: str) -> None:
+        """Raise a 404 that says so where the drive has no georeference."""
+        if not self.is_georeferenced:
+            raise Problem(
+                404,
+                "Not georeferenced",
+                f"Drive {self.drive_name} has no georeference (neither oxts/ nor geo.csv), so nothing of it has "
+                f"longitude and latitude. {hint}.",
+            )
+
+    def evaluation_file(self, name: str) -> Path:
+        """Return a file of the evaluation.
+
+        Raises
+        ------
+        Problem
+            404 where the job was not scored.
+        """
+        path = self.folder / name
+        if not path.exists():
+            self.require_georeference("Only a drive with one can be scored")
+            raise Problem(
+                404,
+                "Not scored",
+                f"Job {self.job_id} was submitted without a map, so it has no evaluation. Submit one with "
+                '"osm": {"file": "map.osm.gz"} or {"overpass": true}.',
+            )
+        return path
+
+    def file(self, name: str) -> Path:
+        """Return any file of the result by its path in it.
+
+        Raises
+        ------
+        Problem
+            404 where there is none.
+        """
+        path = self.folder / name
+        inside = path.resolve().is_relative_to(self.folder.resolve())
+        if "\0" in name or not inside or not path.is_file():
+            raise Problem(404, "File not found", f"The result has no file {name!r}; {self.address}/files lists them.")
+        return path
+
+    def files(self) -> list[Path]:
+        """Return the paths of all files, relative to the folder, in order."""
+        return sorted(p.relative_to(self.folder) for p in self.folder.rglob("*") if p.is_file())
+
+
+def open_result(service: Service, job_id: str) -> Result:
+    """Find the result of a job.
+
+    Raises
+    ------
+    Problem
+        404: no such job, or one without results; 409: not successful (yet).
+    """
+    with service.database.reading() as session:
+        row = (
+            session.query(Job.kind, Job.state, Job.drive_id, Drive.name)
+            .join(Drive, Drive.id == Job.drive_id)
+            .filter(Job.id == job_id)
+            .first()
+        )
+    if row is None:
+        raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
+    kind, state, drive_id, drive_name = row
+    address = f"/api/v1/jobs/{job_id}"
+    if kind != "intersections":
+        raise Problem(404, "No results", f"Job {job_id} is a {kind}; only jobs of kind intersections have results.")
+    if state != "successful":
+        detail = f"Job {job_id} is {state}. {_STATES[state].format(job=address)}"
+        raise Problem(409, "Result not ready", detail, state=state)
+    storage = service.storage
+    result = Result(
+        job_id=job_id,
+        drive_id=drive_id,
+        drive_name=drive_name,
+        address=address,
+        folder=storage.folder(f"jobs/{job_id}/result"),
+        drive=storage.folder(f"drives/{drive_id}"),
+        cache=storage.folder(f"jobs/{job_id}/cache"),
+    )
+    if not (result.folder / RUN_FILE).exists():
+        raise Problem(410, "Result is gone", f"The result of job {job_id} is no longer on disk. Submit the job again.")
+    return result
