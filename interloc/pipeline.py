@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import platform
-import signal
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import pairwise
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -28,6 +23,7 @@ from interloc.drives.drive import Drive, scans_of
 from interloc.errors import DriveError, InterLocError
 from interloc.mapping.fusion import FusionConfig, fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
+from interloc.processes import cores, end_with_parent, interrupts_held_back, peak_memory_bytes
 from interloc.results import DriveResult
 from interloc.stopwatch import Stopwatch
 
@@ -140,7 +136,6 @@ def detect(
         The drive has no scans, or a scan is damaged.
     """
     began = time.perf_counter()
-    stopwatch = Stopwatch()
     keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
     if not len(keyframes):
         raise DriveError(f"{drive.name}: the drive holds no scans")
@@ -151,14 +146,50 @@ def detect(
         results = [_detect_here(drive, keyframes, config, progress)]
     else:
         results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress)
-    for part in results:
-        stopwatch.add(part.seconds)
+    return assemble(
+        drive,
+        keyframes,
+        results,
+        config,
+        fusion or FusionConfig(),
+        workers=min(workers, len(ranges)),
+        seconds=time.perf_counter() - began,
+    )
 
+
+def assemble(
+    drive: Drive,
+    keyframes: NDArray[np.int64],
+    parts: Sequence[RangeResult],
+    config: DetectorConfig,
+    fusion: FusionConfig,
+    *,
+    workers: int,
+    seconds: float,
+) -> DriveResult:
+    """Join what was found in the ranges of a drive to the tables of its result.
+
+    Parameters
+    ----------
+    drive
+    keyframes : (K,) int64
+        Positions of all keyframes in the drive.
+    parts
+        The ranges in their order; together they are all keyframes.
+    config, fusion
+    workers : int
+        Processes that worked on the ranges; only told.
+    seconds : float
+        Time that this took so far.
+    """
+    began = time.perf_counter()
+    stopwatch = Stopwatch()
+    for part in parts:
+        stopwatch.add(part.seconds)
     stopwatch.start()
-    found = [detections for part in results for detections in part.detections]
+    found = [detections for part in parts for detections in part.detections]
     keyframe_table, detection_table = build_tables(found, keyframes, drive.georeference)
     stopwatch.lap("georeference")
-    fusion = fusion or FusionConfig()
     intersections, intersection = fuse(keyframe_table, detection_table, fusion)
     detection_table = replace(detection_table, intersection=intersection)
     stopwatch.lap("fusion")
@@ -171,10 +202,10 @@ def detect(
         "scans": len(drive.frames),
         "keyframes": len(keyframes),
         "georeference": None if drive.georeference is None else drive.georeference.source,
-        "workers": min(workers, len(ranges)),
-        "seconds": time.perf_counter() - began,
+        "workers": workers,
+        "seconds": seconds + time.perf_counter() - began,
         "stage_seconds": stopwatch.seconds,  # summed over the processes
-        "peak_memory_bytes": max([part.peak_memory_bytes for part in results] + [peak_memory_bytes()]),
+        "peak_memory_bytes": max([part.peak_memory_bytes for part in parts] + [peak_memory_bytes()]),
     }
     return DriveResult(drive.name, keyframe_table, detection_table, intersections, world_xy, lonlat, run)
 
@@ -184,11 +215,6 @@ def split(count: int, workers: int) -> list[tuple[int, int]]:
     parts = 1 if workers <= 1 else max(1, min(4 * workers, count // _LEAST_RANGE))
     edges = [round(i * count / parts) for i in range(parts + 1)]
     return list(pairwise(edges))
-
-
-def cores() -> int:
-    """Return the number of processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _detect_here(
@@ -215,9 +241,9 @@ def _detect_in_processes(
 ) -> list[RangeResult]:
     done = 0
     results = []
-    pool = ProcessPoolExecutor(min(workers, len(ranges)), mp_context=get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(min(workers, len(ranges)), mp_context=get_context("spawn"), initializer=end_with_parent)
     try:
-        with _interrupts_held_back():  # the workers inherit this: Ctrl-C is the parent's business
+        with interrupts_held_back():  # the workers inherit this: Ctrl-C is the parent's business
             futures = [pool.submit(detect_range, drive, keyframes, start, stop, config) for start, stop in ranges]
         for future in as_completed(futures):
             part = future.result()
@@ -232,40 +258,6 @@ def _detect_in_processes(
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
     return sorted(results, key=lambda part: part.start)
-
-
-def _end_with_parent() -> None:
-    """Let a worker process end when its parent is killed, instead of waiting for work for ever."""
-
-    def watch() -> None:
-        parent = parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def peak_memory_bytes() -> int:
-    """Return the largest resident memory of this process so far; 0 where the system does not tell."""
-    try:
-        import resource  # noqa: PLC0415 - not on Windows
-    except ImportError:
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
 
 
 def versions() -> dict[str, Any]:

@@ -253,7 +253,7 @@ def _measure(
     from interloc.benchmark.write import PAGE, write_benchmark
     from interloc.errors import InterLocError, is_interruption
     from interloc.evaluate.robustness import parse_level
-    from interloc.pipeline import cores
+    from interloc.processes import cores
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
     named = [_settings(Settings, preset, settings) for preset in presets]
