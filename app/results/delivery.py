@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import hashlib
 import re
 import shutil
 from contextlib import suppress
@@ -65,6 +66,7 @@ def deliver(
     download: bool = False,
     cache_control: str = REVALIDATE,
     vary: str = "",
+    policy: str | None = DOCUMENT_POLICY,
 ) -> Response:
     """Answer a GET or HEAD with a file: 200, 206 for a range, 304 where the client has it.
 
@@ -80,6 +82,8 @@ def deliver(
         Save it rather than show it.
     vary
         Other request headers that the choice of the file depends on.
+    policy
+        Content-Security-Policy of HTML and SVG; None: that of the service.
 
     Raises
     ------
@@ -93,7 +97,7 @@ def deliver(
     if twins is not None and path.suffix.lower() in _COMPRESSIBLE and stat.st_size >= _LEAST_BYTES:
         vary = f"{vary}, Accept-Encoding" if vary else "Accept-Encoding"
         if "range" not in request.headers and _accepts_gzip(request.headers.get("accept-encoding", "")):
-            twin = _twin(path, twins / f"{path.name}.{stat.st_mtime_ns:x}.gz")
+            twin = _twin(path, twins, f"{stat.st_mtime_ns:x}.gz")
             if twin is not None:
                 path, etag = twin, f"{etag}-gzip"
                 headers["content-encoding"] = "gzip"
@@ -101,8 +105,8 @@ def deliver(
     headers["last-modified"] = formatdate(stat.st_mtime, usegmt=True)
     if vary:
         headers["vary"] = vary
-    if media_type.startswith(("text/html", "image/svg")):
-        headers["content-security-policy"] = DOCUMENT_POLICY
+    if policy is not None and media_type.startswith(("text/html", "image/svg")):
+        headers["content-security-policy"] = policy
     if is_known(request, headers["etag"], stat.st_mtime):
         headers.pop("content-encoding", None)
         return Response(status_code=304, headers=headers)
@@ -161,12 +165,14 @@ def _weights(header: str) -> dict[str, float]:
     return weights
 
 
-def _twin(path: Path, twin: Path) -> Path | None:
+def _twin(path: Path, folder: Path, version: str) -> Path | None:
     """Return the compressed twin of a file, made if need be; None where it cannot be, as on a full disk."""
+    name = hashlib.sha256(str(path).encode()).hexdigest()[:16]
+    twin = folder / f"{name}.{version}"
     if twin.exists():
         return twin
     try:
-        twin.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         with (
             path.open("rb") as source,
             atomic_write(twin) as sink,
@@ -175,12 +181,8 @@ def _twin(path: Path, twin: Path) -> Path | None:
             shutil.copyfileobj(source, packer, 1024 * 1024)
     except (OSError, OutputError):
         return None
-    for other in twin.parent.glob(f"{_escape(path.name)}.*.gz"):  # of an older file of that name
+    for other in folder.glob(f"{name}.*.gz"):  # of an older version
         if other != twin:
             with suppress(OSError):
                 other.unlink()
     return twin
-
-
-def _escape(name: str) -> str:
-    return re.sub(r"([\[\]*?])", r"[\1]", name)

@@ -1,7 +1,109 @@
-"""Endpoints: page."""
+"""The page, what it needs to know, and the documentation of the API."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated, Any
 
-router = APIRouter(tags=["page"])
+from fastapi import APIRouter, Depends, Request
+from fastapi.responses import HTMLResponse, RedirectResponse, Response
+from pydantic import BaseModel, Field
+
+from app.page import docs
+from app.page.assets import INDEX, Assets
+from app.problems import Problem
+from app.results.delivery import deliver
+from app.security import has_tokens
+from app.service import Service, ServiceDep
+
+router = APIRouter(tags=["System"])
+
+_SHARED_LIMITS = (
+    "max_file_bytes",
+    "max_archive_bytes",
+    "max_batch_bytes",
+    "max_batch_files",
+    "max_drive_bytes",
+    "max_drive_files",
+    "max_queued_jobs",
+    "upload_expires_h",
+)
+
+
+class PageConfig(BaseModel):
+    """What the page needs to know of the service."""
+
+    version: str = Field(examples=["0.1.0"])
+    tile_url: str | None = Field(description="Address pattern of map tiles that the page may offer; null: none.")
+    tile_attribution: str
+    overpass: bool = Field(description="Whether jobs may fetch the map from Overpass.")
+    needs_token: bool = Field(description="Whether the API wants `Authorization: Bearer TOKEN`.")
+    limits: dict[str, float] = Field(description="Limits of uploads, as they are called in the settings.")
+
+
+def _assets(request: Request) -> Assets:
+    state = request.app.state
+    if not hasattr(state, "assets") or not state.assets.is_complete:  # npm may have run since
+        state.assets = Assets.find(state.settings)
+    found: Assets = state.assets
+    return found
+
+
+AssetsDep = Annotated[Assets, Depends(_assets)]
+
+
+def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint
+    for method in ("GET", "HEAD"):
+        router.add_api_route(path, endpoint, methods=[method], include_in_schema=False, response_class=Response)
+
+
+def read_index(request: Request, assets: AssetsDep, service: ServiceDep) -> Response:
+    """Give the page, or lead to the documentation where it is not installed."""
+    if not assets.is_complete:
+        return RedirectResponse(f"{request.scope.get('root_path', '')}/docs")
+    return _give(request, assets, service, INDEX)
+
+
+def read_asset(path: str, request: Request, assets: AssetsDep, service: ServiceDep) -> Response:
+    """Give a file of the page."""
+    return _give(request, assets, service, path)
+
+
+def read_docs(request: Request, assets: AssetsDep) -> Response:
+    """Give the documentation of the API."""
+    headers = {"content-security-policy": docs.POLICY, "cache-control": "no-cache"}
+    if assets.find_file(docs.SWAGGER) is not None:
+        return HTMLResponse(docs.SWAGGER_PAGE, headers=headers)
+    return HTMLResponse(docs.listing(request.app.openapi()), headers=headers)
+
+
+def read_docs_start() -> Response:
+    """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
+    return Response(docs.SWAGGER_START, media_type="text/javascript", headers={"cache-control": "no-cache"})
+
+
+@router.get("/config.json", summary="What the page needs to know", operation_id="read_page_config")
+def read_config(request: Request, service: ServiceDep) -> PageConfig:
+    """Give version, tiles, limits, and whether a token is needed. Open to all: it holds no secrets."""
+    settings = service.settings
+    return PageConfig(
+        version=request.app.version,
+        tile_url=settings.tile_url or None,
+        tile_attribution=settings.tile_attribution,
+        overpass=settings.overpass,
+        needs_token=has_tokens(service),
+        limits={name: getattr(settings, name) for name in _SHARED_LIMITS},
+    )
+
+
+def _give(request: Request, assets: Assets, service: Service, name: str) -> Response:
+    path = assets.find_file(name)
+    if path is None:
+        raise Problem(404, "Not found", f"The page has no file {name!r}.")
+    twins = service.storage.folder("cache/page")
+    return deliver(request, path, twins=twins, cache_control="no-cache", policy=None)
+
+
+_add("/", read_index)
+_add("/static/{path:path}", read_asset)
+_add("/docs", read_docs)
+_add("/docs/start.js", read_docs_start)
