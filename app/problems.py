@@ -90,7 +90,12 @@ class Problem(Exception):  # noqa: N818 - the name of RFC 9457
 
 def from_error(error: InterLocError) -> Problem:
     """Turn an error of the library into a problem."""
-    titles = {"DriveError": "Drive not usable", "DriveFileError": "Drive not usable", "ConfigError": "Bad setting"}
+    titles = {
+        "DriveError": "Drive not usable",
+        "DriveFileError": "Drive not usable",
+        "ConfigError": "Bad setting",
+        "BadNameError": "Bad file name",
+    }
     return Problem(error.http_status, titles.get(type(error).__name__, "Not possible"), str(error))
 
 

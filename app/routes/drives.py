@@ -2,6 +2,48 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated, Any
 
-router = APIRouter(tags=["drives"])
+from fastapi import APIRouter, Query, Response
+
+from app.drives import records
+from app.problems import ProblemDocument
+from app.schemas.drives import DriveList, DriveModel, NewDrive
+from app.security import ClientDep
+from app.service import ServiceDep
+
+router = APIRouter(prefix="/drives", tags=["Drives"])
+
+NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such drive."}}
+
+
+@router.post("", status_code=201, summary="Make a drive")
+def create_drive(new: NewDrive, response: Response, service: ServiceDep, client: ClientDep) -> DriveModel:
+    """Make a drive without files. Send its files next, then commit it."""
+    drive = records.create_drive(service, client, new)
+    response.headers["Location"] = f"{service.settings.root_path}/api/v1/drives/{drive.id}"
+    return drive
+
+
+@router.get("", summary="List drives")
+def list_drives(
+    service: ServiceDep,
+    _client: ClientDep,
+    after: Annotated[str | None, Query(max_length=100, description="`next` of the page before.")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> DriveList:
+    """List drives, the newest first, without their reports."""
+    return records.list_drives(service, after, limit)
+
+
+@router.get("/{drive_id}", responses=NOT_FOUND, summary="Show a drive")
+def show_drive(drive_id: str, service: ServiceDep, _client: ClientDep) -> DriveModel:
+    """Show a drive, with the report of its last commit."""
+    with service.database.reading() as session:
+        return records.drive_model(records.find_drive(session, drive_id), service.settings)
+
+
+@router.delete("/{drive_id}", status_code=204, responses=NOT_FOUND, summary="Delete a drive")
+def delete_drive(drive_id: str, service: ServiceDep, _client: ClientDep) -> None:
+    """Remove a drive with its files, its jobs and their results. Jobs that run are dismissed."""
+    records.delete_drive(service, drive_id)

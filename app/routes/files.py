@@ -1,7 +1,137 @@
-"""Endpoints: files."""
+"""Endpoints: the files of a drive, one by one."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated, Any
 
-router = APIRouter(tags=["files"])
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import FileResponse
+
+from app.drives import records
+from app.drives.digests import sha256_of
+from app.drives.intake import PIECE_BYTES, Intake, receive
+from app.drives.limits import check_drive, check_free_space, declared_length
+from app.drives.names import check_path
+from app.drives.placement import keep, refuse_unless_open
+from app.problems import ProblemDocument
+from app.schemas.drives import FileList, UploadedFile
+from app.security import ClientDep
+from app.service import Service, ServiceDep
+
+router = APIRouter(prefix="/drives/{drive_id}/files", tags=["Uploads"])
+
+FilePath = Annotated[
+    str,
+    Path(description="Path in the folder of the drive.", openapi_examples={"scan": {"value": "velodyne/000000.bin"}}),
+]
+
+NOT_FOUND: dict[int | str, dict[str, Any]] = {
+    404: {"model": ProblemDocument, "description": "There is no such drive or file."}
+}
+CLOSED: dict[int | str, dict[str, Any]] = {
+    409: {"model": ProblemDocument, "description": "The drive takes no such files in its state, or names conflict."}
+}
+UPLOAD: dict[int | str, dict[str, Any]] = {
+    400: {"model": ProblemDocument, "description": "The body ended too soon."},
+    **NOT_FOUND,
+    **CLOSED,
+    413: {"model": ProblemDocument, "description": "The file, or the drive with it, would be too large."},
+    415: {"model": ProblemDocument, "description": "The body is compressed, or of a kind that is not taken."},
+    507: {"model": ProblemDocument, "description": "The disk is full."},
+}
+
+
+@router.get("", responses=NOT_FOUND, summary="List the files of a drive")
+def list_files(
+    drive_id: str,
+    service: ServiceDep,
+    _client: ClientDep,
+    after: Annotated[str | None, Query(max_length=512, description="`next` of the page before.")] = None,
+    limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
+) -> FileList:
+    """List what was uploaded, in the order of the paths. To resume an upload, send what is missing or differs."""
+    return records.list_files(service, drive_id, after, limit)
+
+
+@router.put(
+    "/{path:path}",
+    response_model=UploadedFile,
+    responses={201: {"model": UploadedFile, "description": "The file is new."}, **UPLOAD},
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+        },
+        "parameters": [
+            {
+                "in": "header",
+                "name": "Content-Digest",
+                "required": False,
+                "description": "SHA-256 of the body (RFC 9530); a body that differs is refused.",
+                "schema": {"type": "string"},
+                "example": "sha-256=:RK/0qy18MlBSVnWgjwz6lZEWjP/lF5HF9bvEF8FabDg=:",
+            }
+        ],
+    },
+    summary="Upload a file",
+)
+async def put_file(
+    drive_id: str, path: FilePath, request: Request, response: Response, service: ServiceDep, _client: ClientDep
+) -> UploadedFile:
+    """Upload one file as it is: 201 where it is new, 200 where it replaced one of its name.
+
+    It takes its name only when it has come in whole and is on disk; doing it again changes nothing.
+    """
+    check_path(path)
+    sha256 = sha256_of(request.headers)
+    limit = service.settings.max_file_bytes
+    length = declared_length(request, limit, path)
+    if length is None or length > PIECE_BYTES:  # a small body is read sooner than the drive is looked up
+        await run_in_threadpool(_check_first, service, drive_id, path, length or 0)
+    intake = Intake(service, path, limit)
+
+    def finish() -> tuple[UploadedFile, bool]:
+        check_free_space(service, 0)
+        arrival = intake.finish(sha256)
+        new = keep(service, drive_id, [arrival])
+        return UploadedFile(path=path, size_bytes=arrival.size_bytes, sha256=arrival.sha256), new
+
+    try:
+        file, new = await receive(request, intake.write, finish)
+    finally:
+        intake.discard()
+    response.status_code = 201 if new else 200
+    return file
+
+
+def _check_first(service: Service, drive_id: str, path: str, length: int) -> None:
+    """Refuse before a long body is read what would be refused after it."""
+    with service.database.reading() as session:
+        drive = records.find_drive(session, drive_id)
+    refuse_unless_open(drive, [path])
+    check_drive(service, drive.file_count, drive.size_bytes + length)
+    check_free_space(service, length)
+
+
+@router.get(
+    "/{path:path}",
+    response_class=FileResponse,
+    responses={
+        200: {"content": {"application/octet-stream": {}}, "description": "The bytes."},
+        **NOT_FOUND,
+        410: {"model": ProblemDocument, "description": "It was reduced to what the method needs."},
+    },
+    summary="Download a file",
+)
+def get_file(drive_id: str, path: FilePath, service: ServiceDep, _client: ClientDep) -> FileResponse:
+    """Return an uploaded file, as long as it is kept."""
+    file, about = records.find_file(service, drive_id, check_path(path))
+    headers = {"ETag": f'"{about.sha256}"', "X-Content-Type-Options": "nosniff"}
+    return FileResponse(file, media_type="application/octet-stream", filename=file.name, headers=headers)
+
+
+@router.delete("/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
+def delete_file(drive_id: str, path: FilePath, service: ServiceDep, _client: ClientDep) -> None:
+    """Remove a file of a drive that is not committed yet."""
+    records.delete_file(service, drive_id, check_path(path))

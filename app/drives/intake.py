@@ -1,0 +1,173 @@
+"""A body on its way in: streamed to a temporary file, counted and hashed while it is written."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
+from typing import TypeVar
+
+from fastapi.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect, Request
+
+from app.drives.limits import too_large
+from app.problems import Problem
+from app.service import Service
+
+PIECE_BYTES = 1 << 20
+"""Bodies are handed to the thread pool in pieces of about this size: a hop for every network packet costs more."""
+
+INCOMING = "incoming"
+
+Kept = TypeVar("Kept")
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A file that has come in whole, but has no place yet.
+
+    Attributes
+    ----------
+    path : str
+        Its name in the drive.
+    temporary : Path
+        Where it lies.
+    size_bytes : int
+    sha256 : str
+        Hexadecimal.
+    """
+
+    path: str
+    temporary: Path
+    size_bytes: int
+    sha256: str
+
+
+class Intake:
+    """A temporary file that is being written.
+
+    Parameters
+    ----------
+    service
+    path
+        Name of the file in the drive.
+    limit
+        Bytes that it may have.
+    """
+
+    def __init__(self, service: Service, path: str, limit: int) -> None:
+        self.path = path
+        self.size_bytes = 0
+        self._limit = limit
+        self._hash = hashlib.sha256()
+        self._temporary = service.storage.folder(INCOMING) / secrets.token_hex(12)
+        self._file: FileIO | None = None
+
+    def write(self, data: bytes | memoryview) -> None:
+        """Take the next bytes.
+
+        Raises
+        ------
+        Problem
+            413: more than the limit.
+        """
+        self.size_bytes += len(data)
+        if self.size_bytes > self._limit:
+            raise too_large(self.path, self._limit)
+        self._hash.update(data)
+        file = self._open()
+        view = memoryview(data)
+        while view:
+            view = view[file.write(view) :]
+
+    def finish(self, sha256: str | None = None) -> Arrival:
+        """Bring the file to disk.
+
+        Parameters
+        ----------
+        sha256
+            What the client says it must be.
+
+        Raises
+        ------
+        Problem
+            422: the digest is another.
+        """
+        digest = self._hash.hexdigest()
+        if sha256 not in {None, digest}:
+            raise Problem(
+                422,
+                "Wrong digest",
+                f"{self.path}: {self.size_bytes:,} bytes came with SHA-256 {digest}, not {sha256} as announced. "
+                "Nothing was kept. Usual cause: the file changed while it was read, or a fault on the way; "
+                "send it again.",
+            )
+        file = self._open()
+        os.fsync(file.fileno())
+        file.close()
+        return Arrival(self.path, self._temporary, self.size_bytes, digest)
+
+    def discard(self) -> None:
+        """Remove what is left of it; a file that got its place stays."""
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+            with suppress(OSError):
+                self._temporary.unlink(missing_ok=True)
+
+    def _open(self) -> FileIO:
+        """Return the file, made when the first bytes come: in a thread, not where the server answers others."""
+        if self._file is None:
+            self._temporary.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._temporary.open("xb", buffering=0)
+        return self._file
+
+
+async def receive(request: Request, take: Callable[[bytes], None], finish: Callable[[], Kept]) -> Kept:
+    """Read a body piece by piece.
+
+    Parameters
+    ----------
+    request
+    take
+        Called with each piece, in a thread.
+    finish
+        Called at the end, in the same thread as the last piece: a small body costs one hop to the thread pool.
+
+    Raises
+    ------
+    Problem
+        400: the client went away, which nobody will read.
+    """
+
+    def take_last(piece: bytes) -> Kept:
+        take(piece)
+        return finish()
+
+    last = b""
+    try:
+        async for piece in _pieces(request):
+            if last:
+                await run_in_threadpool(take, last)
+            last = piece
+    except ClientDisconnect:
+        raise Problem(400, "Body not complete", "The connection ended before the body did. Nothing was kept.") from None
+    return await run_in_threadpool(take_last, last)
+
+
+async def _pieces(request: Request) -> AsyncIterator[bytes]:
+    """Gather the packets of a body."""
+    packets: list[bytes] = []
+    size = 0
+    async for packet in request.stream():
+        packets.append(packet)
+        size += len(packet)
+        if size >= PIECE_BYTES:
+            yield b"".join(packets)
+            packets, size = [], 0
+    yield b"".join(packets)

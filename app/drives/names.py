@@ -1,0 +1,75 @@
+"""Names of uploaded files: relative paths that can neither leave the folder of the drive nor surprise a file system."""
+
+from __future__ import annotations
+
+import unicodedata
+
+from interloc.errors import InterLocError
+
+MAX_PATH = 512
+"""Characters."""
+
+MAX_SEGMENT_BYTES = 255
+"""Of one folder or file name in UTF-8: what file systems take."""
+
+MAX_DEPTH = 16
+
+_SHOWN = 80
+_CONTROLS = {"Cc", "Cs", "Zl", "Zp"}
+
+
+class BadNameError(InterLocError):
+    """A name that no file of a drive can have."""
+
+    http_status = 422
+
+
+def check_path(path: str) -> str:
+    """Return a path as it is, where it is a name for a file of a drive.
+
+    Raises
+    ------
+    BadNameError
+        It is empty, absolute, leads upwards, is hidden, too long or too deep, or holds a backslash, a control
+        character, or bytes that are not UTF-8.
+    """
+    complaint = _complaint(path)
+    if complaint:
+        name = path if len(path) <= _SHOWN else path[:_SHOWN] + "..."
+        raise BadNameError(
+            f"{name!a} {complaint}. Expected a path relative to the folder of the drive, with forward slashes, "
+            "as velodyne/000000.bin."
+        )
+    return path
+
+
+def is_map(path: str) -> bool:
+    """Tell whether a file is an OpenStreetMap file; a drive takes those at any time."""
+    return path.lower().endswith((".osm", ".osm.gz", ".osm.bz2", ".osm.pbf"))
+
+
+def _complaint(path: str) -> str | None:
+    """Say what is wrong with a path."""
+    segments = path.split("/")
+    rules = (
+        (not path, "is empty"),
+        (
+            any(unicodedata.category(character) in _CONTROLS for character in path) or "\ufffd" in path,
+            "holds a control character, or bytes that are not UTF-8",
+        ),
+        ("\\" in path, "holds a backslash"),
+        (path.startswith("/") or path[1:2] == ":", "is an absolute path"),
+        (len(path) > MAX_PATH, f"has {len(path)} characters, more than {MAX_PATH}"),
+        (len(segments) > MAX_DEPTH, f"lies {len(segments)} folders deep, more than {MAX_DEPTH}"),
+        ("" in segments, "holds an empty name (two slashes, or a slash at its end)"),
+        ("." in segments or ".." in segments, "holds . or .., which lead elsewhere"),
+        (
+            any(len(segment.encode(errors="replace")) > MAX_SEGMENT_BYTES for segment in segments),
+            f"holds a name of more than {MAX_SEGMENT_BYTES} bytes",
+        ),
+        (
+            any(segment.startswith(".") for segment in segments),
+            "is hidden (a name that starts with a dot), which no file of a drive is; leave it out",
+        ),
+    )
+    return next((complaint for applies, complaint in rules if applies), None)

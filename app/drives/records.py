@@ -1,0 +1,239 @@
+"""Drives in the database: making, finding, listing and removing them and their files."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session, defer
+
+from app.models import Drive, DriveFile, Job
+from app.problems import Problem
+from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
+from app.service import Service
+from app.settings import Settings
+from interloc.drives.inspect import DriveReport
+
+_CURSOR = re.compile(r"(\d{1,15}\.\d{1,9})_([0-9a-f]{1,32})")
+
+
+def drive_key(drive_id: str) -> str:
+    """Return where all of a drive is stored."""
+    return f"drives/{drive_id}"
+
+
+def files_key(drive_id: str) -> str:
+    """Return where the files of a drive are stored as they came."""
+    return f"drives/{drive_id}/files"
+
+
+def reduced_key(drive_id: str) -> str:
+    """Return where a committed drive is stored."""
+    return f"drives/{drive_id}/reduced"
+
+
+def create_drive(service: Service, owner: str, new: NewDrive) -> DriveModel:
+    """Make a drive without files."""
+    with service.database.writing() as session:
+        now = service.database.clock(session)
+        drive = Drive(
+            name=new.name,
+            owner=owner,
+            state="uploading",
+            options=new.options.model_dump(mode="json"),
+            keep_raw=new.keep_raw,
+            file_count=0,
+            size_bytes=0,
+            stored_bytes=0,
+            created_at=now,
+            touched_at=now,
+        )
+        session.add(drive)
+        session.flush()
+        return drive_model(drive, service.settings)
+
+
+def find_drive(session: Session, drive_id: str) -> Drive:
+    """Return a drive.
+
+    Raises
+    ------
+    Problem
+        404.
+    """
+    drive = session.get(Drive, drive_id)
+    if drive is None:
+        raise no_drive(drive_id)
+    return drive
+
+
+def lock_drive(session: Session, drive_id: str) -> Drive:
+    """Return a drive that nobody else changes until the transaction ends.
+
+    Raises
+    ------
+    Problem
+        404.
+    """
+    drive = session.get(Drive, drive_id, with_for_update=True, populate_existing=True)
+    if drive is None:
+        raise no_drive(drive_id)
+    return drive
+
+
+def no_drive(drive_id: str) -> Problem:
+    """Say that there is no such drive."""
+    return Problem(
+        404,
+        "Drive not found",
+        f"There is no drive {drive_id[:64]!r}; it may have been deleted, or an upload that was left alone has expired. "
+        "GET /api/v1/drives lists them.",
+    )
+
+
+def list_drives(service: Service, after: str | None, limit: int) -> DriveList:
+    """Return a page of drives, the newest first, without their reports."""
+    query = select(Drive).options(defer(Drive.report)).order_by(Drive.created_at.desc(), Drive.id.desc())
+    if after is not None:
+        created_at, drive_id = _cursor(after)
+        query = query.where(
+            (Drive.created_at < created_at) | ((Drive.created_at == created_at) & (Drive.id < drive_id))
+        )
+    with service.database.reading() as session:
+        drives = session.scalars(query.limit(limit + 1)).all()
+    page = drives[:limit]
+    return DriveList(
+        drives=[drive_model(drive, service.settings, report=False) for drive in page],
+        next=f"{page[-1].created_at:.6f}_{page[-1].id}" if len(drives) > limit else None,
+    )
+
+
+def _cursor(text: str) -> tuple[float, str]:
+    match = _CURSOR.fullmatch(text)
+    if match is None:
+        raise Problem(
+            422, "Bad page", f"after={text[:80]!r} is no `next` of a list. Leave it out to begin with the first page."
+        )
+    return float(match[1]), match[2]
+
+
+def list_files(service: Service, drive_id: str, after: str | None, limit: int) -> FileList:
+    """Return a page of files in the order of the code points of their paths."""
+    path = DriveFile.path if service.database.is_sqlite else DriveFile.path.collate("C")
+    query = select(DriveFile).where(DriveFile.drive_id == drive_id).order_by(path)
+    if after is not None:
+        query = query.where(path > after)
+    with service.database.reading() as session:
+        find_drive(session, drive_id)
+        files = session.scalars(query.limit(limit + 1)).all()
+    page = files[:limit]
+    return FileList(files=[file_model(file) for file in page], next=page[-1].path if len(files) > limit else None)
+
+
+def find_file(service: Service, drive_id: str, path: str) -> tuple[Path, UploadedFile]:
+    """Return an uploaded file.
+
+    Raises
+    ------
+    Problem
+        404: it was never there. 410: it is not kept any more.
+    """
+    with service.database.reading() as session:
+        find_drive(session, drive_id)
+        row = session.get(DriveFile, (drive_id, path))
+    if row is None:
+        raise Problem(
+            404, "File not found", f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
+        )
+    file = service.storage.folder(files_key(drive_id)) / path
+    if not file.is_file():
+        raise Problem(
+            410,
+            "File not kept",
+            f"{path} was reduced to what the method needs when the drive was committed. "
+            "Make the drive with keep_raw to keep its scans as they come.",
+        )
+    return file, file_model(row)
+
+
+def delete_file(service: Service, drive_id: str, path: str) -> None:
+    """Remove a file of a drive that is not committed yet.
+
+    Raises
+    ------
+    Problem
+        404: no such drive or file. 409: the drive is committed, or being checked.
+    """
+    with service.database.writing() as session:
+        drive = lock_drive(session, drive_id)
+        if drive.state != "uploading":
+            raise Problem(
+                409,
+                "Drive is closed",
+                f"Drive {drive_id} is {drive.state}; files are removed only while it is uploading.",
+            )
+        row = session.get(DriveFile, (drive_id, path))
+        if row is None:
+            raise Problem(404, "File not found", f"The drive has no file {path!r}.")
+        drive.file_count -= 1
+        drive.size_bytes -= row.size_bytes
+        drive.stored_bytes -= row.size_bytes
+        drive.touched_at = service.database.clock(session)
+        session.delete(row)
+        session.flush()
+        root = service.storage.folder(files_key(drive_id))
+        (root / path).unlink(missing_ok=True)
+        for folder in (root / path).parents:  # an empty folder would hinder a file of its name
+            if folder == root:
+                break
+            with suppress(OSError):
+                folder.rmdir()
+
+
+def delete_drive(service: Service, drive_id: str) -> None:
+    """Remove a drive with its files, jobs and results; jobs that run end when they find their rows gone.
+
+    Raises
+    ------
+    Problem
+        404.
+    """
+    with service.database.writing() as session:
+        lock_drive(session, drive_id)
+        jobs = session.scalars(select(Job.id).where(Job.drive_id == drive_id)).all()
+        session.execute(delete(Drive).where(Drive.id == drive_id))
+    for job in jobs:
+        service.storage.delete(f"jobs/{job}")
+    service.storage.delete(drive_key(drive_id))
+
+
+def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> DriveModel:
+    """Show a drive."""
+    expires_at = drive.touched_at + 3600 * settings.upload_expires_h
+    return DriveModel(
+        id=drive.id,
+        name=drive.name,
+        state=drive.state,
+        owner=drive.owner,
+        keep_raw=drive.keep_raw,
+        options=DriveOptionsModel.model_validate(drive.options),
+        files=drive.file_count,
+        size_bytes=drive.size_bytes,
+        stored_bytes=drive.stored_bytes,
+        created_at=moment(drive.created_at),
+        expires_at=moment(expires_at) if drive.state == "uploading" else None,
+        report=DriveReport.model_validate(drive.report) if report and drive.report else None,
+    )
+
+
+def file_model(file: DriveFile) -> UploadedFile:
+    """Show a file."""
+    return UploadedFile(path=file.path, size_bytes=file.size_bytes, sha256=file.sha256)
+
+
+def moment(seconds: float) -> datetime:
+    """Return a time of the database as date and time."""
+    return datetime.fromtimestamp(seconds, tz=UTC)
