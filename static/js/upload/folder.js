@@ -1,0 +1,151 @@
+/** Files of a folder that was picked or dropped, by their paths inside it. */
+
+/**
+ * @typedef {object} Folder
+ * @property {string} name
+ * @property {Map<string, File>} files By path inside the folder, parts joined by "/".
+ * @property {FileSystemDirectoryHandle | null} handle To come back to it after a reload, where the browser can.
+ */
+
+/** @typedef {(count: number) => void} OnCount Told now and then how many files were found. */
+
+const ARCHIVE = /\.(zip|tar|tgz|tar\.gz|tar\.zst|tzst)$/i;
+const JUNK = /(^|\/)(\.[^/]*|__MACOSX|Thumbs\.db|desktop\.ini)(\/|$)/i;
+const READ_AT_ONCE = 32;
+
+/** @param {File | string} file */
+export const isArchive = (file) => ARCHIVE.test(typeof file === "string" ? file : file.name);
+
+/**
+ * The folder of `<input type="file" webkitdirectory>`.
+ *
+ * @param {FileList} list
+ * @returns {Folder}
+ */
+export function folderOfInput(list) {
+  const files = new Map();
+  let name = "drive";
+  for (const file of list) {
+    const [top, ...rest] = (file.webkitRelativePath || file.name).split("/");
+    name = rest.length ? top : name;
+    put(files, rest.length ? rest.join("/") : top, file);
+  }
+  return { name, files, handle: null };
+}
+
+/** True where the browser can pick folders that it can come back to. */
+export const canPickHandles = () => typeof window.showDirectoryPicker === "function";
+
+/**
+ * Read a folder through its handle.
+ *
+ * @param {FileSystemDirectoryHandle} handle
+ * @param {OnCount} [onCount]
+ * @returns {Promise<Folder>}
+ */
+export async function folderOfHandle(handle, onCount = () => {}) {
+  const files = new Map();
+  await walkHandle(handle, "", files, onCount);
+  return { name: handle.name, files, handle };
+}
+
+/** @param {FileSystemDirectoryHandle} handle @param {string} above @param {Map<string, File>} files @param {OnCount} onCount */
+async function walkHandle(handle, above, files, onCount) {
+  /** @type {Promise<void>[]} */
+  let reading = [];
+  for await (const entry of handle.values()) {
+    const path = above + entry.name;
+    if (JUNK.test(path)) {
+      continue;
+    }
+    if (entry.kind === "directory") {
+      await walkHandle(entry, `${path}/`, files, onCount);
+    } else {
+      reading.push(entry.getFile().then((file) => put(files, path, file)));
+    }
+    if (reading.length >= READ_AT_ONCE) {
+      await Promise.all(reading);
+      reading = [];
+      onCount(files.size);
+    }
+  }
+  await Promise.all(reading);
+  onCount(files.size);
+}
+
+/**
+ * What was dropped: one archive, or a folder (several things dropped together are one folder without a name).
+ *
+ * Must be called in the drop event itself: its items are gone afterwards.
+ *
+ * @param {DataTransfer} transfer
+ * @param {OnCount} [onCount]
+ * @returns {Promise<{archive: File} | {folder: Folder}>}
+ */
+export function readDrop(transfer, onCount = () => {}) {
+  const items = [...transfer.items].filter((item) => item.kind === "file");
+  const handles = items.map((item) => item.getAsFileSystemHandle?.());
+  const entries = items.map((item) => item.webkitGetAsEntry?.() ?? null);
+  const plain = [...transfer.files];
+  return readItems(handles, entries, plain, onCount);
+}
+
+/**
+ * @param {(Promise<FileSystemHandle | null> | undefined)[]} handles
+ * @param {(FileSystemEntry | null)[]} entries
+ * @param {File[]} plain
+ * @param {OnCount} onCount
+ * @returns {Promise<{archive: File} | {folder: Folder}>}
+ */
+async function readItems(handles, entries, plain, onCount) {
+  if (plain.length === 1 && isArchive(plain[0]) && !entries[0]?.isDirectory) {
+    return { archive: plain[0] };
+  }
+  if (handles.length === 1 && handles[0]) {
+    const handle = await handles[0].catch(() => null);
+    if (handle?.kind === "directory") {
+      return { folder: await folderOfHandle(/** @type {FileSystemDirectoryHandle} */ (handle), onCount) };
+    }
+  }
+  const files = new Map();
+  const single = entries.length === 1 && entries[0]?.isDirectory ? entries[0] : null;
+  for (const entry of entries) {
+    if (entry) {
+      await walkEntry(entry, single ? "" : entry.name, files, onCount);
+    }
+  }
+  if (!entries.some(Boolean)) {
+    plain.forEach((file) => put(files, file.name, file));
+  }
+  return { folder: { name: single?.name ?? "drive", files, handle: null } };
+}
+
+/** @param {FileSystemEntry} entry @param {string} path @param {Map<string, File>} files @param {OnCount} onCount */
+async function walkEntry(entry, path, files, onCount) {
+  if (entry.isFile) {
+    const file = await new Promise((resolve, reject) => {
+      /** @type {FileSystemFileEntry} */ (entry).file(resolve, reject);
+    });
+    put(files, path, file);
+    if (files.size % 500 === 0) {
+      onCount(files.size);
+    }
+    return;
+  }
+  const reader = /** @type {FileSystemDirectoryEntry} */ (entry).createReader();
+  for (;;) {
+    /** @type {FileSystemEntry[]} */
+    const some = await new Promise((resolve, reject) => reader.readEntries(resolve, reject)); // a hundred at a time
+    if (!some.length) {
+      return;
+    }
+    await Promise.all(some.map((child) => walkEntry(child, path ? `${path}/${child.name}` : child.name, files, onCount)));
+  }
+}
+
+/** @param {Map<string, File>} files @param {string} path @param {File} file */
+function put(files, path, file) {
+  if (!JUNK.test(path)) {
+    files.set(path, file);
+  }
+}

@@ -1,0 +1,155 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { checkDrive, noDriveReason } from "../../../static/js/upload/checks.js";
+import { findDrives } from "../../../static/js/upload/drive_folder.js";
+import { runsOf } from "../../../static/js/upload/numbered.js";
+
+const POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+
+/** A folder of files: path -> text, or number of bytes. */
+function folder(files, name = "picked") {
+  const content = (value) => (typeof value === "number" ? new Uint8Array(value) : value);
+  const list = Object.entries(files).map(([path, value]) => [path, new File([content(value)], path.split("/").pop())]);
+  return { name, files: new Map(list), handle: null };
+}
+
+/** Scans and labels of n points each. */
+function scans(root, numbers, { bins = "velodyne", labels = "labels", points = 3, digits = 6 } = {}) {
+  const files = {};
+  for (const number of numbers) {
+    const stem = String(number).padStart(digits, "0");
+    files[`${root}${bins}/${stem}.bin`] = 16 * points;
+    if (labels) files[`${root}${labels}/${stem}.label`] = 4 * points;
+  }
+  return files;
+}
+
+const texts = (problems, severity) => problems.filter((each) => each.severity === severity).map((each) => `${each.path} ${each.message}`);
+
+test("a SemanticKITTI sequence is found with all its parts", async () => {
+  const [drive, ...others] = await findDrives(
+    folder({
+      ...scans("", [0, 1, 2]),
+      "predictions/000000.label": 12,
+      "predictions/000001.label": 12,
+      "predictions/000002.label": 12,
+      "poses.txt": POSE,
+      "calib.txt": "Tr: 1",
+      "times.txt": "0",
+      "geo.csv": "frame",
+      "map.osm.gz": "x",
+      "image_2/000000.png": 100,
+    }, "07"),
+  );
+  assert.equal(others.length, 0);
+  assert.equal(drive.name, "07");
+  assert.equal(drive.layout, "semantickitti");
+  assert.deepEqual([...drive.scans.files.keys()], [0, 1, 2]);
+  assert.equal(drive.scans.bytes, 3 * 48);
+  assert.deepEqual(Object.keys(drive.labels), ["labels", "predictions"]);
+  assert.deepEqual([...drive.small.keys()].sort(), ["calib.txt", "geo.csv", "poses.txt", "times.txt"]);
+  assert.deepEqual([...drive.maps.keys()], ["map.osm.gz"]);
+  assert.deepEqual(drive.unused, { files: 1, bytes: 100 });
+  assert.deepEqual(checkDrive(drive, ["labels", "predictions"], false), []);
+});
+
+test("several drives are told apart, each with its own files", async () => {
+  const drives = await findDrives(
+    folder({
+      ...scans("sequences/00/", [0]),
+      ...scans("sequences/07/", [0, 1]),
+      "sequences/00/poses.txt": POSE,
+      "sequences/07/calib.txt": "Tr: 1",
+      "poses/07.txt": POSE,
+      "README.md": "x",
+    }),
+  );
+  assert.deepEqual(drives.map((drive) => [drive.root, drive.name, drive.scans.files.size]), [["sequences/00", "00", 1], ["sequences/07", "07", 2]]);
+  assert.deepEqual([...drives[0].small.keys()], ["poses.txt"]);
+  assert.deepEqual([...drives[1].small.keys()].sort(), ["calib.txt", "poses.txt"]); // that of KITTI odometry beside
+  assert.match(drives[1].borrowed[0], /poses\/07\.txt is taken as poses\.txt/);
+});
+
+test("a KITTI raw drive takes the calibration of its day", async () => {
+  const root = "2011_09_26_drive_0001_sync/";
+  const [drive] = await findDrives(
+    folder({
+      ...scans(root, [0, 1], { bins: "velodyne_points/data", labels: null, digits: 10 }),
+      ...{ [`${root}labels/0000000000.label`]: 12, [`${root}labels/0000000001.label`]: 12 },
+      [`${root}oxts/data/0000000000.txt`]: "1",
+      [`${root}oxts/dataformat.txt`]: "lat",
+      [`${root}velodyne_points/timestamps.txt`]: "t",
+      "calib_imu_to_velo.txt": "R: 1",
+      "calib_velo_to_cam.txt": "R: 1",
+    }, "2011_09_26"),
+  );
+  assert.equal(drive.layout, "kitti_raw");
+  assert.deepEqual([...drive.small.keys()].sort(), [
+    "calib_imu_to_velo.txt",
+    "calib_velo_to_cam.txt",
+    "oxts/data/0000000000.txt",
+    "oxts/dataformat.txt",
+    "velodyne_points/timestamps.txt",
+  ]);
+  assert.deepEqual(texts(checkDrive(drive, ["labels"], false), "error"), []); // its poses come from OXTS
+});
+
+test("pose lines that start with the frame number are KITTI-360's", async () => {
+  const [drive] = await findDrives(folder({ ...scans("", [4]), "poses.txt": `4 ${POSE}` }));
+  assert.equal(drive.layout, "kitti360");
+});
+
+test("a reduced drive is sent as it is", async () => {
+  const [drive] = await findDrives(
+    folder({ "reduced.json": "{}", "ground/labels/000000.ground": 30, "ground/predictions/000000.ground": 30, "poses.txt": POSE, "oxts/data/0.txt": "1" }),
+  );
+  assert.equal(drive.layout, "reduced");
+  assert.equal(drive.ground.size, 2);
+  assert.deepEqual([...drive.small.keys()].sort(), ["oxts/data/0.txt", "poses.txt", "reduced.json"]);
+  assert.deepEqual(checkDrive(drive, [], false), []);
+});
+
+test("missing labels, poses and sizes that do not fit are told before anything is sent", async () => {
+  const files = { ...scans("", [0, 1, 2, 3]), "calib.txt": "Tr: 1" };
+  delete files["labels/000002.label"];
+  files["labels/000001.label"] = 8;
+  files["velodyne/000003.bin"] = 50;
+  const [drive] = await findDrives(folder(files));
+  const problems = checkDrive(drive, ["labels"], false);
+  const errors = texts(problems, "error");
+  assert.equal(errors.length, 4);
+  assert.match(errors[0], /labels\/000002\.label is missing: 1 of 4 scans/);
+  assert.match(errors[1], /labels\/000001\.label 2 labels for 3 points in velodyne\/000001\.bin/);
+  assert.match(errors[2], /velodyne\/000003\.bin 50 bytes, which is no multiple of 16/);
+  assert.match(errors[3], /poses\.txt is missing/);
+  assert.match(texts(problems, "note")[0], /local metres/);
+});
+
+test("names that are no scan numbers are told", async () => {
+  const [drive] = await findDrives(folder({ ...scans("", [0, 1]), "velodyne/scan.bin": 16, "velodyne/7.bin": 16, "poses.txt": POSE }));
+  const errors = texts(drive.problems, "error");
+  assert.match(errors[0], /velodyne\/scan\.bin is not named by its scan number/);
+  assert.match(errors[1], /numbered otherwise than its neighbours/);
+});
+
+test("a folder that is no drive is explained", async () => {
+  for (const [files, words] of [
+    [{ "000000.bin": 16 }, /the scans themselves: pick the folder above/],
+    [{ "x/data.zip": 1 }, /holds an archive/],
+    [{ "labels/000000.label": 4 }, /labels but no scans/],
+    [{}, /is empty/],
+    [{ "a.txt": "x" }, /is not a drive/],
+  ]) {
+    const picked = folder(files);
+    assert.deepEqual(await findDrives(picked), []);
+    assert.match(noDriveReason(picked), words);
+  }
+});
+
+test("ten thousand scans are sorted at once", async () => {
+  const [drive] = await findDrives(folder(scans("a/b/", Array.from({ length: 10_000 }, (_, i) => i), { points: 0 })));
+  assert.equal(drive.scans.files.size, 10_000);
+  assert.deepEqual(runsOf(drive.scans.files.keys()), [[0, 10_000]]);
+  assert.deepEqual(runsOf([3, 4, 9]), [[3, 2], [9, 1]]);
+});

@@ -1,0 +1,142 @@
+"""The page reduces scans in the browser: what it writes must be what the library would have picked."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from interloc.drives.labels import SEMANTICKITTI, guess_scheme, named_scheme
+from interloc.drives.reduction.ground import decode_ground
+from interloc.drives.scans import read_label_ids
+from interloc.kernels.points import select_points
+
+NODE = shutil.which("node")
+JS = Path(__file__).with_name("js")
+SAMPLE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti360_0009"
+
+pytestmark = pytest.mark.skipif(NODE is None, reason="node is not installed")
+
+
+def run_node(*arguments: str | Path) -> str:
+    assert NODE is not None
+    done = subprocess.run(
+        [NODE, *map(str, arguments)], cwd=JS, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def write_scan(folder: Path, number: int, points: NDArray[np.float32], labels: NDArray[np.uint32]) -> None:
+    points.astype("<f4").tofile(folder / f"{number:06d}.bin")
+    labels.astype("<u4").tofile(folder / f"{number:06d}.label")
+
+
+def check_folder(folder: Path, scheme: str) -> int:
+    """Compare every .ground file with what the library picks from the scan; returns the number of points compared."""
+    meaning = named_scheme(scheme)
+    assert meaning is not None
+    compared = 0
+    for scan in sorted(folder.glob("*.bin")):
+        points = np.fromfile(scan, "<f4").reshape(-1, 4)
+        labels = np.fromfile(scan.with_suffix(".label"), "<u4")
+        xyz, road_count, _ = select_points(points, labels, meaning.groups())
+        ground = scan.with_suffix(".ground")
+        found = decode_ground(ground.read_bytes(), ground.name)
+        assert found.road_count == road_count
+        assert found.xyz.tobytes() == xyz.tobytes()
+        compared += len(xyz)
+    return compared
+
+
+def test_any_finite_coordinates_come_through_bit_by_bit(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    edges = np.array(
+        [0.0, -0.0, 1e-45, -1e-45, 3.4028235e38, -3.4028235e38, 1.17549435e-38, 0.1, -1.0, 80.0], np.float32
+    )
+    for number, count in enumerate((1, 2, 3, 17, 1000, 4096, 50_000)):
+        bits = random.integers(0, 2**32, (count, 4), dtype=np.uint32)
+        points = bits.view(np.float32).copy()
+        points[~np.isfinite(points)] = 1.5
+        points[random.random(points.shape) < 0.3] = random.choice(edges)
+        labels = random.choice(np.array([40, 60, 44, 48, 49, 70, 50, 0, 252], np.uint32), count)
+        labels |= random.integers(0, 2**16, count, dtype=np.uint32) << np.uint32(16)  # instances, to be ignored
+        write_scan(tmp_path, number, points, labels)
+    write_scan(tmp_path, 90, np.ones((5, 4), np.float32), np.full(5, 70, np.uint32))  # no ground at all
+    write_scan(tmp_path, 91, np.ones((5, 4), np.float32), np.full(5, 48, np.uint32))  # no road
+    nan = np.full((5, 4), np.nan, np.float32)
+    write_scan(tmp_path, 92, nan, np.full(5, 70, np.uint32))  # what is left out may be anything
+    run_node("reduce_scans.mjs", tmp_path, "semantickitti")
+    assert not list(tmp_path.glob("*.error"))
+    assert check_folder(tmp_path, "semantickitti") > 30_000
+
+
+def test_ids_of_road_may_be_named(tmp_path: Path) -> None:
+    random = np.random.default_rng(4)
+    points = random.normal(0, 20, (3000, 4)).astype(np.float32)
+    write_scan(tmp_path, 0, points, random.integers(0, 12, 3000).astype(np.uint32))
+    run_node("reduce_scans.mjs", tmp_path, "3, 11")
+    assert check_folder(tmp_path, "3, 11") > 300
+
+
+@pytest.mark.parametrize(
+    ("points", "labels", "words"),
+    [
+        (np.full((4, 4), np.inf), [40, 40, 40, 40], ["velodyne/000000.bin", "point 0 of 4", "not finite"]),
+        (np.ones((4, 4)), [40, 40, 40], ["labels/000000.label", "3 labels for 4 points in velodyne/000000.bin"]),
+        (np.ones((3, 3)), [40, 40, 40], ["velodyne/000000.bin", "36 bytes", "no multiple of 16"]),
+        (np.ones((0, 4)), [], ["velodyne/000000.bin", "is empty"]),
+    ],
+)
+def test_damaged_scans_are_refused_in_words(
+    tmp_path: Path, points: NDArray[np.float64], labels: list[int], words: list[str]
+) -> None:
+    write_scan(tmp_path, 0, points.astype(np.float32), np.array(labels, np.uint32))
+    run_node("reduce_scans.mjs", tmp_path, "semantickitti")
+    assert not (tmp_path / "000000.ground").exists()
+    message = (tmp_path / "000000.error").read_text()
+    assert all(word in message for word in words), message
+
+
+@pytest.mark.parametrize(
+    ("ids", "scheme"),
+    [((40, 48, 70), "semantickitti"), ((9, 11, 15), "learning"), ((7, 8, 21), "semantickitti")],
+)
+def test_the_scheme_is_guessed_as_the_library_does(tmp_path: Path, ids: tuple[int, ...], scheme: str) -> None:
+    labels = np.array(ids, np.uint32)
+    write_scan(tmp_path, 0, np.ones((len(ids), 4), np.float32), labels)
+    assert run_node("reduce_scans.mjs", tmp_path, "auto").strip() == scheme
+    assert guess_scheme(labels.astype(np.int64), kitti360=False).name == scheme
+
+
+@pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")
+@pytest.mark.parametrize("folder", ["labels", "predictions"])
+def test_real_scans_are_reduced_as_the_library_does(tmp_path: Path, folder: str) -> None:
+    for number in (0, 17, 33):
+        shutil.copy(SAMPLE / "velodyne" / f"{number:06d}.bin", tmp_path)
+        shutil.copy(SAMPLE / folder / f"{number:06d}.label", tmp_path)
+    ids = {label for scan in tmp_path.glob("*.label") for label, _ in read_label_ids(scan, tmp_path)}
+    scheme = guess_scheme(np.array(sorted(ids)), kitti360=True)
+    run_node("reduce_scans.mjs", tmp_path, scheme.name)
+    assert check_folder(tmp_path, scheme.name) > 10_000
+
+
+def test_nothing_but_ground_is_kept(tmp_path: Path) -> None:
+    points = np.arange(40, dtype=np.float32).reshape(10, 4)
+    labels = np.array([70, 48, 40, 50, 40, 48, 60, 70, 0, 44], np.uint32)
+    write_scan(tmp_path, 0, points, labels)
+    run_node("reduce_scans.mjs", tmp_path, SEMANTICKITTI.name)
+    found = decode_ground((tmp_path / "000000.ground").read_bytes(), "000000.ground")
+    np.testing.assert_array_equal(found.xyz, points[[2, 4, 6, 1, 5, 9], :3])  # road first, each in the scan's order
+    assert found.road_count == 3
+
+
+def test_units() -> None:
+    """The tests of the modules themselves, `js/*.test.mjs`."""
+    report = run_node("--test", "--test-reporter=tap", ".")
+    assert "# fail 0" in report
+    assert "# pass 0\n" not in report
