@@ -55,8 +55,8 @@ class Bar:
         self._label, self._unit, self._quiet = label, unit, quiet
         self._bar: Any = None
 
-    def __call__(self, done: int, total: int) -> None:
-        """Show how much of how much is done."""
+    def __call__(self, done: int, total: int, note: str = "") -> None:
+        """Show how much of how much is done, and a note behind it."""
         if Interruption.asked:
             raise KeyboardInterrupt
         if self._quiet or not sys.stderr.isatty():
@@ -64,7 +64,16 @@ class Bar:
         if self._bar is None:
             from tqdm import tqdm
 
-            self._bar = tqdm(total=total, desc=self._label, unit=self._unit, leave=False, file=sys.stderr)
+            self._bar = tqdm(
+                total=total,
+                desc=self._label,
+                unit=self._unit,
+                unit_scale=self._unit == "B",
+                leave=False,
+                file=sys.stderr,
+            )
+        if note:
+            self._bar.set_postfix_str(note, refresh=False)
         self._bar.update(done - self._bar.n)
 
     def close(self) -> None:

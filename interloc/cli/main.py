@@ -20,10 +20,13 @@ COMMANDS = {
     "run": "run",
     "explain": "explain",
     "robustness": "robustness",
+    "export": "export",
     "simulate": "simulate",
     "benchmark": "benchmark",
     "serve": "serve",
+    "token": "token",
     "config": "config",
+    "fetch": "fetch",
 }
 """Command -> module of this package, which has a click command `command`."""
 

@@ -100,6 +100,22 @@ workers_option = click.option(
     help="Processes; the result does not depend on it.",
 )
 
+server_options = _together(
+    click.option(
+        "--server",
+        envvar="INTERLOC_SERVER",
+        default="http://127.0.0.1:8000",
+        show_default=True,
+        metavar="URL",
+        help="Address of the service; INTERLOC_SERVER too.",
+    ),
+    click.option(
+        "--token",
+        envvar="INTERLOC_TOKEN",
+        help="API token; better by INTERLOC_TOKEN: others on this machine can see the options of a command.",
+    ),
+)
+
 
 def open_drive(drive: Path, options: dict[str, Any]) -> Drive:
     """Open a drive by the values of `drive_options`."""

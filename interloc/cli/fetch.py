@@ -1,0 +1,93 @@
+"""`interloc fetch`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, options, summary
+
+if TYPE_CHECKING:
+    from interloc.client import Connection
+    from interloc.client.answers import JobAnswer
+
+
+@click.command(short_help="Bring a result from a server.")
+@click.argument("job")
+@options.OUT
+@options.server_options
+@options.QUIET
+@options.JSON
+def command(job: str, out: Path, server: str, token: str | None, quiet: bool, as_json: bool) -> None:
+    """Bring the result folder of JOB from a server, just as the server has it; wait for the job where it still runs.
+
+    \b
+    Example:
+      interloc fetch 9b1e44f00c7a2d53 -o out --server https://interloc.example.org
+    """
+    from interloc.client import Connection
+
+    console.set_up_log(quiet=quiet)
+    with Connection(server, token) as connection:
+        done = wait_for(connection, job, quiet=quiet)
+        bring(connection, done, out, quiet=quiet)
+    if as_json:
+        console.say_json(result_summary(done, out))
+    elif not quiet:
+        console.say_facts(result_facts(done, out))
+
+
+def wait_for(connection: Connection, job: str, *, quiet: bool) -> JobAnswer:
+    """Follow a job to its end, with its progress."""
+    from interloc.client import follow
+
+    said = ""
+    with console.progress("job", "keyframe", quiet=quiet) as bar:
+
+        def tell(change: JobAnswer) -> None:
+            nonlocal said
+            if change.message and change.message != said and not quiet:
+                said = change.message
+                click.echo(f"{change.stage}: {said}", err=True)
+            if change.progress.total:
+                bar(change.progress.done, change.progress.total)
+
+        return follow(connection, job, tell)
+
+
+def bring(connection: Connection, job: JobAnswer, out: Path, *, quiet: bool) -> None:
+    """Write the result folder, with progress."""
+    from interloc.client import fetch
+
+    with console.progress("fetch", "B", quiet=quiet) as bar:
+        fetch(connection, job.id, out, on_bytes=bar)
+
+
+def result_facts(job: JobAnswer, out: Path) -> list[tuple[str, str]]:
+    """Return names and values for a person."""
+    run, report = _records(out)
+    counts = job.summary or {}
+    return [
+        ("drive", f"{job.drive_name}: {run['scans']} scans, {run['keyframes']} keyframes"),
+        ("georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"),
+        *((name, str(counts[name])) for name in ("detections", "intersections") if name in counts),
+        *(summary.report_facts(report, out)[:-1] if report else ()),
+        ("written to", str(out)),
+    ]
+
+
+def result_summary(job: JobAnswer, out: Path) -> dict[str, Any]:
+    """Return the same for a program."""
+    _, report = _records(out)
+    return {"out": str(out), "job": job.id, "drive": job.drive_id, "summary": job.summary, "report": report}
+
+
+def _records(out: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Read run.json, and report.json where the job was evaluated."""
+    import json
+
+    run = json.loads((out / "run.json").read_bytes())
+    report = out / "report.json"
+    return run, json.loads(report.read_bytes()) if report.is_file() else None

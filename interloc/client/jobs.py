@@ -1,0 +1,162 @@
+"""Jobs of the service: submitted, followed to their end."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from pydantic import ValidationError
+
+from interloc.client.answers import JobAnswer, Refusal, media_type
+from interloc.client.connection import Connection
+from interloc.client.events import read_events
+from interloc.errors import InterLocError, NetworkError
+
+if TYPE_CHECKING:
+    from interloc.config import DetectorConfig
+    from interloc.osm.policies import Policy
+
+OnChange = Callable[[JobAnswer], None]
+
+_POLL_S = 1.0
+_SILENCE_S = 45.0  # a stream of events is never silent for so long: the service sends comments in between
+
+
+def submit(
+    connection: Connection,
+    drive_id: str,
+    *,
+    config: DetectorConfig | None = None,
+    labels: str | None = None,
+    osm: str | None = None,
+    overpass: bool = False,
+    policy: Policy = "drive",
+    tolerance_m: float = 15.0,
+    name: str | None = None,
+) -> JobAnswer:
+    """Let the service find the intersections of a drive, and score them where a map is given.
+
+    Parameters
+    ----------
+    drive_id
+        A drive that is ready or being checked.
+    config
+        Preset `default` by default.
+    labels
+        "labels" or "predictions"; the folder that is there by default.
+    osm
+        Name of a map among the files of the drive.
+    overpass
+        Let the service fetch the map of today instead.
+    policy, tolerance_m
+        Which OSM nodes count as intersections.
+    name
+        Shown in lists.
+
+    Raises
+    ------
+    Refusal
+        The service says why not: no such drive, a setting without meaning, a full queue.
+    NetworkError
+        It cannot be reached.
+    """
+    request: dict[str, Any] = {"drive_id": drive_id, "policy": policy, "tolerance_m": tolerance_m}
+    if config is not None:
+        request |= {"preset": config.preset, **_differences(config)}
+    if labels is not None:
+        request["labels"] = labels
+    if osm is not None or overpass:
+        request["osm"] = {"overpass": True} if osm is None else {"file": osm}
+    if name is not None:
+        request["name"] = name
+    # The key makes it safe to ask again when an answer is lost: there will be one job.
+    return connection.ask("POST", "/jobs", JobAnswer, json=request, headers={"Idempotency-Key": secrets.token_hex(16)})
+
+
+def follow(connection: Connection, job_id: str, on_change: OnChange | None = None) -> JobAnswer:
+    """Wait for the end of a job.
+
+    Parameters
+    ----------
+    on_change
+        Told about every change.
+
+    Returns
+    -------
+    JobAnswer
+        The job, which was successful.
+
+    Raises
+    ------
+    InterLocError
+        It failed or was cancelled; the text is the service's.
+    Refusal, NetworkError
+        There is no such job, or no answer.
+    """
+    for job in _changes(connection, job_id):
+        if on_change is not None:
+            on_change(job)
+        if job.is_final:
+            return _successful(job)
+    raise AssertionError  # changes come until the end
+
+
+def _changes(connection: Connection, job_id: str) -> Iterator[JobAnswer]:
+    """Yield the job, and again at each change: by events, and by asking wherever those fail."""
+    address = f"/jobs/{quote(job_id, safe='')}"
+    while True:
+        job = connection.ask("GET", address, JobAnswer)
+        yield job
+        if job.is_final:
+            return
+        try:
+            for changed in _events(connection, f"{address}/events", job.version):
+                yield changed
+                if changed.is_final:
+                    return
+        except NetworkError:
+            pass  # what is wrong shows at the next question
+        if connection.closing.wait(_POLL_S):
+            raise NetworkError(f"{connection.server}: given up.")
+
+
+def _events(connection: Connection, address: str, version: int) -> Iterator[JobAnswer]:
+    headers = {"Accept": "text/event-stream", "Last-Event-ID": str(version)}
+    with connection.stream(address, headers=headers, timeout_s=_SILENCE_S) as response:
+        if media_type(response) != "text/event-stream":
+            raise NetworkError(f"{connection.server}: {address} sends no events.")
+        for data in read_events(response.iter_raw()):
+            try:
+                yield JobAnswer.model_validate_json(data)
+            except ValidationError as error:
+                raise NetworkError(f"{connection.server}: {address} sends events that are no jobs.") from error
+
+
+def _successful(job: JobAnswer) -> JobAnswer:
+    if job.state == "successful":
+        return job
+    if job.state == "dismissed":
+        raise InterLocError(f"job {job.id} was cancelled.")
+    raise InterLocError(f"job {job.id} failed: {job.error or 'the server does not say why'}")
+
+
+def _differences(config: DetectorConfig) -> dict[str, Any]:
+    """Return the settings that differ from their preset, in its shape; a section of another kind whole."""
+    from interloc.config import preset  # noqa: PLC0415 - numpy and pydantic models only where a job is submitted
+
+    ours, theirs = config.model_dump(mode="json"), preset(config.preset).model_dump(mode="json")
+    changed: dict[str, Any] = {}
+    for section, values in ours.items():
+        base = theirs[section]
+        if values == base:
+            continue
+        if isinstance(values, dict) and isinstance(base, dict) and values.get("kind") == base.get("kind"):
+            changed[section] = {name: value for name, value in values.items() if value != base[name]}
+        else:
+            changed[section] = values
+    return {"config": changed} if changed else {}
+
+
+__all__ = ["JobAnswer", "Refusal", "follow", "submit"]

@@ -1,0 +1,101 @@
+"""A real HTTP server on this machine that fails in the ways that servers and networks fail."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from interloc.client import Connection
+
+Reply = Callable[[BaseHTTPRequestHandler], None]
+
+
+class Faulty:
+    """A server that answers its first requests by a script, and all later ones as the last."""
+
+    def __init__(self) -> None:
+        self.script: list[Reply] = []
+        self.seen: list[tuple[str, str]] = []
+        self.bodies: list[bytes] = []
+        self.headers: list[dict[str, str]] = []
+        outer = self
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def answer(self) -> None:
+                outer.seen.append((self.command, self.path))
+                outer.headers.append(dict(self.headers.items()))
+                outer.bodies.append(self.rfile.read(int(self.headers.get("Content-Length", 0))))
+                outer.script[min(len(outer.seen), len(outer.script)) - 1](self)
+
+            do_GET = do_PUT = do_POST = do_DELETE = do_HEAD = answer
+
+            def log_message(self, *_: object) -> None:
+                pass
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._server.daemon_threads = True
+        self.address = f"http://127.0.0.1:{self._server.server_address[1]}"
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def answer(status: int, body: Any = None, *, kind: str = "application/json", **headers: str) -> Reply:
+    """Answer with JSON, or with bytes as they are."""
+    data = body if isinstance(body, bytes) else json.dumps(body).encode()
+
+    def reply(handler: BaseHTTPRequestHandler) -> None:
+        handler.send_response(status)
+        handler.send_header("Content-Type", kind)
+        handler.send_header("Content-Length", str(len(data)))
+        for name, value in headers.items():
+            handler.send_header(name.replace("_", "-"), value)
+        handler.end_headers()
+        if handler.command != "HEAD":
+            handler.wfile.write(data)
+
+    return reply
+
+
+def problem(status: int, title: str, detail: str, *, more: dict[str, Any] | None = None, **headers: str) -> Reply:
+    """Answer with a problem document."""
+    document = {"title": title, "status": status, "detail": detail, **(more or {})}
+    return answer(status, document, kind="application/problem+json", **headers)
+
+
+def hang_up(handler: BaseHTTPRequestHandler) -> None:
+    """Break the connection off without an answer."""
+    handler.connection.shutdown(socket.SHUT_RDWR)
+    handler.close_connection = True
+
+
+@pytest.fixture(scope="session")
+def make() -> ModuleType:
+    """The functions of this module."""
+    return sys.modules[__name__]
+
+
+@pytest.fixture
+def faulty() -> Iterator[Faulty]:
+    server = Faulty()
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def connection(faulty: Faulty) -> Iterator[Connection]:
+    """A connection to the faulty server, with little patience."""
+    with Connection(faulty.address, patience_s=20) as connection:
+        yield connection

@@ -1,0 +1,191 @@
+"""Patience with servers that are busy, restart or break off; plain words where patience does not help."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from interloc.client import Connection
+from interloc.client.answers import DrivesAnswer, FileAnswer, Refusal
+from interloc.errors import ConfigError, NetworkError
+
+NO_DRIVES: dict[str, list[str]] = {"drives": []}
+
+
+def test_a_connection_that_breaks_off_is_tried_again(connection: Connection, faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.answer(200, NO_DRIVES), make.hang_up, make.hang_up, make.answer(200, NO_DRIVES)]
+    connection.greet()
+    connection.greet()
+    assert [method for method, _ in faulty.seen] == ["GET"] * 4
+
+
+@pytest.mark.parametrize("status", [429, 502, 503, 504])
+def test_a_busy_server_is_asked_again(status: int, connection: Connection, faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.problem(status, "Busy", "Later.", Retry_After="0"), make.answer(200, NO_DRIVES)]
+    connection.greet()
+    assert len(faulty.seen) == 2
+
+
+def test_the_pause_that_the_server_asks_for_is_kept(connection: Connection, faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.problem(503, "Busy", "Later.", Retry_After="1"), make.answer(200, NO_DRIVES)]
+    before = time.monotonic()
+    connection.greet()
+    assert time.monotonic() - before >= 1.0
+
+
+def test_a_pause_beyond_patience_is_the_servers_word(faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.problem(429, "Queue full", "100 jobs of yours are waiting.", Retry_After="3600")]
+    with Connection(faulty.address) as connection, pytest.raises(Refusal, match="Queue full: 100 jobs") as refused:
+        connection.greet()
+    assert refused.value.status == 429
+    assert len(faulty.seen) == 1
+
+
+def test_a_body_is_sent_anew_at_each_attempt(connection: Connection, faulty: Any, make: ModuleType) -> None:
+    file = {"path": "a.bin", "size_bytes": 6, "sha256": "00"}
+    faulty.script = [make.problem(503, "Busy", "Later.", Retry_After="0"), make.answer(201, file)]
+    headers = {"Content-Length": "6"}
+    connection.ask("PUT", "/drives/1/files/a.bin", FileAnswer, body=lambda: iter([b"abc", b"def"]), headers=headers)
+    assert faulty.bodies == [b"abcdef", b"abcdef"]
+
+
+def test_what_must_not_happen_twice_is_not_sent_twice(connection: Connection, faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.hang_up, make.answer(200, NO_DRIVES)]
+    with pytest.raises(NetworkError, match="broke off"):
+        connection.request("POST", "/drives", json={}, repeatable=False)
+    assert len(faulty.seen) == 1
+
+
+def test_a_request_that_the_server_did_not_do_may_be_sent_again(
+    connection: Connection, faulty: Any, make: ModuleType
+) -> None:
+    faulty.script = [make.problem(503, "Busy", "Later.", Retry_After="0"), make.answer(200, NO_DRIVES)]
+    connection.request("POST", "/drives", json={}, repeatable=False)
+    assert len(faulty.seen) == 2
+
+
+def test_a_refusal_is_final_and_in_the_servers_words(connection: Connection, faulty: Any, make: ModuleType) -> None:
+    problems = [
+        {"severity": "error", "path": "labels/000003.label", "message": "is missing."},
+        {"severity": "note", "path": "poses.txt", "message": "1,101 poses."},
+    ]
+    faulty.script = [make.problem(422, "Drive not usable", "2 files are at fault.", more={"problems": problems})]
+    with pytest.raises(Refusal) as refused:
+        connection.greet()
+    assert str(refused.value) == "Drive not usable: 2 files are at fault.\n  labels/000003.label: is missing."
+    assert len(faulty.seen) == 1
+
+
+def test_a_token_that_is_refused(faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.problem(401, "Not authorized", "The token is not known.")]
+    with Connection(faulty.address, "secret-token") as connection, pytest.raises(Refusal) as refused:
+        connection.greet()
+    assert faulty.headers[0]["Authorization"] == "Bearer secret-token"
+    assert "The token is not known. Give a token of this server by INTERLOC_TOKEN" in str(refused.value)
+    assert "secret-token" not in str(refused.value)
+
+
+@pytest.mark.parametrize("token", ["two words", "line\nbreak", "umläut"])
+def test_a_token_that_cannot_be_one(token: str) -> None:
+    with pytest.raises(ConfigError, match=r"^token: "):
+        Connection("http://127.0.0.1:1", token)
+
+
+def test_another_server_at_the_address(connection: Connection, faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.answer(404, b"<html>not here</html>", kind="text/html")]
+    with pytest.raises(NetworkError, match="404 Not Found to GET /api/v1/drives, not in the way of an InterLoc server"):
+        connection.greet()
+
+
+@pytest.mark.parametrize(
+    ("body", "kind"), [(b"<html>hello</html>", "text/html"), (b"[1, 2]", "application/json"), (b"", "text/plain")]
+)
+def test_another_server_that_answers_everything(
+    body: bytes, kind: str, connection: Connection, faulty: Any, make: ModuleType
+) -> None:
+    faulty.script = [make.answer(200, body, kind=kind)]
+    with pytest.raises(NetworkError, match=rf"answered GET /api/v1/drives with {kind} that is not what an InterLoc"):
+        connection.greet()
+
+
+def test_a_server_that_moved(connection: Connection, faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.answer(308, b"", Location="https://example.org/api/v1/drives")]
+    with pytest.raises(NetworkError, match=r"sends us to https://example.org"):
+        connection.greet()
+
+
+def test_nobody_at_the_address_is_told_soon() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        with Connection(f"http://127.0.0.1:{port}") as connection, pytest.raises(NetworkError) as failed:
+            connection.greet()
+    assert "cannot be reached" in str(failed.value)
+    assert "Give its address by --server or INTERLOC_SERVER" in str(failed.value)
+
+
+def test_plain_http_where_https_was_expected(faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.answer(200, NO_DRIVES)]
+    with (
+        Connection(faulty.address.replace("http:", "https:")) as connection,
+        pytest.raises(NetworkError, match="it does not speak https"),
+    ):
+        connection.greet()
+
+
+def test_waiting_ends_when_the_connection_closes(faulty: Any, make: ModuleType) -> None:
+    faulty.script = [make.answer(200, NO_DRIVES), make.problem(503, "Busy", "Later.", Retry_After="60")]
+    failures: list[NetworkError] = []
+    with Connection(faulty.address) as connection:
+        connection.greet()
+
+        def ask() -> None:
+            try:
+                connection.ask("GET", "/drives", DrivesAnswer)
+            except NetworkError as error:
+                failures.append(error)
+
+        asking = threading.Thread(target=ask)
+        asking.start()
+        while len(faulty.seen) < 2:
+            time.sleep(0.01)
+        connection.closing.set()
+        asking.join(30)
+    (failure,) = failures
+    assert str(failure) in {f"{faulty.address}: given up.", f"{faulty.address}: busy (503)."}
+
+
+@pytest.mark.parametrize(
+    ("given", "base"),
+    [
+        ("http://127.0.0.1:8000/", "http://127.0.0.1:8000"),
+        ("http://127.0.0.1:8000/api/v1/", "http://127.0.0.1:8000"),
+        (" https://example.org/interloc/docs ", "https://example.org/interloc"),
+        ("http://[::1]:8000", "http://[::1]:8000"),
+    ],
+)
+def test_addresses(given: str, base: str) -> None:
+    with Connection(given) as connection:
+        assert connection.server == base
+
+
+@pytest.mark.parametrize("given", ["127.0.0.1:8000", "localhost", "ftp://example.org", "http://", "", "http://[::1"])
+def test_addresses_that_are_none(given: str) -> None:
+    with pytest.raises(ConfigError, match=r"^server '"):
+        Connection(given)
+
+
+def test_an_address_with_a_password_is_refused_without_showing_it() -> None:
+    with pytest.raises(ConfigError) as refused:
+        Connection("https://user:hunter2@example.org")
+    assert "hunter2" not in str(refused.value)
+
+
+def test_a_token_over_plain_http_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    with Connection("http://example.org", "token"):
+        assert "http://example.org: the token is sent without encryption" in caplog.text
