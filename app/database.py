@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session, sessionmaker
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _UPGRADE_LOCK = 0x1E7E210C  # any number: PostgreSQL's advisory lock of servers that start together
 _BUSY_TIMEOUT_S = 30
+_SQLITE_NOW = "SELECT round((julianday('now') - 2440587.5) * 86400.0, 3)"  # unixepoch('subsec') needs SQLite 3.42
 
 
 class Database:
@@ -59,7 +60,7 @@ class Database:
 
     def clock(self, session: Session) -> float:
         """Return the time by the clock of the database, seconds since 1970: one clock for all servers."""
-        now = "SELECT unixepoch('subsec')" if self.is_sqlite else "SELECT extract(epoch FROM clock_timestamp())"
+        now = _SQLITE_NOW if self.is_sqlite else "SELECT extract(epoch FROM clock_timestamp())"
         return float(session.execute(text(now)).scalar_one())
 
     def upgrade(self) -> None:
