@@ -13,8 +13,8 @@ from interloc.config import DEFAULT, DetectorConfig
 from interloc.detect.detector import Detector, KeyframeDetections
 from interloc.detect.keyframes import select_keyframes
 from interloc.drives.drive import scans_of
+from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
-from interloc.drives.scans import FolderDrive
 from interloc.errors import DriveError
 from interloc.pipeline import detect, detect_range, split
 from interloc.results import DriveResult

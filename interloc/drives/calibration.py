@@ -15,6 +15,8 @@ from interloc.geometry import invert_transform
 
 Array = NDArray[np.float64]
 
+IMU_CALIBRATION = "calib_imu_to_velo.txt"
+
 _TR_KEYS = ("Tr", "Tr_velo_to_cam", "Tr_velo_cam")
 
 KITTI_T_VELO_IMU: Array = np.array(
@@ -28,6 +30,31 @@ KITTI_T_VELO_IMU: Array = np.array(
 """T_lidar_imu of the KITTI car, as KITTI publishes it in calib_imu_to_velo.txt of every day of recording."""
 
 
+def locate_camera_calibration(parts: DriveParts) -> Path | None:
+    """Return the file that leads from the LiDAR to the camera."""
+    return _locate(parts, "calib.txt", "calib_velo_to_cam.txt", "calib_cam_to_velo.txt")
+
+
+def locate_imu_calibration(parts: DriveParts) -> Path | None:
+    """Return the file that leads from the IMU to the LiDAR."""
+    return _locate(parts, IMU_CALIBRATION)
+
+
+def locate_camera_to_pose(parts: DriveParts) -> Path | None:
+    """Return KITTI-360's file that leads from the camera to the IMU."""
+    return _locate(parts, "calib_cam_to_pose.txt")
+
+
+def _locate(parts: DriveParts, *names: str) -> Path | None:
+    """Return the first file of one of some names."""
+    for place in parts.calibration:
+        for name in names:
+            path = place if place.name == name else place / name
+            if path.is_file():
+                return path
+    return None
+
+
 def find_camera_calibration(parts: DriveParts) -> tuple[Path, Array] | None:
     """Return the file and T_cam_lidar of a drive, or None where it has none.
 
@@ -36,22 +63,14 @@ def find_camera_calibration(parts: DriveParts) -> tuple[Path, Array] | None:
     DriveError
         The file is damaged, or its transform is not rigid.
     """
-    for folder in parts.calibration:
-        if (path := folder / "calib.txt").is_file():
-            return path, _read_keyed(path, parts.root, _TR_KEYS)
-        if (path := folder / "calib_velo_to_cam.txt").is_file():
-            return path, _read_rt(path, parts.root)
-        if (path := folder / "calib_cam_to_velo.txt").is_file():
-            return path, invert_transform(_read_plain(path, parts.root))
-    return None
-
-
-def find_imu_calibration(parts: DriveParts) -> tuple[Path, Array] | None:
-    """Return the file and T_lidar_imu of a drive (KITTI's calib_imu_to_velo.txt), or None where it has none."""
-    for folder in parts.calibration:
-        if (path := folder / "calib_imu_to_velo.txt").is_file():
-            return path, read_imu_calibration(path, parts.root)
-    return None
+    path = locate_camera_calibration(parts)
+    if path is None:
+        return None
+    if path.name == "calib.txt":
+        return path, _read_keyed(path, parts.root, _TR_KEYS)
+    if path.name == "calib_velo_to_cam.txt":
+        return path, _read_rt(path, parts.root)
+    return path, invert_transform(_read_plain(path, parts.root))
 
 
 def read_imu_calibration(path: Path, root: Path) -> Array:
@@ -61,10 +80,8 @@ def read_imu_calibration(path: Path, root: Path) -> Array:
 
 def find_camera_to_pose(parts: DriveParts) -> tuple[Path, Array] | None:
     """Return the file and T_imu_cam of KITTI-360's calib_cam_to_pose.txt, or None where it has none."""
-    for folder in parts.calibration:
-        if (path := folder / "calib_cam_to_pose.txt").is_file():
-            return path, _read_keyed(path, parts.root, ("image_00",))
-    return None
+    path = locate_camera_to_pose(parts)
+    return None if path is None else (path, _read_keyed(path, parts.root, ("image_00",)))
 
 
 def _keyed_lines(path: Path, root: Path) -> dict[str, tuple[int, list[str]]]:

@@ -17,7 +17,7 @@ from interloc.drives.faults import DriveFileError, Findings
 from interloc.drives.files import shown
 from interloc.drives.motion import LEAST_MOTION_M, TURNED_RAD, body_motion
 from interloc.drives.options import PoseFrame
-from interloc.drives.parts import DriveParts
+from interloc.drives.parts import DriveParts, PoseOwner
 from interloc.geometry import invert_transform
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def guess_frame(poses: Array) -> tuple[Frame | None, str]:
 
 def to_lidar(
     poses: Array, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
-) -> tuple[Array, Frame, str]:
+) -> tuple[Array, PoseOwner, str]:
     """Turn the poses of a file into those of the LiDAR.
 
     Parameters
@@ -69,7 +69,7 @@ def to_lidar(
     poses : (P, 4, 4) float64
         As they stand in the file.
     parts : DriveParts
-        Where calibrations are looked for.
+        Where calibrations are looked for, and whose poses these are where that is settled.
     pose_file : str
         Its name in messages.
     declared : {"auto", "camera", "lidar"}
@@ -92,25 +92,38 @@ def to_lidar(
         or does not fit.
     """
     _look_for_inverted(poses, pose_file, findings)
+    owner: PoseOwner
+    if parts.pose_frame is None:
+        owner, why = _decide(poses, parts, pose_file, declared, findings)
+    else:
+        owner, why = parts.pose_frame
+        if declared not in {"auto", owner}:
+            raise DriveFileError(pose_file, _settled(declared, owner, why))
+    if owner == "camera":
+        return _from_camera(poses, parts, pose_file, why), owner, why
+    if owner == "imu":
+        return _from_imu(poses, parts, pose_file), owner, why
+    return poses, owner, why
+
+
+def _decide(
+    poses: Array, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
+) -> tuple[Frame, str]:
+    """Return whose poses these are, and why."""
     guess, why = guess_frame(poses)
-    frame: Frame
     if declared != "auto":
         if guess is not None and guess != declared:
             raise DriveFileError(pose_file, _contradiction(declared, guess, why))
-        frame, why = declared, f"declared so ({why})"
-    elif guess is None:
+        return declared, f"declared so ({why})"
+    if guess is None:
         has_calibration = find_camera_calibration(parts) is not None
-        frame = "camera" if has_calibration else "lidar"
+        guess = "camera" if has_calibration else "lidar"
         calibration = "there is a camera calibration" if has_calibration else "there is no camera calibration"
-        why = f"{why}; {calibration}, so they are taken for {frame} poses"
+        why = f"{why}; {calibration}, so they are taken for {guess} poses"
         findings.note(pose_file, f"{why}. Name the pose frame (camera or lidar) if that is wrong.")
-    else:
-        frame = guess
-    if frame == "camera":
-        return _from_camera(poses, parts, pose_file, why), frame, why
-    if declared == "auto" and parts.layout == "kitti360" and _points_down(poses):
-        return _from_imu(poses, parts, pose_file), "imu", f"{why}, but its z axis points down, as KITTI-360's IMU"
-    return poses, frame, why
+    if guess == "lidar" and parts.layout == "kitti360" and _points_down(poses):
+        return "imu", f"{why}, but its z axis points down, as KITTI-360's IMU"
+    return guess, why
 
 
 def _look_for_inverted(poses: Array, pose_file: str, findings: Findings) -> None:
@@ -147,7 +160,16 @@ def _contradiction(declared: Frame, guess: Frame, why: str) -> str:
     )
 
 
-def _device(frame: Frame) -> str:
+def _settled(declared: PoseFrame, owner: PoseOwner, why: str) -> str:
+    """Say that a reduced drive cannot be read otherwise than it was made."""
+    return (
+        f"declared as poses of the {_device(declared)} (pose frame {declared!r}), but the drive was reduced with them "
+        f"as those of the {_device(owner)} ({why}), and its scans were chosen accordingly. "
+        f"Give pose frame 'auto', or reduce the drive again with pose frame {declared!r}."
+    )
+
+
+def _device(frame: str) -> str:
     """Name the device of a frame."""
     return {"camera": "camera", "lidar": "LiDAR", "imu": "IMU"}[frame]
 

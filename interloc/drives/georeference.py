@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from interloc.drives.calibration import KITTI_T_VELO_IMU, find_imu_calibration, read_imu_calibration
+from interloc.drives.calibration import (
+    IMU_CALIBRATION,
+    KITTI_T_VELO_IMU,
+    locate_imu_calibration,
+    read_imu_calibration,
+)
 from interloc.drives.drive import Georeference
 from interloc.drives.faults import GeoreferenceFileError
 from interloc.drives.files import shown
@@ -21,12 +28,32 @@ from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_r
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-
 _log = logging.getLogger(__name__)
 
 
-def read_georeference(parts: DriveParts, frames: Integers, given: Path | None) -> Georeference | None:
-    """Read the georeference of a drive.
+@dataclass(frozen=True)
+class GeoreferenceFiles:
+    """Where a georeference lies on disk.
+
+    Attributes
+    ----------
+    kind : {"geo", "folder", "rows"}
+        A geo.csv, a folder with one OXTS file a frame, or a file with one OXTS row a frame.
+    path : Path
+    first : int
+        Number of the OXTS file of frame 0.
+    imu_calibration : Path or None
+        The calib_imu_to_velo.txt that goes with OXTS.
+    """
+
+    kind: Literal["geo", "folder", "rows"]
+    path: Path
+    first: int = 0
+    imu_calibration: Path | None = None
+
+
+def locate_georeference(parts: DriveParts, frames: Integers, given: Path | None) -> GeoreferenceFiles | None:
+    """Find the files of the georeference of a drive, without reading them.
 
     Parameters
     ----------
@@ -38,47 +65,75 @@ def read_georeference(parts: DriveParts, frames: Integers, given: Path | None) -
 
     Returns
     -------
-    Georeference or None
+    GeoreferenceFiles or None
         None where the drive has none.
+
+    Raises
+    ------
+    GeoreferenceError
+        The given one does not exist, or belongs to another sequence.
+    """
+    if given is not None:
+        return _locate_given(given, parts, frames)
+    if parts.geo is not None:
+        return GeoreferenceFiles("geo", parts.geo)
+    if parts.oxts is None:
+        return None
+    imu = locate_imu_calibration(parts)
+    if parts.oxts.is_file():
+        return GeoreferenceFiles("rows", parts.oxts, imu_calibration=imu)
+    return GeoreferenceFiles("folder", _data_folder(parts.oxts), imu_calibration=imu)
+
+
+def read_georeference(parts: DriveParts, frames: Integers, given: Path | None) -> Georeference | None:
+    """Read the georeference of a drive; parameters as of `locate_georeference`.
 
     Raises
     ------
     GeoreferenceError
         It is damaged, has no fix for a scan, or belongs to another sequence.
     """
+    files = locate_georeference(parts, frames, given)
+    if files is None:
+        return None
+    root, name = parts.root, shown(files.path, parts.root)
     try:
-        if given is not None:
-            return _read_given(given, parts, frames)
-        if parts.geo is not None:
-            return read_geo_csv(parts.geo, parts.root, frames)
-        if parts.oxts is not None:
-            rows = read_oxts_folder(_data_folder(parts.oxts), parts.root, frames)
-            return georeference_of_lidar(rows, _lever_arm(parts), shown(_data_folder(parts.oxts), parts.root))
+        if files.kind == "geo":
+            return read_geo_csv(files.path, root, frames)
+        if files.kind == "rows":
+            rows = read_oxts_rows(files.path, root, frames)
+        else:
+            rows = read_oxts_folder(files.path, root, frames + files.first)
+        return georeference_of_lidar(rows, _lever_arm(parts, files.imu_calibration), name)
     except GeoreferenceFileError:
         raise
     except DriveError as error:
         path, message = error.args if len(error.args) == 2 else ("", str(error))
         raise GeoreferenceFileError(path, message) from error
-    return None
 
 
-def _read_given(given: Path, parts: DriveParts, frames: Integers) -> Georeference:
-    """Read a georeference that was named by the user."""
-    name = shown(given, parts.root)
+def _locate_given(given: Path, parts: DriveParts, frames: Integers) -> GeoreferenceFiles:
+    """Find the files of a georeference that was named by the user."""
     if not given.exists():
         raise GeoreferenceFileError(
-            name, "does not exist. Expected a KITTI raw drive, a file of OXTS rows, or a geo.csv."
+            shown(given, parts.root), "does not exist. Expected a KITTI raw drive, a file of OXTS rows, or a geo.csv."
         )
     if given.is_dir():
         if (given / "geo.csv").is_file() and not (given / "oxts").exists():
-            return read_geo_csv(given / "geo.csv", parts.root, frames)
+            return GeoreferenceFiles("geo", given / "geo.csv")
         folder = _data_folder(given / "oxts" if (given / "oxts").is_dir() else given)
-        rows = read_oxts_folder(folder, parts.root, frames + raw_offset(given, parts.root.name, frames))
-        return georeference_of_lidar(rows, _lever_arm(parts, given), shown(folder, parts.root))
+        first = raw_offset(given, parts.drive_name, frames)
+        return GeoreferenceFiles("folder", folder, first, _imu_calibration_near(given, parts))
     if given.name.endswith((".csv", ".csv.gz")):
-        return read_geo_csv(given, parts.root, frames)
-    rows = read_oxts_rows(given, parts.root, frames)
-    return georeference_of_lidar(rows, _lever_arm(parts, given.absolute().parent), name)
+        return GeoreferenceFiles("geo", given)
+    near = given.absolute().parent
+    return GeoreferenceFiles("rows", given, imu_calibration=_imu_calibration_near(near, parts))
+
+
+def _imu_calibration_near(folder: Path, parts: DriveParts) -> Path | None:
+    """Return the calibration beside a georeference from elsewhere, or else that of the drive."""
+    beside = (folder / IMU_CALIBRATION, folder.absolute().parent / IMU_CALIBRATION)
+    return next((path for path in beside if path.is_file()), None) or locate_imu_calibration(parts)
 
 
 def _data_folder(folder: Path) -> Path:
@@ -86,15 +141,10 @@ def _data_folder(folder: Path) -> Path:
     return folder / "data" if (folder / "data").is_dir() else folder
 
 
-def _lever_arm(parts: DriveParts, given: Path | None = None) -> tuple[Array, str]:
+def _lever_arm(parts: DriveParts, path: Path | None) -> tuple[Array, str]:
     """Return T_lidar_imu and where it came from."""
-    folders = () if given is None else (given, given.absolute().parent)
-    for folder in folders:
-        if (path := folder / "calib_imu_to_velo.txt").is_file():
-            return read_imu_calibration(path, parts.root), f"lever arm of {shown(path, parts.root)}"
-    found = find_imu_calibration(parts)
-    if found is not None:
-        return found[1], f"lever arm of {shown(found[0], parts.root)}"
+    if path is not None:
+        return read_imu_calibration(path, parts.root), f"lever arm of {shown(path, parts.root)}"
     _log.info("%s: no calib_imu_to_velo.txt; the lever arm that KITTI publishes is used", parts.root.name)
     return KITTI_T_VELO_IMU, "lever arm as published by KITTI"
 

@@ -8,14 +8,33 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from interloc.drives.faults import Findings, Problem
+from interloc.drives.found import Survey
 from interloc.drives.open import drive_options
 from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
-from interloc.drives.scans import POINT_BYTES
-from interloc.drives.survey import Survey, survey
+from interloc.drives.survey import survey
+
+
+class ReducedReport(BaseModel):
+    """What is left of the scans of a reduced drive.
+
+    Attributes
+    ----------
+    kept_scans : int
+    ground_bytes : int
+        Size of their ground points.
+    distance_m, angle_deg : float or None
+        Keyframe settings by which they were chosen; None: every scan was kept.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    kept_scans: int
+    ground_bytes: int
+    distance_m: float | None
+    angle_deg: float | None
 
 
 class DriveReport(BaseModel):
@@ -24,17 +43,19 @@ class DriveReport(BaseModel):
     Attributes
     ----------
     path, name : str
-        The folder.
+        The folder, and the name of the drive.
     layout : str or None
         "semantickitti", "kitti_raw" or "kitti360".
     scans : int
-        Number of .bin files.
+        Number of scans (also of those that a reduced drive did not keep).
     first_frame, last_frame : int or None
         Scan numbers.
     scan_bytes, label_bytes : int
-        Size of all of them.
+        Size of all of them; of a reduced drive that of the files it was made of, 0 where that is not known.
     points_per_scan, least_points, most_points : int or None
         Median, minimum and maximum.
+    reduced : ReducedReport or None
+        What was kept, where this is a reduced drive.
     poses : int
         Poses in the file (may be more than scans).
     length_m : float or None
@@ -78,6 +99,7 @@ class DriveReport(BaseModel):
     points_per_scan: int | None = None
     least_points: int | None = None
     most_points: int | None = None
+    reduced: ReducedReport | None = None
     poses: int = 0
     length_m: float | None = None
     spacing_m: float | None = None
@@ -114,13 +136,14 @@ def inspect_drive(
     pose_frame: PoseFrame = "auto",
     layout: LayoutChoice = "auto",
     oxts: str | os.PathLike[str] | None = None,
+    name: str | None = None,
     thorough: bool = False,
 ) -> DriveReport:
     """Look at a drive as `open_drive` does, but list every problem instead of stopping at the first.
 
     Parameters
     ----------
-    path, labels, label_scheme, pose_frame, layout, oxts
+    path, labels, label_scheme, pose_frame, layout, oxts, name
         As of `open_drive`.
     thorough : bool
         Read all scans and labels, not only some; the sizes of all files are checked in any case.
@@ -131,7 +154,7 @@ def inspect_drive(
         An option without meaning. A bad drive raises nothing.
     """
     options = drive_options(
-        labels=labels, label_scheme=label_scheme, pose_frame=pose_frame, layout=layout, oxts=oxts, check=True
+        labels=labels, label_scheme=label_scheme, pose_frame=pose_frame, layout=layout, oxts=oxts, name=name, check=True
     )
     findings = Findings(stop_at_first=False)
     root = Path(path)
@@ -139,31 +162,15 @@ def inspect_drive(
     order = ("error", "warning", "note")
     return DriveReport(
         path=str(root),
-        name=root.absolute().name,
+        name=found.contents.name if found.contents else name or root.absolute().name,
         layout=found.parts.layout if found.parts else None,
         problems=sorted(findings.problems, key=lambda problem: order.index(problem.severity)),
         looked_into=len(found.sample),
-        **_scans(found),
+        **({} if found.contents is None else found.contents.report(found)),
         **_motion(found),
         **_labels(found),
         **_georeference(found),
     )
-
-
-def _scans(found: Survey) -> dict[str, Any]:
-    """Report the scans."""
-    if found.scans is None:
-        return {}
-    points: NDArray[np.int64] = found.scans.sizes // POINT_BYTES
-    return {
-        "scans": len(points),
-        "first_frame": int(found.scans.numbers[0]),
-        "last_frame": int(found.scans.numbers[-1]),
-        "scan_bytes": int(found.scans.sizes.sum()),
-        "points_per_scan": int(np.median(points)),
-        "least_points": int(points.min()),
-        "most_points": int(points.max()),
-    }
 
 
 def _motion(found: Survey) -> dict[str, Any]:
@@ -183,14 +190,8 @@ def _motion(found: Survey) -> dict[str, Any]:
 
 
 def _labels(found: Survey) -> dict[str, Any]:
-    """Report the labels."""
-    if found.labels is None or found.parts is None:
-        return {}
-    labels: dict[str, Any] = {
-        "label_folder": found.parts.labels.name,
-        "label_bytes": int(found.labels.sizes.sum()),
-        "label_scheme": found.scheme.name if found.scheme else None,
-    }
+    """Report what the labels mean."""
+    labels: dict[str, Any] = {"label_scheme": found.scheme.name if found.scheme else None}
     total = sum(found.label_counts.values())
     if total and found.scheme is not None:
         known = found.scheme.known

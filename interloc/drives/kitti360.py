@@ -5,15 +5,16 @@ KITTI-360 publishes the poses of the left camera (``cam0_to_world.txt``) and of 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
-from interloc.drives.parts import DriveParts, existing
+from interloc.drives.parts import SCAN_FOLDERS, DriveParts, existing
 from interloc.drives.poses import INDEXED_LENGTHS
 
 
-def find_parts(root: Path, labels: str) -> DriveParts | None:
+def find_parts(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
     """Return the parts of a drive with frame numbers in its pose lines, or None where the folder is none."""
-    scans = next((path for path in (root / "velodyne", root / "velodyne_points" / "data") if path.is_dir()), None)
+    scans = next((root / folder for folder in SCAN_FOLDERS if folder in scan_folders), None)
     poses = existing(root / "poses.txt", root / "cam0_to_world.txt")
     if scans is None or poses is None or _fields_of_first_line(poses) not in INDEXED_LENGTHS:
         return None

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 from interloc.drives.parts import DriveParts, existing
 
 
-def find_parts(root: Path, labels: str) -> DriveParts | None:
+def find_parts(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
     """Return the parts of a raw drive, or None where the folder is none."""
-    if not (root / "velodyne_points" / "data").is_dir():
+    if "velodyne_points/data" not in scan_folders:
         return None
     return DriveParts(
         layout="kitti_raw",

@@ -36,6 +36,10 @@ class LabelScheme:
     confusable: frozenset[int] = field(default_factory=frozenset)
     known: frozenset[int] | None = None
 
+    def means_the_same(self, other: LabelScheme) -> bool:
+        """Say whether the same ids are road, and the same are confused with it."""
+        return (self.road, self.confusable) == (other.road, other.confusable)
+
     def groups(self) -> NDArray[np.uint8]:
         """Return the (65536,) uint8 table from id to group: 1 road, 2 confusable, 0 neither."""
         table = np.zeros(_LABEL_COUNT, dtype=np.uint8)

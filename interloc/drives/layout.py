@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from interloc.drives import kitti360, kitti_raw, semantickitti
 from interloc.drives.faults import DriveFileError
 from interloc.drives.options import DriveOptions
-from interloc.drives.parts import DriveParts
+from interloc.drives.parts import SCAN_FOLDERS, DriveParts, ScanFolder
 
 _LAYOUTS = {
     "semantickitti": semantickitti.find_parts,
@@ -23,8 +24,13 @@ _EXPECTED = {
 }
 
 
-def find_layout(root: Path, options: DriveOptions) -> DriveParts:
+def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts:
     """Detect the layout of a drive folder and find its parts.
+
+    Parameters
+    ----------
+    announced : str or None
+        Folder of the scans where they are still to come.
 
     Raises
     ------
@@ -38,23 +44,34 @@ def find_layout(root: Path, options: DriveOptions) -> DriveParts:
         raise DriveFileError(
             name, "is a file. Expected the folder of one drive; unpack an archive first, and give the folder."
         )
+    parts = _choose(root, options, announced)
+    return parts if options.name is None else replace(parts, name=options.name)
+
+
+def _choose(root: Path, options: DriveOptions, announced: ScanFolder | None) -> DriveParts:
+    """Return the parts under the one layout that fits."""
+    name = str(root)
     inside = {entry.name for entry in root.iterdir()}
-    if not inside:
+    scan_folders = {folder for folder in SCAN_FOLDERS if folder == announced or (root / folder).is_dir()}
+    if not inside and announced is None:
         raise DriveFileError(name, f"is an empty folder. Expected {_EXPECTED['semantickitti']}.")
 
     if options.layout != "auto":
-        parts = _LAYOUTS[options.layout](root, options.labels)
-        if parts is None:
+        chosen = _LAYOUTS[options.layout](root, options.labels, scan_folders)
+        if chosen is None:
             raise DriveFileError(name, f"is not of layout {options.layout}. Expected {_EXPECTED[options.layout]}.")
-        return parts
+        return chosen
 
-    if "velodyne" in inside and "velodyne_points" in inside:
+    if announced is None and "velodyne" in inside and "velodyne_points" in inside:
         raise DriveFileError(
             name,
             "holds both velodyne/ (KITTI odometry) and velodyne_points/ (KITTI raw), so it could be two drives. "
             "Name the layout (semantickitti or kitti_raw), or remove one.",
         )
-    found = {layout: parts for layout, find in _LAYOUTS.items() if (parts := find(root, options.labels)) is not None}
+    found: dict[str, DriveParts] = {}
+    for layout, find in _LAYOUTS.items():
+        if (parts := find(root, options.labels, scan_folders)) is not None:
+            found[layout] = parts
     if "kitti360" in found:  # the others know nothing of frame numbers in pose lines
         return found["kitti360"]
     if found:
@@ -63,6 +80,7 @@ def find_layout(root: Path, options: DriveOptions) -> DriveParts:
 
 
 _MISTAKES: tuple[tuple[str, str], ...] = (
+    (r"ground", "It is a reduced drive without its reduced.json, which is written last: reduce or send it again. "),
     (r"sequences", "It is the root of a data set: give one sequence, such as sequences/00. "),
     (r"\d\d", "It holds sequences: give one of them, such as 00. "),
     (r".*_sync", "It holds drives: give one of them (..._sync). "),

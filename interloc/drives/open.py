@@ -7,8 +7,8 @@ from collections.abc import Collection
 from pathlib import Path
 
 from interloc.drives.faults import Findings
+from interloc.drives.folder import FolderDrive
 from interloc.drives.options import DriveOptions, LabelFolder, LayoutChoice, PoseFrame
-from interloc.drives.scans import FolderDrive
 from interloc.drives.survey import survey
 
 
@@ -20,6 +20,7 @@ def open_drive(
     pose_frame: PoseFrame = "auto",
     layout: LayoutChoice = "auto",
     oxts: str | os.PathLike[str] | None = None,
+    name: str | None = None,
     check: bool = True,
 ) -> FolderDrive:
     """Open a drive folder: poses, times and georeference are read, points when they are asked for.
@@ -28,7 +29,7 @@ def open_drive(
     ----------
     path
         Folder of the drive: a SemanticKITTI / KITTI odometry sequence, a KITTI raw drive, or KITTI-360 scans with its
-        pose lines.
+        pose lines; or a reduced drive (`interloc.drives.reduction`).
     labels : {"labels", "predictions"}
         Folder of the labels.
     label_scheme
@@ -40,6 +41,8 @@ def open_drive(
     oxts
         Georeference from elsewhere: the KITTI raw drive of an odometry sequence, a file with one OXTS row a frame (or
         its .gz), or a geo.csv.
+    name : str or None
+        Name of the drive, where it is not that of the folder.
     check : bool
         Check the sizes of all files, and look into a few scans to see whether labels, poses and georeference fit
         together.
@@ -59,7 +62,13 @@ def open_drive(
         An option without meaning.
     """
     options = drive_options(
-        labels=labels, label_scheme=label_scheme, pose_frame=pose_frame, layout=layout, oxts=oxts, check=check
+        labels=labels,
+        label_scheme=label_scheme,
+        pose_frame=pose_frame,
+        layout=layout,
+        oxts=oxts,
+        name=name,
+        check=check,
     )
     drive = survey(Path(path), options, Findings(stop_at_first=True)).drive
     assert drive is not None
@@ -73,6 +82,7 @@ def drive_options(
     pose_frame: PoseFrame = "auto",
     layout: LayoutChoice = "auto",
     oxts: str | os.PathLike[str] | None = None,
+    name: str | None = None,
     check: bool = True,
 ) -> DriveOptions:
     """Collect the options of `open_drive`."""
@@ -82,5 +92,6 @@ def drive_options(
         pose_frame=pose_frame,
         layout=layout,
         oxts=None if oxts is None else Path(oxts),
+        name=name,
         check=check,
     )

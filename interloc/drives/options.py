@@ -30,6 +30,8 @@ class DriveOptions:
     layout : {"auto", "semantickitti", "kitti_raw", "kitti360"}
     oxts : Path or None
         Georeference from elsewhere: a KITTI raw drive folder, a file with one OXTS row a frame (or its .gz), a geo.csv.
+    name : str or None
+        Name of the drive, where it is not that of the folder.
     check : bool
         Look into a few scans to see whether labels, poses and georeference fit together.
 
@@ -44,6 +46,7 @@ class DriveOptions:
     pose_frame: PoseFrame = "auto"
     layout: LayoutChoice = "auto"
     oxts: Path | None = None
+    name: str | None = None
     check: bool = True
 
     def __post_init__(self) -> None:

@@ -7,6 +7,12 @@ from pathlib import Path
 from typing import Literal
 
 LayoutName = Literal["semantickitti", "kitti_raw", "kitti360"]
+PoseOwner = Literal["camera", "lidar", "imu", "oxts"]
+"""Whose poses a drive has; those of OXTS are the LiDAR's, taken from the georeference."""
+
+ScanFolder = Literal["velodyne", "velodyne_points/data"]
+SCAN_FOLDERS: tuple[ScanFolder, ...] = ("velodyne", "velodyne_points/data")
+"""Where the layouts have their scans."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +31,13 @@ class DriveParts:
     times : Path or None
         Seconds, or date and time, one line a frame.
     calibration : tuple of Path
-        Folders that calibration files may lie in, the nearest first.
+        Calibration files, or folders that they may lie in, the nearest first.
     oxts, geo : Path or None
-        Georeference that lies in the drive.
+        Georeference of the drive: folder of OXTS files or file of OXTS rows; geo.csv.
+    name : str
+        Of the drive, where it is not that of the folder.
+    pose_frame : tuple of str and str, or None
+        Whose poses the pose file holds, and why, where that was found out before.
     """
 
     layout: LayoutName
@@ -39,6 +49,13 @@ class DriveParts:
     calibration: tuple[Path, ...]
     oxts: Path | None
     geo: Path | None
+    name: str = ""
+    pose_frame: tuple[PoseOwner, str] | None = None
+
+    @property
+    def drive_name(self) -> str:
+        """Name of the drive."""
+        return self.name or self.root.absolute().name
 
 
 def existing(*paths: Path) -> Path | None:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from interloc.drives.drive import Georeference
 from interloc.drives.faults import DriveFileError, Findings, GeoreferenceFileError
-from interloc.drives.files import listed, shown
+from interloc.drives.files import listed
 from interloc.drives.fixes import ecef_poses
+from interloc.drives.folder import FolderDrive
 from interloc.drives.labels import LabelScheme, looks_like_learning
-from interloc.drives.scans import FolderDrive
 from interloc.geometry import invert_transform, rotation_angle
 
 Array = NDArray[np.float64]
@@ -145,7 +145,7 @@ def check_flat_road(
         tilt, i = min(tilts)
         findings.error(
             DriveFileError(
-                shown(drive.scan_files.path(int(drive.frames[i])), drive.root),
+                drive.ground.name(int(drive.frames[i])),
                 f"its road is tilted by {np.degrees(tilt):.0f} degrees against the sensor. Expected points "
                 "of a LiDAR with x forward, y left, z up. Usual cause: points in the frame of the camera, or labels of "
                 "another scan.",

@@ -36,7 +36,7 @@ from interloc.detect.detector import Detector, Steps
 from interloc.detect.occupancy import infer_occupancy
 from interloc.drives import open_drive
 from interloc.drives.drive import Drive, scans_of
-from interloc.drives.scans import FolderDrive
+from interloc.drives.folder import FolderDrive
 from interloc.kernels.thinning import DELETABLE, thin
 from interloc.mapping.exports import write_results
 from interloc.pipeline import detect
@@ -191,7 +191,7 @@ def write_long(drive: FolderDrive, root: Path) -> None:
         start[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
         start[:3, 3] = last[:3, 3]
         start = start @ ahead
-    for folder, files in (("velodyne", drive.scan_files), ("labels", drive.label_files)):
+    for folder, files in (("velodyne", drive.ground.scan_files), ("labels", drive.ground.label_files)):
         (root / folder).mkdir()
         for number in range(LONG * len(drive.frames)):
             source = files.path(int(drive.frames[number % len(drive.frames)])).resolve()
