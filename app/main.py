@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager, contextmanager
 
 from fastapi import FastAPI
 
+from app.middleware import add_middleware
 from app.problems import ProblemDocument, add_handlers
 from app.routes import archive, drives, events, exports, files, jobs, page, results, scans, system
 from app.service import Service
@@ -60,6 +61,7 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
     )
     app.state.settings = settings
     add_handlers(app)
+    add_middleware(app, settings)
     for module in (drives, files, scans, archive, jobs, events, results, exports):
         app.include_router(module.router, prefix=API)
     for module in (system, page):

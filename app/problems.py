@@ -13,8 +13,10 @@ from fastapi.encoders import jsonable_encoder
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import OperationalError, SQLAlchemyError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from interloc.errors import InterLocError
 
@@ -110,18 +112,27 @@ def disk_full() -> Problem:
 
 
 def add_handlers(app: FastAPI) -> None:
-    """Answer every error with a problem document."""
-    for error, to_problem in _TO_PROBLEM.items():
-        app.add_exception_handler(error, _handler(to_problem))
+    """Answer every error with a problem document; what is not in the table is answered by the outermost middleware."""
+    for error in _TO_PROBLEM:
+        app.add_exception_handler(error, _handle)
 
 
-def _handler(to_problem: Callable[[Any], Problem]) -> Callable[[Request, Exception], JSONResponse]:
-    def handle(request: Request, error: Exception) -> JSONResponse:
-        problem = to_problem(error)
-        document = {**problem.document(), "instance": request.url.path}
-        return JSONResponse(document, problem.status, headers=problem.headers, media_type=MEDIA_TYPE)
+def problem_of(error: Exception) -> Problem:
+    """Turn any error into a problem; it is logged where it is a fault of the service."""
+    for kind in type(error).__mro__:
+        if kind in _TO_PROBLEM:
+            return _TO_PROBLEM[kind](error)
+    return _of_fault(error)
 
-    return handle
+
+def respond(problem: Problem, path: str) -> JSONResponse:
+    """Return the answer to a request of this path."""
+    document = {**problem.document(), "instance": path}
+    return JSONResponse(document, problem.status, headers=problem.headers, media_type=MEDIA_TYPE)
+
+
+async def _handle(request: Request, error: Exception) -> JSONResponse:
+    return respond(problem_of(error), request.url.path)
 
 
 def _of_http_error(error: HTTPException) -> Problem:
@@ -144,7 +155,11 @@ def _of_os_error(error: OSError) -> Problem:
     return disk_full() if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else _of_fault(error)
 
 
-def _of_database_error(error: OperationalError) -> Problem:
+def _of_disconnect(_: ClientDisconnect) -> Problem:
+    return Problem(400, "Upload broken off", "The client went away before the body had come whole. Nothing was kept.")
+
+
+def _of_database_error(error: SQLAlchemyError) -> Problem:
     if "disk is full" in str(error) or "No space left" in str(error):
         return disk_full()
     _log.error("database: %s", error)
@@ -163,6 +178,7 @@ _TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {
     HTTPException: _of_http_error,
     RequestValidationError: _of_validation_error,
     OSError: _of_os_error,
+    ClientDisconnect: _of_disconnect,
     OperationalError: _of_database_error,
-    Exception: _of_fault,
+    PoolTimeout: _of_database_error,
 }

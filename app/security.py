@@ -1,33 +1,33 @@
-"""Who may use the service: anyone on this machine, holders of a token elsewhere."""
+"""Who may use the service: anyone on this machine, holders of a token elsewhere.
+
+`app.middleware.gate` keeps everybody else out before a byte of a request's body is read; here is what endpoints see.
+"""
 
 from __future__ import annotations
 
 from typing import Annotated
 
 from fastapi import Depends, Request
-from sqlalchemy import select
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
-from app.models import Token
 from app.service import Service
+from app.tokens import ANONYMOUS
 from interloc.errors import ConfigError
 
-ANONYMOUS = "anonymous"
+_bearer = HTTPBearer(
+    scheme_name="token",
+    description="A token of `interloc token add NAME`; not needed where the service runs for one machine only.",
+    auto_error=False,
+)
 
 
-def _client(request: Request) -> str:  # noqa: ARG001
-    return ANONYMOUS
+def _client(request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
+    client: str = request.state.client
+    return client
 
 
 ClientDep = Annotated[str, Depends(_client)]
 """Name of the client (of its token): owner of what it makes."""
-
-
-def has_tokens(service: Service) -> bool:
-    """Tell whether clients need a token."""
-    if service.settings.token is not None:
-        return True
-    with service.database.reading() as session:
-        return session.scalar(select(Token.name).limit(1)) is not None
 
 
 def check_exposure(service: Service) -> None:
@@ -39,9 +39,12 @@ def check_exposure(service: Service) -> None:
         There is no token.
     """
     settings = service.settings
-    if settings.is_loopback or settings.allow_anonymous or has_tokens(service):
+    if settings.is_loopback or settings.allow_anonymous or service.tokens.exist():
         return
     raise ConfigError(
         f"--host {settings.host} lets other machines in, and there is no token. Make one with `interloc token add "
         "NAME` or set INTERLOC_TOKEN; --allow-anonymous serves everybody who can connect."
     )
+
+
+__all__ = ["ANONYMOUS", "ClientDep", "check_exposure"]

@@ -12,8 +12,10 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from app.database import Database
+from app.metrics import Metrics
 from app.settings import Settings
 from app.storage import LocalStorage, Storage
+from app.tokens import TokenBook
 from interloc.errors import OutputError
 
 
@@ -24,26 +26,41 @@ class Service:
     settings: Settings
     database: Database
     storage: Storage
+    tokens: TokenBook
+    metrics: Metrics
     stopping: threading.Event = field(default_factory=threading.Event)
     """Set when the server begins to stop: streams and waits that would go on must end."""
 
     @classmethod
     def open(cls, settings: Settings) -> Service:
-        """Create the data folder where it is missing, and bring the database up to date.
-
-        Raises
-        ------
-        OutputError
-            The data folder cannot be written.
-        """
-        _check_writable(settings.data_dir)
-        database = Database(settings.sqlalchemy_url)
-        database.upgrade()
-        return cls(settings, database, LocalStorage(settings.data_dir))
+        """Open database and storage, as `open_database` does."""
+        database = open_database(settings)
+        storage = LocalStorage(settings.data_dir)
+        return cls(settings, database, storage, TokenBook(database, settings), Metrics())
 
     def close(self) -> None:
         """Close the database."""
         self.database.close()
+
+
+def open_database(settings: Settings) -> Database:
+    """Create the data folder where it is missing, and bring the database up to date.
+
+    Raises
+    ------
+    OutputError
+        The data folder cannot be written.
+    InterLocError
+        The database does not answer, or belongs to a newer version.
+    """
+    _check_writable(settings.data_dir)
+    database = Database(settings.sqlalchemy_url)
+    try:
+        database.upgrade()
+    except BaseException:
+        database.close()
+        raise
+    return database
 
 
 def _check_writable(folder: Path) -> None:

@@ -6,11 +6,13 @@ import ipaddress
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 MB = 1024**2
 GB = 1024**3
+
+_SHORTEST_TOKEN = 16
 
 
 class Settings(BaseSettings):
@@ -30,6 +32,9 @@ class Settings(BaseSettings):
     port: int = Field(8000, ge=0, le=65535)
     root_path: str = Field("", description="Path under which a reverse proxy shows the service, as /interloc.")
     trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
+    allowed_hosts: str = Field(
+        "", description="Names under which a reverse proxy shows the service, separated by commas."
+    )
     token: SecretStr | None = Field(None, description="One API token; more are made with `interloc token add`.")
     allow_anonymous: bool = Field(False, description="Serve other addresses than this machine's without any token.")
 
@@ -49,11 +54,13 @@ class Settings(BaseSettings):
     max_drive_bytes: int = Field(64 * GB, ge=1)
     max_drive_files: int = Field(200_000, ge=1)
     min_free_bytes: int = Field(1 * GB, ge=0, description="No upload or job begins with less space on the disk.")
+    idle_timeout_s: float = Field(60.0, gt=0, description="A request whose body pauses for so long is given up.")
     max_queued_jobs: int = Field(100, ge=1, description="Jobs of one client that wait or run.")
     upload_expires_h: float = Field(7 * 24.0, gt=0, description="An upload untouched for so long is removed.")
 
     # What the page may show and fetch.
     overpass: bool = Field(True, description="Let jobs fetch the map from a public Overpass server.")
+    overpass_url: str = Field("https://overpass-api.de/api", description="Overpass server that jobs ask.")
     tile_url: str | None = Field(
         "https://tile.openstreetmap.org/{z}/{x}/{y}.png", description="Tiles that the page offers; empty for none."
     )
@@ -62,6 +69,24 @@ class Settings(BaseSettings):
     # What is logged.
     log_format: Literal["json", "text"] = "json"
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @field_validator("token")
+    @classmethod
+    def _check_token(cls, token: SecretStr | None) -> SecretStr | None:
+        value = token.get_secret_value() if token is not None else ""
+        if token is not None and (len(value) < _SHORTEST_TOKEN or not value.isascii() or not value.isprintable()):
+            raise ValueError(
+                f"a token needs {_SHORTEST_TOKEN} printable ASCII characters or more: others would guess it"
+            )
+        return token
+
+    @field_validator("root_path")
+    @classmethod
+    def _check_root_path(cls, path: str) -> str:
+        path = path.rstrip("/")
+        if path and not path.startswith("/"):
+            raise ValueError("a path begins with /, as /interloc")
+        return path
 
     @property
     def is_loopback(self) -> bool:

@@ -12,7 +12,6 @@ from app.page import docs
 from app.page.assets import INDEX, Assets
 from app.problems import Problem
 from app.results.delivery import deliver
-from app.security import has_tokens
 from app.service import Service, ServiceDep
 
 router = APIRouter(tags=["System"])
@@ -90,7 +89,7 @@ def read_config(request: Request, service: ServiceDep) -> PageConfig:
         tile_url=settings.tile_url or None,
         tile_attribution=settings.tile_attribution,
         overpass=settings.overpass,
-        needs_token=has_tokens(service),
+        needs_token=service.tokens.exist(),
         limits={name: getattr(settings, name) for name in _SHARED_LIMITS},
     )
 

@@ -2,6 +2,93 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Literal
 
-router = APIRouter(tags=["system"])
+from fastapi import APIRouter, Response
+from pydantic import BaseModel, Field
+from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
+
+from app.metrics import CONTENT_TYPE
+from app.problems import ProblemDocument
+from app.security import ClientDep
+from app.service import Service, ServiceDep
+
+router = APIRouter(tags=["System"])
+
+
+class Health(BaseModel):
+    """The process lives."""
+
+    status: Literal["ok"] = "ok"
+
+
+class Readiness(BaseModel):
+    """Whether requests can be answered and jobs be done."""
+
+    ready: bool
+    reasons: dict[str, str] = Field(
+        description="What is amiss, by part; empty when all is well.",
+        examples=[{"disk": "0.4 GB free, 1.0 GB must stay free (INTERLOC_MIN_FREE_BYTES)"}],
+    )
+
+
+@router.get("/healthz", summary="Tell that the process lives")
+async def show_health() -> Health:
+    """Answer; nothing else is looked at. For the check that restarts a hung container."""
+    return Health()
+
+
+@router.get(
+    "/readyz",
+    summary="Tell whether the service can work",
+    responses={503: {"model": Readiness, "description": "It cannot; the reasons are named."}},
+)
+def show_readiness(service: ServiceDep, response: Response) -> Readiness:
+    """Ask the database, the disk and the workers. For load balancers: no request comes while it says 503."""
+    reasons = {part: reason for part, reason in _ailments(service).items() if reason is not None}
+    if reasons:
+        response.status_code = 503
+    return Readiness(ready=not reasons, reasons=reasons)
+
+
+@router.get(
+    "/metrics",
+    summary="Show figures for Prometheus",
+    response_class=Response,
+    responses={
+        200: {"content": {"text/plain": {}}, "description": "Prometheus text format."},
+        401: {"model": ProblemDocument, "description": "The service needs an API token."},
+    },
+)
+def show_metrics(service: ServiceDep, _client: ClientDep) -> Response:
+    """Show requests, uploads, jobs by state, queue wait, time of the stages, worker restarts, free disk."""
+    return Response(service.metrics.render(service), media_type=CONTENT_TYPE)
+
+
+def _ailments(service: Service) -> dict[str, str | None]:
+    return {
+        "server": "it is being stopped" if service.stopping.is_set() else None,
+        "database": _ailment_of_database(service),
+        "disk": _ailment_of_disk(service),
+    }
+
+
+def _ailment_of_database(service: Service) -> str | None:
+    try:
+        with service.database.reading() as session:
+            session.execute(text("SELECT 1"))
+    except SQLAlchemyError as error:
+        return f"it does not answer ({type(error).__name__})"
+    return None
+
+
+def _ailment_of_disk(service: Service) -> str | None:
+    floor = service.settings.min_free_bytes
+    try:
+        free = service.storage.free_bytes()
+    except OSError as error:
+        return f"the data folder cannot be reached ({error.strerror})"
+    if free >= floor:
+        return None
+    return f"{free / 1e9:.1f} GB free, {floor / 1e9:.1f} GB must stay free (INTERLOC_MIN_FREE_BYTES)"

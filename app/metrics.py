@@ -1,0 +1,140 @@
+"""Figures for Prometheus: requests are counted as they end, jobs and drives are read from the database when asked."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client.core import GaugeMetricFamily, Metric, SummaryMetricFamily
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from app.models import Drive, Job
+
+if TYPE_CHECKING:
+    from app.service import Service
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+
+_BUCKETS_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300)
+_RECENT = 200  # jobs whose stages are looked at
+
+
+class Metrics:
+    """What one server counts; a registry of its own, so that several can live in one process."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self._requests = Counter(
+            "interloc_http_requests", "Requests answered.", ("method", "route", "status"), registry=self.registry
+        )
+        self._seconds = Histogram(
+            "interloc_http_request_seconds",
+            "Time to answer; streams of events are left out.",
+            ("method", "route"),
+            buckets=_BUCKETS_S,
+            registry=self.registry,
+        )
+        self._received = Counter("interloc_received_bytes", "Bodies of requests: uploads.", registry=self.registry)
+        self.listeners = Gauge("interloc_event_listeners", "Streams of events that are open.", registry=self.registry)
+        self.worker_restarts = Counter(
+            "interloc_worker_restarts", "Worker processes that died and were replaced.", registry=self.registry
+        )
+
+    def count_request(
+        self, method: str, route: str, status: int, *, seconds: float | None, received_bytes: int
+    ) -> None:
+        """Count a request that has ended."""
+        known = method if method in {"GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"} else "other"
+        self._requests.labels(known, route, str(status)).inc()
+        if seconds is not None:
+            self._seconds.labels(known, route).observe(seconds)
+        self._received.inc(received_bytes)
+
+    def render(self, service: Service) -> bytes:
+        """Return all of it in the text format of Prometheus."""
+        return generate_latest(self.registry) + generate_latest(_StateRegistry(service))
+
+
+class _StateRegistry(CollectorRegistry):
+    """What the database and the disk say at this moment."""
+
+    def __init__(self, service: Service) -> None:
+        super().__init__()
+        self._service = service
+
+    def collect(self) -> Iterable[Metric]:
+        """Read it."""
+        yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._service.storage.free_bytes())
+        with self._service.database.reading() as session:
+            now = self._service.database.clock(session)
+            yield from _drives(session)
+            yield from _jobs(session, now)
+            yield from _stages(session)
+
+
+def _gauge(name: str, help_: str, value: float) -> Metric:
+    return GaugeMetricFamily(name, help_, value)
+
+
+def _drives(session: Session) -> Iterator[Metric]:
+    drives = GaugeMetricFamily("interloc_drives", "Drives by state.", labels=["state"])
+    stored = GaugeMetricFamily("interloc_stored_bytes", "Kept of the drives by state.", labels=["state"])
+    query = select(Drive.state, func.count(), func.coalesce(func.sum(Drive.stored_bytes), 0)).group_by(Drive.state)
+    for state, count, size in session.execute(query):
+        drives.add_metric([state], count)
+        stored.add_metric([state], float(size))
+    yield drives
+    yield stored
+
+
+def _jobs(session: Session, now: float) -> Iterator[Metric]:
+    jobs = GaugeMetricFamily("interloc_jobs", "Jobs by kind and state.", labels=["kind", "state"])
+    for kind, state, count in session.execute(select(Job.kind, Job.state, func.count()).group_by(Job.kind, Job.state)):
+        jobs.add_metric([kind, state], count)
+    yield jobs
+
+    oldest = session.scalar(select(func.min(Job.created_at)).where(Job.state == "accepted"))
+    yield _gauge("interloc_oldest_waiting_job_seconds", "Age of the job that waits longest.", now - (oldest or now))
+
+    waits = SummaryMetricFamily(
+        "interloc_queue_wait_seconds", "From submission to start, of jobs kept.", labels=["kind"]
+    )
+    query = select(Job.kind, func.count(), func.sum(Job.started_at - Job.created_at)).group_by(Job.kind)
+    for kind, count, seconds in session.execute(query.where(Job.started_at.is_not(None))):
+        waits.add_metric([kind], count_value=count, sum_value=seconds or 0.0)
+    yield waits
+
+    worked = SummaryMetricFamily("interloc_job_seconds", "From start to end, of jobs kept.", labels=["kind", "state"])
+    query_ = select(Job.kind, Job.state, func.count(), func.sum(Job.finished_at - Job.started_at))
+    query_ = query_.where(Job.finished_at.is_not(None), Job.started_at.is_not(None)).group_by(Job.kind, Job.state)
+    for kind, state, count, seconds in session.execute(query_):
+        worked.add_metric([kind, state], count_value=count, sum_value=seconds or 0.0)
+    yield worked
+
+
+def _stages(session: Session) -> Iterator[Metric]:
+    """Look into the outcome of the last jobs: where their time went."""
+    query = select(Job.summary).where(Job.kind == "intersections", Job.state == "successful")
+    outcomes = [
+        outcome for outcome in session.scalars(query.order_by(Job.finished_at.desc()).limit(_RECENT)) if outcome
+    ]
+    seconds: defaultdict[str, float] = defaultdict(float)
+    for outcome in outcomes:
+        for stage, spent in (outcome.get("stage_seconds") or {}).items():
+            seconds[stage] += spent
+    stages = GaugeMetricFamily(
+        "interloc_stage_seconds", f"Time spent in each stage by the last {_RECENT} jobs.", labels=["stage"]
+    )
+    for stage, spent in seconds.items():
+        stages.add_metric([stage], spent)
+    yield stages
+    yield _gauge("interloc_keyframes_per_second", f"Of the last {_RECENT} jobs.", _rate(outcomes))
+
+
+def _rate(outcomes: list[dict[str, Any]]) -> float:
+    seconds = sum(outcome.get("seconds") or 0.0 for outcome in outcomes)
+    keyframes = sum(outcome.get("keyframes") or 0 for outcome in outcomes)
+    return keyframes / seconds if seconds > 0 else 0.0
