@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-COMMANDS = ["info", "detect", "evaluate", "run", "explain", "robustness", "simulate", "benchmark", "config"]
+COMMANDS = ["info", "detect", "evaluate", "run", "explain", "robustness", "export", "simulate", "benchmark", "config"]
 
 
 def test_help_lists_the_commands(interloc: Callable) -> None:

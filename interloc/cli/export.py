@@ -1,0 +1,43 @@
+"""`interloc export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from interloc.cli import console, options
+
+
+@click.command(short_help="Write a result as GeoPackage, FlatGeobuf or KML.")
+@click.argument("result", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="File to write; its name ends in .gpkg, .fgb or .kml.",
+)
+@click.option(
+    "--layer",
+    type=click.Choice(["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]),
+    help="Only this layer. [default: all in a .gpkg, else intersections]",
+)
+@options.QUIET
+@options.JSON
+def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bool) -> None:
+    """Write RESULT, the result folder of `interloc detect` or `run`, as one file for QGIS or Google Earth.
+
+    \b
+    Example:
+      interloc export out -o out.gpkg
+      interloc export out -o matches.kml --layer matches
+    """
+    from interloc.mapping.vector_files import write_vector_file
+
+    console.set_up_log(quiet=quiet)
+    layers = write_vector_file(result, out, layer=layer)
+    if as_json:
+        console.say_json({"file": str(out), "layers": layers})
+    elif not quiet:
+        console.say_facts([("file", str(out)), ("layers", ", ".join(layers))])
