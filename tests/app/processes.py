@@ -1,0 +1,170 @@
+"""Servers as processes of their own, to be killed; and the few requests that the tests of faults send."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import signal
+import subprocess
+import sys
+import tarfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+
+API = "/api/v1"
+FINAL = {"successful", "failed", "dismissed"}
+PATIENCE_S = 120.0
+
+
+def wait_until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
+    """Wait until a condition is truthy; returns it."""
+    end = time.monotonic() + patience_s
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.02)
+    raise AssertionError(f"waited {patience_s:.0f} s in vain for {what}")
+
+
+class ServerProcess:
+    """`interloc serve` in a process group of its own."""
+
+    def __init__(self, data_dir: Path, log: Path, **settings: Any) -> None:
+        self.log = log
+        variables = {f"INTERLOC_{name.upper()}": str(value) for name, value in settings.items()}
+        clean = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
+        base = {"INTERLOC_MIN_FREE_BYTES": "0", "INTERLOC_LEASE_S": "2", "INTERLOC_DATA_DIR": str(data_dir)}
+        with log.open("ab") as stderr:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", "from interloc.cli.main import main; main()", "serve", "--port", "0"],
+                env={**clean, **base, **variables},
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                text=True,
+            )
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        found = re.search(r"http://\S+?:\d+", line)
+        assert found, f"the server did not start: {line!r} {log.read_text()}"
+        self.address = found.group()
+        self.client = httpx.Client(base_url=self.address, timeout=60)
+
+    def workers(self) -> list[psutil.Process]:
+        """The processes that work for it (spawned ones, not Python's resource tracker)."""
+        children = psutil.Process(self.process.pid).children(recursive=True)
+        return [child for child in children if "spawn_main" in " ".join(_command_line(child))]
+
+    def kill(self) -> None:
+        """kill -9: no farewell."""
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self) -> int:
+        """SIGTERM, and wait for the end."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(60)
+
+    def close(self) -> None:
+        """Whatever happened, leave nothing behind."""
+        self.client.close()
+        if self.process.poll() is None:
+            children = psutil.Process(self.process.pid).children(recursive=True)
+            self.process.kill()
+            self.process.wait()
+            for child in children:
+                with_suppressed_kill(child)
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+
+
+def _command_line(process: psutil.Process) -> list[str]:
+    try:
+        return list(process.cmdline())
+    except psutil.Error:
+        return []
+
+
+def with_suppressed_kill(process: psutil.Process) -> None:
+    """Kill a process that may have ended already."""
+    try:
+        process.kill()
+    except psutil.NoSuchProcess:
+        return
+
+
+@contextmanager
+def started(data_dir: Path, log: Path, **settings: Any) -> Iterator[ServerProcess]:
+    """Start a server, and end it with the block."""
+    server = ServerProcess(data_dir, log, **settings)
+    try:
+        yield server
+    finally:
+        server.close()
+
+
+def archive_of(folder: Path) -> bytes:
+    """A drive as a .tar."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        archive.add(folder, arcname=folder.name)
+    return buffer.getvalue()
+
+
+def upload(client: httpx.Client, folder: Path, **drive: Any) -> str:
+    """Send a drive as one archive and commit it; returns its id."""
+    answer = client.post(f"{API}/drives", json={"name": folder.name, **drive})
+    assert answer.status_code == 201, answer.text
+    drive_id: str = answer.json()["id"]
+    answer = client.post(f"{API}/drives/{drive_id}/archive", content=archive_of(folder), headers={"Prefer": "wait=120"})
+    assert answer.status_code == 200, answer.text
+    answer = client.post(f"{API}/drives/{drive_id}/commit", headers={"Prefer": "wait=120"})
+    assert answer.status_code == 200, answer.text
+    return drive_id
+
+
+def submit(client: httpx.Client, drive_id: str, **job: Any) -> str:
+    """Submit a job; returns its id."""
+    answer = client.post(f"{API}/jobs", json={"drive_id": drive_id, **job})
+    assert answer.status_code == 202, answer.text
+    job_id: str = answer.json()["id"]
+    return job_id
+
+
+def job_of(client: httpx.Client, job_id: str) -> dict[str, Any]:
+    """The job as the service tells it."""
+    answer = client.get(f"{API}/jobs/{job_id}")
+    assert answer.status_code == 200, answer.text
+    job: dict[str, Any] = answer.json()
+    return job
+
+
+def ended(client: httpx.Client, job_id: str, patience_s: float = PATIENCE_S) -> dict[str, Any]:
+    """Wait for the end of a job."""
+
+    def look() -> dict[str, Any] | None:
+        job = job_of(client, job_id)
+        return job if job["state"] in FINAL else None
+
+    job: dict[str, Any] = wait_until(look, f"the end of job {job_id}", patience_s)
+    return job
+
+
+def half_way(client: httpx.Client, job_id: str) -> dict[str, Any]:
+    """Wait until some, but not all, keyframes of a job are done."""
+
+    def look() -> dict[str, Any] | None:
+        job = job_of(client, job_id)
+        assert job["state"] not in FINAL, f"the job ended before it could be disturbed: {job}"
+        progress = job["progress"]
+        return job if progress["total"] and 0 < progress["done"] < progress["total"] else None
+
+    job: dict[str, Any] = wait_until(look, f"job {job_id} to be half-way")
+    return job
