@@ -44,14 +44,7 @@ def _together(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]
     return decorate
 
 
-drive_options = _together(
-    click.option(
-        "--labels",
-        type=click.Choice(["labels", "predictions"]),
-        default="labels",
-        show_default=True,
-        help="Folder of the labels.",
-    ),
+reading_options = _together(
     click.option(
         "--label-scheme",
         default="auto",
@@ -77,6 +70,27 @@ drive_options = _together(
         type=click.Path(path_type=Path),
         help="Georeference: a KITTI raw drive, a file of OXTS rows (.txt, .txt.gz), or a geo.csv.",
     ),
+)
+"""How a drive is to be read, whatever its labels."""
+
+drive_options = _together(
+    click.option(
+        "--labels",
+        type=click.Choice(["labels", "predictions"]),
+        default="labels",
+        show_default=True,
+        help="Folder of the labels.",
+    ),
+    reading_options,
+)
+
+label_folders_option = click.option(
+    "--labels",
+    "label_folders",
+    multiple=True,
+    type=click.Choice(["labels", "predictions"]),
+    show_default="all that are there",
+    help="Folder of the labels; may be given twice.",
 )
 
 map_options = _together(OSM, OVERPASS, POLICY, TOLERANCE)
