@@ -17,7 +17,7 @@ from app.service import Service
 from app.settings import Settings
 from interloc.drives.inspect import DriveReport
 
-_CURSOR = re.compile(r"(\d{1,15}\.\d{1,9})_([0-9a-f]{1,32})")
+_CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
 
 
 def drive_key(drive_id: str) -> str:
@@ -107,7 +107,7 @@ def list_drives(service: Service, after: str | None, limit: int) -> DriveList:
     page = drives[:limit]
     return DriveList(
         drives=[drive_model(drive, service.settings, report=False) for drive in page],
-        next=f"{page[-1].created_at:.6f}_{page[-1].id}" if len(drives) > limit else None,
+        next=f"{page[-1].created_at!r}_{page[-1].id}" if len(drives) > limit else None,
     )
 
 

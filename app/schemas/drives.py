@@ -5,10 +5,13 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
 
+from app.drives.names import BadNameError, check_path
 from interloc.drives.inspect import DriveReport
+from interloc.drives.labels import named_scheme
 from interloc.drives.options import LayoutChoice, PoseFrame
+from interloc.errors import ConfigError
 
 Name = Annotated[
     str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
@@ -35,6 +38,23 @@ class DriveOptionsModel(BaseModel):
         description="Georeference among the files: a file of OXTS rows, a geo.csv, the folder of a KITTI raw drive.",
         examples=["07.txt.gz"],
     )
+
+    @field_validator("label_scheme")
+    @classmethod
+    def _check_scheme(cls, scheme: str) -> str:
+        try:
+            named_scheme(scheme)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        return scheme
+
+    @field_validator("oxts")
+    @classmethod
+    def _check_oxts(cls, oxts: str | None) -> str | None:
+        try:
+            return None if oxts is None else check_path(oxts.removesuffix("/"))
+        except BadNameError as error:
+            raise ValueError(str(error)) from error
 
 
 class NewDrive(BaseModel):

@@ -1,0 +1,71 @@
+"""Drives: made, listed page by page, shown, deleted with all that belongs to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+
+
+def test_a_new_drive_is_open_for_files(client: httpx.Client) -> None:
+    answer = client.post("/api/v1/drives", json={"name": " town ", "options": {"label_scheme": "40,60"}})
+    assert answer.status_code == 201
+    drive = answer.json()
+    assert answer.headers["location"] == f"/api/v1/drives/{drive['id']}"
+    assert (drive["name"], drive["state"], drive["files"], drive["size_bytes"]) == ("town", "uploading", 0, 0)
+    assert drive["options"] == {"label_scheme": "40,60", "pose_frame": "auto", "layout": "auto", "oxts": None}
+    assert drive["expires_at"] > drive["created_at"]
+    assert client.get(answer.headers["location"]).json() == drive
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({}, "body.name"),
+        ({"name": ""}, "body.name"),
+        ({"name": "a\nb"}, "body.name"),
+        ({"name": "a" * 201}, "body.name"),
+        ({"name": "a", "nonsense": 1}, "body.nonsense"),
+        ({"name": "a", "options": {"pose_frame": "radar"}}, "body.options.pose_frame"),
+        ({"name": "a", "options": {"label_scheme": "street"}}, "body.options.label_scheme"),
+        ({"name": "a", "options": {"oxts": "../../../etc/passwd"}}, "body.options.oxts"),
+    ],
+)
+def test_a_bad_drive_is_refused_by_its_field(client: httpx.Client, body: dict[str, object], field: str) -> None:
+    answer = client.post("/api/v1/drives", json=body)
+    assert answer.status_code == 422
+    assert answer.json()["problems"][0]["path"] == field
+
+
+def test_drives_are_listed_newest_first_in_pages(client: httpx.Client) -> None:
+    ids = [client.post("/api/v1/drives", json={"name": f"drive {n}"}).json()["id"] for n in range(7)]
+    listed: list[str] = []
+    after: dict[str, str] = {}
+    while True:
+        page = client.get("/api/v1/drives", params={"limit": "3", **after}).json()
+        listed += [drive["id"] for drive in page["drives"]]
+        if page["next"] is None:
+            break
+        after = {"after": page["next"]}
+    assert listed == ids[::-1]
+    assert client.get("/api/v1/drives", params={"after": "nonsense"}).status_code == 422
+
+
+def test_a_deleted_drive_leaves_nothing(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    client = serve()
+    drive = client.post("/api/v1/drives", json={"name": "town"}).json()["id"]
+    assert client.put(f"/api/v1/drives/{drive}/files/velodyne/000000.bin", content=b"0" * 16).status_code == 201
+    assert client.delete(f"/api/v1/drives/{drive}").status_code == 204
+    for answer in (
+        client.get(f"/api/v1/drives/{drive}"),
+        client.delete(f"/api/v1/drives/{drive}"),
+        client.get(f"/api/v1/drives/{drive}/files"),
+        client.put(f"/api/v1/drives/{drive}/files/poses.txt", content=b"1"),
+        client.get(f"/api/v1/drives/{drive}/files/poses.txt"),
+        client.delete(f"/api/v1/drives/{drive}/files/poses.txt"),
+    ):
+        assert answer.status_code == 404
+        assert answer.json()["title"] == "Drive not found"
+    assert [path.name for path in (tmp_path / "data").rglob("*") if path.suffix == ".bin" or path.name == drive] == []

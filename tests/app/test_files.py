@@ -1,0 +1,314 @@
+"""Single files: any bytes under any sound name, whole or not at all, whoever else does what at the same time."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from app.drives.names import BadNameError, check_path
+
+BIG = os.urandom(3 * 1024 * 1024 + 17)  # more than a piece
+
+
+@pytest.fixture
+def drive(client: httpx.Client) -> str:
+    """Address of a new drive."""
+    return make_drive(client)
+
+
+def make_drive(client: httpx.Client) -> str:
+    answer = client.post("/api/v1/drives", json={"name": "town"})
+    assert answer.status_code == 201
+    return str(answer.headers["location"])
+
+
+def digest(data: bytes) -> str:
+    return f"sha-256=:{base64.b64encode(hashlib.sha256(data).digest()).decode()}:"
+
+
+def stored(tmp_path: Path) -> list[str]:
+    """All files below the data folder but the database."""
+    data = tmp_path / "data"
+    return sorted(
+        path.relative_to(data).as_posix()
+        for path in data.rglob("*")
+        if path.is_file() and not path.name.startswith("interloc.sqlite3")
+    )
+
+
+@pytest.mark.parametrize("data", [b"", b"one", BIG], ids=["empty", "small", "big"])
+def test_a_file_comes_back_as_it_went(client: httpx.Client, drive: str, data: bytes) -> None:
+    address = f"{drive}/files/velodyne/000000.bin"
+    answer = client.put(address, content=data, headers={"Content-Digest": digest(data)})
+    assert answer.status_code == 201
+    file = {"path": "velodyne/000000.bin", "size_bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    assert answer.json() == file
+    assert client.put(address, content=data).status_code == 200
+    assert client.get(f"{drive}/files").json() == {"files": [file], "next": None}
+    got = client.get(address)
+    assert got.content == data
+    assert got.headers["content-type"] == "application/octet-stream"
+    shown = client.get(drive).json()
+    assert (shown["files"], shown["size_bytes"], shown["stored_bytes"]) == (1, len(data), len(data))
+
+
+def test_a_file_is_replaced(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+    address = f"{drive}/files/poses.txt"
+    assert client.put(address, content=b"first").status_code == 201
+    assert client.put(address, content=b"the second").status_code == 200
+    assert client.get(address).content == b"the second"
+    assert client.get(drive).json()["size_bytes"] == 10
+    assert [name.split("/", 2)[2] for name in stored(tmp_path)] == ["files/poses.txt"]
+
+
+def test_a_file_is_deleted(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+    assert client.put(f"{drive}/files/a/b/c.txt", content=b"1234").status_code == 201
+    assert client.delete(f"{drive}/files/a/b/c.txt").status_code == 204
+    assert client.delete(f"{drive}/files/a/b/c.txt").status_code == 404
+    assert client.get(drive).json()["size_bytes"] == 0
+    assert stored(tmp_path) == []
+    assert client.put(f"{drive}/files/a", content=b"now a file").status_code == 201
+
+
+def test_files_are_listed_in_order_page_by_page(client: httpx.Client, drive: str) -> None:
+    names = ["velodyne/000001.bin", "Z.txt", "a.txt", "velodyne/000000.bin", "\u00e9t\u00e9.txt", "b/c"]
+    for name in names:
+        assert client.put(f"{drive}/files/{name}", content=name.encode()).status_code == 201
+    listed: list[str] = []
+    after: dict[str, str] = {}
+    while True:
+        page = client.get(f"{drive}/files", params={"limit": "2", **after}).json()
+        listed += [file["path"] for file in page["files"]]
+        if page["next"] is None:
+            break
+        after = {"after": page["next"]}
+    assert listed == sorted(names)
+    assert client.get(f"{drive}/files/{names[4]}").content == names[4].encode()
+
+
+@pytest.mark.parametrize(
+    ("raw", "reason"),
+    [
+        ("../a.txt", "lead elsewhere"),
+        ("velodyne/../../../b", "lead elsewhere"),
+        ("%2e%2e/%2e%2e/a", "lead elsewhere"),
+        ("a/./b", "lead elsewhere"),
+        ("/etc/passwd", "absolute"),
+        ("C:/windows", "absolute"),
+        ("a//b", "empty name"),
+        ("velodyne/", "empty name"),
+        ("a%5Cb", "backslash"),
+        ("a%00b", "control character"),
+        ("a%1Fb", "control character"),
+        ("a%7Fb", "control character"),
+        ("a%C2%85b", "control character"),
+        ("a%FFb", "not UTF-8"),
+        ("%ED%A0%80", "not UTF-8"),
+        (".DS_Store", "hidden"),
+        ("a/.git/config", "hidden"),
+        ("a" * 256, "255 bytes"),
+        ("%C3%A9" * 128, "255 bytes"),
+        ("a/" * 16 + "b", "deep"),
+        ("/".join(["a" * 100] * 6), "512"),
+    ],
+)
+def test_a_bad_name_is_refused(client: httpx.Client, drive: str, tmp_path: Path, raw: str, reason: str) -> None:
+    """By a raw request: clients tidy such addresses up."""
+    for method in ("PUT", "GET", "DELETE"):
+        status, answer = exchange(client, f"{method} {drive}/files/{raw} HTTP/1.1", b"1" if method == "PUT" else b"")
+        assert status == 422, answer
+        assert "Bad file name" in answer
+        assert reason in answer
+    assert stored(tmp_path) == []
+
+
+def exchange(client: httpx.Client, line: str, body: bytes = b"", *headers: str) -> tuple[int, str]:
+    """Send a request as it stands, and return status and text of the answer."""
+    with connection(client) as link:
+        head = [line, "Host: localhost", f"Content-Length: {len(body)}", "Connection: close", *headers]
+        link.sendall("\r\n".join(head).encode() + b"\r\n\r\n" + body)
+        return read_answer(link)
+
+
+def connection(client: httpx.Client) -> socket.socket:
+    return socket.create_connection((client.base_url.host, client.base_url.port or 80), timeout=30)
+
+
+def read_answer(link: socket.socket) -> tuple[int, str]:
+    text = b""
+    while piece := link.recv(65536):
+        text += piece
+    return int(text.split()[1]), text.decode()
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=500)
+@given(st.text(max_size=40))
+def test_no_accepted_name_leaves_the_folder(name: str) -> None:
+    try:
+        check_path(name)
+    except BadNameError:
+        return
+    root = Path("/data/drives/1/files")
+    resolved = Path(os.path.normpath(root / name))
+    assert resolved.is_relative_to(root)
+    assert resolved != root
+    assert resolved.relative_to(root).as_posix() == name
+
+
+def test_names_in_conflict(client: httpx.Client, drive: str) -> None:
+    assert client.put(f"{drive}/files/a/b", content=b"1").status_code == 201
+    for name in ("a", "a/b/c", "a/b/c/d"):
+        answer = client.put(f"{drive}/files/{name}", content=b"2")
+        assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
+    assert client.get(f"{drive}/files/a/b").content == b"1"
+    assert client.get(drive).json()["files"] == 1
+
+
+def test_names_that_differ_in_case_are_different_files(client: httpx.Client, drive: str) -> None:
+    for name in ("a.txt", "A.txt"):
+        assert client.put(f"{drive}/files/{name}", content=name.encode()).status_code == 201
+    assert client.get(f"{drive}/files/a.txt").content == b"a.txt"
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        digest(b"other"),
+        "sha-256=:" + "0" * 44 + ":",
+        "sha-256=" + hashlib.sha256(b"data").hexdigest(),
+        "sha-256=:!!!:",
+        "sha-256=:abcd:",
+        "md5=:jXd/OF09/siBXSD3SWAm3A==:",
+        "nonsense",
+        "",
+    ],
+)
+@pytest.mark.parametrize("field", ["Content-Digest", "Repr-Digest"])
+def test_a_wrong_digest_is_refused(client: httpx.Client, drive: str, tmp_path: Path, field: str, value: str) -> None:
+    answer = client.put(f"{drive}/files/poses.txt", content=b"data", headers={field: value})
+    assert answer.status_code == 422
+    assert answer.json()["title"] in {"Wrong digest", "Bad digest"}
+    assert stored(tmp_path) == []
+
+
+def test_one_good_digest_among_others(client: httpx.Client, drive: str) -> None:
+    value = f"sha-512=:AAAA:, {digest(b'data')}"
+    assert client.put(f"{drive}/files/a", content=b"data", headers={"Content-Digest": value}).status_code == 201
+
+
+@pytest.mark.parametrize("coding", ["gzip", "deflate", "br"])
+def test_compressed_bodies_are_refused(client: httpx.Client, drive: str, coding: str) -> None:
+    answer = client.put(f"{drive}/files/a", content=b"data", headers={"Content-Encoding": coding})
+    assert (answer.status_code, answer.json()["title"]) == (415, "Compressed body")
+
+
+def test_ten_gigabytes_are_refused_before_they_are_sent(client: httpx.Client, drive: str) -> None:
+    with connection(client) as link:
+        link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000000000\r\n\r\n".encode())
+        status, answer = read_answer(link)
+    assert status == 413
+    assert "a may have 256 MB at most" in answer
+
+
+def test_a_body_in_chunks_is_counted(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    client = serve(max_file_bytes=2_000_000)
+    drive = make_drive(client)
+
+    def pieces(count: int) -> Iterator[bytes]:
+        for _ in range(count):
+            yield bytes(100_000)
+
+    assert client.put(f"{drive}/files/a", content=pieces(20)).status_code == 201
+    assert client.put(f"{drive}/files/b", content=pieces(21)).status_code == 413
+    assert [Path(name).name for name in stored(tmp_path)] == ["a"]
+
+
+@pytest.mark.parametrize("sent", [0, 10, 2_500_000])
+def test_a_client_that_vanishes_leaves_nothing(client: httpx.Client, drive: str, tmp_path: Path, sent: int) -> None:
+    for head in ("Content-Length: 3000000", "Transfer-Encoding: chunked"):
+        with connection(client) as link:
+            link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\nHost: localhost\r\n{head}\r\n\r\n".encode())
+            link.sendall(f"{sent:x}\r\n".encode() if "chunked" in head and sent else b"")
+            link.sendall(bytes(sent))
+            if sent > 1_000_000:
+                wait_until(lambda: any(name.startswith("incoming/") for name in stored(tmp_path)))
+    wait_until(lambda: stored(tmp_path) == [])
+    assert client.get(f"{drive}/files").json()["files"] == []
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not holds():
+        assert time.monotonic() < deadline, "it never came to be"
+        time.sleep(0.02)
+
+
+def test_limits_of_a_drive(serve: Callable[..., httpx.Client]) -> None:
+    client = serve(max_drive_bytes=3_000_000, max_drive_files=3)
+    drive = make_drive(client)
+    assert client.put(f"{drive}/files/a", content=bytes(2_000_000)).status_code == 201
+    for size in (1_000_001, 1_500_000):
+        answer = client.put(f"{drive}/files/b", content=bytes(size))
+        assert (answer.status_code, answer.json()["title"]) == (413, "Too large")
+    assert client.put(f"{drive}/files/a", content=bytes(100)).status_code == 200
+    assert client.put(f"{drive}/files/b", content=bytes(2_900_000)).status_code == 201
+    assert client.put(f"{drive}/files/c", content=b"").status_code == 201
+    answer = client.put(f"{drive}/files/d", content=b"")
+    assert (answer.status_code, answer.json()["title"]) == (413, "Too many files")
+    assert client.get(drive).json()["size_bytes"] == 2_900_100
+
+
+@pytest.mark.parametrize("size", [10, 2_000_000])
+def test_a_full_disk_takes_nothing(serve: Callable[..., httpx.Client], tmp_path: Path, size: int) -> None:
+    client = serve(min_free_bytes=1 << 60)
+    answer = client.put(f"{make_drive(client)}/files/a", content=bytes(size))
+    assert (answer.status_code, answer.json()["title"]) == (507, "Disk full")
+    assert stored(tmp_path) == []
+
+
+def test_puts_of_one_file_at_once(client: httpx.Client, drive: str) -> None:
+    bodies = [bytes([n]) * (1_500_000 + n) for n in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda body: client.put(f"{drive}/files/a", content=body), bodies))
+    assert sorted(answer.status_code for answer in answers) == [200] * 7 + [201]
+    (listed,) = client.get(f"{drive}/files").json()["files"]
+    kept = client.get(f"{drive}/files/a").content
+    assert kept in bodies
+    assert listed["sha256"] == hashlib.sha256(kept).hexdigest()
+    shown = client.get(drive).json()
+    assert (shown["files"], shown["size_bytes"]) == (1, len(kept))
+
+
+def test_puts_of_many_files_at_once_are_counted_right(client: httpx.Client, drive: str) -> None:
+    def put(number: int) -> int:
+        return client.put(f"{drive}/files/labels/{number:06d}.label", content=bytes(number)).status_code
+
+    with ThreadPoolExecutor(8) as pool:
+        assert set(pool.map(put, range(200))) == {201}
+    shown = client.get(drive).json()
+    assert (shown["files"], shown["size_bytes"]) == (200, sum(range(200)))
+
+
+def test_a_drive_that_is_deleted_during_a_put(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+    with connection(client) as link:
+        head = ["Host: localhost", "Content-Length: 4000000", "Connection: close"]
+        link.sendall("\r\n".join([f"PUT {drive}/files/a HTTP/1.1", *head, "", ""]).encode())
+        link.sendall(bytes(3_000_000))
+        wait_until(lambda: stored(tmp_path) != [])
+        assert client.delete(drive).status_code == 204
+        link.sendall(bytes(1_000_000))
+        status, answer = read_answer(link)
+    assert status == 404
+    assert "Drive not found" in answer
+    assert stored(tmp_path) == []
