@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
 from fastapi import FastAPI
+from fastapi.concurrency import run_in_threadpool
 
 from app.middleware import add_middleware
 from app.problems import ProblemDocument, add_handlers
@@ -44,9 +45,11 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
         with _remembering_faults(app):
             opened = service or Service.open(settings)
             app.state.service = opened
+            opened.runner.start(opened)
         try:
             yield
         finally:
+            await run_in_threadpool(opened.runner.stop)
             opened.close()
 
     app = FastAPI(

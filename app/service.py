@@ -12,6 +12,7 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from app.database import Database
+from app.jobs.runner import Runner
 from app.metrics import Metrics
 from app.settings import Settings
 from app.storage import LocalStorage, Storage
@@ -30,6 +31,7 @@ class Service:
     metrics: Metrics
     stopping: threading.Event = field(default_factory=threading.Event)
     """Set when the server begins to stop: streams and waits that would go on must end."""
+    runner: Runner = field(default_factory=Runner)
 
     @classmethod
     def open(cls, settings: Settings) -> Service:

@@ -2,6 +2,194 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from typing import Annotated, Any, Literal
 
-router = APIRouter(tags=["jobs"])
+from fastapi import APIRouter, Header, Path, Query, Response
+from sqlalchemy import and_, or_, select
+
+from app.jobs.folders import tidy
+from app.jobs.queue import FINAL, cancel, submit
+from app.jobs.submission import check_request
+from app.jobs.view import cursor_of, find_job, job_model, read_cursor
+from app.models import Drive, Job
+from app.problems import Problem, ProblemDocument
+from app.schemas.jobs import JobKind, JobList, JobModel, JobState, NewJob, PresetList, PresetModel
+from app.security import ClientDep
+from app.service import ServiceDep
+from interloc.config import PRESETS, DetectorConfig
+
+router = APIRouter(tags=["Jobs"])
+
+JobId = Annotated[str, Path(max_length=64, description="As POST /api/v1/jobs gave it.")]
+NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such job."}}
+
+
+def _problem(description: str) -> dict[str, Any]:
+    return {"model": ProblemDocument, "description": description}
+
+
+@router.post(
+    "/jobs",
+    status_code=202,
+    summary="Start a job",
+    responses={
+        200: {"model": JobModel, "description": "The key was sent before: that job."},
+        404: _problem("There is no such drive."),
+        409: _problem("The drive is not committed."),
+        422: _problem("A setting is refused, the map is not among the files, or the key was used for another request."),
+        429: _problem("Too many jobs of this client wait or run; Retry-After tells when to ask again."),
+        507: _problem("The disk is full."),
+    },
+)
+def create_job(
+    new: NewJob,
+    response: Response,
+    service: ServiceDep,
+    client: ClientDep,
+    idempotency_key: Annotated[
+        str | None,
+        Header(
+            min_length=1,
+            max_length=200,
+            description="Any text; the same one again, after an answer was lost, starts nothing twice.",
+        ),
+    ] = None,
+) -> JobModel:
+    """Find the intersections of a drive, and score them where a map is given.
+
+    The job waits in a queue; it survives restarts of the service. Follow it by its events or ask for it now and then.
+    A job of a drive whose check still runs waits for it.
+    """
+    database, settings = service.database, service.settings
+    with database.writing() as session:
+        request = check_request(session, service, new)
+        job, is_new = submit(
+            session,
+            database,
+            kind="intersections",
+            drive_id=new.drive_id,
+            owner=client,
+            request=request,
+            key=idempotency_key,
+            limit=settings.max_queued_jobs,
+        )
+        _, drive_name = find_job(session, job.id)
+        model = job_model(job, drive_name, settings.root_path, database.clock(session))
+    service.runner.wake()
+    response.status_code = 202 if is_new else 200
+    response.headers["Location"] = model.links["self"]
+    return model
+
+
+@router.get("/jobs", summary="List jobs", responses={422: _problem("A parameter is refused.")})
+def list_jobs(
+    service: ServiceDep,
+    _client: ClientDep,
+    drive: Annotated[str | None, Query(max_length=64, description="Only those of this drive.")] = None,
+    state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
+    kind: Annotated[
+        JobKind | Literal["all"], Query(description="commit and unpack are the checks of uploads.")
+    ] = "intersections",
+    after: Annotated[str | None, Query(max_length=100, description="`next` of the page before.")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> JobList:
+    """List jobs, the newest first."""
+    query = (
+        select(Job, Drive.name)
+        .join(Drive, Drive.id == Job.drive_id)
+        .order_by(Job.created_at.desc(), Job.id.desc())
+        .limit(limit + 1)
+    )
+    if kind != "all":
+        query = query.where(Job.kind == kind)
+    if drive is not None:
+        query = query.where(Job.drive_id == drive)
+    if state is not None:
+        query = query.where(Job.state == state)
+    if after is not None:
+        created_at, job_id = read_cursor(after)
+        query = query.where(or_(Job.created_at < created_at, and_(Job.created_at == created_at, Job.id < job_id)))
+    with service.database.reading() as session:
+        rows = session.execute(query).all()
+        now = service.database.clock(session)
+    jobs = [job_model(job, name, service.settings.root_path, now) for job, name in rows[:limit]]
+    return JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
+
+
+@router.get("/jobs/{job_id}", responses=NOT_FOUND, summary="Show a job")
+def show_job(job_id: JobId, service: ServiceDep, _client: ClientDep) -> JobModel:
+    """Show how far a job is, why it failed, or what it found and where that is."""
+    with service.database.reading() as session:
+        job, name = find_job(session, job_id)
+        return job_model(job, name, service.settings.root_path, service.database.clock(session))
+
+
+@router.delete(
+    "/jobs/{job_id}",
+    response_model=JobModel,
+    summary="Cancel a job, or remove one that has ended",
+    responses={
+        **NOT_FOUND,
+        200: {"description": "It has ended, by this request or before."},
+        202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
+        204: {"description": "The job and its results are removed."},
+        409: _problem("It has not ended, so it cannot be removed."),
+    },
+)
+def delete_job(
+    job_id: JobId,
+    response: Response,
+    service: ServiceDep,
+    _client: ClientDep,
+    purge: Annotated[bool, Query(description="Remove a job that has ended, with its results.")] = False,
+) -> JobModel | Response:
+    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed."""
+    database = service.database
+    with database.writing() as session:
+        job, name = find_job(session, job_id)
+        if purge:
+            _purge(session_job=job)
+            session.delete(job)
+        else:
+            cancel(session, database, job)
+            model = job_model(job, name, service.settings.root_path, database.clock(session))
+    if purge:
+        tidy(service.storage, job_id, keep_result=False)
+        return Response(status_code=204)
+    service.runner.wake()
+    response.status_code = 200 if model.state in FINAL else 202
+    return model
+
+
+def _purge(session_job: Job) -> None:
+    if session_job.state not in FINAL:
+        raise Problem(
+            409,
+            "Job not ended",
+            f"Job {session_job.id} is {session_job.state}. Cancel it first (DELETE without purge), then remove it.",
+        )
+
+
+@router.get("/presets", summary="List presets")
+def list_presets(_client: ClientDep) -> PresetList:
+    """List the settings to start from, with the JSON schema of all settings, for a form."""
+    return PresetList(
+        presets=[_preset_model(name) for name in PRESETS],
+        config_schema=DetectorConfig.model_json_schema(),
+    )
+
+
+@router.get("/presets/{name}", summary="Show a preset")
+def show_preset(name: Literal["default", "paper"], _client: ClientDep) -> PresetModel:
+    """Show all settings of a preset: the shape of `config` of a job."""
+    return _preset_model(name)
+
+
+_PRESET_MEANINGS = {
+    "default": "The best that this version knows.",
+    "paper": "The paper to the letter, with the parameters of its Table I: the yardstick.",
+}
+
+
+def _preset_model(name: str) -> PresetModel:
+    return PresetModel(name=name, description=_PRESET_MEANINGS[name], config=PRESETS[name])

@@ -13,7 +13,7 @@ from interloc.drives.options import LabelFolder
 from interloc.osm.policies import Policy
 
 JobState = Literal["accepted", "running", "successful", "failed", "dismissed"]
-JobKind = Literal["intersections", "commit", "unpack"]
+JobKind = Literal["intersections", "commit", "unpack", "demo"]
 
 
 class OsmFile(BaseModel):
@@ -96,4 +96,19 @@ class JobList(BaseModel):
     next: str | None = Field(None, description="Give it as `after` for the next page; null on the last.")
 
 
-__all__ = ["DetectorConfig", "JobList", "JobModel", "JobState", "NewJob", "Progress"]
+class PresetModel(BaseModel):
+    """Settings to start from."""
+
+    name: str = Field(examples=["default"])
+    description: str
+    config: DetectorConfig
+
+
+class PresetList(BaseModel):
+    """All presets."""
+
+    presets: list[PresetModel]
+    config_schema: dict[str, Any] = Field(description="JSON schema of the settings, with units and ranges in words.")
+
+
+__all__ = ["DetectorConfig", "JobList", "JobModel", "JobState", "NewJob", "PresetList", "PresetModel", "Progress"]

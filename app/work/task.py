@@ -46,9 +46,11 @@ class Task:
     scratch : Path
         Folder of this job for checkpoints and progress; it outlives a restart and goes when the job ends.
     result : Path
-        Folder of the result.
+        Folder of the result of this attempt; the runner puts it in its place when the job has ended well.
     limits : dict
-        Settings that the work must keep to, by name.
+        Settings of the service by name: limits that the work must keep to, how many workers there are, ...
+    attempt : str
+        Names this attempt: two servers that take each other for dead do not stop each other's work.
     """
 
     kind: str
@@ -59,6 +61,7 @@ class Task:
     scratch: Path
     result: Path
     limits: dict[str, Any] = field(default_factory=dict)
+    attempt: str = ""
 
 
 @dataclass(frozen=True)

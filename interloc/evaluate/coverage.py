@@ -29,7 +29,11 @@ def drive_bounds(result: DriveResult, *, margin_m: float = 200.0) -> Bounds:
         More than half the diagonal of the ROI (85 m for 120 m), so that no road is missed.
     """
     assert result.keyframes.lonlat is not None
-    lonlat = result.keyframes.lonlat
+    return track_bounds(result.keyframes.lonlat, margin_m=margin_m)
+
+
+def track_bounds(lonlat: Floats, *, margin_m: float = 200.0) -> Bounds:
+    """Return west, south, east, north of (K, 2) longitudes, latitudes of the keyframes and a margin."""
     west_south, east_north = lonlat.min(axis=0), lonlat.max(axis=0)
     # The corner that is further from the equator has the shorter degrees of longitude.
     lat = west_south[1] if abs(west_south[1]) > abs(east_north[1]) else east_north[1]

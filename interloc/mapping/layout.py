@@ -45,6 +45,7 @@ RESULT_NAMES = frozenset(
         "report.html",
         "osm_nodes.geojson",
         "matches.geojson",
+        "osm_roads.geojson",
         "figures",
     ]
 )

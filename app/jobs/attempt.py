@@ -1,0 +1,235 @@
+"""One attempt at a job: prepare, all parts, finish, through the executor, and the end of it in the database."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from app.jobs import failures
+from app.jobs.executors import WorkerLostError, WorkExecutor
+from app.jobs.folders import place_result, task_of, tidy
+from app.jobs.queue import Claim, JobQueue, State, not_ready
+from app.models import Drive, Job
+from app.problems import Problem
+from app.work import calls
+from app.work.kinds import KINDS
+from app.work.progress import Board
+from app.work.task import Cancelled, Outcome, Part, Plan
+
+if TYPE_CHECKING:
+    from app.service import Service
+
+Stop = Literal["cancelled", "lost", "shutdown"]
+
+_LOOK_S = 0.5  # how often progress is read, and the stop of the attempt noticed
+_QUIET_END_S = 30.0  # for work to end that was asked to
+_log = logging.getLogger(__name__)
+
+
+class _StoppedError(Exception):
+    """The attempt was stopped."""
+
+
+class Attempt:
+    """A job under a lease of this server.
+
+    Parameters
+    ----------
+    service
+    queue, executor
+    claim
+    """
+
+    def __init__(self, service: Service, queue: JobQueue, executor: WorkExecutor, claim: Claim) -> None:
+        self._service = service
+        self._queue = queue
+        self._executor = executor
+        self.claim = claim
+        self._kind = KINDS[claim.job.kind]
+        self._task = task_of(service, claim, executor.slots)
+        self._board = Board(self._task)
+        self._stop: Stop | None = None
+        self._stage = self._kind.stages[0]
+        self._done: dict[int, int] = {}  # units of the parts that have ended
+        self._total: int | None = None
+        self._told: dict[str, Any] = {"done": claim.job.done}  # as it stands in the database
+        self._tries: Counter[str] = Counter()
+
+    def stop(self, reason: Stop) -> None:
+        """Let the attempt end soon; the first reason counts."""
+        if self._stop is None:
+            self._stop = reason
+            self._board.stop()
+
+    def run(self) -> None:
+        """Work on the job until it has ended, in whatever way."""
+        job = self.claim.job
+        extra = {"job": job.id, "drive": job.drive_id}
+        _log.info("job %s (%s): attempt %d", job.id, job.kind, job.attempts, extra=extra)
+        try:
+            outcome: Outcome | Problem = self._work()
+        except _StoppedError:
+            if self._stop == "shutdown":
+                with suppress(SQLAlchemyError):  # else the lease runs out
+                    self._queue.release(self.claim)
+                return
+            outcome = failures.cancelled()
+        except Problem as problem:
+            outcome = problem
+        except Exception as error:  # noqa: BLE001 - a job always ends
+            _log.exception("job %s: the service itself failed", job.id, extra=extra)
+            outcome = failures.problem_of(error, "the whole", 1)
+        state = self._end(outcome)
+        _log.info("job %s (%s): %s", job.id, job.kind, state, extra=extra)
+
+    def _work(self) -> Outcome:
+        job = self.claim.job
+        if job.cancel_requested:
+            self._stop = "cancelled"
+            raise _StoppedError
+        if job.attempts > self._service.settings.max_attempts:
+            raise failures.lost_servers(job.attempts - 1)
+        if not self._kind.is_quick and self.claim.drive_state == "uploading":
+            raise not_ready(Drive(id=job.drive_id, name=self.claim.drive_name))
+        self._board.open()
+        plan: Plan = self._call("the preparation", calls.prepare, self._task)
+        self._total = plan.total
+        self._enter(1)
+        self._do_parts(plan)
+        self._enter(2)
+        outcome: Outcome = self._call("the result", calls.finish, self._task, plan)
+        return outcome
+
+    def _call(self, what: str, function: Callable[..., Any], *args: Any) -> Any:  # noqa: ANN401
+        while True:
+            future = self._executor.submit(function, *args)
+            self._wait({future})
+            try:
+                return future.result()
+            except Exception as error:  # noqa: BLE001 - judged there
+                self._count_failure(error, what)
+
+    def _do_parts(self, plan: Plan) -> None:
+        """Do all parts; few at a time are handed over, so that the parts of other jobs come in between."""
+        waiting = deque(plan.parts)
+        running: dict[Future[None], Part] = {}
+        while waiting or running:
+            while waiting and len(running) <= self._executor.slots:
+                part = waiting.popleft()
+                running[self._executor.submit(calls.run, self._task, part)] = part
+            for future in self._wait(set(running)):
+                part = running.pop(future)
+                try:
+                    future.result()
+                except Exception as error:  # noqa: BLE001 - judged there
+                    self._count_failure(error, f"part {part.number + 1} of {len(plan.parts)}")
+                    waiting.appendleft(part)
+                else:
+                    self._done[part.number] = part.stop - part.start
+
+    def _wait(self, futures: set[Future[Any]]) -> set[Future[Any]]:
+        """Return those that have ended, telling meanwhile how far they are."""
+        while True:
+            ended, _ = wait(futures, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+            if self._stop is not None:
+                for future in futures:
+                    future.cancel()
+                if self._stop != "lost":
+                    wait(futures, timeout=_QUIET_END_S)
+                raise _StoppedError
+            self._tell()
+            if ended:
+                return ended
+
+    def _count_failure(self, error: Exception, what: str) -> None:
+        """Return when the work is to be tried again; raise the problem of the job when it is not."""
+        if self._stop is not None:
+            raise _StoppedError from error
+        if failures.is_final(error) and not isinstance(error, Cancelled):
+            raise failures.problem_of(error, what, 1) from error
+        self._tries[what] += 1
+        tries = self._tries[what]
+        _log.warning("job %s: %s failed: %s", self.claim.job.id, what, error, exc_info=error)
+        if tries >= self._service.settings.max_attempts:
+            if isinstance(error, WorkerLostError):
+                raise failures.lost_workers(str(error), what, tries) from error
+            raise failures.problem_of(error, what, tries) from error
+        if tries >= self.claim.job.attempts:
+            self._write(attempts=tries + 1)
+
+    def _enter(self, phase: int) -> None:
+        self._stage = self._kind.stages[phase]
+        self._board.forget_stage()
+        self._tell()
+
+    def _tell(self) -> None:
+        """Write how far the job is, where that has changed."""
+        standing = self._board.read()
+        done = sum({**standing.done, **self._done}.values())
+        now = {
+            "stage": standing.stage or self._stage,
+            "message": standing.message,
+            "done": max(done, self._told.get("done", 0)),  # a part that starts anew takes nothing back
+            "total": self._total,
+        }
+        if now != self._told:
+            self._told = now
+            self._write(**now)
+
+    def _write(self, **values: Any) -> None:  # noqa: ANN401 - columns of the job
+        try:
+            if not self._queue.progress(self.claim, **values):
+                self.stop("lost")
+        except SQLAlchemyError as error:  # the next word says it all again
+            self._told = {}
+            _log.warning("job %s: its progress could not be written: %s", self.claim.job.id, error)
+
+    def _end(self, outcome: Outcome | Problem) -> str:
+        """Write how the job ended, and put its result in place: both or neither."""
+        state: State = "successful"
+        if isinstance(outcome, Problem):
+            state = "dismissed" if self._stop == "cancelled" else "failed"
+        job_id, storage = self.claim.job.id, self._service.storage
+        for wait_s in (0.5, 1, 2, 4, 8, 0):
+            try:
+                if self._stop == "lost" or not self._settle(state, outcome):
+                    return self._leave()
+                break
+            except SQLAlchemyError as error:
+                _log.warning("job %s: its end could not be written: %s", job_id, error)
+                if not wait_s:
+                    return "left to its lease"  # whoever takes it over finds all parts done
+                time.sleep(wait_s)
+        tidy(storage, job_id, keep_result=state == "successful")
+        return state
+
+    def _settle(self, state: State, outcome: Outcome | Problem) -> bool:
+        job_id = self.claim.job.id
+        error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
+        summary = None if isinstance(outcome, Problem) else outcome.summary
+        with self._service.database.writing() as session:
+            if not self._queue.finish(session, self.claim, state, error=error, summary=summary):
+                return False
+            if self._kind.is_quick:
+                job = session.get(Job, job_id)
+                assert job is not None
+                import_module("app.drives.settle").settle(session, self._service, job, outcome)
+            if state == "successful":
+                place_result(self._service.storage, self._task)
+        return True
+
+    def _leave(self) -> str:
+        """Leave a job that another server has taken over, or that was deleted with its drive."""
+        with suppress(SQLAlchemyError), self._service.database.reading() as session:
+            if session.get(Job, self.claim.job.id) is None:
+                tidy(self._service.storage, self.claim.job.id, keep_result=False)
+                return "deleted"
+        return "taken over"

@@ -1,0 +1,137 @@
+"""Where work is done: processes of this machine, or a Dask cluster, behind one `concurrent.futures.Executor`."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future
+from typing import Any, Protocol, TypeVar
+
+from app.settings import Settings
+from interloc.errors import ConfigError
+from interloc.processes import cores
+
+_log = logging.getLogger(__name__)
+
+Result = TypeVar("Result")
+
+
+class WorkerLostError(Exception):
+    """The worker that did a piece of work is gone, and the work with it; it can be tried again."""
+
+
+class WorkExecutor(Protocol):
+    """What the service needs of an executor; both give pieces of work out in the order in which they came."""
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401
+        """Do a piece of work; its future raises `WorkerLostError` when its worker dies."""
+        ...
+
+    def stop(self) -> None:
+        """End everything at once; work that runs is lost."""
+        ...
+
+    @property
+    def slots(self) -> int:
+        """Pieces of work that run at the same time."""
+        ...
+
+    @property
+    def alive(self) -> int:
+        """How many of the slots are ready to work."""
+        ...
+
+    @property
+    def workers_lost(self) -> int:
+        """Workers that died so far."""
+        ...
+
+
+def open_executor(settings: Settings) -> WorkExecutor:
+    """Start the executor that the settings ask for.
+
+    Raises
+    ------
+    ConfigError
+        Dask is not installed, or its scheduler does not answer.
+    """
+    if settings.dask is not None:
+        return DaskExecutor(settings.dask)
+    from app.jobs.processes import ProcessExecutor  # noqa: PLC0415 - not needed beside Dask
+
+    return ProcessExecutor(settings.workers or cores())
+
+
+class DaskExecutor(Executor):
+    """Work on the workers of a Dask cluster, which see the data folder at the same place.
+
+    Parameters
+    ----------
+    address
+        Of the scheduler, as ``tcp://host:8786``.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client  # noqa: PLC0415 - an extra
+        except ImportError as error:
+            raise ConfigError(
+                "INTERLOC_DASK is set, but Dask is not installed. Install it: pip install 'interloc[dask]'."
+            ) from error
+        try:
+            connect: Any = Client  # it has no types
+            self._client = connect(address, timeout=10, name="interloc", set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise ConfigError(
+                f"INTERLOC_DASK: no Dask scheduler answers at {address} ({error or type(error).__name__}). "
+                "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the data folder."
+            ) from error
+        # Not pure: the same call again is done again, its outcome is a file and not its value.
+        self._executor: Executor = self._client.get_executor(pure=False)
+        self.workers_lost = 0
+
+    @property
+    def slots(self) -> int:  # noqa: D102 - see WorkExecutor
+        return max(1, self.alive)
+
+    @property
+    def alive(self) -> int:  # noqa: D102 - see WorkExecutor
+        workers = self._client.scheduler_info(n_workers=-1).get("workers", {})
+        return sum(int(worker["nthreads"]) for worker in workers.values())
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401, D102
+        ours: Future[Result] = Future()
+        theirs = self._executor.submit(fn, *args, **kwargs)
+
+        def cancel(future: Future[Result]) -> None:
+            if future.cancelled():
+                theirs.cancel()
+
+        def pass_on(future: Future[Result]) -> None:
+            if ours.cancelled() or not ours.set_running_or_notify_cancel():
+                return
+            try:
+                ours.set_result(future.result())
+            except CancelledError:
+                ours.set_exception(WorkerLostError("the Dask cluster gave the work up"))
+            except BaseException as error:  # noqa: BLE001 - whatever the work raised
+                ours.set_exception(self._translate(error))
+
+        ours.add_done_callback(cancel)
+        theirs.add_done_callback(pass_on)
+        return ours
+
+    def _translate(self, error: BaseException) -> BaseException:
+        from distributed.scheduler import KilledWorker, NoValidWorkerError  # noqa: PLC0415
+
+        if isinstance(error, KilledWorker | NoValidWorkerError):
+            self.workers_lost += 1
+            return WorkerLostError("the Dask workers that tried it died")
+        return error
+
+    def stop(self) -> None:  # noqa: D102 - see WorkExecutor
+        self._executor.shutdown(wait=False)
+        self._client.close(timeout=5)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002, D102
+        self.stop()

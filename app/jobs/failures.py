@@ -1,0 +1,69 @@
+"""Why a job failed, as the problem document that its client reads."""
+
+from __future__ import annotations
+
+import errno
+
+from app.problems import Problem, disk_full, from_error
+from interloc.errors import InterLocError
+
+_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+def is_final(error: BaseException) -> bool:
+    """Tell whether trying again would end the same way: the input is at fault, or the disk is full."""
+    return isinstance(error, InterLocError | Problem) or (isinstance(error, OSError) and error.errno in _DISK)
+
+
+def problem_of(error: BaseException, what: str, tries: int) -> Problem:
+    """Put an error of the work into words.
+
+    Parameters
+    ----------
+    error
+    what
+        Which piece of work: "keyframes 240 to 480".
+    tries
+        How often it was tried.
+    """
+    if isinstance(error, Problem):
+        return error
+    if isinstance(error, InterLocError):
+        return from_error(error)
+    if isinstance(error, OSError) and error.errno in _DISK:
+        return disk_full()
+    return Problem(
+        500,
+        "Fault of the service",
+        f"The service failed at {what}, {_times(tries)}. That is a fault of its own, and its log tells more; "
+        "please report it.",
+    )
+
+
+def lost_workers(reason: str, what: str, tries: int) -> Problem:
+    """Say that a piece of work killed its workers."""
+    return Problem(
+        500,
+        "Worker lost",
+        f"The worker at {what} died {_times(tries)} ({reason}), so the service gave up. Usual cause: too little memory "
+        "on the machine of the worker; fewer workers at a time (INTERLOC_WORKERS) need less of it.",
+    )
+
+
+def lost_servers(attempts: int) -> Problem:
+    """Say that a job outlived too many servers."""
+    return Problem(
+        500,
+        "Server lost",
+        f"The server that worked on the job was ended {_times(attempts)}, so the service gave up. Usual cause: too "
+        "little memory on its machine. Start the job again when that is settled.",
+    )
+
+
+def cancelled() -> Problem:
+    """Say that somebody wanted it so."""
+    return Problem(409, "Cancelled", "The job was cancelled before it ended.")
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"

@@ -1,0 +1,65 @@
+"""The folders of a job: scratch while it runs, result once it has ended well."""
+
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING, Any
+
+from app.jobs.queue import Claim
+from app.storage import Storage
+from app.work.task import Task
+
+if TYPE_CHECKING:
+    from app.service import Service
+
+_ATTEMPT = "result-"
+
+
+def task_of(service: Service, claim: Claim, slots: int) -> Task:
+    """Return the work of a claimed job as workers see it."""
+    job, storage = claim.job, service.storage
+    name = claim.lease.rpartition("-")[2]
+    return Task(
+        kind=job.kind,
+        job_id=job.id,
+        drive_name=claim.drive_name,
+        request=job.request,
+        drive=storage.folder(f"drives/{job.drive_id}"),
+        scratch=storage.folder(f"jobs/{job.id}/scratch"),
+        result=storage.folder(f"jobs/{job.id}/{_ATTEMPT}{name}"),
+        limits=_limits(service, slots),
+        attempt=name,
+    )
+
+
+def _limits(service: Service, slots: int) -> dict[str, Any]:
+    settings = service.settings
+    by_name = settings.model_dump(mode="json", exclude={"token", "database_url"})
+    limits = {name: value for name, value in by_name.items() if name.startswith(("max_", "min_"))}
+    cache = str(service.storage.folder("cache"))
+    return {**limits, "workers": slots, "cache": cache, "overpass_url": settings.overpass_url}
+
+
+def place_result(storage: Storage, task: Task) -> None:
+    """Give the result of an attempt its place, within the transaction that ends the job."""
+    if task.result.is_dir():
+        storage.delete(f"jobs/{task.job_id}/result")
+        task.result.rename(task.result.with_name("result"))
+
+
+def tidy(storage: Storage, job_id: str, *, keep_result: bool) -> None:
+    """Remove what a job that has ended leaves behind."""
+    if not keep_result:
+        storage.delete(f"jobs/{job_id}")
+        return
+    storage.delete(f"jobs/{job_id}/scratch")
+    folder = storage.folder(f"jobs/{job_id}")
+    for entry in list(folder.iterdir()) if folder.is_dir() else []:
+        if entry.name.startswith((_ATTEMPT, f".{_ATTEMPT}")):
+            shutil.rmtree(entry, ignore_errors=True)
+
+
+def jobs_with_scratch(storage: Storage) -> list[str]:
+    """Return the ids of the jobs that have a scratch folder."""
+    root = storage.folder("jobs")
+    return [entry.name for entry in root.iterdir() if (entry / "scratch").is_dir()] if root.is_dir() else []

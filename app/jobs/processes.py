@@ -1,0 +1,242 @@
+"""Work in processes of this machine, a process a slot: one that dies takes nothing with it but its own work."""
+
+from __future__ import annotations
+
+import logging
+import pickle
+import signal
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, TypeVar
+
+from app.jobs.executors import WorkerLostError
+from interloc.processes import end_with_parent, interrupts_held_back
+
+_log = logging.getLogger(__name__)
+_context = get_context("spawn")  # nothing of the server's threads, locks and connections gets into a worker
+
+Result = TypeVar("Result")
+
+
+@dataclass
+class _Work:
+    call: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
+    future: Future[Any] = field(default_factory=Future)
+
+
+class ProcessExecutor(Executor):
+    """A number of worker processes that take pieces of work in the order in which they came.
+
+    Parameters
+    ----------
+    slots
+        Processes. They start in the background, and each one is replaced when it dies.
+    """
+
+    def __init__(self, slots: int) -> None:
+        self.slots = slots
+        self.workers_lost = 0
+        self._waiting: deque[_Work] = deque()
+        self._change = threading.Condition()
+        self._stopping = False
+        self._slots = [_Slot(self, number) for number in range(slots)]
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401, D102
+        work = _Work((fn, args, kwargs))
+        with self._change:
+            if self._stopping:
+                raise RuntimeError("the executor was stopped")
+            self._waiting.append(work)
+            self._change.notify()
+        return work.future
+
+    @property
+    def alive(self) -> int:
+        """How many worker processes run."""
+        return sum(slot.is_alive for slot in self._slots)
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the workers."""
+        return [pid for slot in self._slots if (pid := slot.pid) is not None]
+
+    def stop(self) -> None:
+        """End all workers at once; work that runs is lost, work that waits is cancelled."""
+        with self._change:
+            self._stopping = True
+            waiting, self._waiting = list(self._waiting), deque()
+            self._change.notify_all()
+        for work in waiting:
+            work.future.cancel()
+        for slot in self._slots:
+            slot.kill()
+        for slot in self._slots:
+            slot.thread.join(10)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002, D102
+        self.stop()
+
+    def next_work(self) -> _Work | None:
+        """Return the next piece of work for a slot, which may have to wait for it; None when there will be none."""
+        with self._change:
+            while True:
+                while not self._waiting and not self._stopping:
+                    self._change.wait()
+                if self._stopping:
+                    return None
+                work = self._waiting.popleft()
+                if work.future.set_running_or_notify_cancel():
+                    return work
+
+    def count_loss(self) -> None:
+        """Count a worker that died."""
+        with self._change:
+            self.workers_lost += 1
+
+    @property
+    def is_stopping(self) -> bool:
+        """True once `stop` was called."""
+        return self._stopping
+
+
+class _Slot:
+    """A thread that feeds one worker process, and starts another one when it dies."""
+
+    def __init__(self, executor: ProcessExecutor, number: int) -> None:
+        self._executor = executor
+        self._worker: tuple[Any, Connection] | None = None
+        self._lock = threading.Lock()
+        self.thread = threading.Thread(target=self._serve, name=f"worker-{number}", daemon=True)
+        self.thread.start()
+
+    @property
+    def is_alive(self) -> bool:
+        worker = self._worker
+        return worker is not None and worker[0].is_alive()
+
+    @property
+    def pid(self) -> int | None:
+        worker = self._worker
+        return None if worker is None else worker[0].pid
+
+    def kill(self) -> None:
+        with self._lock:
+            if self._worker is not None:
+                self._worker[0].kill()
+
+    def _serve(self) -> None:
+        with suppress(OSError):
+            self._start()  # ahead of the first work: importing the compiler takes a second
+        while (work := self._executor.next_work()) is not None:
+            try:
+                self._do(work)
+            except BaseException as error:  # noqa: BLE001 - a slot must not die of a piece of work
+                if not work.future.done():
+                    work.future.set_exception(error)
+        self._end()
+
+    def _do(self, work: _Work) -> None:
+        try:
+            content = pickle.dumps(work.call)
+        except Exception as error:  # noqa: BLE001 - whatever an argument raises
+            work.future.set_exception(error)
+            return
+        if not self.is_alive:
+            self._end()
+            self._start()
+        assert self._worker is not None
+        process, connection = self._worker
+        try:
+            connection.send_bytes(content)
+            good, value = pickle.loads(connection.recv_bytes())  # noqa: S301 - from our own process
+        except (EOFError, OSError):
+            self._end()
+            code = process.exitcode
+            if not self._executor.is_stopping:
+                self._executor.count_loss()
+                _log.warning("a worker process (%s) died: %s", process.pid, _reason(code))
+            work.future.set_exception(WorkerLostError(f"its worker process {_reason(code)}"))
+            return
+        work.future.set_result(value) if good else work.future.set_exception(value)
+
+    def _start(self) -> None:
+        with self._lock:
+            if self._executor.is_stopping:
+                raise WorkerLostError("the service is being stopped")
+            ours, theirs = _context.Pipe()
+            process = _context.Process(target=_work, args=(theirs,), daemon=True)
+            with interrupts_held_back():
+                process.start()
+            theirs.close()  # so that its end is seen here
+            self._worker = process, ours
+
+    def _end(self) -> None:
+        with self._lock:
+            worker, self._worker = self._worker, None
+        if worker is not None:
+            process, connection = worker
+            connection.close()
+            process.join(1)
+            if process.is_alive():
+                process.kill()
+                process.join()
+
+
+def _reason(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"ended with code {code}"
+    with suppress(ValueError):
+        return f"was ended by {signal.Signals(-code).name}"
+    return f"was ended by signal {-code}"
+
+
+def _work(connection: Connection) -> None:
+    """Be a worker: do what comes through the pipe until it is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's business
+    end_with_parent()
+    _warm_up()
+    while True:
+        try:
+            content = connection.recv_bytes()
+        except (EOFError, OSError):
+            return
+        _forget_peak_memory()
+        try:
+            function, args, kwargs = pickle.loads(content)  # noqa: S301 - from our own server
+            answer = pickle.dumps((True, function(*args, **kwargs)))
+        except BaseException as error:  # noqa: BLE001 - all of it belongs to the one who asked
+            answer = _failure(error)
+        with suppress(OSError):  # nobody listens any more: the next receive ends this
+            connection.send_bytes(answer)
+
+
+def _failure(error: BaseException) -> bytes:
+    error.add_note("".join(traceback.format_exception(error)))
+    try:
+        content = pickle.dumps((False, error))
+        pickle.loads(content)  # noqa: S301 - some exceptions can be pickled but not come back
+    except Exception:  # noqa: BLE001
+        plain = RuntimeError(f"{type(error).__name__}: {error}")
+        plain.add_note("\n".join(getattr(error, "__notes__", [])))
+        return pickle.dumps((False, plain))
+    return content
+
+
+def _warm_up() -> None:
+    """Import what nearly all work needs."""
+    with suppress(ImportError):
+        import app.work.intersections  # noqa: F401, PLC0415
+
+
+def _forget_peak_memory() -> None:
+    """Let the peak memory be that of the next piece of work, where the system can (Linux)."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")

@@ -1,0 +1,319 @@
+"""The queue: jobs in a table, each leased to one server at a time. Every change is one short transaction.
+
+A lease is a name that is written into the job when it is claimed, new at every claim. Whatever is said of a job is said
+under that name: a server that was silent for too long, and whose job another one has taken over, changes nothing.
+All times are the database's.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import socket
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from sqlalchemy import CursorResult, case, func, or_, select, text, update
+from sqlalchemy.orm import Session, aliased
+
+from app.database import Database
+from app.models import Drive, Job
+from app.problems import Problem
+from app.work.kinds import QUICK
+
+FINAL = ("successful", "failed", "dismissed")
+"""States that do not change any more."""
+
+Held = Literal["held", "lost", "cancelled"]
+State = Literal["successful", "failed", "dismissed"]
+
+_WAITS_FOR_CHECK = "Waiting for the check of its drive."
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A job that a server has taken.
+
+    Attributes
+    ----------
+    job : Job
+        As it was when it was claimed.
+    drive_name, drive_state : str
+    lease : str
+        The name under which it is held.
+    """
+
+    job: Job
+    drive_name: str
+    drive_state: str
+    lease: str
+
+
+class JobQueue:
+    """What servers do with jobs.
+
+    Parameters
+    ----------
+    database
+    lease_s
+        A job whose server is silent for so long is taken over.
+    """
+
+    def __init__(self, database: Database, lease_s: float) -> None:
+        self._database = database
+        self._lease_s = lease_s
+        self._server = f"{socket.gethostname()[:64]}-{secrets.token_hex(4)}"
+
+    def claim(self, *, quick_only: bool = False) -> Claim | None:
+        """Take the job that is next: one that somebody waits for, else one of the client with the fewest running.
+
+        Parameters
+        ----------
+        quick_only
+            Only kinds that somebody waits for.
+
+        Notes
+        -----
+        A job whose drive is being checked is left alone; one whose server has not been heard of for too long is taken
+        over, which counts as another attempt.
+        """
+        with self._database.reading() as session:  # an idle server must not take the write lock twice a second
+            if session.execute(self._claimable(self._database.clock(session), quick_only=quick_only)).first() is None:
+                return None
+        with self._database.writing() as session:
+            now = self._database.clock(session)
+            query = self._claimable(now, quick_only=quick_only)
+            if not self._database.is_sqlite:
+                query = query.with_for_update(skip_locked=True, of=Job)
+            found = session.execute(query).first()
+            if found is None:
+                return None
+            job, drive_name, drive_state = found
+            job.state = "running"
+            job.stage = "preparing"
+            job.message = None
+            job.attempts += 1
+            job.started_at = job.started_at or now
+            job.lease_owner = f"{self._server}-{secrets.token_hex(8)}"
+            job.lease_until = now + self._lease_s
+            job.version += 1
+            return Claim(job, drive_name, drive_state, job.lease_owner)
+
+    @staticmethod
+    def _claimable(now: float, *, quick_only: bool) -> Any:  # noqa: ANN401 - a Select of several columns
+        other = aliased(Job)
+        running = (
+            select(func.count())
+            .select_from(other)
+            .where(other.owner == Job.owner, other.state == "running", other.lease_until > now)
+            .correlate(Job)
+            .scalar_subquery()
+        )
+        is_quick = Job.kind.in_(QUICK)
+        query = (
+            select(Job, Drive.name, Drive.state)
+            .join(Drive, Drive.id == Job.drive_id)
+            .where(
+                or_(Job.state == "accepted", (Job.state == "running") & (Job.lease_until <= now)),
+                or_(is_quick, Drive.state != "checking"),
+            )
+            .order_by(case((is_quick, 0), else_=1), running, Job.created_at, Job.id)
+            .limit(1)
+        )
+        return query.where(is_quick) if quick_only else query
+
+    def heartbeat(self, leases: Iterable[str]) -> dict[str, Held]:
+        """Say that this server is at work, and learn which of its leases are lost and which jobs were cancelled."""
+        leases = list(leases)
+        with self._database.writing() as session:
+            until = self._database.clock(session) + self._lease_s
+            session.execute(
+                update(Job).where(Job.lease_owner.in_(leases), Job.state == "running").values(lease_until=until)
+            )
+            return self._look(session, leases)
+
+    def look(self, leases: Iterable[str]) -> dict[str, Held]:
+        """Learn which leases are lost and which jobs were cancelled."""
+        with self._database.reading() as session:
+            return self._look(session, list(leases))
+
+    @staticmethod
+    def _look(session: Session, leases: list[str]) -> dict[str, Held]:
+        rows = session.execute(
+            select(Job.lease_owner, Job.cancel_requested).where(Job.lease_owner.in_(leases), Job.state == "running")
+        )
+        ours = {lease: cancelled for lease, cancelled in rows if lease is not None}
+        return {lease: ("cancelled" if ours[lease] else "held") if lease in ours else "lost" for lease in leases}
+
+    def progress(self, claim: Claim, **values: Any) -> bool:  # noqa: ANN401 - columns of the job
+        """Write how far a job is; False where it is not ours any more."""
+        with self._database.writing() as session:
+            return _change(session, claim, **values)
+
+    def release(self, claim: Claim) -> bool:
+        """Give a job back unfinished, as a server does that is told to stop; the attempt does not count."""
+        with self._database.writing() as session:
+            return _change(
+                session,
+                claim,
+                state="accepted",
+                stage="waiting",
+                message="Its server was stopped; it goes on as soon as one is free.",
+                attempts=Job.attempts - 1,
+                lease_owner=None,
+                lease_until=None,
+            )
+
+    def finish(
+        self,
+        session: Session,
+        claim: Claim,
+        state: State,
+        *,
+        error: dict[str, Any] | None = None,
+        summary: dict[str, Any] | None = None,
+    ) -> bool:
+        """End a job within a transaction of the caller; False where it is not ours any more: nothing may follow."""
+        return _change(
+            session,
+            claim,
+            state=state,
+            stage="finished",
+            message=None,
+            error=error,
+            summary=summary,
+            finished_at=self._database.clock(session),
+            lease_owner=None,
+            lease_until=None,
+        )
+
+
+def _change(session: Session, claim: Claim, **values: Any) -> bool:  # noqa: ANN401
+    result = session.execute(
+        update(Job)
+        .where(Job.id == claim.job.id, Job.lease_owner == claim.lease, Job.state == "running")
+        .values(version=Job.version + 1, **values)
+    )
+    assert isinstance(result, CursorResult)
+    return result.rowcount == 1
+
+
+def submit(
+    session: Session,
+    database: Database,
+    *,
+    kind: str,
+    drive_id: str,
+    owner: str,
+    request: dict[str, Any],
+    key: str | None = None,
+    limit: int | None = None,
+) -> tuple[Job, bool]:
+    """Put a job into the queue, within a transaction of the caller.
+
+    Parameters
+    ----------
+    session
+        Of `Database.writing`.
+    database
+    kind, drive_id, owner, request
+        See `Job`.
+    key
+        Idempotency key: the same one again gives the same job.
+    limit
+        Most jobs of this owner and kind that may wait or run.
+
+    Returns
+    -------
+    Job
+    bool
+        True where it is new.
+
+    Raises
+    ------
+    Problem
+        404 there is no such drive; 409 it takes files still; 422 the key was used for something else; 429 too many
+        jobs.
+    """
+    if not database.is_sqlite:  # one submission of a client at a time, so that key and limit hold
+        session.execute(text("SELECT pg_advisory_xact_lock(hashtext(:owner))"), {"owner": owner})
+    if key is not None:
+        earlier = session.scalar(select(Job).where(Job.owner == owner, Job.idempotency_key == key))
+        if earlier is not None:
+            return _same(earlier, kind, drive_id, request, key), False
+    drive = session.get(Drive, drive_id)
+    if drive is None:
+        raise Problem(404, "Drive not found", f"There is no drive {drive_id}. GET /api/v1/drives lists them.")
+    if kind not in QUICK and drive.state == "uploading":
+        raise not_ready(drive)
+    if limit is not None:
+        _check_room(session, kind, owner, limit)
+    job = Job(
+        kind=kind,
+        drive_id=drive_id,
+        owner=owner,
+        request=request,
+        idempotency_key=key,
+        message=_WAITS_FOR_CHECK if kind not in QUICK and drive.state == "checking" else None,
+        created_at=database.clock(session),
+    )
+    session.add(job)
+    session.flush()
+    return job, True
+
+
+def not_ready(drive: Drive) -> Problem:
+    """Say that a drive must be committed first."""
+    return Problem(
+        409,
+        "Drive not ready",
+        f"{drive.name} (drive {drive.id}) is still open for files. Commit it first (POST /api/v1/drives/{drive.id}"
+        "/commit); where that finds errors, its report lists them.",
+    )
+
+
+def cancel(session: Session, database: Database, job: Job) -> None:
+    """Ask for the end of a job, within a transaction; one that does not run yet ends at once."""
+    if job.state in FINAL or job.cancel_requested:
+        return
+    job.version += 1
+    job.cancel_requested = True
+    if job.state == "accepted" and job.kind not in QUICK:  # those have a drive to settle: the runner does it
+        job.state = "dismissed"
+        job.stage = "finished"
+        job.message = None
+        job.finished_at = database.clock(session)
+    else:
+        job.message = "It is being cancelled."
+
+
+def _same(job: Job, kind: str, drive_id: str, request: dict[str, Any], key: str) -> Job:
+    if (job.kind, job.drive_id) != (kind, drive_id) or _text(job.request) != _text(request):
+        raise Problem(
+            422,
+            "Idempotency key used before",
+            f"The key {key!r} was sent with another request before; that made job {job.id}. "
+            "Send a new key with a new request.",
+        )
+    return job
+
+
+def _text(value: dict[str, Any]) -> str:
+    return json.dumps(value, sort_keys=True)
+
+
+def _check_room(session: Session, kind: str, owner: str, limit: int) -> None:
+    waiting = session.scalar(
+        select(func.count())
+        .select_from(Job)
+        .where(Job.owner == owner, Job.kind == kind, Job.state.in_(("accepted", "running")))
+    )
+    if waiting is not None and waiting >= limit:
+        raise Problem(
+            429,
+            "Too many jobs",
+            f"{waiting} jobs of {owner} wait or run, and that is the limit. Wait until one has ended, or cancel one "
+            "(DELETE /api/v1/jobs/{id}).",
+            headers={"Retry-After": "30"},
+        )

@@ -1,0 +1,66 @@
+"""Is a request for a job one that can be done? Settings, labels and map are looked at before it is queued."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy.orm import Session
+
+from app.models import DriveFile
+from app.problems import Problem, disk_full
+from app.schemas.jobs import NewJob, OsmFile
+from app.service import Service
+from interloc.config import DetectorConfig, parse_config, preset
+
+_OSM_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
+
+
+def check_request(session: Session, service: Service, new: NewJob) -> dict[str, Any]:
+    """Return the request as it is kept and worked on, with all settings spelled out.
+
+    Raises
+    ------
+    ConfigError
+        A setting is refused.
+    Problem
+        422 the map cannot be had; 507 the disk is full.
+    """
+    if service.storage.free_bytes() < service.settings.min_free_bytes:
+        raise disk_full()
+    if isinstance(new.osm, OsmFile):
+        if session.get(DriveFile, (new.drive_id, new.osm.file)) is None:
+            raise Problem(
+                422,
+                "Map not found",
+                f"osm.file: there is no {new.osm.file!r} among the files of drive {new.drive_id}. Upload it first: "
+                f"PUT /api/v1/drives/{new.drive_id}/files/{{path}}.",
+            )
+        if not new.osm.file.endswith(_OSM_ENDINGS):
+            raise Problem(
+                422, "Not a map", f"osm.file: {new.osm.file!r}; expected a name that ends in {', '.join(_OSM_ENDINGS)}."
+            )
+    elif new.osm is not None and not service.settings.overpass:
+        raise Problem(
+            422,
+            "Overpass switched off",
+            "osm.overpass: this service does not ask Overpass servers. Upload the map as a file and name it: "
+            '{"file": "map.osm.gz"}.',
+        )
+    request = new.model_dump(mode="json", exclude={"drive_id"})
+    return request | {"config": _config_of(new).model_dump(mode="json")}
+
+
+def _config_of(new: NewJob) -> DetectorConfig:
+    base = preset(new.preset).model_dump(mode="json")
+    return parse_config(_merged(base, new.config or {}))
+
+
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Lay settings over others, section by section; a new `kind` starts from the defaults of that kind."""
+    merged = dict(base)
+    for name, value in changes.items():
+        before = base.get(name)
+        merged[name] = value
+        if isinstance(before, dict) and isinstance(value, dict) and value.get("kind") in {None, before.get("kind")}:
+            merged[name] = _merged(before, value)
+    return merged

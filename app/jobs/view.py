@@ -1,0 +1,117 @@
+"""Jobs as clients see them."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from app.models import Drive, Job
+from app.problems import Problem, ProblemDocument
+from app.schemas.jobs import JobModel, Progress
+
+_CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
+
+_LAYERS = ("intersections", "detections", "trajectory", "keyframes")
+_MAP_LAYERS = ("osm-nodes", "matches", "osm-roads")
+
+
+def find_job(session: Session, job_id: str) -> tuple[Job, str]:
+    """Return a job and the name of its drive.
+
+    Raises
+    ------
+    Problem
+        404 there is no such job.
+    """
+    found = session.execute(
+        select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id == job_id)
+    ).one_or_none()
+    if found is None:
+        raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
+    return found[0], found[1]
+
+
+def job_model(job: Job, drive_name: str, root_path: str, now: float) -> JobModel:
+    """Return a job as clients see it.
+
+    Parameters
+    ----------
+    job
+    drive_name
+    root_path
+        Under which the service is reached.
+    now
+        By the clock of the database.
+    """
+    return JobModel(
+        id=job.id,
+        kind=job.kind,
+        drive_id=job.drive_id,
+        drive_name=drive_name,
+        owner=job.owner,
+        state=job.state,
+        stage=job.stage,
+        message=job.message,
+        progress=_progress(job, now),
+        request=job.request,
+        created_at=_date(job.created_at),
+        started_at=None if job.started_at is None else _date(job.started_at),
+        finished_at=None if job.finished_at is None else _date(job.finished_at),
+        attempts=job.attempts,
+        error=None if job.error is None else ProblemDocument.model_validate(job.error),
+        summary=job.summary,
+        links=_links(job, f"{root_path}/api/v1/jobs/{job.id}"),
+        version=job.version,
+    )
+
+
+def cursor_of(job: Job) -> str:
+    """Return where a page that ends with this job goes on."""
+    return f"{job.created_at:.9f}_{job.id}"
+
+
+def read_cursor(text: str) -> tuple[float, str]:
+    """Read what `cursor_of` wrote.
+
+    Raises
+    ------
+    Problem
+        422 it is something else.
+    """
+    match = _CURSOR.fullmatch(text)
+    if match is None:
+        raise Problem(
+            422, "Request not valid", f"after={text!r} is no page. Give `next` of the page before as it stands."
+        )
+    return float(match[1]), match[2]
+
+
+def _progress(job: Job, now: float) -> Progress:
+    fraction = 1.0 if job.state == "successful" else min(1.0, job.done / job.total) if job.total else 0.0
+    left = None
+    if job.state == "running" and job.started_at is not None and 0.0 < fraction < 1.0:
+        left = round(max(0.0, now - job.started_at) * (1.0 - fraction) / fraction, 1)
+    return Progress(done=job.done, total=job.total, fraction=round(fraction, 4), seconds_left=left)
+
+
+def _date(seconds: float) -> datetime:
+    return datetime.fromtimestamp(seconds, UTC)
+
+
+def _links(job: Job, address: str) -> dict[str, str]:
+    """Return the addresses of what the result of a job holds."""
+    links = {"self": address, "events": f"{address}/events"}
+    summary = job.summary
+    if job.state != "successful" or job.kind != "intersections" or summary is None:
+        return links
+    names = ["run", "files", "archive.zip"]
+    if summary["georeferenced"]:
+        names += [*_LAYERS, "export.gpkg", "export.kml"]
+    else:
+        links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
+    if summary["report"] is not None:
+        names += ["report", *_MAP_LAYERS]
+    return links | {name: f"{address}/{name}" for name in names}

@@ -1,0 +1,208 @@
+"""Find the intersections of a drive and score them against a map: `interloc run`, cut into ranges of keyframes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.work.checkpoints import read_checkpoint, write_checkpoint
+from app.work.progress import Board
+from app.work.task import Outcome, Part, Plan, Report, Task
+from interloc.config import DetectorConfig
+from interloc.detect.keyframes import select_keyframes
+from interloc.drives.drive import Drive
+from interloc.drives.open import open_drive
+from interloc.drives.options import LabelFolder
+from interloc.errors import DriveError, GeoreferenceError
+from interloc.evaluate.coverage import track_bounds
+from interloc.mapping.exports import write_results
+from interloc.mapping.files import atomic_folder
+from interloc.mapping.fusion import FusionConfig
+from interloc.osm.graph import Bounds, RoadGraph
+from interloc.pipeline import RangeResult, assemble, detect_range
+from interloc.results import DriveResult
+
+_RANGE = 240
+"""Keyframes of a part: about two seconds of work, of which the halo is a twentieth."""
+
+_Positions = NDArray[np.int64]
+
+
+def prepare(task: Task) -> Plan:
+    """Open the drive and the map, so that what is wrong with them shows before the long work."""
+    board = Board(task)
+    board.tell("preparing")
+    drive, keyframes = _open(task)
+    if not len(keyframes):
+        raise DriveError(f"{task.drive_name}: the drive holds no scans")
+    if task.request.get("osm") is not None:
+        _require_georeference(task, drive)
+        _read_map(task, drive, keyframes)
+    return Plan(_cut(len(keyframes)), len(keyframes), {"began": time.time()})
+
+
+def run(task: Task, part: Part, report: Report) -> None:
+    """Find the intersections around the keyframes of a range."""
+    path = _checkpoint(task, part)
+    if read_checkpoint(path) is not None:
+        report(part.stop - part.start)
+        return
+    drive, keyframes = _open(task)
+    done = 0
+
+    def count() -> None:
+        nonlocal done
+        done += 1
+        report(done)
+
+    found = detect_range(drive, keyframes, part.start, part.stop, _config(task), count)
+    write_checkpoint(path, found)
+
+
+def finish(task: Task, plan: Plan) -> Outcome:
+    """Join the ranges, write the result folder, and score it where a map was given."""
+    board = Board(task)
+    board.tell("mapping")
+    drive, keyframes = _open(task)
+    result = assemble(
+        drive,
+        keyframes,
+        [_found(task, part) for part in plan.parts],
+        _config(task),
+        FusionConfig(),
+        workers=min(int(task.limits.get("workers", 1)), len(plan.parts)),
+        seconds=max(0.0, time.time() - plan.notes["began"]),
+    )
+    result = replace(result, drive=task.drive_name, run=result.run | {"drive": task.drive_name})
+    report = None
+    with atomic_folder(task.result) as folder:
+        write_results(result, folder)
+        if task.request.get("osm") is not None:
+            board.tell("evaluating")
+            report = _evaluate(task, drive, keyframes, result, folder)
+        board.check()
+    return Outcome(_summary(result, report))
+
+
+def _open(task: Task) -> tuple[Drive, _Positions]:
+    config = _config(task)
+    reduced = task.drive / "reduced"
+    root = reduced if reduced.is_dir() else task.drive / "files"
+    return _open_once(root, _label_folder(task, root), config)
+
+
+@lru_cache(maxsize=4)  # a worker does many parts of few drives; their files do not change any more
+def _open_once(root: Path, labels: LabelFolder, config: DetectorConfig) -> tuple[Drive, _Positions]:
+    drive = open_drive(root, labels=labels, check=False)  # the commit has checked it
+    return drive, select_keyframes(drive.T_world_lidar, config.keyframes)
+
+
+def _label_folder(task: Task, root: Path) -> LabelFolder:
+    folders: tuple[LabelFolder, ...] = get_args(LabelFolder)
+    asked: LabelFolder | None = task.request.get("labels")
+    if asked is not None:
+        return asked
+    there = [name for name in folders if (root / name).is_dir() or (root / "ground" / name).is_dir()]
+    return there[0] if there else folders[0]
+
+
+def _config(task: Task) -> DetectorConfig:
+    return DetectorConfig.model_validate(task.request["config"])
+
+
+def _cut(keyframes: int) -> list[Part]:
+    """Cut the keyframes into ranges; the same ones on every server, so that each finds the other's checkpoints."""
+    count = max(1, round(keyframes / _RANGE))
+    edges = [round(i * keyframes / count) for i in range(count + 1)]
+    return [Part(number, start, stop) for number, (start, stop) in enumerate(pairwise(edges))]
+
+
+def _checkpoint(task: Task, part: Part) -> Path:
+    return task.scratch / f"range-{part.start}-{part.stop}.npz"
+
+
+def _found(task: Task, part: Part) -> RangeResult:
+    found = read_checkpoint(_checkpoint(task, part))
+    if found is None:  # another server, of another version, wrote it
+        run(task, part, lambda _: None)
+        found = read_checkpoint(_checkpoint(task, part))
+    assert found is not None
+    return found
+
+
+def _require_georeference(task: Task, drive: Drive) -> None:
+    if drive.georeference is None:
+        raise GeoreferenceError(
+            f"{task.drive_name}: the drive has no georeference, so its detections cannot be compared with "
+            "OpenStreetMap. Upload oxts/data or geo.csv with the drive (or name one by its option oxts), or start a "
+            "job without a map, which needs none."
+        )
+
+
+def _bounds(drive: Drive, keyframes: _Positions) -> Bounds:
+    assert drive.georeference is not None
+    fixes = drive.georeference
+    return track_bounds(np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1))
+
+
+def _read_map(task: Task, drive: Drive, keyframes: _Positions) -> RoadGraph:
+    from interloc.osm.overpass import download_roads  # noqa: PLC0415 - the network only where it is asked for
+    from interloc.osm.reader import read_osm  # noqa: PLC0415
+
+    osm: dict[str, Any] = task.request["osm"]
+    if "file" in osm:
+        return read_osm(task.drive / "files" / osm["file"])
+    board = Board(task)
+
+    def wait(reason: str, seconds: float) -> None:
+        board.tell("waiting for the map", f"{reason} ({seconds:.0f} s)")
+
+    return download_roads(
+        _bounds(drive, keyframes),
+        cache_dir=Path(task.limits["cache"]) / "overpass",
+        on_wait=wait,
+        url=task.limits["overpass_url"],
+    )
+
+
+def _evaluate(task: Task, drive: Drive, keyframes: _Positions, result: DriveResult, folder: Path) -> dict[str, Any]:
+    from interloc.evaluate.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once a job
+    from interloc.evaluate.record import report_record  # noqa: PLC0415
+    from interloc.evaluate.report import write_report  # noqa: PLC0415
+    from interloc.osm.roads import write_roads  # noqa: PLC0415
+
+    graph = _read_map(task, drive, keyframes)
+    evaluation = evaluate(
+        result, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
+    )
+    write_report(evaluation, result, folder)
+    write_roads(graph, _bounds(drive, keyframes), folder)
+    return report_record(evaluation)
+
+
+def _summary(result: DriveResult, report: dict[str, Any] | None) -> dict[str, Any]:
+    return {
+        "keyframes": len(result.keyframes),
+        "detections": len(result.detections),
+        "intersections": len(result.intersections),
+        "georeferenced": result.is_georeferenced,
+        "seconds": result.run["seconds"],
+        "stage_seconds": result.run["stage_seconds"],
+        "peak_memory_bytes": result.run["peak_memory_bytes"],
+        "report": None
+        if report is None
+        else {
+            "policy": report["policy"],
+            "ace_m": report["ace_m"],
+            **{f"{name}_at_5": report[name]["5.0"] for name in ("precision", "recall", "f1")},
+            "nodes_in_zone": report["nodes_in_zone"],
+            "nodes_found": report["nodes_found"],
+        },
+    }

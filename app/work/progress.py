@@ -1,0 +1,118 @@
+"""How far the work of an attempt is: small files in the scratch folder, written by workers, read by their server.
+
+Files need nothing but the data folder that servers and workers share anyway, and they outlive whoever wrote them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from app.work.task import Cancelled, Part, Report, Task
+
+_INTERVAL_S = 0.25  # between two words of a worker
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the workers of an attempt last said.
+
+    Attributes
+    ----------
+    done : dict of int to int
+        Units done of each part that has begun.
+    stage, message : str or None
+        What the work as a whole is doing or waiting for, where it said so.
+    """
+
+    done: dict[int, int]
+    stage: str | None = None
+    message: str | None = None
+
+
+class Board:
+    """The files of one attempt.
+
+    Parameters
+    ----------
+    task
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._folder = task.scratch / f"attempt-{task.attempt}"
+        self._stop = self._folder / "stop"
+
+    def open(self) -> None:
+        """Make the folder; without it, all work of the attempt takes itself for cancelled."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def stop(self) -> None:
+        """Ask all work of the attempt to end soon."""
+        with suppress(OSError):  # a full disk: the folder that vanishes with the attempt says the same
+            self._stop.touch()
+
+    def check(self) -> None:
+        """Raise `Cancelled` when nobody waits for the work any more."""
+        if self._stop.exists() or not self._folder.is_dir():
+            raise Cancelled("The job was cancelled.")
+
+    def tell(self, stage: str, message: str | None = None) -> None:
+        """Say what the work is doing, or waiting for; raises `Cancelled` when nobody listens."""
+        self.check()
+        self._write("stage", {"stage": stage, "message": message})
+
+    def forget_stage(self) -> None:
+        """Forget what was told: the work enters its next phase."""
+        with suppress(OSError):
+            (self._folder / "stage").unlink(missing_ok=True)
+
+    def report_of(self, part: Part) -> Report:
+        """Return the function that counts the units of a part."""
+        next_at = 0.0
+
+        def report(done: int) -> None:
+            nonlocal next_at
+            now = time.monotonic()
+            if now < next_at and done < part.stop - part.start:
+                return
+            next_at = now + _INTERVAL_S
+            self.check()
+            self._write(f"part-{part.number}", {"done": done})
+
+        return report
+
+    def read(self) -> Standing:
+        """Return what the workers said last."""
+        done: dict[int, int] = {}
+        said: dict[str, Any] = {}
+        with suppress(FileNotFoundError):
+            for entry in os.scandir(self._folder):
+                content = _read(Path(entry.path))
+                kind, _, number = entry.name.partition("-")
+                if kind == "part" and number.isdigit():
+                    done[int(number)] = int(content.get("done", 0))
+                elif entry.name == "stage":
+                    said = content
+        return Standing(done, said.get("stage"), said.get("message"))
+
+    def _write(self, name: str, content: dict[str, Any]) -> None:
+        # Renamed into place, so that no reader sees half; not synced: it is worth nothing after a crash.
+        temporary = self._folder / f"{name}.{os.getpid()}.new"
+        try:
+            temporary.write_text(json.dumps(content))
+            temporary.replace(self._folder / name)
+        except FileNotFoundError:
+            raise Cancelled("The job was cancelled.") from None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError):  # gone meanwhile, or of a worker that is just writing it
+        return {}
+    return content if isinstance(content, dict) else {}
