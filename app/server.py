@@ -13,6 +13,7 @@ from fastapi import FastAPI
 
 from app import logs
 from app.main import create_app
+from app.protocol import Protocol
 from app.security import check_exposure
 from app.service import Service
 from app.settings import Settings
@@ -43,6 +44,7 @@ class Server(uvicorn.Server):
             app,
             host=settings.host,
             port=settings.port,
+            http=Protocol,
             lifespan="on",
             ws="none",
             log_config=None,
