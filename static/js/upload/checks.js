@@ -1,7 +1,7 @@
 /** What can be told of a drive before anything is sent. */
 
 import { LABEL_FOLDERS } from "./drive_folder.js";
-import { error, listed, note, pathOf, warning } from "./numbered.js";
+import { error, listed, note, pathOf, sorted, warning } from "./numbered.js";
 import { sizeComplaint } from "./scan.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
@@ -96,13 +96,6 @@ function checkSmall(drive, hasOxts) {
 function checkReduced(drive) {
   if (drive.ground.size) return [];
   return [error("ground", "holds no scan. Expected ground/labels/000000.ground and on beside reduced.json, as interloc reduce writes them.")];
-}
-
-const ORDER = ["error", "warning", "note"];
-
-/** @param {FileProblem[]} problems */
-export function sorted(problems) {
-  return [...problems].sort((a, b) => ORDER.indexOf(a.severity) - ORDER.indexOf(b.severity));
 }
 
 /**

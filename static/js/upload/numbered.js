@@ -78,3 +78,10 @@ export const error = (path, message) => ({ severity: "error", path, message });
 export const warning = (path, message) => ({ severity: "warning", path, message });
 /** @param {string} path @param {string} message @returns {FileProblem} */
 export const note = (path, message) => ({ severity: "note", path, message });
+
+const ORDER = ["error", "warning", "note"];
+
+/** @param {FileProblem[]} problems @returns {FileProblem[]} Errors first. */
+export function sorted(problems) {
+  return [...problems].sort((a, b) => ORDER.indexOf(a.severity) - ORDER.indexOf(b.severity));
+}

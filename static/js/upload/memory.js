@@ -1,0 +1,106 @@
+/** Uploads that were begun, so that they can go on after a reload. */
+
+/**
+ * @typedef {object} Remembered
+ * @property {string} driveId
+ * @property {string} fingerprint Of the files that were picked.
+ * @property {string} name
+ * @property {string} at When it was begun, ISO.
+ * @property {number} files
+ * @property {number} bytes
+ * @property {string} root Of the drive inside the folder that was picked.
+ * @property {import("./upload.js").Settings} settings
+ * @property {Record<string, string>} [schemes] Label scheme of the .ground files that were sent, by folder.
+ */
+
+const KEY = "interloc.uploads";
+const MOST = 20;
+const DATABASE = "interloc";
+const HANDLES = "folders";
+
+/** @returns {Remembered[]} The latest first. */
+export function rememberedUploads() {
+  try {
+    const list = JSON.parse(localStorage.getItem(KEY) ?? "[]");
+    return Array.isArray(list) ? list : [];
+  } catch {
+    return []; // storage that is switched off or was tampered with: nothing is remembered
+  }
+}
+
+/** @param {Remembered[]} list */
+function store(list) {
+  try {
+    localStorage.setItem(KEY, JSON.stringify(list.slice(0, MOST)));
+  } catch {
+    // Without storage an upload cannot go on after a reload; it works all the same.
+  }
+}
+
+/** @param {string} driveId */
+export const remembered = (driveId) => rememberedUploads().find((each) => each.driveId === driveId) ?? null;
+
+/**
+ * @param {Remembered} upload
+ * @param {FileSystemDirectoryHandle | null} [handle] Where its folder is, if the browser can come back to it.
+ */
+export function remember(upload, handle = null) {
+  store([upload, ...rememberedUploads().filter((each) => each.driveId !== upload.driveId)]);
+  if (handle) withHandles("readwrite", (handles) => handles.put(handle, upload.driveId)).catch(() => {});
+}
+
+/** @param {string} driveId */
+export function forget(driveId) {
+  store(rememberedUploads().filter((each) => each.driveId !== driveId));
+  withHandles("readwrite", (handles) => handles.delete(driveId)).catch(() => {});
+}
+
+/** @param {string} driveId @returns {Promise<FileSystemDirectoryHandle | null>} */
+export async function handleOf(driveId) {
+  try {
+    return (await withHandles("readonly", (handles) => handles.get(driveId))) ?? null;
+  } catch {
+    return null;
+  }
+}
+
+/**
+ * @template T
+ * @param {IDBTransactionMode} mode
+ * @param {(store: IDBObjectStore) => IDBRequest<T>} use
+ * @returns {Promise<T>}
+ */
+function withHandles(mode, use) {
+  return new Promise((resolve, reject) => {
+    const opening = indexedDB.open(DATABASE, 1);
+    opening.onupgradeneeded = () => opening.result.createObjectStore(HANDLES);
+    opening.onerror = () => reject(opening.error);
+    opening.onsuccess = () => {
+      const database = opening.result;
+      const using = use(database.transaction(HANDLES, mode).objectStore(HANDLES));
+      using.onsuccess = () => resolve(using.result);
+      using.onerror = () => reject(using.error);
+      using.transaction?.addEventListener("complete", () => database.close());
+    };
+  });
+}
+
+/**
+ * Tell the files of a drive from those of another: by paths, sizes and times.
+ *
+ * @param {Iterable<[string, File]>} files
+ * @returns {string}
+ */
+export function fingerprintOf(files) {
+  const lines = [...files].map(([path, file]) => `${path}|${file.size}|${file.lastModified}`).sort();
+  let high = 0xdeadbeef; // two 32-bit hashes after cyrb53 (public domain); no secret depends on it
+  let low = 0x41c6ce57;
+  for (const line of lines) {
+    for (let i = 0; i < line.length; i += 1) {
+      const code = line.charCodeAt(i);
+      high = Math.imul(high ^ code, 2654435761);
+      low = Math.imul(low ^ code, 1597334677);
+    }
+  }
+  return `${lines.length}-${(high >>> 0).toString(16)}${(low >>> 0).toString(16)}`;
+}

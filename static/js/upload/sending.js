@@ -1,0 +1,230 @@
+/** The files of a drive on their way to the service: small files in batches, scans as they are, or reduced. */
+
+import { sha256Hex } from "./digest.js";
+import { pathOf } from "./numbered.js";
+import { PARALLEL } from "./transfer.js";
+import { WorkerPool } from "./pool.js";
+
+/** @typedef {import("./transfer.js").Transfer} Transfer */
+/** @typedef {import("./numbered.js").NumberedFiles} NumberedFiles */
+/** @typedef {Map<string, {size_bytes: number, sha256: string}>} Present Files that the service has, by path. */
+
+const SMALL_BYTES = 1024 * 1024;
+const BATCH_FROM = 20;
+const BATCH_FILES = 500;
+const BATCH_BYTES = 8 * 1024 * 1024;
+const PAGE = 10_000;
+
+/** @param {Transfer} transfer @returns {Promise<Present>} */
+export async function listPresent(transfer) {
+  /** @type {Present} */
+  const present = new Map();
+  for (let after = ""; ; ) {
+    const query = `limit=${PAGE}${after && `&after=${encodeURIComponent(after)}`}`;
+    const { body } = await transfer.ask(`drives/${transfer.drive}/files?${query}`);
+    for (const file of body.files) present.set(file.path, file);
+    if (!body.next) return present;
+    after = body.next;
+  }
+}
+
+/**
+ * Send poses, calibration, times, OXTS and maps; those that are there already are left out.
+ *
+ * @param {Transfer} transfer
+ * @param {Map<string, File>} files
+ * @param {Present} present
+ */
+export async function sendSmallFiles(transfer, files, present) {
+  /** @type {[string, File][]} */
+  const missing = [];
+  for (const [path, file] of files) {
+    await transfer.turn();
+    if (await isPresent(file, present.get(path))) skip(transfer, file.size);
+    else missing.push([path, file]);
+  }
+  const small = missing.filter(([, file]) => file.size <= SMALL_BYTES);
+  const batched = small.length >= BATCH_FROM ? batches(small) : [];
+  const single = small.length >= BATCH_FROM ? missing.filter(([, file]) => file.size > SMALL_BYTES) : missing;
+  await transfer.each(single, PARALLEL, async ([path, file]) => {
+    await transfer.put(path, file);
+  });
+  await transfer.each(batched, 2, (batch) => sendBatch(transfer, batch));
+}
+
+/** @param {[string, File][]} files @returns {[string, File][][]} */
+function batches(files) {
+  /** @type {[string, File][][]} */
+  const all = [];
+  let bytes = Infinity;
+  for (const each of files) {
+    if (bytes + each[1].size > BATCH_BYTES || /** @type {any[]} */ (all.at(-1)).length >= BATCH_FILES) {
+      all.push([]);
+      bytes = 0;
+    }
+    bytes += each[1].size;
+    /** @type {any[]} */ (all.at(-1)).push(each);
+  }
+  return all;
+}
+
+/** @param {Transfer} transfer @param {[string, File][]} batch */
+async function sendBatch(transfer, batch) {
+  const form = new FormData();
+  for (const [path, file] of batch) form.append("files", file, path);
+  await transfer.ask(`drives/${transfer.drive}/scans`, { method: "POST", body: form });
+  transfer.meter.add(batch.reduce((sum, [, file]) => sum + file.size, 0));
+  transfer.onChange();
+}
+
+/**
+ * @param {Blob} file
+ * @param {{size_bytes: number, sha256: string} | undefined} there
+ * @returns {Promise<boolean>} True where the service has the same bytes.
+ */
+async function isPresent(file, there) {
+  if (!there || there.size_bytes !== file.size) return false;
+  const own = await sha256Hex(await file.arrayBuffer());
+  return own === null || own === there.sha256;
+}
+
+/** @param {Transfer} transfer @param {number} bytes */
+function skip(transfer, bytes) {
+  transfer.meter.total -= bytes;
+  transfer.meter.skipped += bytes;
+  transfer.onChange();
+}
+
+/**
+ * Send files as they are.
+ *
+ * @param {Transfer} transfer
+ * @param {[string, File][]} files
+ * @param {Present} present
+ * @param {boolean} isTrusted These are the very files that the upload began with: their sizes tell enough.
+ * @param {(done: number) => void} onDone
+ */
+export async function sendFiles(transfer, files, present, isTrusted, onDone) {
+  let done = 0;
+  await transfer.each(files, PARALLEL, async ([path, file]) => {
+    const there = present.get(path);
+    if (there && there.size_bytes === file.size && (isTrusted || (await isPresent(file, there)))) skip(transfer, file.size);
+    else await transfer.put(path, file);
+    done += 1;
+    onDone(done);
+  });
+}
+
+/** @param {import("./drive_folder.js").DriveFolder} drive @param {string[]} folders @returns {[string, File][]} Scan by scan. */
+export function rawFiles(drive, folders) {
+  const kinds = [drive.scans, ...folders.map((folder) => drive.labels[folder])].filter((each) => each !== null);
+  return [.../** @type {NumberedFiles} */ (drive.scans).files.keys()].flatMap((frame) =>
+    kinds.flatMap((kind) => {
+      const file = kind.files.get(frame);
+      return file ? [/** @type {[string, File]} */ ([pathOf(kind, frame), file])] : [];
+    }),
+  );
+}
+
+/**
+ * Reduce scans in workers and send what is left of them.
+ *
+ * @param {Transfer} transfer
+ * @param {object} what
+ * @param {import("./drive_folder.js").DriveFolder} what.drive
+ * @param {number[]} what.frames Scans to send.
+ * @param {Map<string, import("./labels.js").LabelScheme>} what.schemes By label folder.
+ * @param {Present} what.present
+ * @param {Set<string>} what.trusted Label folders whose files on the service are known to be good.
+ * @param {(done: number) => void} onDone
+ */
+export async function sendReduced(transfer, { drive, frames, schemes, present, trusted }, onDone) {
+  const scans = /** @type {NumberedFiles} */ (drive.scans);
+  const items = frames.flatMap((frame) => [...schemes.keys()].map((folder) => ({ frame, folder })));
+  const pool = WorkerPool.ofThisMachine();
+  const estimate = new Estimate(transfer.meter, items.length, scans.bytes / scans.files.size);
+  let done = 0;
+  try {
+    await transfer.each(items, pool.size + PARALLEL, async ({ frame, folder }) => {
+      const path = `ground/${folder}/${String(frame).padStart(6, "0")}.ground`;
+      const there = present.get(path);
+      if (there && trusted.has(folder)) {
+        estimate.add(there.size_bytes);
+        skip(transfer, there.size_bytes);
+      } else {
+        const labels = drive.labels[folder];
+        const files = {
+          scan: scans.files.get(frame),
+          labels: labels.files.get(frame),
+          scanName: pathOf(scans, frame),
+          labelName: pathOf(labels, frame),
+        };
+        if (!files.labels) throw new Error(`${files.labelName}: is missing. Expected one .label file a scan.`);
+        const { bytes, digest } = await pool.run("reduce", { files, scheme: schemes.get(folder) });
+        estimate.add(bytes.byteLength);
+        if (there && there.sha256 === (await sha256Hex(bytes))) skip(transfer, bytes.byteLength);
+        else await transfer.put(path, bytes, digest);
+      }
+      done += 1;
+      onDone(done);
+    });
+  } finally {
+    pool.close();
+  }
+}
+
+/** Bytes of all reduced scans, as far as those that are done tell. */
+class Estimate {
+  /** @param {import("./meter.js").Meter} meter @param {number} count @param {number} scanBytes */
+  constructor(meter, count, scanBytes) {
+    this.meter = meter;
+    this.left = count;
+    this.sum = 0;
+    this.done = 0;
+    this.share = scanBytes / 9; // what scans of 64 beams shrink to, about
+    this.expected = count * this.share;
+    meter.total += this.expected;
+  }
+
+  /** @param {number} bytes Of one more scan. */
+  add(bytes) {
+    this.left -= 1;
+    this.done += 1;
+    this.sum += bytes;
+    const expected = this.sum + (this.left * this.sum) / this.done;
+    this.meter.total += expected - this.expected;
+    this.expected = expected;
+  }
+}
+
+/**
+ * The manifest of the reduced drive.
+ *
+ * @param {any} planned The manifest as far as the plan knows it.
+ * @param {import("./drive_folder.js").DriveFolder} drive
+ * @param {Map<string, import("./schemes.js").Judgement>} judged By label folder.
+ * @returns {Uint8Array}
+ */
+export function manifestBytes(planned, drive, judged) {
+  const scans = /** @type {NumberedFiles} */ (drive.scans);
+  const points = [...scans.files.values()].map((file) => Math.floor(file.size / 16)).sort((a, b) => a - b);
+  const middle = points.length / 2;
+  const median = points.length % 2 ? points[Math.floor(middle)] : (points[middle - 1] + points[middle]) / 2;
+  const labels = [...judged].map(([folder, { scheme, counts }]) => ({
+    folder,
+    scheme: scheme.name,
+    road: [...scheme.road].sort((a, b) => a - b),
+    confusable: [...scheme.confusable].sort((a, b) => a - b),
+    counts: Object.fromEntries([...counts].sort(([a], [b]) => a - b)),
+    label_bytes: drive.labels[folder].bytes,
+  }));
+  const source = {
+    scan_bytes: scans.bytes,
+    points_per_scan: Math.floor(median),
+    least_points: points[0],
+    most_points: points.at(-1),
+  };
+  return new TextEncoder().encode(`${JSON.stringify({ ...planned, labels, source }, null, 1)}\n`);
+}
+
+

@@ -1,0 +1,185 @@
+/** The settings of the method as a form, made from their JSON schema. */
+
+import { el, fill } from "../dom.js";
+import { field, section, select } from "./controls.js";
+
+/** The settings that matter most, in words; the schema has the rest. */
+const MAIN = [
+  ["keyframes.distance_m", "Way between keyframes"],
+  ["keyframes.window", "Keyframes in an image, before and after"],
+  ["bev.size_m", "Side of the image"],
+  ["bev.resolution_m", "Side of a cell"],
+  ["bev.min_points", "Points that make a cell road"],
+  ["branches.min_branches", "Branches of an intersection"],
+];
+
+const SECTIONS = {
+  keyframes: "Keyframes",
+  bev: "Image from above",
+  occupancy: "Gaps and specks",
+  centerline: "Centerline",
+  candidates: "Candidates",
+  branches: "Branches",
+  compound: "Compound intersections",
+};
+
+const UNITS = { m: "m", deg: "°", px: "px", widths: "road widths" };
+
+/**
+ * @param {{presets: {name: string, description: string, config: any}[], config_schema: any}} presets As the service lists them.
+ * @param {{preset: string, config: any} | null} before What was chosen before.
+ * @param {() => void} onChange
+ */
+export function settingsForm(presets, before, onChange) {
+  let preset = presets.presets.find((each) => each.name === before?.preset) ?? presets.presets[0];
+  /** Values that differ from the preset, by path. @type {Map<string, any>} */
+  const changed = new Map(Object.entries(flatten(before?.config ?? {})));
+  const main = el("div", { class: "grid-2" });
+  const all = el("div", { class: "stack" });
+  const summary = el("small", { class: "quiet" });
+  const description = el("small", {}, preset.description);
+  const names = Object.fromEntries(presets.presets.map((each) => [each.name, each.name]));
+  const chooser = select(names, preset.name, (name) => {
+    preset = presets.presets.find((each) => each.name === name) ?? preset;
+    changed.clear();
+    description.textContent = preset.description;
+    build();
+    onChange();
+  });
+
+  /** @param {string} path @param {string} [title] */
+  function control(path, title) {
+    const [part, name] = path.split(".");
+    const schema = schemaOf(presets.config_schema, preset.config, part)?.properties?.[name];
+    const usual = preset.config[part]?.[name];
+    if (!schema || usual === undefined || schema.const !== undefined) return null;
+    const value = changed.has(path) ? changed.get(path) : usual;
+    const input = inputFor(schema, value, (next, isValid) => {
+      if (isValid && JSON.stringify(next) === JSON.stringify(usual)) changed.delete(path);
+      else changed.set(path, next);
+      describe();
+      onChange();
+    });
+    const unit = Object.entries(UNITS).find(([suffix]) => name.endsWith(`_${suffix}`))?.[1];
+    const heading = `${title ?? words(name)}${unit ? ` [${unit}]` : ""}`;
+    const range = rangeOf(schema);
+    return field(heading, input, [schema.description, ` Preset: ${shown(usual)}${range && `; ${range}`}.`]);
+  }
+
+  function build() {
+    fill(main, MAIN.map(([path, title]) => control(path, title)));
+    fill(
+      all,
+      Object.entries(SECTIONS).map(([part, title]) => {
+        if (!preset.config[part]) return null; // a step that this preset leaves out
+        const paths = Object.keys(preset.config[part]).map((name) => `${part}.${name}`);
+        const controls = paths.filter((path) => !MAIN.some(([own]) => own === path)).map((path) => control(path));
+        const about = schemaOf(presets.config_schema, preset.config, part)?.description;
+        return section(title, about && el("small", {}, about), el("div", { class: "grid-2" }, controls));
+      }),
+    );
+    describe();
+  }
+
+  function describe() {
+    summary.textContent = changed.size ? `${changed.size} changed` : "as the preset has them";
+  }
+
+  build();
+  const reset = el("button", { type: "button", class: "link", onClick: () => (changed.clear(), build(), onChange()) }, "Back to the preset");
+  return {
+    element: el(
+      "div",
+      { class: "stack-s" },
+      field("Preset", chooser, description),
+      el(
+        "details",
+        { class: "box", open: changed.size > 0 },
+        el("summary", {}, "Settings ", summary),
+        el("div", { class: "stack-s" }, main, el("details", {}, el("summary", {}, "All settings"), all), reset),
+      ),
+    ),
+    read: () => ({ preset: preset.name, config: changed.size ? nest(changed) : null }),
+    /** @returns {any} The value that will be used. */
+    value: (/** @type {string} */ path) => (changed.has(path) ? changed.get(path) : path.split(".").reduce((at, name) => at?.[name], preset.config)),
+    isValid: () => !all.parentElement?.parentElement?.querySelector("input:invalid"),
+  };
+}
+
+/** @param {any} root @param {any} config @param {string} part The schema of a section as the configuration has it. */
+function schemaOf(root, config, part) {
+  const schema = root.properties[part];
+  const options = [schema, ...(schema.anyOf ?? []), ...(schema.oneOf ?? [])].map((each) => resolve(root, each));
+  const kind = config[part]?.kind;
+  return options.find((each) => each?.properties && (kind === undefined || each.properties.kind?.const === kind));
+}
+
+/** @param {any} root @param {any} schema */
+const resolve = (root, schema) => (schema.$ref ? root.$defs[schema.$ref.split("/").pop()] : schema);
+
+/**
+ * @param {any} schema
+ * @param {any} value
+ * @param {(value: any, isValid: boolean) => void} onChange
+ */
+function inputFor(schema, value, onChange) {
+  if (schema.type === "boolean") {
+    return select({ true: "yes", false: "no" }, String(value), (next) => onChange(next === "true", true));
+  }
+  if (schema.enum) {
+    return select(Object.fromEntries(schema.enum.map((each) => [each, words(each)])), value, (next) => onChange(next, true));
+  }
+  const number = (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.type === "number" || each.type === "integer") ?? {};
+  const mayBeNone = Boolean(schema.anyOf?.some((/** @type {any} */ each) => each.type === "null"));
+  const input = el("input", {
+    type: "number",
+    value: value ?? "",
+    min: number.minimum ?? number.exclusiveMinimum,
+    max: number.maximum ?? number.exclusiveMaximum,
+    step: number.type === "integer" ? 1 : "any",
+    required: !mayBeNone,
+    placeholder: mayBeNone ? "none" : null,
+  });
+  input.addEventListener("input", () => {
+    const next = input.value === "" ? null : Number(input.value);
+    const tooSmall = next !== null && number.exclusiveMinimum !== undefined && next <= number.exclusiveMinimum;
+    input.setCustomValidity(tooSmall ? `More than ${number.exclusiveMinimum} was expected.` : "");
+    onChange(next, input.validity.valid);
+  });
+  return input;
+}
+
+/** @param {any} schema @returns {string} */
+function rangeOf(schema) {
+  const number = (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.maximum !== undefined);
+  if (!number) return "";
+  const least = number.minimum ?? number.exclusiveMinimum;
+  return least === undefined ? `at most ${number.maximum}` : `${least} to ${number.maximum}`;
+}
+
+/** @param {any} value */
+const shown = (value) => (value === null ? "none" : typeof value === "boolean" ? (value ? "yes" : "no") : words(String(value)));
+
+/** @param {string} name "min_points" -> "Min points" */
+function words(name) {
+  const text = name.replace(/_(m|deg|px)$/, "").replaceAll("_", " ");
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
+/** @param {Map<string, any>} values @returns {Record<string, any>} */
+function nest(values) {
+  /** @type {Record<string, any>} */
+  const nested = {};
+  for (const [path, value] of values) {
+    const [part, name] = path.split(".");
+    (nested[part] ??= {})[name] = value;
+  }
+  return nested;
+}
+
+/** @param {Record<string, any>} nested @returns {Record<string, any>} */
+function flatten(nested) {
+  return Object.fromEntries(
+    Object.entries(nested).flatMap(([part, values]) => Object.entries(values ?? {}).map(([name, value]) => [`${part}.${name}`, value])),
+  );
+}

@@ -1,0 +1,220 @@
+/** Sends files of one drive: several at once, again where the line or the server fails for a while. */
+
+import { ApiError, encodePath, putFile, request, sleep } from "../api.js";
+import { sha256Base64 } from "./digest.js";
+import { Meter } from "./meter.js";
+
+/** One connection less than browsers open to a server, so that the page can still ask for something. */
+export const PARALLEL = 5;
+
+const DIGEST_MAX_BYTES = 512 * 1024 * 1024;
+const GIVE_UP_MS = 15 * 60_000;
+const MOST_WAIT_MS = 30_000;
+const DAMAGED_TRIES = 3;
+
+export class Transfer {
+  /** @param {() => void} onChange Called whenever something is worth showing. */
+  constructor(onChange) {
+    this.onChange = onChange;
+    this.meter = new Meter();
+    this.drive = "";
+    /** What it waits for, in words; null while all is well. @type {string | null} */
+    this.waiting = null;
+    this.stopper = new AbortController();
+    /** @type {{promise: Promise<void>, open: () => void} | null} */
+    this.gate = null;
+    this.free = PARALLEL;
+    /** @type {(() => void)[]} */
+    this.queue = [];
+  }
+
+  get signal() {
+    return this.stopper.signal;
+  }
+
+  get isPaused() {
+    return this.gate !== null;
+  }
+
+  /** Begin nothing more; what is on its way arrives. */
+  pause() {
+    if (this.gate) return;
+    let open = () => {};
+    const promise = new Promise((/** @type {(value: void) => void} */ resolve) => (open = resolve));
+    this.gate = { promise, open };
+    this.onChange();
+  }
+
+  resume() {
+    this.gate?.open();
+    this.gate = null;
+    this.meter.restart();
+    this.onChange();
+  }
+
+  stop() {
+    this.stopper.abort(new DOMException("The upload was stopped.", "AbortError"));
+    this.gate?.open();
+    this.gate = null;
+  }
+
+  /** Wait while paused. */
+  async turn() {
+    while (this.gate) await this.gate.promise;
+    this.signal.throwIfAborted();
+  }
+
+  /**
+   * Do something for each of many items, some at once; the first failure ends it.
+   *
+   * @template T
+   * @param {Iterable<T>} items
+   * @param {number} atOnce
+   * @param {(item: T) => Promise<void>} work
+   */
+  async each(items, atOnce, work) {
+    const iterator = items[Symbol.iterator]();
+    let failed = false;
+    const lane = async () => {
+      for (let next = iterator.next(); !next.done && !failed; next = iterator.next()) {
+        try {
+          await this.turn();
+          await work(next.value);
+        } catch (error) {
+          failed = true;
+          throw error;
+        }
+      }
+    };
+    const lanes = await Promise.allSettled(Array.from({ length: atOnce }, lane));
+    const bad = lanes.find((result) => result.status === "rejected");
+    if (bad) throw /** @type {PromiseRejectedResult} */ (bad).reason;
+  }
+
+  /**
+   * Send one file.
+   *
+   * @param {string} path Inside the drive.
+   * @param {Blob | Uint8Array} data
+   * @param {string | null} [digest] SHA-256 in Base64, where it is known.
+   * @returns {Promise<{path: string, size_bytes: number, sha256: string}>}
+   */
+  async put(path, data, digest = null) {
+    const size = data instanceof Blob ? data.size : data.byteLength;
+    if (!digest && size <= DIGEST_MAX_BYTES) {
+      digest = await sha256Base64(data instanceof Blob ? await readWhole(data, path) : data);
+    }
+    return this.send(`drives/${this.drive}/files/${encodePath(path)}`, data, { digest });
+  }
+
+  /**
+   * Send a body, counting its bytes.
+   *
+   * @param {string} path Of the service.
+   * @param {Blob | Uint8Array} data
+   * @param {{digest?: string | null, method?: string, headers?: Record<string, string>}} [options]
+   */
+  async send(path, data, options = {}) {
+    const size = data instanceof Blob ? data.size : data.byteLength;
+    return this.insist(() => this.#inLine(async () => {
+      let counted = 0;
+      const count = (/** @type {number} */ sent) => {
+        const step = Math.min(sent, size) - counted;
+        counted += step;
+        this.meter.add(step);
+        this.onChange();
+      };
+      try {
+        const answer = await putFile(path, data, { ...options, onProgress: count, signal: this.signal });
+        count(size);
+        return answer;
+      } catch (error) {
+        count(0);
+        throw error;
+      }
+    }));
+  }
+
+  /**
+   * Do something as soon as a connection is free.
+   *
+   * @template T
+   * @param {() => Promise<T>} work
+   */
+  async #inLine(work) {
+    if (this.free > 0) this.free -= 1;
+    else await new Promise((/** @type {(value: void) => void} */ resolve) => this.queue.push(resolve));
+    try {
+      return await work();
+    } finally {
+      const next = this.queue.shift();
+      if (next) next();
+      else this.free += 1;
+    }
+  }
+
+  /**
+   * Ask the service for something.
+   *
+   * @param {string} path
+   * @param {Parameters<typeof request>[1]} [options]
+   * @returns {Promise<{status: number, body: any}>}
+   */
+  async ask(path, options = {}) {
+    return this.insist(async () => {
+      const response = await request(path, { ...options, signal: this.signal });
+      const text = await response.text();
+      return { status: response.status, body: text ? JSON.parse(text) : null };
+    });
+  }
+
+  /**
+   * Try again while what is wrong may pass: no connection, a server that restarts or is busy.
+   *
+   * @template T
+   * @param {() => Promise<T>} work
+   * @returns {Promise<T>}
+   */
+  async insist(work) {
+    const began = Date.now();
+    for (let tries = 1; ; tries += 1) {
+      try {
+        const result = await work();
+        this.waiting = null;
+        return result;
+      } catch (error) {
+        this.signal.throwIfAborted();
+        const isDamaged = error instanceof ApiError && error.status === 422 && /digest/i.test(error.title) && tries < DAMAGED_TRIES;
+        const isPassing = error instanceof ApiError && error.isPassing && Date.now() - began < GIVE_UP_MS;
+        if (!isDamaged && !isPassing) throw error;
+        const wait = waitFor(tries, /** @type {ApiError} */ (error).retryAfter);
+        this.waiting = `${/** @type {ApiError} */ (error).title}. Trying again in ${Math.ceil(wait / 1000)} s.`;
+        this.meter.restart();
+        this.onChange();
+        await Promise.race([sleep(wait, this.signal), backOnline(this.signal)]);
+      }
+    }
+  }
+}
+
+/** @param {number} tries @param {number | null} asked Seconds that the server asked for. @returns {number} Milliseconds. */
+function waitFor(tries, asked) {
+  const own = Math.min(MOST_WAIT_MS, 500 * 2 ** tries) * (0.75 + Math.random() / 2); // not all lanes at once
+  return asked === null ? own : Math.min(asked * 1000, 2 * MOST_WAIT_MS);
+}
+
+/** @param {AbortSignal} signal @returns {Promise<void>} When the browser says that it is connected again. */
+function backOnline(signal) {
+  return new Promise((resolve) => {
+    globalThis.addEventListener?.("online", () => resolve(), { once: true, signal });
+  });
+}
+
+/** @param {Blob} blob @param {string} path */
+async function readWhole(blob, path) {
+  try {
+    return await blob.arrayBuffer();
+  } catch {
+    throw new Error(`${path}: cannot be read. It was changed, moved or is on a disk that is gone; pick the folder again.`);
+  }
+}
