@@ -17,7 +17,7 @@ from interloc.explain.verdicts import Verdict
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_BRANCHES = (BLUE, "#E69F00", GREEN, VERMILION, "#7a5c00", INK)
+BRANCH_COLOURS = (BLUE, "#E69F00", GREEN, VERMILION, "#7a5c00", INK)
 
 
 def refinement(axes: Axes, evidence: Evidence) -> list[str]:
@@ -63,9 +63,9 @@ def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale
     for i, piece in enumerate(branches):
         inside[:] = False
         inside[piece.pixels] = True
-        colour = _BRANCHES[i % len(_BRANCHES)]
+        colour = BRANCH_COLOURS[i % len(BRANCH_COLOURS)]
         draw_lines(axes, segments(evidence, inside), color=colour, linewidth=3.2 * scale, label=f"branch {i + 1}")
-    for i, ends in enumerate(_lines(evidence, verdict)):
+    for i, ends in enumerate(branch_lines(evidence, verdict)):
         axes.plot(*ends.T, color=INK, linewidth=1.2 * scale, linestyle=(0, (4, 3)), zorder=5)
         if i == 0:
             axes.plot([], [], color=INK, linewidth=1.2, linestyle=(0, (4, 3)), label="line of a branch")
@@ -88,7 +88,7 @@ def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale
         )
 
 
-def _lines(evidence: Evidence, verdict: Verdict) -> list[Floats]:
+def branch_lines(evidence: Evidence, verdict: Verdict) -> list[Floats]:
     """Return the ends, (2, 2), of the lines: from a little behind the refined point to the end of the branch."""
     branches = verdict.branches
     reaches = [piece.reach for piece in verdict.pieces if piece.is_branch]

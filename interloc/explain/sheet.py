@@ -98,9 +98,14 @@ def swatch(axes: Axes, colour: str, text: str) -> None:
     axes.plot([], [], linestyle="none", marker="s", markersize=9, color=colour, label=text)
 
 
+def vehicle_outline(evidence: Evidence) -> Floats:
+    """Return the outline of the vehicle's mark, (4, 2), from the vehicle along the axes of W."""
+    return rotate_2d(_CAR_M, evidence.yaw_rad)
+
+
 def mark_vehicle(axes: Axes, evidence: Evidence, *, outlined: bool = False) -> None:
     """Draw the vehicle, pointing where it heads; as an outline where it must not hide what is below."""
-    outline = rotate_2d(_CAR_M, evidence.yaw_rad)
+    outline = vehicle_outline(evidence)
     face, edge = ("none", VERMILION) if outlined else (VERMILION, PAPER)
     axes.fill(*outline.T, facecolor=face, edgecolor=edge, linewidth=1.0 + outlined, zorder=8)
     axes.plot(

@@ -1,0 +1,111 @@
+"""A transparent picture of the region of interest, drawn in metres of W around the vehicle."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.errors import InterLocError
+from interloc.explain.evidence import Evidence
+from interloc.explain.sheet import Floats, extent
+
+Marker = Literal["disc", "cross", "square", "star"]
+
+_SHARP_PX = 1500  # lines and marks are drawn on about so many pixels a side
+_SHIFT = 4  # OpenCV's fixed point: sixteenths of a pixel
+_ANGLES = np.arange(10) * np.pi / 5
+_STAR = np.stack([np.sin(_ANGLES), np.cos(_ANGLES)], axis=-1) * np.array([1.0, 0.42] * 5)[:, None]
+
+
+class Canvas:
+    """A square picture; its edges are those of the region of interest, its rows go down against +y of W.
+
+    Parameters
+    ----------
+    evidence
+    sharp
+        Several pixels a cell, for lines and marks; else one.
+    background
+        A colour; transparent by default.
+    """
+
+    def __init__(self, evidence: Evidence, *, sharp: bool = True, background: str | None = None) -> None:
+        size = evidence.roi.size
+        self._cell_px = max(1, round(_SHARP_PX / size)) if sharp else 1
+        self._left_m, _, _, self._top_m = extent(evidence)
+        self._px_per_m = self._cell_px / evidence.roi.resolution_m
+        self.pixels = np.zeros((size * self._cell_px, size * self._cell_px, 4), np.uint8)
+        if background is not None:
+            self.pixels[:] = _bgra(background)
+
+    def fill(self, mask: NDArray[np.bool_], colour: str) -> None:
+        """Paint the cells of a (H, W) mask."""
+        enlarged = mask.repeat(self._cell_px, axis=0).repeat(self._cell_px, axis=1) if self._cell_px > 1 else mask
+        self.pixels[enlarged] = _bgra(colour)
+
+    def lines(self, ends: Floats, colour: str, width_m: float) -> None:
+        """Draw (N, 2, 2) straight pieces."""
+        width = max(1, round(width_m * self._px_per_m))
+        for start, stop in self._place(ends):
+            cv2.line(self.pixels, _point(start), _point(stop), _bgra(colour), width, cv2.LINE_8, _SHIFT)
+
+    def circle(self, centre: Floats, radius_m: float, colour: str, width_m: float) -> None:
+        """Draw a circle."""
+        radius = round(radius_m * self._px_per_m * 2**_SHIFT)
+        width = max(1, round(width_m * self._px_per_m))
+        cv2.circle(self.pixels, _point(self._place(centre)), radius, _bgra(colour), width, cv2.LINE_8, _SHIFT)
+
+    def mark(self, marker: Marker, places: Floats, colour: str, radius_m: float, *, edge: str) -> None:
+        """Draw a mark at each of (N, 2) places, with an edge that sets it off."""
+        for place in places.reshape(-1, 2):
+            for extra_m, each in ((0.25, edge), (0.0, colour)):
+                self._draw(marker, place, radius_m + extra_m, each)
+
+    def polygon(self, outline: Floats, colour: str) -> None:
+        """Fill a (N, 2) outline."""
+        cv2.fillPoly(self.pixels, [self._place(outline)], _bgra(colour), cv2.LINE_8, _SHIFT)
+
+    def png(self) -> bytes:
+        """Return the picture as a PNG file."""
+        good, content = cv2.imencode(".png", self.pixels, [cv2.IMWRITE_PNG_COMPRESSION, 6])
+        if not good:
+            raise InterLocError("OpenCV could not write a PNG")
+        return content.tobytes()
+
+    def _draw(self, marker: Marker, place: Floats, radius_m: float, colour: str) -> None:
+        if marker == "disc":
+            cv2.circle(
+                self.pixels,
+                _point(self._place(place)),
+                round(radius_m * self._px_per_m * 2**_SHIFT),
+                _bgra(colour),
+                cv2.FILLED,
+                cv2.LINE_8,
+                _SHIFT,
+            )
+        elif marker == "cross":
+            arms = np.array([[[-1, -1], [1, 1]], [[-1, 1], [1, -1]]]) * radius_m * 0.8
+            self.lines(place + arms, colour, radius_m * 0.7)
+        elif marker == "square":
+            self.polygon(place + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * radius_m * 0.85, colour)
+        else:
+            self.polygon(place + _STAR * radius_m, colour)
+
+    def _place(self, xy: Floats) -> NDArray[np.int32]:
+        """Return the fixed point column, row of points around the vehicle; whole numbers are middles of pixels."""
+        column = (xy[..., 0] - self._left_m) * self._px_per_m - 0.5
+        row = (self._top_m - xy[..., 1]) * self._px_per_m - 0.5
+        place: NDArray[np.int32] = np.round(np.stack([column, row], axis=-1) * 2**_SHIFT).astype(np.int32)
+        return place
+
+
+def _point(place: NDArray[np.int32]) -> tuple[int, int]:
+    return int(place[0]), int(place[1])
+
+
+def _bgra(colour: str) -> tuple[int, int, int, int]:
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return blue, green, red, 255
