@@ -18,7 +18,7 @@ _SHORTEST_TOKEN = 16
 class Settings(BaseSettings):
     """How the service runs; every field is read from ``INTERLOC_<NAME>``."""
 
-    model_config = SettingsConfigDict(env_prefix="INTERLOC_", frozen=True, extra="ignore")
+    model_config = SettingsConfigDict(env_prefix="INTERLOC_", frozen=True, extra="ignore", hide_input_in_errors=True)
 
     # Where things are.
     data_dir: Path = Field(Path("interloc-data"), description="Folder of drives, results and the default database.")
@@ -75,9 +75,7 @@ class Settings(BaseSettings):
     def _check_token(cls, token: SecretStr | None) -> SecretStr | None:
         value = token.get_secret_value() if token is not None else ""
         if token is not None and (len(value) < _SHORTEST_TOKEN or not value.isascii() or not value.isprintable()):
-            raise ValueError(
-                f"a token needs {_SHORTEST_TOKEN} printable ASCII characters or more: others would guess it"
-            )
+            raise ValueError(f"a token has {_SHORTEST_TOKEN} or more printable ASCII characters: others are guessed")
         return token
 
     @field_validator("root_path")

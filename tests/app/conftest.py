@@ -54,3 +54,21 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
 def client(serve: Callable[..., httpx.Client]) -> httpx.Client:
     """A client of a server with default settings."""
     return serve()
+
+
+@pytest.fixture(scope="module")
+def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., httpx.Client]]:
+    """Start a server for all tests of a module, which must not mind what others left there."""
+    with ExitStack() as stack:
+
+        def start(**settings: Any) -> httpx.Client:
+            address = stack.enter_context(running_server(tmp_path_factory.mktemp("shared"), **settings))
+            return stack.enter_context(httpx.Client(base_url=address, timeout=120))
+
+        yield start
+
+
+@pytest.fixture(scope="module")
+def shared(serve_all: Callable[..., httpx.Client]) -> httpx.Client:
+    """A client of a server with default settings, for all tests of a module."""
+    return serve_all()

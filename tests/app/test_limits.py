@@ -1,0 +1,139 @@
+"""Requests that are too large or too slow."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import httpx
+import pytest
+
+from app.protocol import MAX_HEAD_BYTES, Protocol
+
+Serve = Callable[..., httpx.Client]
+MB = 1024**2
+
+
+@contextmanager
+def connection(client: httpx.Client) -> Iterator[socket.socket]:
+    with socket.create_connection((client.base_url.host, client.base_url.port or 80), timeout=30) as link:
+        yield link
+
+
+def read_all(link: socket.socket) -> bytes:
+    pieces = []
+    while True:
+        try:
+            piece = link.recv(65536)
+        except ConnectionResetError:  # the server left while we were still sending
+            break
+        if not piece:
+            break
+        pieces.append(piece)
+    return b"".join(pieces)
+
+
+def test_a_json_body_is_small(shared: httpx.Client) -> None:
+    body = json.dumps({"name": "a", "pad": "x" * MB}).encode()
+    answer = shared.post("/api/v1/drives", content=body, headers={"Content-Type": "application/json"})
+    assert answer.status_code == 413
+    assert answer.json()["detail"].startswith("The body is larger than 1,048,576 bytes")
+
+
+def test_a_json_body_in_chunks_is_counted(shared: httpx.Client) -> None:
+    def pieces() -> Iterator[bytes]:
+        for _ in range(40):
+            yield b" " * 65536
+
+    try:
+        answer = shared.post("/api/v1/drives", content=pieces(), headers={"Content-Type": "application/json"})
+    except httpx.WriteError:  # it was refused before all was sent
+        return
+    assert answer.status_code == 413
+
+
+def test_ten_gigabytes_of_json_are_refused_unread(shared: httpx.Client) -> None:
+    with connection(shared) as link:
+        link.sendall(b"POST /api/v1/drives HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000000000\r\n\r\n")
+        answer = read_all(link)
+    assert answer.startswith(b"HTTP/1.1 413 ")
+    assert b"application/problem+json" in answer
+
+
+@pytest.mark.parametrize(
+    "body", [b"[" * 100_000, b'{"name": NaN}', b"\xff\xfe", b'{"name": "\\ud800"}', b"null", b"1e999"]
+)
+def test_json_that_is_none_is_the_fault_of_the_client(shared: httpx.Client, body: bytes) -> None:
+    answer = shared.post("/api/v1/drives", content=body, headers={"Content-Type": "application/json"})
+    assert answer.status_code in {400, 422}
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_a_body_that_stops_half_way_is_given_up(serve: Serve) -> None:
+    client = serve(idle_timeout_s=0.2)
+    drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
+    for target in ("POST /api/v1/drives", f"PUT /api/v1/drives/{drive}/files/poses.txt"):
+        with connection(client) as link:
+            head = (
+                f"{target} HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 100\r\n\r\n"
+            )
+            link.sendall(head.encode() + b'{"name"')
+            answer = read_all(link)
+        assert answer.startswith(b"HTTP/1.1 408 ")
+        assert b"Nothing more of the body came for 0.2 seconds" in answer
+    assert client.get(f"/api/v1/drives/{drive}/files").json()["files"] == []
+
+
+def test_a_head_without_end_is_refused(shared: httpx.Client) -> None:
+    with connection(shared) as link:
+        link.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nX-Long: ")
+        try:
+            for _ in range(40):
+                link.sendall(b"x" * (MAX_HEAD_BYTES // 16))
+                time.sleep(0.001)
+        except (BrokenPipeError, ConnectionResetError):
+            pass
+        answer = read_all(link)
+    assert answer.startswith(b"HTTP/1.1 431 ") or answer == b""
+    assert shared.get("/healthz").status_code == 200
+
+
+def test_many_headers_are_refused(shared: httpx.Client) -> None:
+    answer = shared.get("/healthz", headers=[(f"x-{n}", "1") for n in range(120)])
+    assert answer.status_code == 431
+
+
+def test_a_head_that_trickles_in_is_given_up(shared: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Protocol, "head_s", 0.2)
+    for begin in (b"", b"GET /healthz HTTP/1.1\r\nHost: local"):
+        with connection(shared) as link:
+            link.sendall(begin)
+            assert read_all(link) == b""
+    with connection(shared) as link:  # also the second request of a connection
+        link.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /hea")
+        assert read_all(link).startswith(b"HTTP/1.1 200 ")
+
+
+@pytest.mark.parametrize(
+    "junk", [b"\x16\x03\x01\x02\x00\x01\x00", b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"\x00" * 100]
+)
+def test_what_is_no_http_is_refused(shared: httpx.Client, junk: bytes) -> None:
+    with connection(shared) as link:
+        link.sendall(junk)
+        assert read_all(link).startswith(b"HTTP/1.1 400 ")
+
+
+def test_two_lengths_of_one_body_are_refused(shared: httpx.Client) -> None:
+    """The way to smuggle a request past a proxy."""
+    for head in (
+        "Content-Length: 5\r\nContent-Length: 6",
+        "Content-Length: 5\r\nTransfer-Encoding: chunked",
+        "Content-Length: -5",
+        "Content-Length: +5",
+    ):
+        with connection(shared) as link:
+            link.sendall(f"POST /api/v1/drives HTTP/1.1\r\nHost: localhost\r\n{head}\r\n\r\n0\r\n\r\n".encode())
+            assert read_all(link).startswith(b"HTTP/1.1 400 ")
