@@ -103,3 +103,12 @@ def say_facts(facts: Iterable[tuple[str, str]]) -> None:
 def say_json(value: dict[str, Any]) -> None:
     """Print one JSON object."""
     click.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def size(count: int) -> str:
+    """Write a number of bytes: "634 kB", "1.2 GB"."""
+    for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= factor:
+            value = count / factor
+            return f"{value:.1f} {unit}" if value < 100 else f"{value:.0f} {unit}"
+    return f"{count} bytes"

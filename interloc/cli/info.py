@@ -10,7 +10,7 @@ import click
 from interloc.cli import console, options
 
 if TYPE_CHECKING:
-    from interloc.drives.inspect import DriveReport
+    from interloc.drives.inspect import DriveReport, ReducedReport
 
 _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 
@@ -45,7 +45,10 @@ def _facts(report: DriveReport) -> list[tuple[str, str]]:
     rows = [("drive", report.path), ("layout", report.layout or "unknown")]
     if report.scans:
         frames = f"{report.first_frame} to {report.last_frame}"
-        rows.append(("scans", f"{report.scans} (frames {frames}), about {report.points_per_scan:,} points each"))
+        points = "" if report.points_per_scan is None else f", about {report.points_per_scan:,} points each"
+        rows.append(("scans", f"{report.scans} (frames {frames}){points}"))
+    if report.reduced is not None:
+        rows.append(("reduced", _kept(report.reduced, report.scan_bytes + report.label_bytes)))
     if report.poses:
         rows.append(
             ("poses", f"{report.poses}, {report.pose_frame or 'unknown'} frame: {report.pose_frame_reason or '?'}")
@@ -65,3 +68,17 @@ def _facts(report: DriveReport) -> list[tuple[str, str]]:
         rows.append(("flatness", f"road seen from two scans agrees within {report.flatness_m:.2f} m in height"))
     rows.append(("georeference", report.georeference or f"none: {report.georeference_reason or 'not looked for'}"))
     return rows
+
+
+def _kept(reduced: ReducedReport, before: int) -> str:
+    """Tell what is left of the scans."""
+    if reduced.distance_m is None:
+        text = "all scans kept"
+    else:
+        text = (
+            f"{reduced.kept_scans} scans kept, the keyframes of {reduced.distance_m:g} m, {reduced.angle_deg:g} degrees"
+        )
+    if reduced.ground_bytes is None:
+        return text
+    text += f"; {console.size(reduced.ground_bytes)} of ground points"
+    return f"{text} from {console.size(before)}" if before else text

@@ -21,11 +21,13 @@ COMMANDS = {
     "explain": "explain",
     "robustness": "robustness",
     "export": "export",
+    "reduce": "reduce",
     "simulate": "simulate",
     "benchmark": "benchmark",
     "serve": "serve",
     "token": "token",
     "config": "config",
+    "push": "push",
     "fetch": "fetch",
 }
 """Command -> module of this package, which has a click command `command`."""

@@ -23,8 +23,8 @@ class ReducedReport(BaseModel):
     Attributes
     ----------
     kept_scans : int
-    ground_bytes : int
-        Size of their ground points.
+    ground_bytes : int or None
+        Size of their ground points, where the label folder has any.
     distance_m, angle_deg : float or None
         Keyframe settings by which they were chosen; None: every scan was kept.
     """
@@ -32,7 +32,7 @@ class ReducedReport(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     kept_scans: int
-    ground_bytes: int
+    ground_bytes: int | None
     distance_m: float | None
     angle_deg: float | None
 

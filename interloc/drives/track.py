@@ -108,7 +108,7 @@ def _poses_from_georeference(found: Survey, findings: Findings) -> None:
     found.T_world_lidar = _from_first(poses_of(found.georeference))
     found.pose_count = len(found.T_world_lidar)
     found.pose_frame = "oxts"
-    found.pose_frame_reason = f"there is no poses.txt; poses are those of {found.georeference.source}"
+    found.pose_frame_reason = "there is no poses.txt; the poses are those of the georeference"
     findings.note("oxts", found.pose_frame_reason)
 
 

@@ -42,7 +42,7 @@ there. Scan numbers are written as runs, ``[first, count]``. An example, 1101 sc
       "pose_frame": "camera", "pose_frame_reason": "it moves along its z axis ...",
       "files": {"poses": "poses.txt", "times": "times.txt", "calibration": ["calib.txt"], "oxts": null, "geo": null},
       "labels": [{"folder": "labels", "scheme": "semantickitti", "road": [40, 60], "confusable": [44, 48, 49],
-                  "counts": {"0": 12, "40": 98765}, "looked_into": 5, "label_bytes": 539000000}],
+                  "counts": {"0": 12, "40": 98765}, "label_bytes": 539000000}],
       "source": {"scan_bytes": 2156000000, "points_per_scan": 122515, "least_points": 118000, "most_points": 125000}
     }
 """

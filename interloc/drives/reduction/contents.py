@@ -92,14 +92,14 @@ class ReducedContents:
     parts : DriveParts
     labels : ReducedLabels or None
         Of the label folder that was chosen; None where the drive has none of it.
-    ground_bytes : int
-        Size of its ground files.
+    ground_bytes : int or None
+        Size of its ground files, once they were listed.
     """
 
     manifest: ReducedManifest
     parts: DriveParts
     labels: ReducedLabels | None = None
-    ground_bytes: int = 0
+    ground_bytes: int | None = None
 
     @classmethod
     def find(cls, root: Path, options: DriveOptions) -> ReducedContents:

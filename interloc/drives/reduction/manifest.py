@@ -247,7 +247,7 @@ def _refusals() -> Iterator[None]:
         yield
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"])
+        place = ".".join(str(part)[:40] for part in first["loc"])
         what = first["msg"].removeprefix("Value error, ")
         raise DriveFileError(
             MANIFEST,

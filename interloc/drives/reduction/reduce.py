@@ -108,8 +108,11 @@ def prepare_reduction(
     ConfigError
         An option without meaning.
     """
-    root = Path(root)
-    chosen = label_folders_in(root) if label_folders is None else tuple(dict.fromkeys(label_folders))
+    root, findings = Path(root), Findings(stop_at_first=True)
+    with findings.stage():
+        chosen = label_folders_in(root) if label_folders is None else tuple(dict.fromkeys(label_folders))
+        if is_reduced(root):
+            raise DriveFileError(str(root), "is a reduced drive already. Expected a drive with its scans.")
     options = drive_options(
         labels=chosen[0],
         label_scheme=label_scheme,
@@ -118,9 +121,6 @@ def prepare_reduction(
         oxts=oxts,
         name=name,
     )
-    if is_reduced(root):
-        raise DriveFileError(str(root), "is a reduced drive already. Expected a drive with its scans.")
-    findings = Findings(stop_at_first=True)
     found = {labels: survey(root, replace(options, labels=labels), findings) for labels in chosen}
     first = found[chosen[0]]
     plan = plan_of(first, root, options, chosen, keyframes, findings)
