@@ -10,8 +10,8 @@ import click
 from interloc.cli import console, options, summary
 
 if TYPE_CHECKING:
-    from interloc.client import Connection
     from interloc.client.answers import JobAnswer
+    from interloc.client.connection import Connection
 
 
 @click.command(short_help="Bring a result from a server.")
@@ -27,7 +27,7 @@ def command(job: str, out: Path, server: str, token: str | None, quiet: bool, as
     Example:
       interloc fetch 9b1e44f00c7a2d53 -o out --server https://interloc.example.org
     """
-    from interloc.client import Connection
+    from interloc.client.connection import Connection
 
     console.set_up_log(quiet=quiet)
     with Connection(server, token) as connection:
@@ -41,7 +41,7 @@ def command(job: str, out: Path, server: str, token: str | None, quiet: bool, as
 
 def wait_for(connection: Connection, job: str, *, quiet: bool) -> JobAnswer:
     """Follow a job to its end, with its progress."""
-    from interloc.client import follow
+    from interloc.client.jobs import follow
 
     said = ""
     with console.progress("job", "keyframe", quiet=quiet) as bar:
@@ -59,7 +59,7 @@ def wait_for(connection: Connection, job: str, *, quiet: bool) -> JobAnswer:
 
 def bring(connection: Connection, job: JobAnswer, out: Path, *, quiet: bool) -> None:
     """Write the result folder, with progress."""
-    from interloc.client import fetch
+    from interloc.client.fetch import fetch
 
     with console.progress("fetch", "B", quiet=quiet) as bar:
         fetch(connection, job.id, out, on_bytes=bar)

@@ -1,10 +1,5 @@
-"""A service of InterLoc as seen from outside: drives are pushed to it, jobs submitted, results fetched.
+"""A service of InterLoc as seen from outside: drives are pushed to it, jobs submitted and followed, results fetched.
 
-`Connection` knows how to talk to it, `push`, `submit`, `follow` and `fetch` what to say.
+`connection.Connection` knows how to talk to a service; `consignment.consign` gets a drive ready, and `push.push` brings
+it there; `jobs.submit` and `jobs.follow` have the service find its intersections; `fetch.fetch` brings the result back.
 """
-
-from interloc.client.connection import Connection
-from interloc.client.fetch import fetch
-from interloc.client.jobs import follow, submit
-
-__all__ = ["Connection", "fetch", "follow", "submit"]

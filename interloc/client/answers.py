@@ -72,7 +72,7 @@ class ProblemAnswer(BaseModel):
     problems: list[FileProblemAnswer] | None = None
 
     def __str__(self) -> str:
-        text = ": ".join(part for part in (self.title, self.detail) if part) or f"status {self.status}"
+        text = ": ".join(dict.fromkeys(part for part in (self.title, self.detail) if part)) or f"status {self.status}"
         errors = [str(problem) for problem in self.problems or () if problem.severity == "error"]
         new = [error for error in errors if error.rstrip(".") not in text]
         rest = len(new) - _SHOWN_PROBLEMS

@@ -28,15 +28,12 @@ class Parcel:
         Files that the bytes are made from.
     made_by : str
         What else decides about the bytes.
-    is_scan : bool
-        Counts for the progress of scans.
     """
 
     path: str
     content: Path | Callable[[], bytes]
     made_from: tuple[Path, ...] = ()
     made_by: str = ""
-    is_scan: bool = False
 
     @property
     def signature(self) -> str:

@@ -24,24 +24,26 @@ class Tally:
 
     Attributes
     ----------
-    total, scans_total : int
-        Files in all, and how many of them are scans.
-    done, scans_done : int
+    total : int
+        Files in all.
+    done : int
         Files that the server has.
-    sent : int
-        Files that were sent by this upload, not before.
-    bytes_sent : int
-    bytes_done : int
-        Size of all files that the server has.
+    sent, bytes_sent : int
+        Files that were sent by this upload, not before, and their size.
+    began_s : float
+        By the monotonic clock.
     """
 
     total: int
-    scans_total: int
     done: int = 0
-    scans_done: int = 0
     sent: int = 0
     bytes_sent: int = 0
-    bytes_done: int = 0
+    began_s: float = field(default_factory=time.monotonic)
+
+    @property
+    def bytes_per_s(self) -> float:
+        """Since the upload began."""
+        return self.bytes_sent / max(time.monotonic() - self.began_s, 1e-3)
 
 
 OnProgress = Callable[[Tally], None]
@@ -70,7 +72,7 @@ def upload(
     threads: int,
     on_progress: OnProgress | None = None,
 ) -> Tally:
-    """Send what is missing or differs, and take away what does not belong to the drive.
+    """Send what is missing on the server or differs there.
 
     Memory is bounded: each thread holds one file.
 
@@ -82,12 +84,8 @@ def upload(
         The server refuses, or cannot be reached. What it took before stays there.
     """
     there = files_of(connection, drive_id)
-    wanted = {parcel.path for parcel in parcels}
-    for path in sorted(there.keys() - wanted):
-        if ".osm" not in path:  # maps may have been added by others
-            connection.request("DELETE", _address(drive_id, path))
     work = _Work(connection, drive_id, there, journal, iter(parcels))
-    work.tally = Tally(total=len(parcels), scans_total=sum(parcel.is_scan for parcel in parcels))
+    work.tally.total = len(parcels)
     workers = [threading.Thread(target=work.run, daemon=True) for _ in range(min(threads, len(parcels)) or 1)]
     for worker in workers:
         worker.start()
@@ -116,7 +114,7 @@ class _Work:
     there: Mapping[str, FileAnswer]
     journal: Journal
     parcels: Iterator[Parcel]
-    tally: Tally = field(default_factory=lambda: Tally(0, 0))
+    tally: Tally = field(default_factory=lambda: Tally(0))
     fault: BaseException | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
     changed: threading.Event = field(default_factory=threading.Event)
@@ -133,8 +131,6 @@ class _Work:
                 with self.lock:
                     tally = self.tally
                     tally.done += 1
-                    tally.scans_done += parcel.is_scan
-                    tally.bytes_done += size
                     if is_sent:
                         tally.sent += 1
                         tally.bytes_sent += size
@@ -163,7 +159,7 @@ class _Work:
         return load.size, not is_there
 
     def _put(self, path: str, load: Load) -> None:
-        address = _address(self.drive_id, path)
+        address = file_address(self.drive_id, path)
         try:
             answer = self.connection.ask("PUT", address, FileAnswer, body=load.body, headers=load.headers)
         except Refusal as error:
@@ -175,5 +171,6 @@ class _Work:
             )
 
 
-def _address(drive_id: str, path: str) -> str:
+def file_address(drive_id: str, path: str) -> str:
+    """Return the address of a file of a drive."""
     return f"/drives/{drive_id}/files/{quote(path)}"

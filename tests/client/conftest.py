@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from interloc.client import Connection
+from interloc.client.connection import Connection
 
 Reply = Callable[[BaseHTTPRequestHandler], None]
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from interloc.client import Connection
 from interloc.client.answers import DrivesAnswer, FileAnswer, Refusal
+from interloc.client.connection import Connection
 from interloc.errors import ConfigError, NetworkError
 
 NO_DRIVES: dict[str, list[str]] = {"drives": []}

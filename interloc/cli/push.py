@@ -1,0 +1,208 @@
+"""`interloc push`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, options
+from interloc.cli.fetch import bring, result_facts, result_summary, wait_for
+
+if TYPE_CHECKING:
+    from interloc.client.answers import JobAnswer
+    from interloc.client.connection import Connection
+    from interloc.client.consignment import Consignment, PushOptions
+    from interloc.client.push import Pushed
+    from interloc.client.upload import Tally
+    from interloc.drives.options import LabelFolder
+    from interloc.osm.policies import Policy
+
+_THREADS = 8
+
+
+@click.command(short_help="Send a drive to a server; have it worked on there.")
+@options.DRIVE
+@options.server_options
+@options.label_folders_option
+@options.reading_options
+@click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
+@click.option("--osm", type=click.Path(path_type=Path), help="OSM file that goes along, for the evaluation.")
+@click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
+@click.option("--raw", is_flag=True, help="Send scans and labels as they are; the server reduces them.")
+@click.option("--keep-raw", is_flag=True, help="Let the server keep them, with --raw.")
+@click.option("--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Files sent at once.")
+@click.option("--run", is_flag=True, help="Have the intersections found, and scored where there is a map.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Bring the result to this folder; with --run.")
+@options.config_options
+@click.option("--overpass", is_flag=True, help="Let the server fetch the map; with --run.")
+@options.POLICY
+@options.TOLERANCE
+@options.QUIET
+@options.JSON
+def command(
+    drive: Path,
+    server: str,
+    token: str | None,
+    label_folders: tuple[LabelFolder, ...],
+    name: str | None,
+    osm: Path | None,
+    all_scans: bool,
+    raw: bool,
+    keep_raw: bool,
+    jobs: int,
+    run: bool,
+    out: Path | None,
+    preset: str,
+    settings: tuple[str, ...],
+    overpass: bool,
+    policy: Policy,
+    tolerance_m: float,
+    quiet: bool,
+    as_json: bool,
+    **reading: Any,
+) -> None:
+    """Send DRIVE to a server, reduced to what the method needs; again after an interruption: only what is missing.
+
+    \b
+    Examples:
+      interloc push sequences/07 --server https://interloc.example.org
+      interloc push sequences/07 --osm karlsruhe.osm.pbf --run -o out     from a drive to a result
+    """
+    _check_usage(run=run, out=out, osm=osm, overpass=overpass, settings=settings)
+    from interloc.client.connection import Connection
+    from interloc.client.consignment import PushOptions, consign
+    from interloc.client.jobs import submit
+
+    console.set_up_log(quiet=quiet)
+    config = options.configure(preset, settings)
+    push_options = PushOptions(
+        name=name,
+        label_folders=label_folders,
+        keyframes=None if all_scans else config.keyframes,
+        raw=raw,
+        keep_raw=keep_raw,
+        maps=() if osm is None else (osm,),
+        **reading,
+    )
+    with Connection(server, token, connections=jobs) as connection:
+        connection.greet()
+        consignment = consign(drive, push_options)
+        if run and (osm is not None or overpass):
+            _require_georeference(consignment)
+        pushed = _send(connection, drive, consignment, push_options, threads=jobs, quiet=quiet)
+        job: JobAnswer | None = None
+        if run:
+            job = submit(
+                connection,
+                pushed.drive_id,
+                config=config,
+                labels=label_folders[0] if label_folders else None,
+                osm=None if osm is None else osm.name,
+                overpass=overpass,
+                policy=policy,
+                tolerance_m=tolerance_m,
+            )
+            job = _finish(connection, job, out, quiet=quiet)
+    if as_json:
+        result = {} if job is None else {"job": job.id, "summary": job.summary}
+        result |= result_summary(job, out) if job is not None and out is not None else {}
+        console.say_json({**pushed.to_dict(), **result})
+    elif not quiet:
+        console.say_facts(_facts(pushed, job, drive, out))
+
+
+def _check_usage(*, run: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]) -> None:
+    """Refuse options that would do nothing."""
+    if not run and (out is not None or overpass or settings):
+        raise click.UsageError("-o, --overpass and --set belong to --run")
+    if osm is not None and overpass:
+        raise click.UsageError("give the map by one of --osm FILE and --overpass")
+
+
+def _require_georeference(consignment: Consignment) -> None:
+    from interloc.errors import GeoreferenceError
+
+    if not consignment.is_georeferenced:
+        raise GeoreferenceError(
+            f"{consignment.name}: the drive has no georeference, so its detections cannot be compared with "
+            "OpenStreetMap. Give one with --oxts (a KITTI raw drive, a file of OXTS rows, a geo.csv), put oxts/data or "
+            "geo.csv into the drive, or leave the map out. Nothing was sent."
+        )
+
+
+def _send(
+    connection: Connection,
+    drive: Path,
+    consignment: Consignment,
+    push_options: PushOptions,
+    *,
+    threads: int,
+    quiet: bool,
+) -> Pushed:
+    """Push the drive with a progress bar; say what an interruption leaves."""
+    from interloc.client.push import push
+    from interloc.errors import InterLocError, is_interruption
+
+    last: list[Tally] = []
+    with console.progress("push", "file", quiet=quiet) as bar:
+
+        def tell(tally: Tally) -> None:
+            last[:] = [tally]
+            bar(tally.done, tally.total, f"{console.size(tally.bytes_sent)}, {console.size(int(tally.bytes_per_s))}/s")
+
+        def tell_stage(stage: str) -> None:
+            bar.close()
+            if not quiet and os.isatty(2):
+                click.echo(stage, err=True)
+
+        try:
+            return push(
+                connection, drive, consignment, push_options, threads=threads, on_stage=tell_stage, on_progress=tell
+            )
+        except BaseException as error:
+            if not is_interruption(error):
+                raise
+            done = f"{last[0].done:,} of {last[0].total:,} files are on the server; " if last else ""
+            raise InterLocError(f"interrupted; {done}the same command sends the rest") from error
+
+
+def _finish(connection: Connection, job: JobAnswer, out: Path | None, *, quiet: bool) -> JobAnswer:
+    """Wait for the job, and fetch its result."""
+    from interloc.errors import InterLocError, is_interruption
+
+    try:
+        job = wait_for(connection, job.id, quiet=quiet)
+        if out is not None:
+            bring(connection, job, out, quiet=quiet)
+    except BaseException as error:
+        if not is_interruption(error):
+            raise
+        raise InterLocError(f"interrupted; the job goes on: interloc fetch {job.id} -o OUT") from error
+    return job
+
+
+def _facts(pushed: Pushed, job: JobAnswer | None, drive: Path, out: Path | None) -> list[tuple[str, str]]:
+    """Return names and values for a person."""
+    size = console.size(pushed.bytes_there)
+    if pushed.source_bytes:
+        share = 100 * pushed.bytes_there / pushed.source_bytes
+        size += f" instead of {console.size(pushed.source_bytes)} ({share:.2g} %)"
+    sent = "nothing: the server has all of it already"
+    if pushed.files_sent:
+        rate = console.size(int(pushed.bytes_sent / max(pushed.seconds, 1e-3)))
+        sent = f"{pushed.files_sent:,} files, {console.size(pushed.bytes_sent)}, {pushed.seconds:.1f} s ({rate}/s)"
+    rows = [
+        ("drive", f"{pushed.name}: {pushed.scans:,} scans, {pushed.scans_sent:,} of them on the server"),
+        ("size", f"{size}, {pushed.files:,} files"),
+        ("sent", sent),
+        ("drive id", pushed.drive_id),
+    ]
+    if job is None:
+        return [*rows, ("next", f"interloc push {drive} ... --run -o OUT (sends nothing twice), or {pushed.server}")]
+    rows.append(("job", job.id))
+    if out is None:
+        return [*rows, ("next", f"interloc fetch {job.id} -o OUT, or {pushed.server}")]
+    return [*rows, *result_facts(job, out)[1:]]

@@ -1,0 +1,279 @@
+"""What a drive is sent as: reduced on the way, as it is, or as a reduced drive that it is already."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from interloc.client.parcels import Parcel
+from interloc.config import DEFAULT, KeyframeConfig
+from interloc.drives.inspect import inspect_drive
+from interloc.drives.open import open_drive
+from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
+from interloc.drives.reduction.manifest import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
+from interloc.drives.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduce_scan
+from interloc.drives.scans import RawScans
+from interloc.errors import ConfigError, DriveError, InterLocError
+
+_MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
+
+
+@dataclass(frozen=True)
+class PushOptions:
+    """How a drive is read and sent.
+
+    Attributes
+    ----------
+    name : str or None
+        Name of the drive on the server; that of its folder by default.
+    label_folders : tuple of str
+        "labels", "predictions" or both; empty: all that are there.
+    label_scheme, pose_frame, layout, oxts
+        As of `interloc.open_drive`.
+    keyframes : KeyframeConfig or None
+        Which scans to send; None: every one.
+    raw : bool
+        Send scans and labels as they are; the server reduces them.
+    keep_raw : bool
+        Let the server keep them; needs `raw`.
+    maps : tuple of Path
+        OpenStreetMap files that go along.
+    """
+
+    name: str | None = None
+    label_folders: tuple[LabelFolder, ...] = ()
+    label_scheme: str = "auto"
+    pose_frame: PoseFrame = "auto"
+    layout: LayoutChoice = "auto"
+    oxts: Path | None = None
+    keyframes: KeyframeConfig | None = DEFAULT.keyframes
+    raw: bool = False
+    keep_raw: bool = False
+    maps: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.keep_raw and not self.raw:
+            raise ConfigError("--keep-raw: there is nothing to keep where scans are not sent as they are (--raw).")
+        if self.name is not None and (not self.name.strip() or len(self.name) > 200 or not _is_plain(self.name)):
+            raise ConfigError(f"--name {self.name!r}: expected 1 to 200 characters without slashes and line ends.")
+        for path in self.maps:
+            if not is_map(path.name) or path.name.startswith("."):
+                raise ConfigError(f"{path}: is no OpenStreetMap file by its name. Expected {', '.join(_MAP_ENDINGS)}.")
+
+
+@dataclass(frozen=True)
+class Consignment:
+    """A drive, ready to be sent.
+
+    Attributes
+    ----------
+    name : str
+    scans, scans_sent : int
+        In the drive, and how many of them go to the server.
+    source_bytes : int or None
+        Size of scans and labels of the drive.
+    is_georeferenced : bool
+    options : dict
+        How the server is to read what it gets.
+    parcels : list of Parcel
+        The drive.
+    maps : list of Parcel
+    """
+
+    name: str
+    scans: int
+    scans_sent: int
+    source_bytes: int | None
+    is_georeferenced: bool
+    parcels: list[Parcel]
+    options: dict[str, Any] = field(default_factory=dict)
+    maps: list[Parcel] = field(default_factory=list)
+
+
+def consign(root: Path, options: PushOptions) -> Consignment:
+    """Check a drive as `interloc info` does, and get it ready.
+
+    Raises
+    ------
+    DriveError, GeoreferenceError
+        It cannot be used; all problems are named.
+    ConfigError
+        An option without meaning.
+    """
+    labels = options.label_folders or None
+    maps = [Parcel(path.name, path) for path in options.maps]
+    for path in options.maps:
+        if not path.is_file():
+            raise DriveError(f"{path}: no such file. Expected an OpenStreetMap file.")
+    try:
+        if is_reduced(root):
+            return _as_reduced(root, options, maps)
+        reduction = prepare_reduction(
+            root,
+            label_folders=labels,
+            label_scheme=options.label_scheme,
+            pose_frame=options.pose_frame,
+            layout=options.layout,
+            oxts=options.oxts,
+            name=options.name,
+            keyframes=None if options.raw else options.keyframes,
+        )
+    except ConfigError:
+        raise
+    except InterLocError as error:
+        raise _with_all_problems(error, root, options) from error
+    return _as_it_is(root, reduction, options, maps) if options.raw else _reduced_on_the_way(reduction, maps)
+
+
+def is_map(path: str) -> bool:
+    """Tell whether a file of a drive is an OpenStreetMap file, which a drive takes at any time."""
+    return path.lower().endswith(_MAP_ENDINGS)
+
+
+def _reduced_on_the_way(reduction: Reduction, maps: list[Parcel]) -> Consignment:
+    """Send ground points, made as they are sent."""
+    plan, manifest = reduction.plan, reduction.manifest
+    scans = [
+        Parcel(
+            ground_path(labels, int(frame)),
+            partial(reduce_scan, source, int(frame)),
+            made_from=(source.scan_files.path(int(frame)), source.label_files.path(int(frame))),
+            made_by=_mark_of(source),
+        )
+        for frame in plan.frames_to_send
+        for labels, source in reduction.scans.items()
+    ]
+    small = [Parcel(name, path) for name, path in plan.copies.sources.items()]
+    return Consignment(
+        name=manifest.name,
+        scans=plan.scans,
+        scans_sent=len(plan.frames_to_send),
+        source_bytes=_source_bytes(manifest),
+        is_georeferenced=plan.georeference is not None,
+        parcels=[*small, *scans, _manifest_parcel(manifest)],
+        maps=maps,
+    )
+
+
+def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list[Parcel]) -> Consignment:
+    """Send the files themselves, under the paths that they have in the drive."""
+    plan, manifest = reduction.plan, reduction.manifest
+    scans: dict[str, Path] = {}
+    for source in reduction.scans.values():
+        for numbered in (source.scan_files, source.label_files):
+            for frame in plan.frames:
+                path = numbered.path(int(frame))
+                scans[path.relative_to(root).as_posix()] = path
+    given = manifest.files.geo or manifest.files.oxts if options.oxts is not None else None
+    return Consignment(
+        name=manifest.name,
+        scans=plan.scans,
+        scans_sent=plan.scans,
+        source_bytes=_source_bytes(manifest),
+        is_georeferenced=plan.georeference is not None,
+        parcels=[
+            *(Parcel(name, path) for name, path in plan.copies.sources.items()),
+            *(Parcel(name, path) for name, path in scans.items()),
+        ],
+        options={
+            "label_scheme": options.label_scheme,
+            "pose_frame": options.pose_frame,
+            "layout": options.layout,
+            "oxts": given,
+        },
+        maps=maps,
+    )
+
+
+def _as_reduced(root: Path, options: PushOptions, maps: list[Parcel]) -> Consignment:
+    """Send a reduced drive, all of it or some of its label folders."""
+    manifest = read_manifest(root)
+    if options.oxts is not None or options.keep_raw or (options.keyframes is None and manifest.keyframes is not None):
+        raise ConfigError(
+            f"{root} is a reduced drive: --oxts, --raw, --keep-raw and --all-scans are for the drive that it was made "
+            "of. Give that, or leave them out."
+        )
+    chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels) or label_folders_in(root)
+    for labels in chosen:
+        drive = open_drive(
+            root,
+            labels=labels,
+            label_scheme=options.label_scheme,
+            pose_frame=options.pose_frame,
+            layout=options.layout,
+        )
+    kept = [labels for labels in manifest.labels if labels.folder in chosen]
+    sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
+    names = [name for path in manifest.files.paths for name in _files_below(root, path)]
+    frames = manifest.kept_frames
+    ground = [ground_path(labels, int(frame)) for frame in frames for labels in chosen]
+    return Consignment(
+        name=sent.name,
+        scans=len(manifest.frames),
+        scans_sent=len(frames),
+        source_bytes=_source_bytes(sent),
+        is_georeferenced=drive.georeference is not None,
+        parcels=[
+            *(Parcel(name, root / name) for name in names),
+            *(Parcel(name, root / name) for name in ground),
+            _manifest_parcel(sent),
+        ],
+        maps=maps,
+    )
+
+
+def _manifest_parcel(manifest: ReducedManifest) -> Parcel:
+    data = manifest.to_bytes()
+    return Parcel(MANIFEST, lambda: data, made_by=hashlib.sha256(data).hexdigest())
+
+
+def _mark_of(source: RawScans) -> str:
+    """Tell label schemes apart."""
+    ids = (sorted(source.scheme.road), sorted(source.scheme.confusable))
+    return hashlib.sha256(repr(ids).encode()).hexdigest()[:12]
+
+
+def _source_bytes(manifest: ReducedManifest) -> int | None:
+    """Return the size of the scans and labels that a reduced drive was made of."""
+    if manifest.source is None:
+        return None
+    return manifest.source.scan_bytes + sum(labels.label_bytes or 0 for labels in manifest.labels)
+
+
+def _files_below(root: Path, name: str) -> list[str]:
+    """Return the files of a folder of a drive, or the file itself."""
+    path = root / name
+    if not path.is_dir():
+        return [name]
+    return sorted(file.relative_to(root).as_posix() for file in path.rglob("*") if file.is_file())
+
+
+def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -> InterLocError:
+    """Return an error that names everything that is wrong with a drive."""
+    problems: list[str] = []
+    for labels in _label_folders(root, options):
+        report = inspect_drive(
+            root,
+            labels=labels,
+            label_scheme=options.label_scheme,
+            pose_frame=options.pose_frame,
+            layout=options.layout,
+            oxts=options.oxts,
+        )
+        problems += [f"{each.path}: {each.message}" for each in report.problems if each.severity == "error"]
+    problems = list(dict.fromkeys(problems))
+    if len(problems) < 2:
+        return error
+    return DriveError("\n  ".join([f"{root} cannot be used as it is; nothing was sent:", *problems]))
+
+
+def _label_folders(root: Path, options: PushOptions) -> Sequence[LabelFolder]:
+    return options.label_folders or label_folders_in(root)
+
+
+def _is_plain(name: str) -> bool:
+    return "/" not in name and name.isprintable()
