@@ -42,10 +42,19 @@ export function getToken() {
   return globalThis.sessionStorage?.getItem(TOKEN_KEY) ?? null;
 }
 
+/** @type {Set<() => void>} */
+const tokenListeners = new Set();
+
 /** @param {string|null} token Kept until the tab is closed; null forgets it. */
 export function setToken(token) {
   if (token) sessionStorage.setItem(TOKEN_KEY, token);
   else sessionStorage.removeItem(TOKEN_KEY);
+  for (const call of tokenListeners) call();
+}
+
+/** @param {() => void} call Called whenever the token changes. */
+export function onTokenChange(call) {
+  tokenListeners.add(call);
 }
 
 /** @type {((wrong: boolean) => Promise<string|null>)|null} */

@@ -1,0 +1,70 @@
+/**
+ * From metres to the map: offsets around a keyframe on the ellipsoid, or plain metres without georeference.
+ * @module data/frame
+ */
+
+const A = 6378137;
+const E2 = 0.00669437999014;
+
+export class Frame {
+  /**
+   * @param {import("./results.js").Place[]} keyframes
+   * @param {boolean} local Positions are metres of W.
+   */
+  constructor(keyframes, local) {
+    this.local = local;
+    this.rows = new Map(keyframes.map((each, row) => [each.properties.frame, row]));
+    this.keyframes = keyframes;
+  }
+
+  /**
+   * @param {{lng: number, lat: number}} origin
+   * @param {number} east Metres; along x of W without georeference.
+   * @param {number} north Metres; along y of W.
+   * @returns {[number, number]} lat, lng of Leaflet.
+   */
+  offset(origin, east, north) {
+    if (this.local) return [origin.lat + north, origin.lng + east];
+    const phi = (origin.lat * Math.PI) / 180;
+    const w = Math.sqrt(1 - E2 * Math.sin(phi) ** 2);
+    const meridian = (A * (1 - E2)) / w ** 3;
+    const parallel = (A / w) * Math.cos(phi);
+    return [origin.lat + ((north / meridian) * 180) / Math.PI, origin.lng + ((east / parallel) * 180) / Math.PI];
+  }
+
+  /**
+   * How W lies at a keyframe: angle from east to its x axis, counter-clockwise, radians.
+   * @param {import("./results.js").Place} keyframe
+   */
+  turn({ properties }) {
+    if (this.local) return 0;
+    return Math.PI / 2 - (properties.heading_deg * Math.PI) / 180 - properties.world_yaw_rad;
+  }
+
+  /**
+   * @param {import("./results.js").Place} keyframe
+   * @param {number} x Metres from the keyframe along x of W.
+   * @param {number} y
+   * @returns {[number, number]} lat, lng of Leaflet.
+   */
+  fromWorld(keyframe, x, y) {
+    const turn = this.turn(keyframe);
+    return this.offset(keyframe, x * Math.cos(turn) - y * Math.sin(turn), x * Math.sin(turn) + y * Math.cos(turn));
+  }
+
+  /**
+   * The corners of a square around a keyframe, aligned with the axes of W.
+   * @param {import("./results.js").Place} keyframe
+   * @param {number} side Metres.
+   * @returns {Array<[number, number]>} lat, lng: top left (in W, y up), top right, bottom right, bottom left.
+   */
+  square(keyframe, side) {
+    const h = side / 2;
+    return [[-h, h], [h, h], [h, -h], [-h, -h]].map(([x, y]) => this.fromWorld(keyframe, x, y));
+  }
+
+  /** @param {import("./results.js").Place} keyframe @returns {number} Heading, clockwise from up on the map, degrees. */
+  heading({ properties }) {
+    return this.local ? 90 - (properties.world_yaw_rad * 180) / Math.PI : properties.heading_deg;
+  }
+}

@@ -1,0 +1,143 @@
+/**
+ * The result of a job: its layers and report, loaded together.
+ * @module data/results
+ */
+import { ApiError, getJson } from "../api.js";
+import { Frame } from "./frame.js";
+
+/**
+ * @typedef {{lng: number, lat: number, properties: any}} Place A point; metres of W in place of degrees without georeference.
+ * @typedef {Place & {row: number, outcome: "TP"|"FP"|"none", error_m: number|null, osm_id: number|null}} Detection
+ *   Outcome "none": there is no evaluation.
+ * @typedef {{osm_id: number|null, outcome: string, error_m: number, frame: number, line: number[][]}} Match
+ */
+
+/**
+ * @typedef {object} Result
+ * @property {any} job
+ * @property {any} run `run.json`
+ * @property {any|null} report `report.json`; null without an evaluation.
+ * @property {boolean} local No georeference: positions are metres of W.
+ * @property {Frame} frame Between metres and the map.
+ * @property {Place[]} keyframes
+ * @property {Detection[]} detections
+ * @property {Map<number, Detection[]>} byFrame Detections of a scan number.
+ * @property {Place[]} intersections
+ * @property {number[][]} trajectory
+ * @property {Place[]} nodes
+ * @property {Match[]} matches
+ * @property {Array<{line: number[][], properties: any}>} roads
+ * @property {number} roi_m Side S of the region of interest.
+ * @property {number|null} zone_m Side S - 2 a_o of the relevant zone.
+ */
+
+const KEPT = 3;
+/** @type {Map<string, Promise<Result>>} */
+const cache = new Map();
+
+/**
+ * Load the result of a successful job; the last few are kept.
+ * @param {any} job
+ * @returns {Promise<Result>}
+ */
+export function loadResult(job) {
+  let result = cache.get(job.id);
+  if (!result) {
+    result = load(job);
+    result.catch(() => cache.delete(job.id));
+    cache.set(job.id, result);
+    const [oldest] = cache.keys();
+    if (cache.size > KEPT) cache.delete(oldest);
+  }
+  return result;
+}
+
+/** @param {any} job @returns {Promise<Result>} */
+async function load(job) {
+  const at = `jobs/${job.id}`;
+  const run = await getJson(`${at}/run`);
+  const local = !run.georeferenced;
+  /** @param {string} name */
+  const layer = (name) => getJson(local ? `${at}/files/${name}.local.json` : `${at}/${name}`);
+  /** @param {string} name */
+  const evaluated = (name) => (local ? Promise.resolve(null) : orNull(getJson(`${at}/${name}`)));
+  const [keyframes, detections, intersections, trajectory, report, nodes, matches, roads] = await Promise.all([
+    ...["keyframes", "detections", "intersections", "trajectory"].map(layer),
+    ...["report", "osm-nodes", "matches", "osm-roads"].map(evaluated),
+  ]);
+
+  const points = keyframes.features.map(place);
+  const pairs = (matches?.features ?? []).map(match);
+  const found = detectionsOf(detections.features, pairs, report !== null);
+  const config = run.config ?? {};
+  const size = config.bev?.size_m ?? 120;
+  return {
+    job,
+    run,
+    report,
+    local,
+    frame: new Frame(points, local),
+    keyframes: points,
+    detections: found,
+    byFrame: Map.groupBy ? Map.groupBy(found, frameOf) : groupByFrame(found),
+    intersections: intersections.features.map(place),
+    trajectory: trajectory.features[0]?.geometry?.coordinates ?? [],
+    nodes: (nodes?.features ?? []).map(place),
+    matches: pairs,
+    roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({ line: f.geometry.coordinates, properties: f.properties })),
+    roi_m: report?.roi_m ?? size,
+    zone_m: report?.relevant_zone_m ?? (config.branches ? size - 2 * config.branches.outer_radius_m : null),
+  };
+}
+
+/** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */
+async function orNull(answer) {
+  try {
+    return await answer;
+  } catch (error) {
+    if (error instanceof ApiError && error.status === 404) return null;
+    throw error;
+  }
+}
+
+/** @param {any} feature @returns {Place} */
+function place({ geometry, properties }) {
+  return { lng: geometry.coordinates[0], lat: geometry.coordinates[1], properties };
+}
+
+/** @param {any} feature @returns {Match} */
+function match({ geometry, properties }) {
+  return { ...properties, line: geometry.coordinates };
+}
+
+/** @param {any[]} features @param {Match[]} matches @param {boolean} evaluated @returns {Detection[]} */
+function detectionsOf(features, matches, evaluated) {
+  /** @param {number} frame @param {number[]} position */
+  const key = (frame, position) => `${frame} ${position[0]} ${position[1]}`;
+  const matched = new Map(matches.map((each) => [key(each.frame, each.line[0]), each]));
+  return features.map((feature, row) => {
+    const pair = matched.get(key(feature.properties.frame, feature.geometry.coordinates));
+    return {
+      ...place(feature),
+      row,
+      outcome: evaluated ? /** @type {"TP"|"FP"} */ (pair?.outcome ?? "FP") : "none",
+      error_m: pair?.error_m ?? null,
+      osm_id: pair?.osm_id ?? null,
+    };
+  });
+}
+
+/** @param {Detection} detection @returns {number} */
+const frameOf = (detection) => detection.properties.frame;
+
+/** @param {Detection[]} detections */
+function groupByFrame(detections) {
+  /** @type {Map<number, Detection[]>} */
+  const groups = new Map();
+  for (const each of detections) {
+    const group = groups.get(frameOf(each));
+    if (group) group.push(each);
+    else groups.set(frameOf(each), [each]);
+  }
+  return groups;
+}

@@ -1,0 +1,236 @@
+/**
+ * A result on the surface: positions projected once, painted layer by layer, found again under the pointer.
+ * @module map/scene
+ */
+import { kindOfNode } from "./layers.js";
+import { SIGNS, colour, trace } from "./symbols.js";
+
+/**
+ * @typedef {{kind: "intersection"|"node"|"detection"|"keyframe", item: any}} Hit
+ * @typedef {{xs: Float64Array, ys: Float64Array, items: any[]}} Points Projected at zoom 0.
+ */
+
+const MAJOR = new Set(["motorway", "trunk", "primary", "secondary", "tertiary"]);
+const RAY_M = 14;
+
+export class Scene {
+  /**
+   * @param {import("../data/results.js").Result} result
+   * @param {any} map
+   */
+  constructor(result, map) {
+    /** @param {number} lng @param {number} lat */
+    const project = (lng, lat) => map.options.crs.latLngToPoint({ lat, lng }, 0);
+    /** @param {any[]} items @returns {Points} */
+    const points = (items) => {
+      const xs = new Float64Array(items.length);
+      const ys = new Float64Array(items.length);
+      items.forEach((item, i) => ({ x: xs[i], y: ys[i] } = project(item.lng, item.lat)));
+      return { xs, ys, items };
+    };
+    /** @param {number[][]} line */
+    const flat = (line) => {
+      const path = new Float64Array(2 * line.length);
+      line.forEach(([lng, lat], i) => ({ x: path[2 * i], y: path[2 * i + 1] } = project(lng, lat)));
+      return path;
+    };
+    this.result = result;
+    this.keyframes = points(result.keyframes);
+    this.detections = points(result.detections);
+    this.intersections = points(result.intersections);
+    this.nodes = points(result.nodes);
+    this.track = flat(result.trajectory);
+    this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), outcome }));
+    this.roads = result.roads.map(({ line, properties }) => ({ path: flat(line), width: widthOf(properties), drivable: isDrivable(properties) }));
+    this.roads.sort((a, b) => a.width - b.width);
+    /** @type {Set<string>} */
+    this.on = new Set();
+    /** @type {number|null} */
+    this.node = null;
+  }
+
+  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  paint(context, view) {
+    const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
+    context.lineCap = "round";
+    context.lineJoin = "round";
+    if (this.on.has("roads")) this.#paintRoads(context, view);
+    if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
+    if (this.on.has("keyframes")) this.#paintPoints(context, view, this.keyframes, "keyframe", 2 * size, 0.8);
+    if (this.on.has("errors")) {
+      for (const [outcome, layer] of [["TP", "tp"], ["FP", "fp"]]) {
+        if (!this.on.has(layer)) continue;
+        const paths = this.errors.filter((each) => each.outcome === outcome).map((each) => each.path);
+        strokePaths(context, view, paths, colour(SIGNS[layer].colour), 1, outcome === "TP" ? 0.55 : 0.35);
+      }
+    }
+    if (this.on.has("uncertainty")) this.#paintUncertainty(context, view);
+    const detections = this.detections;
+    const evaluated = this.result.report !== null;
+    if (!evaluated && this.on.has("detections")) this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7);
+    if (evaluated && this.on.has("tp")) this.#paintPoints(context, view, detections, "tp", 3 * size, 0.7, (each) => each.outcome === "TP");
+    if (evaluated && this.on.has("fp")) this.#paintPoints(context, view, detections, "fp", 4 * size, 0.85, (each) => each.outcome === "FP");
+    for (const kind of ["outside", "found", "missed"]) {
+      if (this.on.has(kind)) this.#paintPoints(context, view, this.nodes, kind, (kind === "outside" ? 4 : 7.5) * size, 1, (each) => kindOfNode(each) === kind);
+    }
+    if (this.on.has("branches")) this.#paintBranches(context, view);
+    if (this.on.has("intersections")) this.#paintPoints(context, view, this.intersections, "fused", 7.5 * size, 1);
+  }
+
+  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  #paintRoads(context, view) {
+    /** @param {number} metres */
+    const width = (metres) => Math.max(1.2, Math.min(metres * view.perMetre, 40));
+    const driven = this.roads.filter((each) => each.drivable);
+    const others = this.roads.filter((each) => !each.drivable);
+    strokePaths(context, view, others.map((each) => each.path), colour("--road-minor"), width(2.5));
+    const widths = [...new Set(driven.map((each) => each.width))];
+    for (const [variable, more] of /** @type {const} */ ([["--road-casing", 2], ["--road", 0]])) {
+      for (const metres of widths) {
+        strokePaths(context, view, driven.filter((each) => each.width === metres).map((each) => each.path), colour(variable), width(metres) + more);
+      }
+    }
+  }
+
+  /**
+   * @param {CanvasRenderingContext2D} context
+   * @param {import("./surface.js").View} view
+   * @param {Points} points
+   * @param {string} name Of the sign.
+   * @param {number} r
+   * @param {number} alpha
+   * @param {(item: any) => boolean} [chosen]
+   */
+  #paintPoints(context, view, { xs, ys, items }, name, r, alpha, chosen) {
+    const sign = SIGNS[name];
+    context.beginPath();
+    for (let i = 0; i < items.length; i += 1) {
+      if (chosen && !chosen(items[i])) continue;
+      const x = view.x(xs[i]);
+      const y = view.y(ys[i]);
+      if (view.shows(x, y)) trace(context, sign.shape, x, y, r);
+    }
+    context.globalAlpha = alpha;
+    if (!sign.filled && sign.width > 2) {
+      context.strokeStyle = colour("--surface"); // a rim, so that the sign stands out from road and detections
+      context.lineWidth = sign.width + 2.5;
+      context.stroke();
+    }
+    if (sign.filled) {
+      context.fillStyle = colour(sign.colour);
+      context.fill();
+    }
+    if (sign.width) {
+      context.strokeStyle = colour(sign.edge ?? sign.colour);
+      context.lineWidth = sign.width;
+      context.stroke();
+    }
+    context.globalAlpha = 1;
+  }
+
+  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  #paintUncertainty(context, view) {
+    const { xs, ys, items } = this.intersections;
+    context.beginPath();
+    items.forEach((item, i) => {
+      const r = 2 * (item.properties.position_std_m ?? 0) * view.perMetre;
+      const [x, y] = [view.x(xs[i]), view.y(ys[i])];
+      if (r > 2 && view.shows(x, y, r)) trace(context, "ring", x, y, r);
+    });
+    context.fillStyle = colour("--fused");
+    context.globalAlpha = 0.28;
+    context.fill();
+    context.globalAlpha = 0.9;
+    context.strokeStyle = colour("--fused-edge");
+    context.lineWidth = 0.8;
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  #paintBranches(context, view) {
+    const reach = Math.min(60, Math.max(16, RAY_M * view.perMetre));
+    if (RAY_M * view.perMetre < 6) return;
+    const { xs, ys, items } = this.intersections;
+    context.beginPath();
+    items.forEach((item, i) => {
+      const [x, y] = [view.x(xs[i]), view.y(ys[i])];
+      if (!view.shows(x, y, reach)) return;
+      for (const bearing of item.properties.branch_bearings_deg) {
+        const angle = (bearing * Math.PI) / 180;
+        context.moveTo(x + 9 * Math.sin(angle), y - 9 * Math.cos(angle));
+        context.lineTo(x + reach * Math.sin(angle), y - reach * Math.cos(angle));
+      }
+    });
+    context.strokeStyle = colour("--fused-edge");
+    context.lineWidth = 4;
+    context.stroke();
+    context.strokeStyle = colour("--fused");
+    context.lineWidth = 2;
+    context.stroke();
+  }
+
+  /**
+   * What lies under the pointer: the nearest thing of the topmost layer.
+   * @param {import("./surface.js").View} view Of which x and y are pixels.
+   * @param {number} x
+   * @param {number} y
+   * @returns {Hit|null}
+   */
+  find(view, x, y) {
+    const evaluated = this.result.report !== null;
+    /** @type {Array<[Hit["kind"], Points, number, (item: any) => boolean]>} */
+    const stack = [
+      ["intersection", this.intersections, 9, () => this.on.has("intersections")],
+      ["node", this.nodes, 10, (item) => this.on.has(kindOfNode(item))],
+      ["detection", this.detections, 7, (item) => this.on.has(evaluated ? item.outcome.toLowerCase() : "detections")],
+      ["keyframe", this.keyframes, 7, () => this.on.has("track") || this.on.has("keyframes")],
+    ];
+    for (const [kind, points, reach, chosen] of stack) {
+      const row = nearest(points, view, x, y, reach, chosen);
+      if (row >= 0) return { kind, item: points.items[row] };
+    }
+    return null;
+  }
+}
+
+/** @param {Points} points @param {import("./surface.js").View} view @param {number} x @param {number} y @param {number} reach @param {(item: any) => boolean} chosen */
+function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
+  let row = -1;
+  let least = reach * reach;
+  for (let i = 0; i < items.length; i += 1) {
+    const d = (view.x(xs[i]) - x) ** 2 + (view.y(ys[i]) - y) ** 2;
+    if (d < least && chosen(items[i])) [row, least] = [i, d];
+  }
+  return row;
+}
+
+/** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} paths @param {string} stroke @param {number} width @param {number} [alpha] */
+function strokePaths(context, view, paths, stroke, width, alpha = 1) {
+  context.beginPath();
+  for (const path of paths) {
+    for (let i = 0; i < path.length; i += 2) {
+      const x = view.x(path[i]);
+      const y = view.y(path[i + 1]);
+      if (i) context.lineTo(x, y);
+      else context.moveTo(x, y);
+    }
+  }
+  context.globalAlpha = alpha;
+  context.strokeStyle = stroke;
+  context.lineWidth = width;
+  context.stroke();
+  context.globalAlpha = 1;
+}
+
+/** @param {any} properties @returns {number} Metres as drawn. */
+function widthOf({ highway }) {
+  const kind = String(highway).replace(/_link$/, "");
+  if (MAJOR.has(kind)) return 9;
+  return kind === "service" ? 4 : 6.5;
+}
+
+/** @param {any} properties @returns {boolean} */
+function isDrivable(properties) {
+  return Boolean(properties.drivable ?? properties.is_drivable ?? true);
+}

@@ -1,0 +1,268 @@
+/**
+ * The map: shows the result of the job at hand, or the way of the drive.
+ * @module map/stage
+ */
+import { control, CRS, Map as LeafletMap, latLngBounds } from "../leaflet.js";
+import { getJson } from "../api.js";
+import { el, fill, icon } from "../dom.js";
+import { loadResult } from "../data/results.js";
+import { rememberJob, lists } from "../data/lists.js";
+import { getState, setState, subscribe } from "../state.js";
+import { problemNote } from "../shell/messages.js";
+import { watchPointer, openDetails } from "./details.js";
+import { KeyframeLayer } from "./keyframe.js";
+import { layersOn } from "./layers.js";
+import { addLegend } from "./legend.js";
+import { Scene } from "./scene.js";
+import { Surface } from "./surface.js";
+import { makeTiles, onTilesChange } from "./tiles.js";
+import { mountTimeline } from "./timeline.js";
+
+/** @type {import("../data/results.js").Result|null} */
+let result = null;
+/** @type {any} */
+let map = null;
+/** @type {Scene|null} */
+let scene = null;
+/** @type {Set<(result: import("../data/results.js").Result|null) => void>} */
+const listeners = new Set();
+
+/** @returns {import("../data/results.js").Result|null} What is on the map. */
+export function shownResult() {
+  return result;
+}
+
+/** @returns {any} */
+export function shownMap() {
+  return map;
+}
+
+/** @param {(result: import("../data/results.js").Result|null) => void} call Called now and whenever another result is shown. */
+export function onResult(call) {
+  listeners.add(call);
+  call(result);
+  return () => listeners.delete(call);
+}
+
+/** Put map, legend and timeline on the page. */
+export async function mountStage() {
+  const holder = /** @type {HTMLElement} */ (document.getElementById("map"));
+  const cover = el("div", { class: "cover" });
+  holder.before(cover);
+  const timeline = mountTimeline(/** @type {HTMLElement} */ (document.getElementById("strip")));
+  /** @type {any} */
+  let parts = null;
+  let token = 0;
+
+  /** @param {boolean} local */
+  const build = (local) => {
+    if (parts?.local === local) return;
+    map?.remove();
+    parts = makeMap(holder, local, () => scene);
+    map = parts.map;
+    map.on("moveend", () => result && setState({ view: viewText() }));
+  };
+
+  const showDrive = async () => {
+    const mine = ++token;
+    const { job: id, drive } = getState();
+    if (!id) {
+      clear();
+      fill(cover, welcome(drive));
+      return;
+    }
+    try {
+      const job = lists.jobs.find((each) => each.id === id && each.state === "successful") ?? (await getJson(`jobs/${id}`));
+      if (mine !== token) return;
+      if (job.kind === "intersections") rememberJob(job);
+      if (getState().drive !== job.drive_id) setState({ drive: job.drive_id });
+      if (job.state !== "successful") {
+        clear();
+        fill(cover, el("p", {}, waiting(job)));
+        return;
+      }
+      if (result?.job.id === id) return;
+      fill(cover, el("p", {}, "Loading the result…"));
+      const next = await loadResult(job);
+      if (mine === token) show(next);
+    } catch (error) {
+      if (mine !== token) return;
+      clear();
+      fill(cover, problemNote(error));
+    }
+  };
+
+  /** @param {import("../data/results.js").Result} next */
+  const show = (next) => {
+    fill(cover);
+    build(next.local);
+    result = next;
+    scene = new Scene(next, map);
+    updateLayers();
+    parts.legend.show(next);
+    parts.setAttribution(next);
+    const { view, frame } = getState();
+    if (!(view && applyView(view))) fitDrive(false);
+    if (frame !== null && !next.frame.rows.has(frame)) setState({ frame: null });
+    timeline.show(next);
+    updateKeyframe();
+    for (const call of listeners) call(next);
+  };
+
+  const clear = () => {
+    result = null;
+    scene = null;
+    parts?.legend.show(null);
+    parts?.surface.redraw();
+    parts?.keyframe.show(null, null, false);
+    map?.closePopup();
+    parts?.setTiles(false);
+    timeline.show(null);
+    for (const call of listeners) call(null);
+  };
+
+  const updateLayers = () => {
+    if (!scene) return;
+    scene.on = layersOn(getState().layers);
+    parts.setTiles(scene.on.has("tiles") && !result?.local);
+    parts.surface.redraw();
+  };
+
+  const updateKeyframe = () => {
+    if (!result) return;
+    const row = result.frame.rows.get(getState().frame);
+    const keyframe = row === undefined ? null : result.keyframes[row];
+    parts.keyframe.show(result, keyframe, layersOn(getState().layers).has("zone"));
+    if (keyframe && timeline.isFollowing && !map.getBounds().pad(-0.12).contains([keyframe.lat, keyframe.lng])) {
+      map.panTo([keyframe.lat, keyframe.lng], { animate: false });
+    }
+  };
+
+  subscribe(["job", "drive"], () => void showDrive());
+  subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
+  subscribe(["frame"], updateKeyframe);
+  onTilesChange(() => (parts?.setTiles(false), updateLayers()));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.surface.redraw());
+  document.addEventListener("job-finished", () => void showDrive());
+  const { mountDrawer } = await import("../bev/drawer.js");
+  mountDrawer(/** @type {HTMLElement} */ (document.getElementById("drawer")));
+  await showDrive();
+}
+
+/** @param {HTMLElement} holder @param {boolean} local @param {() => Scene|null} current */
+function makeMap(holder, local, current) {
+  const made = new LeafletMap(holder, {
+    crs: local ? CRS.Simple : CRS.EPSG3857,
+    zoomControl: false,
+    attributionControl: false,
+    zoomSnap: 0.25,
+    zoomDelta: 0.75,
+    wheelPxPerZoomLevel: 90,
+    minZoom: local ? -6 : 3,
+    maxZoom: local ? 7 : 24,
+    maxBoundsViscosity: 0,
+  });
+  made.setView([0, 0], local ? 0 : 3);
+  for (const [name, z] of /** @type {const} */ ([["pictures", 250], ["surface", 350], ["keyframe", 450], ["marks", 600]])) {
+    made.createPane(name).style.zIndex = String(z);
+    if (name !== "pictures") made.getPane(name).style.pointerEvents = "none";
+  }
+  const surface = new Surface((/** @type {any} */ context, /** @type {any} */ view) => current()?.paint(context, view), { pane: "surface" });
+  surface.addTo(made);
+  control.zoom({ position: "topleft" }).addTo(made);
+  addFit(made);
+  control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
+  const attribution = control.attribution({ position: "bottomright", prefix: false }).addTo(made);
+  const legend = addLegend(made);
+  watchPointer(made, current);
+  if (new URLSearchParams(location.search).has("debug")) /** @type {any} */ (window).map = made;
+  /** @type {any} */
+  let tiles = null;
+  /** @type {string|null} */
+  let credit = null;
+  return {
+    map: made,
+    local,
+    surface,
+    legend,
+    keyframe: new KeyframeLayer(made),
+    /** @param {boolean} on */
+    setTiles(on) {
+      if (on && !tiles) {
+        tiles = makeTiles();
+        tiles?.addTo(made);
+      } else if (!on && tiles) {
+        tiles.remove();
+        tiles = null;
+      }
+      holder.classList.toggle("with-tiles", Boolean(tiles));
+    },
+    /** @param {import("../data/results.js").Result} shown */
+    setAttribution(shown) {
+      if (credit) attribution.removeAttribution(credit);
+      credit = shown.local ? "Metres of the drive’s own frame: it has no georeference" : shown.roads.length || shown.nodes.length ? "© OpenStreetMap contributors, ODbL" : null;
+      if (credit) attribution.addAttribution(credit);
+    },
+  };
+}
+
+/** @param {any} made */
+function addFit(made) {
+  const button = el("a", { href: "#", role: "button", title: "Show the whole drive", "aria-label": "Show the whole drive", onClick: (/** @type {Event} */ e) => (e.preventDefault(), fitDrive(true)) }, icon("fit"));
+  const bar = el("div", { class: "leaflet-bar leaflet-control" }, button);
+  const fit = control.zoom({ position: "topleft" });
+  fit.onAdd = () => bar;
+  fit.onRemove = () => {};
+  fit.addTo(made);
+}
+
+/** @param {boolean} animate */
+export function fitDrive(animate) {
+  if (!map || !result) return;
+  const bounds = latLngBounds([]);
+  for (const each of [...result.keyframes, ...result.intersections]) bounds.extend([each.lat, each.lng]);
+  if (!bounds.isValid()) return;
+  map.invalidateSize({ animate: false });
+  map.fitBounds(bounds, { paddingTopLeft: [56, 40], paddingBottomRight: [map.getSize().x > 760 ? 232 : 40, 40], animate, maxZoom: result.local ? 4 : 19.5 });
+}
+
+/**
+ * Go to a thing and open its details.
+ * @param {import("./scene.js").Hit} hit
+ */
+export function goTo(hit) {
+  if (!map || !result) return;
+  const zoom = Math.max(map.getZoom(), result.local ? 2.5 : 18.5);
+  map.setView([hit.item.lat, hit.item.lng], zoom, { animate: true });
+  openDetails(map, hit, result.local);
+}
+
+/** @returns {string} */
+function viewText() {
+  const { lat, lng } = map.getCenter();
+  const digits = result?.local ? 1 : 6;
+  return `${Number(map.getZoom().toFixed(2))}/${lat.toFixed(digits)}/${lng.toFixed(digits)}`;
+}
+
+/** @param {string} text @returns {boolean} */
+function applyView(text) {
+  const [zoom, lat, lng] = text.split("/").map(Number);
+  if (![zoom, lat, lng].every(Number.isFinite)) return false;
+  map.setView([lat, lng], zoom, { animate: false });
+  return true;
+}
+
+/** @param {any} job @returns {string} */
+function waiting(job) {
+  if (job.state === "failed") return "This job failed; the panel at the left says why.";
+  if (job.state === "dismissed") return "This job was cancelled.";
+  return "The map appears here when the job is done.";
+}
+
+/** @param {string|null} drive */
+function welcome(drive) {
+  return drive
+    ? el("p", {}, "This drive has no result yet. Run it from the panel at the left.")
+    : el("div", {}, el("h2", {}, "Intersections from LiDAR drives"), el("p", {}, "Upload a drive, or open one at the left: its intersections appear here, beside the roads of OpenStreetMap."));
+}
+

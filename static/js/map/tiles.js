@@ -1,0 +1,74 @@
+/**
+ * Map tiles: only when switched on, since they tell another server which place is looked at.
+ * @module map/tiles
+ */
+import { TileLayer } from "../leaflet.js";
+import { el } from "../dom.js";
+import { getConfig } from "../shell/config.js";
+import { showError } from "../shell/messages.js";
+
+const URL_KEY = "interloc.tiles";
+/** @type {Set<() => void>} */
+const listeners = new Set();
+
+/** @returns {string} */
+function tileUrl() {
+  return localStorage.getItem(URL_KEY) || getConfig().tile_url || "";
+}
+
+/** @param {() => void} call Called when another address is to be used. */
+export function onTilesChange(call) {
+  listeners.add(call);
+}
+
+/** @returns {any} A layer of the tiles; null where there is no address. */
+export function makeTiles() {
+  const url = tileUrl();
+  if (!url) return null;
+  const layer = new TileLayer(url, {
+    maxNativeZoom: 19,
+    maxZoom: 24,
+    attribution: el("span", {}, getConfig().tile_attribution || "© OpenStreetMap contributors").outerHTML,
+    referrerPolicy: "strict-origin-when-cross-origin",
+    className: "tiles",
+  });
+  let told = false;
+  layer.on("tileerror", () => {
+    if (told) return;
+    told = true;
+    showError({
+      title: "Map tiles not loaded",
+      detail: `${hostOf(url)} gave no tiles. Without the internet the roads of the OSM file are the base map; another tile server must be allowed by the operator (INTERLOC_TILE_URL).`,
+    });
+  });
+  return layer;
+}
+
+/** @param {string} url @returns {string} */
+function hostOf(url) {
+  try {
+    return new URL(url.replace("{s}", "a")).host;
+  } catch {
+    return url;
+  }
+}
+
+/** @returns {HTMLElement} The field for another address. */
+export function tileBox() {
+  const input = el("input", { type: "url", value: tileUrl(), spellcheck: false, "aria-label": "Address of the tiles, with {z}/{x}/{y}" });
+  return el(
+    "form",
+    {
+      class: "tile-box",
+      onSubmit: (/** @type {Event} */ event) => {
+        event.preventDefault();
+        const url = input.value.trim();
+        if (url && url !== getConfig().tile_url) localStorage.setItem(URL_KEY, url);
+        else localStorage.removeItem(URL_KEY);
+        for (const call of listeners) call();
+      },
+    },
+    input,
+    el("button", {}, "Use"),
+  );
+}

@@ -1,0 +1,131 @@
+/**
+ * Charts: lines over a distance, and bars; with axes, and a cursor that reads them out.
+ * @module report/chart
+ */
+import { el, fill, svg } from "../dom.js";
+
+const W = 360;
+const BOX = { left: 34, right: 8, top: 8, bottom: 30 };
+
+/**
+ * @typedef {{name: string, colour: string, dash?: string, points: Array<[number, number|null]>}} Line y in 0..1.
+ */
+
+/**
+ * Shares over D.
+ * @param {Line[]} lines
+ * @param {{max: number, mark: number, onMark: (x: number) => void}} options `mark`: the D at hand; a click chooses another.
+ */
+export function lineChart(lines, { max, mark, onMark }) {
+  const h = 190;
+  const x = (/** @type {number} */ d) => BOX.left + (d / max) * (W - BOX.left - BOX.right);
+  const y = (/** @type {number} */ share) => BOX.top + (1 - share) * (h - BOX.top - BOX.bottom);
+  const xs = lines[0].points.map(([d]) => d).filter((d) => d <= max);
+  const cursor = svg("line", { class: "cursor", y1: BOX.top, y2: h - BOX.bottom });
+  const dots = lines.map((line) => svg("circle", { r: 3.5, fill: line.colour, visibility: "hidden" }));
+  const keys = el("div", { class: "keys" });
+  let current = mark;
+  /** @param {number} d */
+  const read = (d) => {
+    cursor.setAttribute("x1", String(x(d)));
+    cursor.setAttribute("x2", String(x(d)));
+    lines.forEach((line, i) => {
+      const value = line.points.find(([each]) => each === d)?.[1];
+      dots[i].setAttribute("visibility", value === null || value === undefined ? "hidden" : "visible");
+      dots[i].setAttribute("cx", String(x(d)));
+      dots[i].setAttribute("cy", String(y(value ?? 0)));
+    });
+    fill(
+      keys,
+      el("strong", {}, `D = ${d} m`),
+      lines.map((line) => {
+        const value = line.points.find(([each]) => each === d)?.[1];
+        return el("span", {}, el("i", { class: "key", style: { borderColor: line.colour, borderTopStyle: line.dash ? "dashed" : "solid" } }), `${line.name} ${value === null || value === undefined ? "–" : `${(100 * value).toFixed(1)} %`}`);
+      }),
+    );
+  };
+  const nearest = (/** @type {PointerEvent} */ event) => {
+    const box = chart.getBoundingClientRect();
+    const d = ((((event.clientX - box.left) / box.width) * W - BOX.left) / (W - BOX.left - BOX.right)) * max;
+    return xs.reduce((best, each) => (Math.abs(each - d) < Math.abs(best - d) ? each : best), xs[0]);
+  };
+  const choose = (/** @type {number} */ d) => {
+    current = d;
+    read(d);
+    onMark(d);
+  };
+  const chart = svg(
+    "svg",
+    {
+      class: "chart", viewBox: `0 0 ${W} ${h}`, tabindex: 0, role: "slider", "aria-label": "Distance D at which a detection counts as true",
+      "aria-valuemin": xs[0], "aria-valuemax": xs.at(-1), "aria-valuenow": mark, "aria-valuetext": `${mark} metres`,
+      onPointermove: (/** @type {PointerEvent} */ event) => read(nearest(event)),
+      onPointerleave: () => read(current),
+      onClick: (/** @type {PointerEvent} */ event) => choose(nearest(event)),
+      onKeydown: (/** @type {KeyboardEvent} */ event) => {
+        const step = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
+        if (!step) return;
+        event.preventDefault();
+        choose(xs[Math.max(0, Math.min(xs.length - 1, xs.indexOf(current) + step))]);
+        chart.setAttribute("aria-valuenow", String(current));
+        chart.setAttribute("aria-valuetext", keys.textContent ?? "");
+      },
+    },
+    [0, 0.25, 0.5, 0.75, 1].map((share) => [
+      svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(share), y2: y(share) }),
+      svg("text", { x: BOX.left - 6, y: y(share) + 4, "text-anchor": "end" }, String(100 * share)),
+    ]),
+    Array.from({ length: max / 2 + 1 }, (_, i) => svg("text", { x: x(2 * i), y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(2 * i))),
+    svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "distance D [m]"),
+    svg("text", { x: 0, y: 6 }, "%"),
+    lines.map((line) =>
+      svg("polyline", {
+        class: "curve",
+        stroke: line.colour,
+        "stroke-dasharray": line.dash,
+        points: line.points.filter(([d, value]) => d <= max && value !== null).map(([d, value]) => `${x(d).toFixed(1)},${y(value ?? 0).toFixed(1)}`).join(" "),
+      }),
+    ),
+    cursor,
+    dots,
+  );
+  read(mark);
+  return el("div", { class: "stack-s" }, chart, keys);
+}
+
+/**
+ * Counts of errors.
+ * @param {number[]} counts The last one holds all beyond.
+ * @param {{width: number, limit: number}} options `width` of a bin; from `limit` on bars are in the colour of false.
+ */
+export function barChart(counts, { width, limit }) {
+  const h = 130;
+  const most = Math.max(1, ...counts);
+  const step = (W - BOX.left - BOX.right) / counts.length;
+  const y = (/** @type {number} */ count) => BOX.top + (1 - count / most) * (h - BOX.top - BOX.bottom);
+  const total = counts.reduce((sum, each) => sum + each, 0);
+  const legend = el("p", { class: "small number" });
+  const say = (/** @type {number|null} */ i) => {
+    if (i === null) return fill(legend, `${total.toLocaleString("en")} matched detections; ${counts.at(-1)} beyond ${(counts.length - 1) * width} m.`);
+    const range = i === counts.length - 1 ? `beyond ${i * width} m` : `${i * width} to ${(i + 1) * width} m`;
+    fill(legend, `${counts[i].toLocaleString("en")} detections (${((100 * counts[i]) / Math.max(1, total)).toFixed(1)} %) ${range} off.`);
+  };
+  say(null);
+  const chart = svg(
+    "svg",
+    { class: "chart", viewBox: `0 0 ${W} ${h}`, role: "img", "aria-label": "Histogram of the errors", onPointerleave: () => say(null) },
+    svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, most.toLocaleString("en")),
+    svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(most), y2: y(most) }),
+    svg("line", { class: "axis", x1: BOX.left, x2: W - BOX.right, y1: y(0), y2: y(0) }),
+    counts.map((count, i) => [
+      svg("rect", { class: `bar${i * width >= limit ? " fp" : ""}`, x: BOX.left + i * step + 0.5, y: y(count), width: step - 1, height: y(0) - y(count) }),
+      svg("rect", { fill: "transparent", x: BOX.left + i * step, y: BOX.top, width: step, height: y(0) - BOX.top, onPointerenter: () => say(i) }),
+    ]),
+    counts.map((_, i) => {
+      const metres = i * width;
+      return metres % 2 === 0 && svg("text", { x: BOX.left + i * step, y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(metres) + (i === counts.length - 1 ? "+" : ""));
+    }),
+    svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "center error [m]"),
+  );
+  return el("div", {}, chart, legend);
+}

@@ -1,0 +1,66 @@
+/**
+ * The table of all OSM intersections that the drive could or did find; a row leads to its place on the map.
+ * @module report/nodes
+ */
+import { el, fill, formatMetres } from "../dom.js";
+import { kindOfNode } from "../map/layers.js";
+import { goTo } from "../map/stage.js";
+import { signIcon } from "../map/symbols.js";
+
+const ORDER = { missed: 0, found: 1, outside: 2 };
+const NAMES = { missed: "missed", found: "found", outside: "out of reach" };
+
+/** @type {Array<{name: string, title: string, value: (node: any) => number, text: (node: any) => any}>} */
+const COLUMNS = [
+  { name: "OSM node", title: "Number of the node in OpenStreetMap", value: (n) => n.osm_id ?? 0, text: (n) => [signIcon(n.kind), ` ${n.osm_id}`] },
+  { name: "Outcome", title: "Whether a true detection was matched to it", value: (n) => ORDER[/** @type {"found"} */ (n.kind)], text: (n) => NAMES[/** @type {"found"} */ (n.kind)] },
+  { name: "Det.", title: "Detections matched to it", value: (n) => n.detections, text: (n) => n.detections },
+  { name: "Missed", title: "Keyframes that had it in the relevant zone without a detection", value: (n) => n.keyframes_missed, text: (n) => `${n.keyframes_missed}/${n.keyframes_in_zone}` },
+  { name: "Median", title: "Median error of the detections", value: (n) => n.median_error_m ?? Infinity, text: (n) => formatMetres(n.median_error_m) },
+  { name: "Map", title: "Error of the fused intersection", value: (n) => n.map_error_m ?? Infinity, text: (n) => formatMetres(n.map_error_m) },
+];
+
+/** @param {import("../data/results.js").Result} result */
+export function nodeTable(result) {
+  const places = new Map(result.nodes.map((node) => [node.properties.osm_id, node]));
+  const rows = result.report.nodes.map((/** @type {any} */ node) => ({ ...node, kind: kindOfNode({ lng: 0, lat: 0, properties: node }) }));
+  let column = 1;
+  let down = false;
+  const body = el("tbody", {});
+  const heads = COLUMNS.map(({ name, title }, i) =>
+    el("th", { scope: "col", title }, el("button", { type: "button", onClick: () => sort(i) }, name, el("span", { "aria-hidden": "true" }))),
+  );
+  /** @param {number} next */
+  const sort = (next) => {
+    down = next === column ? !down : next > 1;
+    column = next;
+    update();
+  };
+  const update = () => {
+    const { value } = COLUMNS[column];
+    rows.sort((/** @type {any} */ a, /** @type {any} */ b) => (value(a) - value(b)) * (down ? -1 : 1) || a.osm_id - b.osm_id);
+    heads.forEach((head, i) => {
+      head.setAttribute("aria-sort", i === column ? (down ? "descending" : "ascending") : "none");
+      head.querySelector("span").textContent = i === column ? (down ? "▾" : "▴") : "";
+    });
+    fill(
+      body,
+      rows.map((/** @type {any} */ node) => {
+        const go = () => {
+          const item = places.get(node.osm_id);
+          if (!item) return;
+          for (const each of body.children) each.classList.toggle("is", each === row);
+          goTo({ kind: "node", item });
+        };
+        const row = el(
+          "tr",
+          { class: "can", tabIndex: 0, title: "Show it on the map", onClick: go, onKeydown: (/** @type {KeyboardEvent} */ e) => (e.key === "Enter" || e.key === " ") && (e.preventDefault(), go()) },
+          COLUMNS.map(({ text }) => el("td", {}, text(node))),
+        );
+        return row;
+      }),
+    );
+  };
+  update();
+  return el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, heads)), body));
+}

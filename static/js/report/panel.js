@@ -1,0 +1,130 @@
+/**
+ * The report: how far off, how many right, how many missed; over D, a node, beside the paper, beside another job.
+ * @module report/panel
+ */
+import { getJson } from "../api.js";
+import { el, fill, formatCount, formatMetres, formatPercent, plural } from "../dom.js";
+import { onResult } from "../map/stage.js";
+import { setState } from "../state.js";
+import { barChart, lineChart } from "./chart.js";
+import { comparison } from "./comparison.js";
+import { nodeTable } from "./nodes.js";
+import { at, curve, histogram, sequenceOf } from "./scores.js";
+
+const D = 5;
+
+/** @param {HTMLElement} container */
+export function mount(container) {
+  onResult((result) => {
+    if (!result) return fill(container, el("p", { class: "quiet" }, "The report appears here when a job is done."));
+    if (!result.report) return fill(container, unscored(result));
+    fill(container, el("div", { class: "stack" }, sections(result, result.report)));
+  });
+}
+
+/** @param {import("../data/results.js").Result} result */
+function unscored(result) {
+  return el(
+    "div",
+    { class: "stack" },
+    el("h2", {}, "Not scored"),
+    result.local
+      ? el("p", { class: "note" }, el("strong", {}, "No georeference"), "The drive has neither oxts/ nor geo.csv, so it cannot be laid over OpenStreetMap. Its intersections are on the map in metres of the drive’s own frame.")
+      : el("p", { class: "note" }, el("strong", {}, "No map"), "The job was submitted without a map. Run the drive again with one."),
+    el("div", { class: "row" }, el("button", { onClick: () => setState({ panel: "job" }) }, "To the job")),
+  );
+}
+
+/** @param {import("../data/results.js").Result} result @param {any} report */
+function sections(result, report) {
+  const scores = at(report, D);
+  const { map_level: level } = report;
+  const points = curve(report);
+  const errors = result.matches.map((each) => each.error_m);
+  const counts = el("p", { class: "small number" });
+  const explain = (/** @type {number} */ d) => {
+    const { tp, fp, fn } = at(report, d);
+    fill(counts, `${formatCount(tp)} true, ${formatCount(fp)} false; ${formatCount(fn)} times a node in the relevant zone without a detection.`);
+  };
+  explain(D);
+  return [
+    el(
+      "div",
+      {},
+      el("h2", { class: "cut" }, result.job.drive_name),
+      el("p", { class: "small" }, `Scored against ${report.osm.source}${report.osm.date ? ` of ${report.osm.date}` : ""}; ${plural(report.osm.nodes, "intersection")} under policy `, el("b", {}, report.policy), report.tolerance_m ? ` (merged within ${report.tolerance_m} m)` : "", "."),
+    ),
+    report.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
+    el(
+      "div",
+      { class: "tiles-row" },
+      figure(formatMetres(report.ace_m), "mean error (ACE)", `median ${formatMetres(report.median_m)}`),
+      figure(formatPercent(scores.precision), "precision", `D = ${D} m`),
+      figure(formatPercent(scores.recall), "recall", `D = ${D} m`),
+      figure(`${report.nodes_found} of ${report.nodes_in_zone}`, "OSM nodes found", "in the relevant zone"),
+      figure(formatPercent(level.precision), "of the map right", `${level.true} of ${level.true + level.false}, one to one`),
+      figure(formatMetres(level.mean_m), "error of the map", `most ${formatMetres(level.max_m)}`),
+    ),
+    paperNote(result, report),
+    section(
+      "Precision, recall and F1 over D",
+      lineChart(
+        [
+          { name: "Precision", colour: "var(--tp)", points: points.map((p) => [p.d, p.precision]) },
+          { name: "Recall", colour: "var(--fp)", dash: "6 3", points: points.map((p) => [p.d, p.recall]) },
+          { name: "F1", colour: "var(--found)", dash: "2 3", points: points.map((p) => [p.d, p.f1]) },
+        ],
+        { max: 10, mark: D, onMark: explain },
+      ),
+      counts,
+    ),
+    section("Center errors", barChart(histogram(errors, 0.5, 20), { width: 0.5, limit: report.ace_tp_threshold_m ?? D })),
+    section("OSM intersections", nodeTable(result)),
+    comparison(result),
+  ];
+}
+
+/**
+ * The paper's figures, where the drive is one of its sequences.
+ * @param {import("../data/results.js").Result} result
+ * @param {any} report
+ */
+function paperNote(result, report) {
+  const sequence = sequenceOf(result.job.drive_name);
+  if (!sequence) return null;
+  const holder = el("div", { hidden: true });
+  getJson("paper").then(
+    (answer) => {
+      const paper = (answer.sequences ?? answer)[sequence];
+      if (!paper) return;
+      holder.hidden = false;
+      const { precision, recall } = at(report, D);
+      const row = (/** @type {string} */ name, /** @type {any[]} */ values) => el("tr", {}, el("td", {}, name), values.map((each) => el("td", {}, each)));
+      fill(
+        holder,
+        section(
+          `Beside the paper: sequence ${sequence}`,
+          el(
+            "table",
+            {},
+            el("thead", {}, el("tr", {}, ["", "ACE", "Precision", "Recall"].map((name) => el("th", { scope: "col" }, name)))),
+            el("tbody", {}, row("This job", [formatMetres(report.ace_m), formatPercent(precision), formatPercent(recall)]), row("Paper, RangeNet++ labels", [formatMetres(paper.ace_m), formatPercent(paper.precision), formatPercent(paper.recall)])),
+          ),
+          el("p", { class: "small" }, "At D = 5 m. Other labels and another map than the paper’s make other figures."),
+        ),
+      );
+    },
+    () => {}, // an older server has no such figures; the report stands without them
+  );
+  return holder;
+}
+
+/** @param {string} title @param {...any} content */
+export function section(title, ...content) {
+  return el("section", { class: "section" }, el("h3", {}, title), content);
+}
+
+/** @param {string} value @param {string} name @param {string} [more] */
+function figure(value, name, more) {
+  return el("div", { class: "figure" }, el("b", {}, value), el("span", {}, name), more && el("em", {}, more));
+}

@@ -1,0 +1,49 @@
+/**
+ * Figures of a report at distances D, and what the paper has beside them.
+ * @module report/scores
+ */
+
+/**
+ * @param {any} report
+ * @returns {Array<{d: number, precision: number|null, recall: number|null, f1: number|null}>} Ascending.
+ */
+export function curve(report) {
+  return Object.keys(report.precision)
+    .map((key) => ({ d: Number(key), precision: report.precision[key], recall: report.recall[key], f1: report.f1[key] }))
+    .sort((a, b) => a.d - b.d);
+}
+
+/** @param {any} report @param {number} d */
+export function at(report, d) {
+  const key = d.toFixed(1);
+  return { precision: report.precision[key] ?? null, recall: report.recall[key] ?? null, f1: report.f1[key] ?? null, tp: report.tp[key] ?? 0, fp: report.fp[key] ?? 0, fn: report.fn[key] ?? 0 };
+}
+
+const RAW_DRIVES = /** @type {Record<string, string>} */ ({
+  "2011_10_03_drive_0027": "00", "2011_10_03_drive_0042": "01", "2011_10_03_drive_0034": "02", "2011_09_30_drive_0016": "04",
+  "2011_09_30_drive_0018": "05", "2011_09_30_drive_0020": "06", "2011_09_30_drive_0027": "07", "2011_09_30_drive_0028": "08",
+  "2011_09_30_drive_0033": "09", "2011_09_30_drive_0034": "10",
+});
+
+/**
+ * @param {string} name Of a drive.
+ * @returns {string|null} The KITTI odometry sequence that it seems to be, "00" to "10".
+ */
+export function sequenceOf(name) {
+  for (const [raw, sequence] of Object.entries(RAW_DRIVES)) if (name.includes(raw)) return sequence;
+  const found = /(?:^|sequences?[ _/-]?|kitti[ _/-]?|seq[ _/-]?)(0\d|10)(?!\d)/i.exec(name.trim());
+  return found ? found[1] : null;
+}
+
+/**
+ * Count errors into bins of equal width; the last one takes all beyond.
+ * @param {number[]} errors
+ * @param {number} width
+ * @param {number} bins
+ * @returns {number[]}
+ */
+export function histogram(errors, width, bins) {
+  const counts = new Array(bins + 1).fill(0);
+  for (const error of errors) counts[Math.min(bins, Math.floor(error / width))] += 1;
+  return counts;
+}
