@@ -115,11 +115,9 @@ def measure_uploads(server: ServerProcess, folder: Path, gigabytes: float) -> It
         content = os.urandom(size)
         count, sent, seconds = put_many(server, drive, ((f"velodyne/{n:06d}.bin", content) for n in range(files)))
         server.client.delete(f"{API}/drives/{drive}")
-        yield (
-            f"upload, files of {size / MB:.1f} MB",
-            f"{sent / seconds / MB:.0f} MB/s, {count / seconds:.0f} files/s; disk itself {own / MB:.0f} MB/s "
-            f"({sent / seconds / own:.0%})",
-        )
+        speed = sent / seconds
+        value = f"{speed / MB:.0f} MB/s, {count / seconds:.0f} files/s; disk {own / MB:.0f} MB/s ({speed / own:.0%})"
+        yield f"upload, files of {size / MB:.1f} MB", value
     with sampled_memory(server) as samples:
         rounds = max(1, round(gigabytes))
         content = os.urandom(2 * MB)
@@ -128,10 +126,10 @@ def measure_uploads(server: ServerProcess, folder: Path, gigabytes: float) -> It
             put_many(server, drive, ((f"velodyne/{n:06d}.bin", content) for n in range(512)))
             server.client.delete(f"{API}/drives/{drive}")
     first = max(samples[: max(1, len(samples) // rounds)])
-    yield (
-        f"memory of the server while {rounds} GB pass",
-        f"{first / MB:.0f} MB in the first GB, {max(samples) / MB:.0f} MB at most, {samples[-1] / MB:.0f} MB at the end",
+    value = (
+        f"{first / MB:.0f} MB in the first, {max(samples) / MB:.0f} MB at most, {samples[-1] / MB:.0f} MB at the end"
     )
+    yield f"memory of the server while {rounds} GB pass", value
 
 
 def _read(netloc: str, path: str, headers: dict[str, str], seconds: float, counted: Any) -> None:
@@ -196,11 +194,11 @@ def measure_listeners(server: ServerProcess, drive: str) -> Iterator[Row]:
     asyncio.run(listen())
     cpu = (sum(process.cpu_times()[:2]) - before) / (time.perf_counter() - began)
     ended(server.client, job)
-    yield (
-        f"{LISTENERS} listeners on a job of {time.perf_counter() - began:.0f} s",
+    value = (
         f"{len(heard)} heard its end, the last {max(heard) - min(heard):.2f} s after the first; "
-        f"server at {cpu:.0%} of a core, {process.memory_info().rss / MB:.0f} MB",
+        f"server at {cpu:.0%} of a core, {process.memory_info().rss / MB:.0f} MB"
     )
+    yield f"{LISTENERS} listeners on a job of {time.perf_counter() - began:.0f} s", value
 
 
 def main(say: Callable[[str], object] = print) -> None:
