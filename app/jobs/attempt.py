@@ -218,12 +218,12 @@ class Attempt:
         with self._service.database.writing() as session:
             if not self._queue.finish(session, self.claim, state, error=error, summary=summary):
                 return False
+            if state == "successful":
+                place_result(self._service.storage, self._task)
             if self._kind.is_quick:
                 job = session.get(Job, job_id)
                 assert job is not None
                 import_module("app.drives.settle").settle(session, self._service, job, outcome)
-            if state == "successful":
-                place_result(self._service.storage, self._task)
         return True
 
     def _leave(self) -> str:

@@ -16,7 +16,7 @@ from interloc.mapping.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, 
 from interloc.mapping.reading import read_results
 from interloc.results import DriveResult
 
-__all__ = ["read_results", "thin", "write_results"]
+__all__ = ["read_results", "thin", "trajectory_feature", "write_results"]
 
 TRAJECTORY_STEP_M = 0.5
 
@@ -52,7 +52,8 @@ def write_results(result: DriveResult, folder: Path) -> None:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
     write_collection(folder / names["detections"], _detection_features(result), local=local)
     write_collection(folder / names["keyframes"], _keyframe_features(result), local=local)
-    write_collection(folder / names["trajectory"], [_trajectory_feature(result)], local=local)
+    track = trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)
+    write_collection(folder / names["trajectory"], [track], local=local)
     write_collection(folder / names["intersections"], _intersection_features(result), local=local)
     own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, [*names.values(), RUN_FILE])
     run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in result.run.items() if k not in RUN_KEYS}
@@ -143,17 +144,24 @@ def thin(xy: Array, step_m: float) -> NDArray[np.int64]:
     return np.array(kept, dtype=np.int64)
 
 
-def _trajectory_feature(result: DriveResult) -> dict[str, Any]:
-    """Return the LineString; a drive of one scan repeats it, since a line needs two positions (RFC 7946, 3.1.4)."""
-    rows = thin(result.trajectory_world_xy, TRAJECTORY_STEP_M)
-    scans = len(result.trajectory_world_xy)
-    world_xy = result.trajectory_world_xy[rows]
-    line = _coordinates(world_xy, None if result.trajectory_lonlat is None else result.trajectory_lonlat[rows])
+def trajectory_feature(trajectory_world_xy: Array, trajectory_lonlat: Array | None) -> dict[str, Any]:
+    """Return the LineString of a track over all N scans, thinned; one of a single scan repeats it (RFC 7946, 3.1.4).
+
+    Parameters
+    ----------
+    trajectory_world_xy : (N, 2) float64
+        In W, metres.
+    trajectory_lonlat : (N, 2) float64 or None
+        Longitude, latitude in degrees; None: the line is in metres of W.
+    """
+    rows = thin(trajectory_world_xy, TRAJECTORY_STEP_M)
+    world_xy = trajectory_world_xy[rows]
+    line = _coordinates(world_xy, None if trajectory_lonlat is None else trajectory_lonlat[rows])
     line = line * 2 if len(line) == 1 else line
     return {
         "type": "Feature",
         "geometry": {"type": "LineString", "coordinates": line} if line else None,
-        "properties": {"scans": scans, "thinned_to_m": TRAJECTORY_STEP_M},
+        "properties": {"scans": len(trajectory_world_xy), "thinned_to_m": TRAJECTORY_STEP_M},
         "world_xy_m": positions(world_xy, local=True),
     }
 
