@@ -35,16 +35,16 @@ def wait_until(condition: Callable[[], Any], what: str, patience_s: float = PATI
 
 
 class ServerProcess:
-    """`interloc serve` in a process group of its own."""
+    """`interloc serve` in a process group of its own; `port` 0 is any free one."""
 
-    def __init__(self, data_dir: Path, log: Path, **settings: Any) -> None:
+    def __init__(self, data_dir: Path, log: Path, *, port: int = 0, **settings: Any) -> None:
         self.log = log
         variables = {f"INTERLOC_{name.upper()}": str(value) for name, value in settings.items()}
         clean = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
         base = {"INTERLOC_MIN_FREE_BYTES": "0", "INTERLOC_LEASE_S": "2", "INTERLOC_DATA_DIR": str(data_dir)}
         with log.open("ab") as stderr:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", "from interloc.cli.main import main; main()", "serve", "--port", "0"],
+                [sys.executable, "-c", "from interloc.cli.main import main; main()", "serve", "--port", str(port)],
                 env={**clean, **base, **variables},
                 stdout=subprocess.PIPE,
                 stderr=stderr,
