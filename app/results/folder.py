@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from app.models import Drive, Job
 from app.problems import Problem
@@ -35,6 +36,8 @@ class Result:
         Folder of its drive.
     cache : Path
         Folder for what is derived from the result; it goes with the job.
+    request : dict
+        What the job was asked for, completed.
     """
 
     job_id: str
@@ -44,6 +47,7 @@ class Result:
     folder: Path
     drive: Path
     cache: Path
+    request: dict[str, Any]
 
     @property
     def is_georeferenced(self) -> bool:
@@ -133,14 +137,14 @@ def open_result(service: Service, job_id: str) -> Result:
     """
     with service.database.reading() as session:
         row = (
-            session.query(Job.kind, Job.state, Job.drive_id, Drive.name)
+            session.query(Job.kind, Job.state, Job.request, Job.drive_id, Drive.name)
             .join(Drive, Drive.id == Job.drive_id)
             .filter(Job.id == job_id)
             .first()
         )
     if row is None:
         raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
-    kind, state, drive_id, drive_name = row
+    kind, state, request, drive_id, drive_name = row
     address = f"/api/v1/jobs/{job_id}"
     if kind != "intersections":
         raise Problem(404, "No results", f"Job {job_id} is a {kind}; only jobs of kind intersections have results.")
@@ -156,6 +160,7 @@ def open_result(service: Service, job_id: str) -> Result:
         folder=storage.folder(f"jobs/{job_id}/result"),
         drive=storage.folder(f"drives/{drive_id}"),
         cache=storage.folder(f"jobs/{job_id}/cache"),
+        request=request,
     )
     if not (result.folder / RUN_FILE).exists():
         raise Problem(410, "Result is gone", f"The result of job {job_id} is no longer on disk. Submit the job again.")

@@ -1,7 +1,115 @@
-"""Endpoints: exports."""
+"""Results for QGIS, Google Earth and other GIS."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-router = APIRouter(tags=["exports"])
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+
+from app.problems import ProblemDocument
+from app.results.delivery import MEDIA_TYPES, deliver
+from app.results.folder import Result, open_result
+from app.results.workers import in_worker
+from app.routes.results import PROBLEMS, JobId, answers
+from app.service import Service, ServiceDep
+from interloc.mapping.vector_files import write_vector_file
+
+Layer = Literal["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]
+LayerQuery = Annotated[Layer, Query(description="Which layer.")]
+
+router = APIRouter(tags=["Exports"])
+
+_PROBLEMS: dict[int | str, dict[str, Any]] = {
+    **PROBLEMS,
+    503: {"model": ProblemDocument, "description": "The workers died of it."},
+    507: {"model": ProblemDocument, "description": "The disk of the service is full."},
+}
+
+
+def get(suffix: str, summary: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Register an export for GET, and for HEAD without a second entry in the OpenAPI."""
+    path = f"/jobs/{{job_id}}/export{suffix}"
+    binary = {"type": "string"} if suffix == ".kml" else {"type": "string", "format": "binary"}
+
+    def register(endpoint: Callable[..., Any]) -> Callable[..., Any]:
+        router.add_api_route(
+            path,
+            endpoint,
+            methods=["GET"],
+            summary=summary,
+            operation_id=endpoint.__name__,
+            response_class=Response,
+            responses={**answers(MEDIA_TYPES[suffix], binary, "The file."), **_PROBLEMS},
+        )
+        router.add_api_route(path, endpoint, methods=["HEAD"], include_in_schema=False, response_class=Response)
+        return endpoint
+
+    return register
+
+
+@get(".gpkg", "Download the result as a GeoPackage")
+async def export_gpkg(
+    job_id: JobId,
+    request: Request,
+    service: ServiceDep,
+    layer: Annotated[Layer | None, Query(description="Only this layer; all by default.")] = None,
+) -> Response:
+    """Give all layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches.
+
+    EPSG:4326. Lists (bearings of branches) are JSON text. Layers with data of OpenStreetMap say so in their
+    description: © OpenStreetMap contributors, ODbL 1.0.
+    """
+    return await _export(request, service, job_id, ".gpkg", layer)
+
+
+@get(".fgb", "Download a layer as FlatGeobuf")
+async def export_fgb(
+    job_id: JobId, request: Request, service: ServiceDep, layer: LayerQuery = "intersections"
+) -> Response:
+    """Give one layer as FlatGeobuf: compact, with a spatial index."""
+    return await _export(request, service, job_id, ".fgb", layer)
+
+
+@get(".kml", "Download a layer as KML")
+async def export_kml(
+    job_id: JobId, request: Request, service: ServiceDep, layer: LayerQuery = "intersections"
+) -> Response:
+    """Give one layer as KML, for Google Earth."""
+    return await _export(request, service, job_id, ".kml", layer)
+
+
+async def _export(request: Request, service: Service, job_id: str, suffix: str, layer: Layer | None) -> Response:
+    result = await run_in_threadpool(open_result, service, job_id)
+    name = layer or "all"
+    path = result.cache / "exports" / f"{name}{suffix}"
+    if not path.exists():
+        if layer is None:
+            result.require_georeference(f"Its files are in {result.address}/files")
+        else:
+            result.layer(layer)
+        await _build(request, service, result, path, layer)
+    file_name = f"{result.slug}{suffix}" if layer is None else f"{result.slug}-{name}{suffix}"
+    return await run_in_threadpool(deliver, request, path, name=file_name, download=True)
+
+
+async def _build(request: Request, service: Service, result: Result, path: Path, layer: Layer | None) -> None:
+    """Write the file in a worker; once, however many ask for it at the same time."""
+    state = request.app.state
+    if not hasattr(state, "exports_being_built"):
+        state.exports_being_built = {}
+    running: dict[Path, asyncio.Task[None]] = state.exports_being_built
+    if path not in running:
+        task = asyncio.create_task(in_worker(service, write_export, result.folder, path, layer))
+        running[path] = task
+        task.add_done_callback(lambda _: running.pop(path, None))
+    await asyncio.shield(running[path])
+
+
+def write_export(folder: Path, path: Path, layer: str | None) -> None:
+    """Write an export into the cache of a job, in a worker."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_vector_file(folder, path, layer=layer)

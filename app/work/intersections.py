@@ -39,7 +39,7 @@ def prepare(task: Task) -> Plan:
     """Open the drive and the map, so that what is wrong with them shows before the long work."""
     board = Board(task)
     board.tell("preparing")
-    drive, keyframes = _open(task)
+    drive, keyframes = open_input(task)
     if not len(keyframes):
         raise DriveError(f"{task.drive_name}: the drive holds no scans")
     if task.request.get("osm") is not None:
@@ -54,7 +54,7 @@ def run(task: Task, part: Part, report: Report) -> None:
     if read_checkpoint(path) is not None:
         report(part.stop - part.start)
         return
-    drive, keyframes = _open(task)
+    drive, keyframes = open_input(task)
     done = 0
 
     def count() -> None:
@@ -62,7 +62,7 @@ def run(task: Task, part: Part, report: Report) -> None:
         done += 1
         report(done)
 
-    found = detect_range(drive, keyframes, part.start, part.stop, _config(task), count)
+    found = detect_range(drive, keyframes, part.start, part.stop, config_of(task), count)
     write_checkpoint(path, found)
 
 
@@ -70,12 +70,12 @@ def finish(task: Task, plan: Plan) -> Outcome:
     """Join the ranges, write the result folder, and score it where a map was given."""
     board = Board(task)
     board.tell("mapping")
-    drive, keyframes = _open(task)
+    drive, keyframes = open_input(task)
     result = assemble(
         drive,
         keyframes,
         [_found(task, part) for part in plan.parts],
-        _config(task),
+        config_of(task),
         FusionConfig(),
         workers=min(int(task.limits.get("workers", 1)), len(plan.parts)),
         seconds=max(0.0, time.time() - plan.notes["began"]),
@@ -91,8 +91,9 @@ def finish(task: Task, plan: Plan) -> Outcome:
     return Outcome(_summary(result, report))
 
 
-def _open(task: Task) -> tuple[Drive, _Positions]:
-    config = _config(task)
+def open_input(task: Task) -> tuple[Drive, _Positions]:
+    """Return the drive of a task, and the positions of its keyframes."""
+    config = config_of(task)
     reduced = task.drive / "reduced"
     root = reduced if reduced.is_dir() else task.drive / "files"
     return _open_once(root, _label_folder(task, root), config)
@@ -113,7 +114,8 @@ def _label_folder(task: Task, root: Path) -> LabelFolder:
     return there[0] if there else folders[0]
 
 
-def _config(task: Task) -> DetectorConfig:
+def config_of(task: Task) -> DetectorConfig:
+    """Return the settings of a task."""
     return DetectorConfig.model_validate(task.request["config"])
 
 

@@ -1,0 +1,32 @@
+"""Short work that a request waits for, done by the workers of the jobs: the server itself stays quick."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from app.jobs.executors import WorkerLostError
+from app.problems import Problem
+from app.service import Service
+
+Outcome = TypeVar("Outcome")
+
+
+async def in_worker(service: Service, function: Callable[..., Outcome], *args: Any) -> Outcome:  # noqa: ANN401
+    """Call a function in a worker process; once more where the worker dies.
+
+    Raises
+    ------
+    Problem
+        503 where two workers died of it.
+    """
+    try:
+        return await asyncio.wrap_future(service.runner.executor.submit(function, *args))
+    except WorkerLostError:
+        pass
+    try:
+        return await asyncio.wrap_future(service.runner.executor.submit(function, *args))
+    except WorkerLostError as error:
+        detail = f"The work for this request could not be done: {error}. Usual cause: too little memory."
+        raise Problem(503, "Worker lost", detail, headers={"Retry-After": "5"}) from error

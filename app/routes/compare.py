@@ -1,0 +1,122 @@
+"""Results side by side, and beside the paper's."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, Field
+
+from app.problems import Problem
+from app.results.folder import open_result
+from app.routes.results import PROBLEMS
+from app.service import ServiceDep
+
+_MOST = 8
+
+router = APIRouter(tags=["Results"])
+
+
+class Setting(BaseModel):
+    """A setting in which jobs differ."""
+
+    name: str = Field(examples=["bev.resolution_m"])
+    values: list[Any] = Field(description="In the order of the jobs.", examples=[[0.16, 0.25]])
+
+
+class Figure(BaseModel):
+    """A figure of the reports."""
+
+    name: str = Field(examples=["ace_m"])
+    values: list[float | None]
+
+
+class ComparedNode(BaseModel):
+    """An OpenStreetMap node with other outcomes."""
+
+    osm_id: int
+    lon: float
+    lat: float
+    degree: int
+    outcomes: list[Literal["found", "missed", "outside"]] = Field(
+        description="In the order of the jobs; outside: of the zone in which a missed node counts."
+    )
+    median_error_m: list[float | None]
+
+
+class Comparison(BaseModel):
+    """Reports of one drive side by side; lists of values are in the order of the jobs."""
+
+    runs: list[str] = Field(description="Ids of the jobs.")
+    drive_id: str
+    settings: list[Setting] = Field(description="Those that differ.")
+    figures: list[Figure]
+    nodes: list[ComparedNode] = Field(description="Those with other outcomes.")
+    found_by_all: int
+    missed_by_all: int
+    found_only_by: list[list[int]] = Field(description="OSM ids of the nodes that only this job found.")
+    warnings: list[str] = Field(description="Why figures may not be comparable.")
+
+
+@router.get(
+    "/compare",
+    summary="Compare jobs of one drive",
+    operation_id="compare_jobs",
+    response_model=Comparison,
+    responses=PROBLEMS,
+)
+def compare_jobs(
+    service: ServiceDep,
+    jobs: Annotated[
+        str,
+        Query(description="Ids of two to eight jobs, with commas between.", max_length=1000, examples=["9b1e,44f0"]),
+    ],
+) -> dict[str, Any]:
+    """Show which settings differ, the figures at D = 5 m, and which intersections only one of the jobs found."""
+    from interloc.evaluate.compare import compare_reports  # noqa: PLC0415 - numpy and more
+
+    ids = [each.strip() for each in jobs.split(",") if each.strip()]
+    if not 2 <= len(set(ids)) == len(ids) <= _MOST:
+        raise Problem(422, "Request not valid", f"jobs: {jobs!r}. Expected two to {_MOST} different job ids: a,b")
+    results = [open_result(service, job_id) for job_id in ids]
+    drives = dict.fromkeys(result.drive_id for result in results)
+    if len(drives) > 1:
+        names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in results)
+        raise Problem(422, "Different drives", f"Jobs of one drive can be compared; these are {names}.")
+    reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in results]
+    runs = [json.loads((result.folder / "run.json").read_bytes()) for result in results]
+    return {"drive_id": results[0].drive_id, **compare_reports(ids, reports, runs)}
+
+
+class PublishedFigures(BaseModel):
+    """Figures of the paper."""
+
+    ace_m: float
+    precision: float
+    recall: float
+
+
+class PaperFigures(BaseModel):
+    """What the paper reports."""
+
+    threshold_m: float = Field(5.0, description="D of precision and recall, but for `comparison`.")
+    sequences: dict[str, PublishedFigures] = Field(description="SemanticKITTI sequence -> with RangeNet++ labels.")
+    average: PublishedFigures
+    comparison: dict[str, PublishedFigures] = Field(
+        description="Method -> ACE, precision at D = 6.9 m, recall at D = 13.3 m."
+    )
+    noise: dict[str, PublishedFigures] = Field(description="r-FPR/r-FNR in per cent -> with hand labels.")
+
+
+@router.get("/paper", summary="The paper's figures", operation_id="read_paper", response_model=PaperFigures)
+def read_paper() -> dict[str, Any]:
+    """Give the tables of the paper, to stand beside a report of a KITTI sequence."""
+    from interloc.benchmark.paper import AVERAGE, COMPARISON, NOISE, PERFORMANCE  # noqa: PLC0415
+
+    tables = {"sequences": PERFORMANCE, "comparison": COMPARISON, "noise": NOISE}
+    plain = {
+        table: {name: dataclasses.asdict(figures) for name, figures in rows.items()} for table, rows in tables.items()
+    }
+    return {**plain, "average": dataclasses.asdict(AVERAGE)}

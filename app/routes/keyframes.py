@@ -1,0 +1,137 @@
+"""What the method saw at one keyframe, as pictures for the map."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from pydantic import BaseModel, ConfigDict, Field
+
+from app.problems import ProblemDocument
+from app.results.delivery import deliver
+from app.results.folder import open_result
+from app.results.keyframes import KeyframeViews
+from app.routes.results import PROBLEMS, JobId, answers
+from app.service import ServiceDep
+from app.work.keyframe import VIEW
+
+_KEEP = "private, max-age=86400"  # the same request to the same job always gives the same picture
+
+router = APIRouter(tags=["Results"])
+
+Frame = Annotated[int, Path(description="Scan number of a keyframe.", ge=0, le=2**31)]
+Layer = Literal["bev", "occupancy", "centerline", "candidates", "branches", "all"]
+LonLat = tuple[float, float]
+
+
+class KeyframeDetection(BaseModel):
+    """A detection of the keyframe; more members are those of `interloc explain`."""
+
+    model_config = ConfigDict(extra="allow")
+
+    lonlat: LonLat | None
+    x_m: float = Field(description="Ahead of the LiDAR.")
+    y_m: float = Field(description="To its left.")
+    world_x_m: float
+    world_y_m: float
+    branch_count: int
+    score: float = Field(ge=0, le=1)
+
+
+class KeyframeCandidate(BaseModel):
+    """A candidate, and what became of it; more members are those of `interloc explain`."""
+
+    model_config = ConfigDict(extra="allow")
+
+    number: int
+    lonlat: LonLat | None
+    inner_radius_m: float
+    branches: int
+    kept: bool
+    why_not: str | None = Field(description="Why it is no intersection.", examples=["2 branches, 3 needed"])
+
+
+class KeyframeView(BaseModel):
+    """Where the pictures of a keyframe lie, and the numbers behind them."""
+
+    model_config = ConfigDict(extra="allow")
+
+    frame: int
+    time_s: float | None
+    size_px: int = Field(description="Cells a side; a picture has one pixel a cell, or a whole number of them.")
+    resolution_m: float = Field(description="Side of a cell.")
+    corners_lonlat: list[LonLat] | None = Field(
+        description="Upper left, upper right, lower right, lower left of the pictures; null without georeference."
+    )
+    corners_world_m: list[tuple[float, float]] = Field(description="The same in W, metres.")
+    layers: list[str]
+    outer_radius_m: float = Field(description="Reach of the branches around a candidate.")
+    relevant_zone_m: float = Field(description="Side of the zone in which a missed node counts.")
+    min_points: int = Field(description="Points that made a cell road.")
+    candidates: list[KeyframeCandidate]
+    detections: list[KeyframeDetection]
+
+
+_PROBLEMS: dict[int | str, dict[str, Any]] = {
+    **PROBLEMS,
+    503: {"model": ProblemDocument, "description": "Too many pictures are being drawn; try again in a moment."},
+}
+
+
+def _views(request: Request) -> KeyframeViews:
+    state = request.app.state
+    if not hasattr(state, "keyframe_views"):
+        state.keyframe_views = KeyframeViews()
+    views: KeyframeViews = state.keyframe_views
+    return views
+
+
+async def _answer(request: Request, service: ServiceDep, job_id: str, frame: int, file: str) -> Response:
+    for attempt in (1, 2):
+        result = await run_in_threadpool(open_result, service, job_id)
+        folder = await _views(request).open(service, result, frame)
+        try:
+            return await run_in_threadpool(
+                deliver, request, folder / file, name=f"{result.slug}-{frame}-{file}", cache_control=_KEEP
+            )
+        except FileNotFoundError:  # just forgotten in favour of newer ones
+            if attempt == 2:
+                raise
+    raise AssertionError
+
+
+@router.get(
+    "/jobs/{job_id}/keyframes/{frame}/bev.png",
+    summary="A step of the method at one keyframe, as a picture",
+    operation_id="read_keyframe_picture",
+    response_class=Response,
+    responses={**answers("image/png", {"type": "string", "format": "binary"}, "The picture."), **_PROBLEMS},
+)
+@router.head("/jobs/{job_id}/keyframes/{frame}/bev.png", include_in_schema=False, response_class=Response)
+async def read_keyframe_picture(
+    job_id: JobId,
+    frame: Frame,
+    request: Request,
+    service: ServiceDep,
+    layer: Annotated[Layer, Query(description="Which step; `all` is several in one, opaque.")] = "bev",
+) -> Response:
+    """Show the region of interest, aligned with W: +x to the right, +y up. Transparent where there is nothing.
+
+    `GET .../keyframes/{frame}/bev` tells where the corners lie, to put it on a map. It is drawn when first asked for,
+    which takes some tenths of a second.
+    """
+    return await _answer(request, service, job_id, frame, f"{layer}.png")
+
+
+@router.get(
+    "/jobs/{job_id}/keyframes/{frame}/bev",
+    summary="Where the pictures of a keyframe lie, and the numbers behind them",
+    operation_id="read_keyframe_view",
+    response_model=KeyframeView,
+    responses=_PROBLEMS,
+)
+@router.head("/jobs/{job_id}/keyframes/{frame}/bev", include_in_schema=False, response_class=Response)
+async def read_keyframe_view(job_id: JobId, frame: Frame, request: Request, service: ServiceDep) -> Response:
+    """Give corners, candidates with what became of them and why, detections, the window, the counts of points."""
+    return await _answer(request, service, job_id, frame, VIEW)
