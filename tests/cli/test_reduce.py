@@ -1,0 +1,154 @@
+"""`interloc reduce`: a small copy of a drive, with the same results to the last byte."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from interloc.simulate.config import LidarConfig
+from interloc.simulate.town import simulate_town
+
+TABLES = ("detections", "keyframes", "intersections", "trajectory")
+
+
+def size_of(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+@pytest.fixture
+def assert_same(interloc: Callable, tmp_path: Path) -> Callable[..., None]:
+    """Run a drive and its reduced copy, and compare all that was found, byte by byte."""
+
+    def compare(
+        drive: Path, osm: Path | None, *, reading: tuple[Any, ...] = (), reducing: tuple[Any, ...] = (), labels: str
+    ) -> None:
+        reduced = tmp_path / "reduced"
+        assert interloc("reduce", drive, "-o", reduced, "--quiet", *reading, *reducing).code == 0
+        command = ("detect",) if osm is None else ("run", "--osm", osm)
+        for source, options, out in ((drive, reading, "before"), (reduced, (), "after")):
+            arguments = (*command, source, "-o", tmp_path / out, "--quiet", "--labels", labels, *options)
+            assert interloc(*arguments).code == 0
+        found = sorted(path.name for path in (tmp_path / "before").glob("*json") if path.name != "run.json")
+        assert len(found) == (4 if osm is None else 7)
+        for name in found:
+            before, after = ((tmp_path / out / name).read_bytes() for out in ("before", "after"))
+            assert before == after, name
+
+    return compare
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A noisy drive through the made-up town, every scan of it (several a keyframe), with all its points."""
+    drive = tmp_path_factory.mktemp("town") / "town"
+    simulate_town(drive, part="plain", keyframes_only=False, max_scans=300, sensor=LidarConfig(columns=512))
+    return drive
+
+
+def test_a_drive_through_the_town(assert_same: Callable[..., None], town: Path, tmp_path: Path) -> None:
+    assert_same(town, town / "map.osm", labels="labels")
+    kept = len(list((tmp_path / "reduced/ground/labels").iterdir()))
+    assert 50 < kept < 150
+    assert size_of(tmp_path / "reduced") < size_of(town) / 8
+
+
+def test_the_town_in_the_layout_of_kitti_raw(assert_same: Callable[..., None], town: Path, tmp_path: Path) -> None:
+    raw = tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    (raw / "velodyne_points").mkdir(parents=True)
+    shutil.copytree(town / "velodyne", raw / "velodyne_points" / "data")
+    shutil.copytree(town / "labels", raw / "labels")
+    shutil.copytree(town / "oxts", raw / "oxts")
+    shutil.copy(town / "calib_imu_to_velo.txt", raw.parent)
+    assert_same(raw, town / "map.osm", labels="labels")
+
+
+def test_every_scan_of_the_crossing(assert_same: Callable[..., None], drive: Path, osm: Path, tmp_path: Path) -> None:
+    assert_same(drive, osm, reducing=("--all-scans",), labels="labels")
+    assert len(list((tmp_path / "reduced/ground/labels").iterdir())) == 210
+
+
+def test_a_drive_without_georeference(assert_same: Callable[..., None], local_drive: Path) -> None:
+    assert_same(local_drive, None, labels="labels")
+
+
+@pytest.mark.parametrize("labels", ["labels", "predictions"])
+def test_real_scans_of_kitti_360(
+    assert_same: Callable[..., None], data: Callable[[str], Path], tmp_path: Path, labels: str
+) -> None:
+    assert_same(data("kitti360_0009"), data("kitti/osm/00.osm.gz"), labels=labels)
+    assert size_of(tmp_path / "reduced") < size_of(data("kitti360_0009")) / 5
+
+
+def test_real_scans_of_semantickitti(assert_same: Callable[..., None], data: Callable[[str], Path]) -> None:
+    oxts = data("kitti/oxts/07.txt.gz")
+    drive, osm = data("semantickitti_mini/sequences/07"), data("kitti/osm/07.osm.gz")
+    assert_same(drive, osm, reading=("--oxts", oxts), labels="labels")
+
+
+def test_what_it_says(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    outcome = interloc("reduce", drive, "-o", tmp_path / "small")
+    assert outcome.code == 0
+    assert not outcome.err
+    facts = dict(line.split(maxsplit=1) for line in outcome.out.splitlines())
+    assert facts["drive"] == "crossing: 210 scans, 53 kept, the keyframes of 2 m, 5 degrees"
+    assert facts["labels"] == "labels"
+    assert facts["size"].endswith(" now")
+    assert facts["written"].endswith("small")
+
+
+def test_json_is_one_object(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    facts = interloc("reduce", drive, "-o", tmp_path / "small", "--json", "--all-scans").json
+    assert (facts["drive"], facts["scans"], facts["kept_scans"], facts["keyframes"]) == ("crossing", 210, 210, None)
+    assert facts["labels"] == ["labels"]
+    assert facts["bytes_before"] == size_of(drive / "velodyne") + size_of(drive / "labels")
+    assert facts["bytes_after"] == size_of(tmp_path / "small")
+    facts = interloc("reduce", drive, "-o", tmp_path / "small", "--json").json
+    assert (facts["kept_scans"], facts["keyframes"]) == (53, {"distance_m": 2.0, "angle_deg": 5.0})
+    assert facts["bytes_after"] == size_of(tmp_path / "small")
+
+
+def test_the_other_commands_read_it(interloc: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
+    small = tmp_path / "small"
+    assert interloc("reduce", drive, "-o", small, "--quiet").code == 0
+    info = interloc("info", small, "--thorough")
+    assert info.code == 0
+    assert "53 scans kept, the keyframes of 2 m, 5 degrees; " in info.out
+    assert "210 (frames 0 to 209), about 6,0" in info.out
+    pictures = []
+    for source in (drive, small):
+        out = tmp_path / f"steps_{source.name}"
+        assert interloc("explain", source, "--frame", 100, "-o", out, "--quiet").code == 0
+        pictures.append({path.name: path.read_bytes() for path in out.glob("*.png")})
+    assert pictures[0] == pictures[1]
+    assert len(pictures[0]) >= 7
+    tables = []
+    for source in (drive, small):
+        arguments = ("robustness", source, "-o", tmp_path / f"noise_{source.name}", "--osm", osm, "--json")
+        tables.append(interloc(*arguments, "--levels", "0/0,20/20").json)
+    assert tables[0] == tables[1]
+
+
+def test_other_keyframes_need_all_scans(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    assert interloc("reduce", drive, "-o", tmp_path / "small", "--quiet").code == 0
+    arguments = ("detect", tmp_path / "small", "-o", tmp_path / "out", "--set", "keyframes.distance_m=1")
+    complaint = interloc(*arguments).complaint
+    assert "was not kept" in complaint
+    assert "--all-scans" in complaint
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_input_is_told_in_a_line(interloc: Callable, drive: Path, short_drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "small"
+    assert "does not exist" in interloc("reduce", tmp_path / "gone", "-o", out).complaint
+    assert "predictions: is missing" in interloc("reduce", drive, "-o", out, "--labels", "predictions").complaint
+    (short_drive / "velodyne/000004.bin").write_bytes(b"1234567")
+    assert "velodyne/000004.bin: 7 bytes" in interloc("reduce", short_drive, "-o", out).complaint
+    assert not out.exists()
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home/letter.txt").touch()
+    assert "holds letter.txt" in interloc("reduce", drive, "-o", tmp_path / "home", "--quiet").complaint
+    assert interloc("reduce", drive, "-o", out, "--labels", "else").code == 2
