@@ -48,7 +48,9 @@ class Settings(BaseSettings):
     # Limits.
     max_file_bytes: int = Field(256 * MB, ge=1)
     max_archive_bytes: int = Field(32 * GB, ge=1)
-    max_archive_ratio: float = Field(50.0, ge=1.0, description="Unpacked size over packed size.")
+    max_archive_ratio: float = Field(
+        200.0, ge=1.0, description="Unpacked size over packed size; labels alone reach more than 100."
+    )
     max_batch_bytes: int = Field(512 * MB, ge=1, description="One multipart request.")
     max_batch_files: int = Field(1000, ge=1, description="Files in one multipart request.")
     max_drive_bytes: int = Field(64 * GB, ge=1)
