@@ -34,7 +34,7 @@ export function settingsForm(presets, before, onChange) {
   let preset = presets.presets.find((each) => each.name === before?.preset) ?? presets.presets[0];
   /** Values that differ from the preset, by path. @type {Map<string, any>} */
   const changed = new Map(Object.entries(flatten(before?.config ?? {})));
-  const main = el("div", { class: "grid-2" });
+  const main = el("div", { class: "stack-s" });
   const all = el("div", { class: "stack" });
   const summary = el("small", { class: "quiet" });
   const description = el("small", {}, preset.description);
@@ -63,7 +63,8 @@ export function settingsForm(presets, before, onChange) {
     const unit = Object.entries(UNITS).find(([suffix]) => name.endsWith(`_${suffix}`))?.[1];
     const heading = `${title ?? words(name)}${unit ? ` [${unit}]` : ""}`;
     const range = rangeOf(schema);
-    return field(heading, input, [schema.description, ` Preset: ${shown(usual)}${range && `; ${range}`}.`]);
+    const hint = el("small", {}, schema.description, ` Preset: ${shown(usual)}${range && `; ${range}`}.`);
+    return el("label", { class: "field setting" }, el("span", {}, heading), input, hint);
   }
 
   function build() {
@@ -75,7 +76,7 @@ export function settingsForm(presets, before, onChange) {
         const paths = Object.keys(preset.config[part]).map((name) => `${part}.${name}`);
         const controls = paths.filter((path) => !MAIN.some(([own]) => own === path)).map((path) => control(path));
         const about = schemaOf(presets.config_schema, preset.config, part)?.description;
-        return section(title, about && el("small", {}, about), el("div", { class: "grid-2" }, controls));
+        return section(title, about && el("small", {}, about), controls);
       }),
     );
     describe();
@@ -96,7 +97,7 @@ export function settingsForm(presets, before, onChange) {
         "details",
         { class: "box", open: changed.size > 0 },
         el("summary", {}, "Settings ", summary),
-        el("div", { class: "stack-s" }, main, el("details", {}, el("summary", {}, "All settings"), all), reset),
+        el("div", { class: "stack-s" }, main, el("details", {}, el("summary", {}, "All other settings"), all), reset),
       ),
     ),
     read: () => ({ preset: preset.name, config: changed.size ? nest(changed) : null }),

@@ -65,7 +65,6 @@ export class Upload {
     this.report = null;
     /** @type {string | null} */
     this.jobId = null;
-    this.isResumed = driveId !== null;
     this.transfer = new Transfer(onChange);
   }
 
@@ -143,13 +142,13 @@ export class Upload {
     const { body } = await this.transfer.ask("drives", { method: "POST", json: { name, keep_raw: keepRaw, options } });
     this.driveId = body.id;
     this.transfer.drive = body.id;
-    if (this.source.drive) this.#remember();
+    if (this.source.drive) this.#remember(this.source.fingerprint);
     return body.state;
   }
 
-  /** @param {Record<string, string>} [schemes] */
-  #remember(schemes) {
-    const { drive, handle, fingerprint } = this.source;
+  /** @param {string} fingerprint @param {Record<string, string>} [schemes] */
+  #remember(fingerprint, schemes) {
+    const { drive, handle } = this.source;
     const id = /** @type {string} */ (this.driveId);
     const bytes = this.transfer.meter.total + this.transfer.meter.skipped;
     const before = remembered(id);
@@ -183,12 +182,18 @@ export class Upload {
     const small = new Map([...drive.small, ...extras]);
     small.delete("reduced.json"); // it makes a drive of the rest, so it goes last
     await sendSmallFiles(this.transfer, small, present);
-    const isTrusted = this.isResumed && remembered(/** @type {string} */ (this.driveId))?.fingerprint === this.source.fingerprint;
+    const isTrusted = this.isSame();
+    if (!isTrusted) this.#remember(""); // old and new files are mixed until all is sent
     if (drive.layout === "reduced") await this.#sendAll([...drive.ground], present, isTrusted);
     else await this.#sendScans(drive, present, isTrusted);
     const manifest = drive.small.get("reduced.json");
     if (drive.layout === "reduced" && manifest) await this.transfer.put("reduced.json", manifest);
-    this.#remember();
+    this.#remember(this.source.fingerprint);
+  }
+
+  /** True where the very same files were sent before: what the service has of them is good. */
+  isSame() {
+    return remembered(/** @type {string} */ (this.driveId))?.fingerprint === this.source.fingerprint;
   }
 
   /**
@@ -209,7 +214,7 @@ export class Upload {
     const keys = Object.fromEntries([...schemes].map(([folder, scheme]) => [folder, JSON.stringify([scheme.road, scheme.confusable])]));
     const before = remembered(/** @type {string} */ (this.driveId))?.schemes ?? {};
     const trusted = new Set(isTrusted ? folders.filter((folder) => before[folder] === keys[folder]) : []);
-    this.#remember(keys);
+    this.#remember(isTrusted ? this.source.fingerprint : "", keys);
     const all = [.../** @type {import("./numbered.js").NumberedFiles} */ (drive.scans).files.keys()];
     const frames = sending === "scans" ? all : plan.frames;
     this.#say({ step: "scans", message: "", done: 0, total: frames.length * schemes.size });
