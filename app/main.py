@@ -57,7 +57,6 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
         version=str(versions()["interloc"]),
         summary="Find road intersections in LiDAR drives, map them, and score them against OpenStreetMap.",
         lifespan=lifespan,
-        root_path=settings.root_path,
         docs_url=None,  # the defaults ask other hosts for their scripts: see app/page/docs.py
         redoc_url=None,
         responses={422: {"model": ProblemDocument}},

@@ -21,7 +21,8 @@ from interloc.errors import ConfigError, InterLocError
 
 _BACKLOG = 2048
 _KEEP_ALIVE_S = 75  # longer than the 60 s of common reverse proxies: they must be the ones that close
-_GRACE_S = 10  # for uploads that are under way when the service is stopped
+_CONNECTIONS = 4000  # 503 beyond
+_GRACE_S = 4  # for uploads that are under way; `docker stop` kills after ten seconds
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +54,7 @@ class Server(uvicorn.Server):
             proxy_headers=True,
             forwarded_allow_ips=settings.trusted_proxies,
             backlog=_BACKLOG,
+            limit_concurrency=_CONNECTIONS,
             timeout_keep_alive=_KEEP_ALIVE_S,
             timeout_graceful_shutdown=_GRACE_S,
         )
@@ -106,6 +108,7 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
     except BaseException:
         service.close()
         raise
+    _allow_open_files(2 * _CONNECTIONS)
     server = Server(create_app(settings, service), settings, started)
     with listener:
         try:
@@ -114,6 +117,19 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
             if not server.started:
                 raise
     _log.info("stopped")
+
+
+def _allow_open_files(wanted: int) -> None:
+    """Raise the limit of open files, 1024 on many systems, as far as that is free."""
+    try:
+        import resource  # noqa: PLC0415 - Unix only
+    except ImportError:
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY:
+        wanted = min(wanted, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -16,4 +16,4 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
     app.add_middleware(Bodies, idle_s=settings.idle_timeout_s)
     app.add_middleware(Gate, settings=settings)
     app.add_middleware(SecurityHeaders, settings=settings)
-    app.add_middleware(RequestLog)
+    app.add_middleware(RequestLog, root_path=settings.root_path)

@@ -25,16 +25,26 @@ _log = logging.getLogger("app.access")
 
 
 class RequestLog:
-    """The outermost one: it sees what all others answer."""
+    """The outermost one: it sees what all others answer.
 
-    def __init__(self, app: ASGIApp) -> None:
+    Parameters
+    ----------
+    app
+        What is inside.
+    root_path
+        Path under which a reverse proxy shows the service; the proxy may take it off or leave it on.
+    """
+
+    def __init__(self, app: ASGIApp, root_path: str = "") -> None:
         self._app = app
+        self._root_path = root_path
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Go on, and see how it ends."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        scope["root_path"] = self._root_path
         request = _Request(scope)
         logs.reset()
         logs.bind(request=request.id, **request.about)

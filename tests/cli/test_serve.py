@@ -1,0 +1,189 @@
+"""`interloc serve` and `interloc token` as processes: what they say, how they start and end."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+Interloc = Callable[..., Any]
+EVERYWHERE = "0.0.0.0"  # noqa: S104 - with tokens
+
+
+@contextmanager
+def serving(
+    command: tuple[str, ...], environment: dict[str, str], folder: Path, *options: str, **variables: str
+) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run the command until the block ends; yields the process and its address."""
+    clean = {name: value for name, value in environment.items() if not name.startswith("INTERLOC_")}
+    log = (folder / "log").open("ab")
+    process = subprocess.Popen(
+        [*command, "serve", "--port", "0", "--workers", "1", *options],
+        cwd=folder,
+        env={**clean, "INTERLOC_MIN_FREE_BYTES": "0", **variables},
+        stdout=subprocess.PIPE,
+        stderr=log,
+        text=True,
+    )
+    log.close()
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        found = re.fullmatch(r"InterLoc \S+ at (http://\S+/) \(data in (.+)\); Ctrl-C stops it\n", line)
+        assert found, f"{line!r} {(folder / 'log').read_text()}"
+        yield process, found[1]
+    finally:
+        with suppress(ProcessLookupError):
+            process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
+def test_a_server_starts_and_stops(
+    stop: signal.Signals, command: tuple[str, ...], environment: dict[str, str], tmp_path: Path
+) -> None:
+    with serving(command, environment, tmp_path) as (process, address):
+        assert httpx.get(f"{address}healthz").json() == {"status": "ok"}
+        assert (tmp_path / "interloc-data/interloc.sqlite3").is_file()
+        process.send_signal(stop)
+        assert process.wait(30) == 0
+    lines = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
+    assert lines[-1]["message"] == "stopped"
+    assert not [line for line in lines if line["level"] in {"error", "warning"}]
+
+
+def test_a_stop_does_not_wait_for_those_who_listen(
+    command: tuple[str, ...], environment: dict[str, str], tmp_path: Path
+) -> None:
+    """Nor for an upload that has stalled."""
+    with serving(command, environment, tmp_path) as (process, address), httpx.Client(base_url=address) as client:
+        drive = client.post("api/v1/drives", json={"name": "a"}).json()["id"]
+        with socket.create_connection((client.base_url.host, client.base_url.port or 80)) as link:
+            path = f"/api/v1/drives/{drive}/files/poses.txt"
+            link.sendall(f"PUT {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nabc".encode())
+            process.terminate()
+            assert process.wait(60) == 0
+    assert not list((tmp_path / "interloc-data/incoming").glob("*"))
+
+
+def test_options_and_environment(command: tuple[str, ...], environment: dict[str, str], tmp_path: Path) -> None:
+    options = ("--data-dir", str(tmp_path / "here"), "--log-format", "text", "--root-path", "/interloc/")
+    with serving(command, environment, tmp_path, *options, INTERLOC_HOST="127.0.0.2") as (process, address):
+        assert re.fullmatch(r"http://127\.0\.0\.2:\d+/interloc/", address)
+        assert httpx.get(f"{address}api/v1/drives").status_code == 200
+        assert httpx.get(f"{address.removesuffix('interloc/')}api/v1/drives").status_code == 200
+        process.terminate()
+        process.wait(30)
+    assert (tmp_path / "here/interloc.sqlite3").is_file()
+    line = r"^\d\d:\d\d:\d\d info    GET /api/v1/drives 200 .* status=200"
+    assert re.search(line, (tmp_path / "log").read_text(), re.MULTILINE)
+
+
+def test_two_servers_share_a_data_folder(command: tuple[str, ...], environment: dict[str, str], tmp_path: Path) -> None:
+    """They start at the same moment, on a folder that neither has seen."""
+    addresses: list[str] = []
+    everybody = threading.Barrier(3, timeout=60)
+
+    def run() -> None:
+        with serving(command, environment, tmp_path) as (_, address):
+            addresses.append(address)
+            everybody.wait()  # both serve
+            everybody.wait()
+
+    threads = [threading.Thread(target=run) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    everybody.wait()
+    drive = httpx.post(f"{addresses[0]}api/v1/drives", json={"name": "a"}).json()
+    assert httpx.get(f"{addresses[1]}api/v1/drives/{drive['id']}").json() == drive
+    everybody.wait()
+    for thread in threads:
+        thread.join()
+
+
+def test_other_machines_need_a_token(
+    command: tuple[str, ...], environment: dict[str, str], tmp_path: Path, interloc: Interloc
+) -> None:
+    refused = interloc("serve", "--host", EVERYWHERE, "--data-dir", tmp_path / "interloc-data")
+    assert refused.code == 2
+    assert "lets other machines in, and there is no token" in refused.complaint
+    token = interloc("token", "add", "alice", "--data-dir", tmp_path / "interloc-data").out.strip()
+    with serving(command, environment, tmp_path, "--host", EVERYWHERE) as (_, address):
+        drives = f"{address.replace(EVERYWHERE, '127.0.0.1')}api/v1/drives"
+        assert httpx.get(drives).status_code == 401
+        assert httpx.get(drives, headers={"Authorization": f"Bearer {token}"}).status_code == 200
+        assert httpx.get(f"{drives}?token={token}").status_code == 401
+    log = (tmp_path / "log").read_text()
+    assert token not in log
+    assert '"client": "alice"' in log
+
+
+def test_what_keeps_a_server_from_starting(interloc: Interloc, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        outcome = interloc("serve", "--port", port, "--data-dir", tmp_path)
+        assert outcome.complaint == (
+            f"interloc: cannot listen on 127.0.0.1 port {port}: something listens there already; "
+            "--port chooses another port"
+        )
+    (tmp_path / "file").write_bytes(b"")
+    outcome = interloc("serve", "--data-dir", tmp_path / "file")
+    assert "cannot be written: file exists" in outcome.complaint
+    assert (outcome.code, "INTERLOC_DATA_DIR" in outcome.err) == (1, True)
+    outcome = interloc("serve", "--host", "192.0.2.77", "--allow-anonymous", "--data-dir", tmp_path)
+    assert "this machine has no such address" in outcome.complaint
+    outcome = interloc("serve", "--host", "no such name", "--allow-anonymous", "--data-dir", tmp_path)
+    assert (outcome.code, "no such address" in outcome.complaint) == (2, True)
+    assert interloc("serve", "--port", "70000").code == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("INTERLOC_WORKERS", "many", "INTERLOC_WORKERS or --workers"),
+        ("INTERLOC_PORT", "-1", "INTERLOC_PORT or --port"),
+        ("INTERLOC_TOKEN", "secret", "16 or more printable"),
+        ("INTERLOC_ROOT_PATH", "interloc", "a path begins with /"),
+        ("INTERLOC_DATABASE_URL", "mysql://somewhere", "SQLite and PostgreSQL"),
+        ("INTERLOC_DATABASE_URL", "postgresql+psycopg://u:geheim@127.0.0.1:1/x", "cannot be reached"),
+        ("INTERLOC_DATABASE_URL", "nonsense", "SQLite and PostgreSQL"),
+    ],
+)
+def test_a_bad_setting_is_named(
+    interloc: Interloc, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str, value: str, says: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    outcome = interloc("serve", "--data-dir", tmp_path)
+    assert says in outcome.complaint
+    assert "secret" not in outcome.err
+    assert "geheim" not in outcome.err
+
+
+def test_tokens_are_shown_once(interloc: Interloc, tmp_path: Path) -> None:
+    data = ("--data-dir", tmp_path)
+    assert interloc("token", "list", *data).err == "no tokens\n"
+    token = interloc("token", "add", "alice", *data).out.strip()
+    assert token.startswith("interloc_")
+    listed = interloc("token", "list", *data).out
+    assert listed.startswith("alice ")
+    assert token not in listed
+    assert interloc("token", "add", "alice", *data).code == 2
+    assert interloc("token", "revoke", "alice", *data).out == "the token of alice is revoked\n"
+    assert interloc("token", "revoke", "alice", *data).code == 2
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_data_folder_that_cannot_be_written(interloc: Interloc, tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    assert "permission denied" in interloc("serve", "--data-dir", tmp_path / "data").complaint
