@@ -14,9 +14,9 @@ from sqlalchemy import insert, select, update
 from sqlalchemy.orm import Session
 
 from app.drives.intake import INCOMING, Arrival
-from app.drives.limits import check_drive
+from app.drives.limits import check_drive, check_free_space
 from app.drives.names import is_map
-from app.drives.records import files_key, lock_drive
+from app.drives.records import files_key, find_drive, lock_drive
 from app.models import Drive, DriveFile
 from app.problems import Problem
 from app.service import Service
@@ -77,6 +77,21 @@ def refuse_unless_open(drive: Drive, paths: Iterable[str]) -> None:
             f"Drive {drive.id} was committed; it takes maps only (.osm, .osm.gz, .osm.bz2, .osm.pbf). "
             "Make a new drive for other files.",
         )
+
+
+def check_upload(service: Service, drive_id: str, path: str, length: int) -> None:
+    """Refuse before a long body is read what would be refused after it.
+
+    Raises
+    ------
+    Problem
+        404, 409, 413, 507: as of `keep`.
+    """
+    with service.database.reading() as session:
+        drive = find_drive(session, drive_id)
+    refuse_unless_open(drive, [path])
+    check_drive(service, drive.file_count, drive.size_bytes + length)
+    check_free_space(service, length)
 
 
 def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str, int]:

@@ -148,8 +148,9 @@ def find_file(service: Service, drive_id: str, path: str) -> tuple[Path, Uploade
         raise Problem(
             404, "File not found", f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
         )
-    file = service.storage.folder(files_key(drive_id)) / path
-    if not file.is_file():
+    folders = (service.storage.folder(key(drive_id)) for key in (files_key, reduced_key))
+    file = next((folder / path for folder in folders if (folder / path).is_file()), None)
+    if file is None:
         raise Problem(
             410,
             "File not kept",

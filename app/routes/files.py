@@ -11,13 +11,13 @@ from fastapi.responses import FileResponse
 from app.drives import records
 from app.drives.digests import sha256_of
 from app.drives.intake import PIECE_BYTES, Intake, receive
-from app.drives.limits import check_drive, check_free_space, declared_length
+from app.drives.limits import check_free_space, declared_length
 from app.drives.names import check_path
-from app.drives.placement import keep, refuse_unless_open
+from app.drives.placement import check_upload, keep
 from app.problems import ProblemDocument
 from app.schemas.drives import FileList, UploadedFile
 from app.security import ClientDep
-from app.service import Service, ServiceDep
+from app.service import ServiceDep
 
 router = APIRouter(prefix="/drives/{drive_id}/files", tags=["Uploads"])
 
@@ -88,7 +88,7 @@ async def put_file(
     limit = service.settings.max_file_bytes
     length = declared_length(request, limit, path)
     if length is None or length > PIECE_BYTES:  # a small body is read sooner than the drive is looked up
-        await run_in_threadpool(_check_first, service, drive_id, path, length or 0)
+        await run_in_threadpool(check_upload, service, drive_id, path, length or 0)
     intake = Intake(service, path, limit)
 
     def finish() -> tuple[UploadedFile, bool]:
@@ -103,15 +103,6 @@ async def put_file(
         intake.discard()
     response.status_code = 201 if new else 200
     return file
-
-
-def _check_first(service: Service, drive_id: str, path: str, length: int) -> None:
-    """Refuse before a long body is read what would be refused after it."""
-    with service.database.reading() as session:
-        drive = records.find_drive(session, drive_id)
-    refuse_unless_open(drive, [path])
-    check_drive(service, drive.file_count, drive.size_bytes + length)
-    check_free_space(service, length)
 
 
 @router.get(

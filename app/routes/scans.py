@@ -1,7 +1,69 @@
-"""Endpoints: scans."""
+"""Endpoints: several files in one request."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
+from fastapi.concurrency import run_in_threadpool
 
-router = APIRouter(tags=["scans"])
+from app.drives.batches import FIELDS, BatchReader, boundary_of
+from app.drives.intake import receive
+from app.drives.limits import check_free_space, declared_length
+from app.drives.placement import check_upload, keep
+from app.routes.files import UPLOAD
+from app.schemas.drives import UploadedBatch, UploadedFile
+from app.security import ClientDep
+from app.service import ServiceDep
+
+router = APIRouter(prefix="/drives/{drive_id}/scans", tags=["Uploads"])
+
+_FILES = {"type": "array", "items": {"type": "string", "format": "binary"}}
+_FILE = {"type": "string", "format": "binary"}
+_ABOUT = {
+    "scans": {**_FILES, "description": "Scans, with filenames as 000000.bin."},
+    "labels": {**_FILES, "description": "Their labels, with filenames as 000000.label."},
+    "predictions": {**_FILES, "description": "Labels of a network, likewise."},
+    "poses": {**_FILE, "description": "poses.txt"},
+    "calib": {**_FILE, "description": "calib.txt"},
+    "times": {**_FILE, "description": "times.txt"},
+    "geo": {**_FILE, "description": "geo.csv"},
+    "files": {**_FILES, "description": "Any other files, with their paths in the drive as filenames."},
+}
+
+
+@router.post(
+    "",
+    response_model=UploadedBatch,
+    responses=UPLOAD,
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {"multipart/form-data": {"schema": {"type": "object", "properties": _ABOUT}}},
+        }
+    },
+    summary="Upload a batch of scans",
+)
+async def post_scans(drive_id: str, request: Request, service: ServiceDep, _client: ClientDep) -> UploadedBatch:
+    """Upload several files at once, all or none of them. It may be done again, and replaces files of the same names."""
+    limits = service.settings
+    length = declared_length(request, limits.max_batch_bytes, "A request with several files")
+    boundary = boundary_of(request.headers.get("content-type"))
+    await run_in_threadpool(check_upload, service, drive_id, "batch", length or 0)
+    reader = BatchReader(
+        service,
+        boundary,
+        FIELDS,
+        max_bytes=limits.max_batch_bytes,
+        max_files=limits.max_batch_files,
+        max_file_bytes=limits.max_file_bytes,
+    )
+
+    def finish() -> list[UploadedFile]:
+        check_free_space(service, 0)
+        arrivals = reader.finish()
+        keep(service, drive_id, arrivals)
+        return [UploadedFile(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256) for each in arrivals]
+
+    try:
+        return UploadedBatch(files=await receive(request, reader.take, finish))
+    finally:
+        await run_in_threadpool(reader.discard)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
 from app.drives.names import BadNameError, check_path
+from app.problems import FileProblem
 from interloc.drives.inspect import DriveReport
 from interloc.drives.labels import named_scheme
-from interloc.drives.options import LayoutChoice, PoseFrame
+from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
+from interloc.drives.parts import ScanFolder
 from interloc.errors import ConfigError
 
 Name = Annotated[
     str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
 ]
+MAX_SCANS = 1_000_000
 DriveState = Literal["uploading", "checking", "ready"]
 
 
@@ -116,3 +119,73 @@ class CommitRequest(BaseModel):
     options: DriveOptionsModel | None = None
     keep_raw: bool | None = None
     check_only: bool = Field(False, description="Check and report, but leave the drive open for more files.")
+
+
+class ScanRange(BaseModel):
+    """Scan numbers from the first to the last, without gaps."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    first: int = Field(ge=0, le=10**15)
+    last: int = Field(ge=0, le=10**15)
+
+
+class PlanRequest(BaseModel):
+    """The scans that a client has, before it sends them."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"scans": {"first": 0, "last": 1100}, "label_folders": ["labels"]}]},
+    )
+
+    scans: ScanRange | Annotated[list[Annotated[int, Field(ge=0, le=10**15)]], Field(max_length=MAX_SCANS)] = Field(
+        description="Numbers of all scans of the drive."
+    )
+    label_folders: list[LabelFolder] = Field(["labels"], min_length=1, max_length=2)
+    scan_folder: ScanFolder | None = Field(None, description="Where the scans lie; told from the small files if null.")
+    options: DriveOptionsModel | None = Field(None, description="Those of the drive by default.")
+
+    @model_validator(mode="after")
+    def _check_range(self) -> PlanRequest:
+        if isinstance(self.scans, ScanRange) and not 0 <= self.scans.last - self.scans.first < MAX_SCANS:
+            raise ValueError(f"scans: expected first <= last, and {MAX_SCANS:,} scans at most")
+        return self
+
+    def numbers(self) -> list[int]:
+        """Return the scan numbers one by one."""
+        if isinstance(self.scans, ScanRange):
+            return list(range(self.scans.first, self.scans.last + 1))
+        return self.scans
+
+
+class ReductionPlanModel(BaseModel):
+    """Which scans to send, and all that is known of the drive without them."""
+
+    layout: str | None
+    pose_frame: str | None = Field(description="Whose poses the pose file holds.")
+    pose_frame_reason: str | None
+    georeference: str | None = Field(description="Where it comes from.")
+    georeference_reason: str | None = Field(description="Why there is none.")
+    length_m: float | None = Field(description="Way driven.")
+    scans: int = Field(description="Number of all scans.")
+    frames: list[int] = Field(description="Numbers of the scans to send, the keyframes of the default preset.")
+    frames_to_look_into: list[int] = Field(description="Numbers of the scans whose labels tell the label scheme.")
+    manifest: dict[str, Any] | None = Field(
+        description="reduced.json, to be completed with `labels`; null where the poses cannot be read."
+    )
+    problems: list[FileProblem]
+
+
+class UploadedBatch(BaseModel):
+    """The files of a batch."""
+
+    files: list[UploadedFile]
+
+
+class UnpackedArchive(BaseModel):
+    """An archive that was unpacked, or is being unpacked."""
+
+    job_id: str = Field(description="The job that unpacks it.")
+    state: str = Field(examples=["successful"])
+    files: int | None = Field(None, description="Files that it held; null until it is unpacked.")
+    size_bytes: int | None = Field(None, description="Their size.")

@@ -1,0 +1,84 @@
+"""An archive that came in becomes a job that unpacks it."""
+
+from __future__ import annotations
+
+import secrets
+
+from app.drives.intake import Arrival
+from app.drives.placement import refuse_unless_open
+from app.drives.records import drive_key, lock_drive
+from app.jobs.queue import submit
+from app.models import Job
+from app.problems import Problem
+from app.schemas.drives import UnpackedArchive
+from app.service import Service
+from app.work.archive_files import MAGIC_BYTES, archive_kind
+
+
+def check_magic(head: bytes) -> None:
+    """Refuse what is no archive by its first bytes.
+
+    Raises
+    ------
+    Problem
+        415.
+    """
+    if archive_kind(head[:MAGIC_BYTES]) is None:
+        raise Problem(
+            415,
+            "Not an archive",
+            "The body is neither .zip nor .tar, .tar.gz or .tar.zst by its first bytes. Send the archive as it is, or "
+            "as part `archive` of multipart/form-data.",
+        )
+
+
+def queue_archive(service: Service, drive_id: str, owner: str, arrival: Arrival) -> Job:
+    """Keep an archive, and have it unpacked.
+
+    Raises
+    ------
+    Problem
+        404, 409: there is no such drive, or it takes no files now.
+    """
+    name = f"archives/{secrets.token_hex(8)}"
+    place = service.storage.folder(f"{drive_key(drive_id)}/{name}")
+    try:
+        with service.database.writing() as session:
+            drive = lock_drive(session, drive_id)
+            refuse_unless_open(drive, ["archive"])
+            job, _ = submit(
+                session, service.database, kind="unpack", drive_id=drive_id, owner=owner, request={"archive": name}
+            )
+            drive.touched_at = job.created_at
+            place.parent.mkdir(parents=True, exist_ok=True)
+            arrival.temporary.replace(place)
+    except BaseException:
+        place.unlink(missing_ok=True)
+        raise
+    service.runner.wake()
+    return job
+
+
+def unpacked(job: Job) -> UnpackedArchive:
+    """Say how the unpacking went, or that it goes on.
+
+    Raises
+    ------
+    Problem
+        The archive was refused, or the service failed.
+    """
+    raise_failure(job)
+    summary = job.summary or {}
+    return UnpackedArchive(
+        job_id=job.id, state=job.state, files=summary.get("files"), size_bytes=summary.get("size_bytes")
+    )
+
+
+def raise_failure(job: Job) -> None:
+    """Raise the problem of a job that has failed."""
+    if job.state in {"failed", "dismissed"}:
+        document = dict(job.error or {"title": "Cancelled", "status": 409, "detail": "The job was cancelled."})
+        status, title, detail = (document.pop(name) for name in ("status", "title", "detail"))
+        for name in ("type", "instance"):
+            document.pop(name, None)
+        raise Problem(status, title, detail, **document)

@@ -1,0 +1,107 @@
+"""The commit of a drive, as its client sees it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from app.drives.archives import raise_failure
+from app.drives.limits import check_free_space
+from app.drives.records import drive_model, find_drive, lock_drive
+from app.jobs.queue import submit
+from app.models import Drive, Job
+from app.problems import Problem
+from app.schemas.drives import CommitRequest, DriveModel, DriveOptionsModel
+from app.service import Service
+from interloc.drives.inspect import DriveReport
+
+_ACTIVE = ("accepted", "running")
+
+
+def begin_commit(service: Service, drive_id: str, owner: str, request: CommitRequest) -> Job | None:
+    """Queue the check of a drive; join the one that runs already.
+
+    Returns
+    -------
+    Job or None
+        None where the drive is ready.
+
+    Raises
+    ------
+    Problem
+        404: no such drive. 409: an archive is still being unpacked. 507: the disk is full.
+    """
+    check_free_space(service, 0)
+    with service.database.writing() as session:
+        drive = lock_drive(session, drive_id)
+        if drive.state == "ready":
+            return None
+        if drive.state == "checking" and (running := active_job(session, drive_id, "commit")) is not None:
+            return running
+        if (unpacking := active_job(session, drive_id, "unpack")) is not None:
+            raise Problem(
+                409,
+                "Archive is being unpacked",
+                f"Job {unpacking.id} still unpacks an archive of the drive. Commit it when "
+                f"GET /api/v1/jobs/{unpacking.id} says that it has ended.",
+                headers={"Retry-After": "5"},
+            )
+        if request.options is not None:
+            given = request.options.model_dump(mode="json", exclude_unset=True)
+            drive.options = {**DriveOptionsModel.model_validate(drive.options).model_dump(mode="json"), **given}
+        if request.keep_raw is not None:
+            drive.keep_raw = request.keep_raw
+        work: dict[str, Any] = {
+            "options": drive.options,
+            "keep_raw": drive.keep_raw,
+            "check_only": request.check_only,
+        }
+        job, _ = submit(session, service.database, kind="commit", drive_id=drive_id, owner=owner, request=work)
+        drive.state = "checking"
+        drive.touched_at = job.created_at
+    service.runner.wake()
+    return job
+
+
+def committed(service: Service, drive_id: str, job: Job | None) -> DriveModel:
+    """Return the drive when its check has ended, or while it goes on.
+
+    Raises
+    ------
+    Problem
+        422: it has errors, which `problems` lists. Or the check itself failed.
+    """
+    with service.database.reading() as session:
+        drive = find_drive(session, drive_id)
+    if job is not None:
+        raise_failure(job)
+        if job.state == "successful" and not (job.summary or {}).get("ok"):
+            raise not_sound(drive)
+    return drive_model(drive, service.settings)
+
+
+def not_sound(drive: Drive) -> Problem:
+    """Say what is wrong with a drive."""
+    report = DriveReport.model_validate(drive.report or {"path": drive.name, "name": drive.name})
+    errors = [problem for problem in report.problems if problem.severity == "error"]
+    first = f"{errors[0].path}: {errors[0].message}" if errors else "see its report."
+    more = f" And {len(errors) - 1} more." if len(errors) > 1 else ""
+    return Problem(
+        422,
+        "Drive not usable",
+        f"{first}{more} The drive is open again: mend the files, and commit it once more.",
+        problems=report.problems,
+        report=report.to_dict(),
+    )
+
+
+def active_job(session: Session, drive_id: str, kind: str) -> Job | None:
+    """Return the job of a kind that waits or runs for a drive."""
+    return session.scalars(
+        select(Job)
+        .where(Job.drive_id == drive_id, Job.kind == kind, Job.state.in_(_ACTIVE))
+        .order_by(Job.created_at)
+        .limit(1)
+    ).first()

@@ -1,0 +1,155 @@
+"""What the end of a commit, or of the unpacking of an archive, means for the drive: written as the job ends."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import secrets
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from sqlalchemy import event, select
+from sqlalchemy.orm import Session
+
+from app.drives.intake import INCOMING, Arrival
+from app.drives.names import is_map
+from app.drives.placement import Placement, refuse_unless_open, register, sizes_of
+from app.drives.records import drive_key, files_key, reduced_key
+from app.models import Drive, DriveFile, Job
+from app.problems import Problem
+from app.service import Service
+from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED
+from app.work.task import Outcome
+
+_log = logging.getLogger(__name__)
+
+
+def settle(session: Session, service: Service, job: Job, outcome: Outcome | Problem) -> None:
+    """Write what a job did to its drive.
+
+    Parameters
+    ----------
+    session
+        The transaction in which the job ends.
+    service
+    job
+        Its end is written already; it is changed where its outcome cannot be taken.
+    outcome
+        What it found, or why it failed.
+
+    Notes
+    -----
+    Files go only once the transaction is through; `tidy_drive` says which, and the clean-up repeats it.
+    """
+    drive = session.get(Drive, job.drive_id, with_for_update=True, populate_existing=True)
+    if drive is None:
+        return
+    drive.touched_at = service.database.clock(session)
+    if job.kind == "commit":
+        _settle_commit(session, service, job, drive, outcome)
+    elif job.kind == "unpack":
+        _settle_unpack(session, service, job, drive, outcome)
+    job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
+    archive = job.request.get("archive")
+
+    def tidy(_session: Session) -> None:
+        try:
+            service.storage.delete(f"jobs/{job_id}/result")  # its contents are the drive's now
+            if archive is not None:
+                service.storage.delete(f"{drive_key(drive_id)}/{archive}")
+            if state == "ready":
+                tidy_drive(service, drive_id, keep_raw=keep_raw)
+        except OSError:  # the clean-up tries again
+            _log.exception("drive %s: not all could be tidied up", drive_id)
+
+    event.listen(session, "after_commit", tidy, once=True)
+
+
+def _settle_commit(session: Session, service: Service, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
+    """Make the drive ready, or open it again with the report of what is wrong."""
+    drive.state = "uploading"
+    if isinstance(outcome, Problem):
+        return
+    drive.report = outcome.report
+    if not outcome.summary["ok"] or job.request.get("check_only"):
+        return
+    built = service.storage.folder(f"jobs/{job.id}/result")
+    service.storage.delete(reduced_key(drive.id))
+    target = service.storage.folder(reduced_key(drive.id))
+    (built / REDUCED).replace(target)
+    for name in TRAJECTORY:
+        with suppress(FileNotFoundError):
+            (built / name).replace(target.parent / name)
+    maps = [
+        size
+        for path, size in session.execute(
+            select(DriveFile.path, DriveFile.size_bytes).where(
+                DriveFile.drive_id == drive.id, DriveFile.path.contains(".osm", autoescape=True)
+            )
+        )
+        if is_map(path)
+    ]
+    kept = drive.size_bytes if drive.keep_raw else sum(maps)
+    drive.stored_bytes = outcome.summary["reduced_bytes"] + kept
+    drive.state = "ready"
+
+
+def _settle_unpack(session: Session, service: Service, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
+    """Give the files of an archive their places: all or none."""
+    if isinstance(outcome, Problem):
+        return
+    scratch = service.storage.folder(f"jobs/{job.id}/scratch")
+    listing = json.loads((scratch / LISTING).read_text())
+    incoming = service.storage.folder(INCOMING)
+    incoming.mkdir(parents=True, exist_ok=True)
+    arrivals = [
+        Arrival(file["path"], incoming / secrets.token_hex(12), file["size_bytes"], file["sha256"]) for file in listing
+    ]
+    try:
+        with session.begin_nested(), Placement(service, drive.id) as placement:
+            refuse_unless_open(drive, ["archive"])
+            for arrival in arrivals:
+                _link(scratch / UNPACKED / arrival.path, arrival.temporary)
+            known = sizes_of(session, drive.id, [arrival.path for arrival in arrivals])
+            register(service, session, drive, arrivals, known)
+            placement.move(arrivals)
+    except Problem as problem:
+        job.state = "failed"
+        job.error = problem.document()
+        job.summary = None
+    finally:
+        for arrival in arrivals:
+            with suppress(OSError):
+                arrival.temporary.unlink(missing_ok=True)
+
+
+def _link(source: Path, target: Path) -> None:
+    """Give a file a second name: where the server dies before the transaction is through, all is done once more."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
+
+
+def tidy_drive(service: Service, drive_id: str, *, keep_raw: bool) -> None:
+    """Remove what a ready drive need not keep: all that was uploaded but maps, which jobs read from there.
+
+    Small files and reduced scans are kept in its reduced folder. Doing it again does nothing.
+    """
+    if keep_raw:
+        return
+    root = service.storage.folder(files_key(drive_id))
+    if not service.storage.folder(reduced_key(drive_id)).is_dir():
+        _log.error("drive %s is ready, but its reduced folder is not there", drive_id)
+        return
+    for folder, folders, names in os.walk(root, topdown=False):
+        for name in names:
+            path = Path(folder, name)
+            if not is_map(path.relative_to(root).as_posix()):
+                with suppress(OSError):
+                    path.unlink()
+        for name in folders:
+            with suppress(OSError):
+                Path(folder, name).rmdir()

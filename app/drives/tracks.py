@@ -1,0 +1,28 @@
+"""Where a drive went: written by its commit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from app.drives.records import drive_key, find_drive
+from app.problems import Problem
+from app.service import Service
+from app.work.places import TRAJECTORY
+
+
+def trajectory_file(service: Service, drive_id: str) -> Path:
+    """Return the trajectory of a drive.
+
+    Raises
+    ------
+    Problem
+        404: no such drive. 409: it is not ready.
+    """
+    with service.database.reading() as session:
+        drive = find_drive(session, drive_id)
+    if drive.state != "ready":
+        raise Problem(
+            409, "Drive not ready", f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed."
+        )
+    folder = service.storage.folder(drive_key(drive_id))
+    return next(path for name in TRAJECTORY if (path := folder / name).is_file())

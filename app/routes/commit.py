@@ -1,0 +1,93 @@
+"""Endpoints: from uploaded files to a drive that jobs can use."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import FileResponse
+
+from app.drives.commits import begin_commit, committed
+from app.drives.plans import plan_upload
+from app.drives.preferences import wait_of
+from app.drives.tracks import trajectory_file
+from app.jobs.waiting import wait_for_async
+from app.problems import ProblemDocument
+from app.routes.archive import PreferHeader
+from app.routes.drives import NOT_FOUND
+from app.schemas.drives import CommitRequest, DriveModel, PlanRequest, ReductionPlanModel
+from app.security import ClientDep
+from app.service import ServiceDep
+
+router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
+
+_CONFLICT: dict[int | str, dict[str, Any]] = {
+    409: {"model": ProblemDocument, "description": "The drive is not in the state for this."}
+}
+
+
+@router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive")
+def plan(drive_id: str, request: PlanRequest, service: ServiceDep, _client: ClientDep) -> ReductionPlanModel:
+    """Tell which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
+
+    For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
+    """
+    return plan_upload(service, drive_id, request)
+
+
+@router.post(
+    "/commit",
+    responses={
+        202: {"model": DriveModel, "description": "The check goes on; ask for the drive again."},
+        **NOT_FOUND,
+        **_CONFLICT,
+        422: {
+            "model": ProblemDocument,
+            "description": "The drive has errors: `problems` lists all, `report` tells more.",
+        },
+        507: {"model": ProblemDocument, "description": "The disk is full."},
+    },
+    summary="Commit a drive",
+)
+async def commit(
+    drive_id: str,
+    response: Response,
+    service: ServiceDep,
+    client: ClientDep,
+    request: CommitRequest | None = None,
+    prefer: PreferHeader = None,
+) -> DriveModel:
+    """Check all files, reduce the scans to what the method needs, and make the drive ready for jobs.
+
+    Waits for the end of it. A drive with errors is open again afterwards: mend its files and commit it once more.
+    Commit of a drive that is being checked waits along; of one that is ready changes nothing.
+    """
+    job = await run_in_threadpool(begin_commit, service, drive_id, client, request or CommitRequest())
+    wait_s = wait_of(prefer)
+    if job is not None:
+        job = await wait_for_async(service, job.id, wait_s)
+    drive = await run_in_threadpool(committed, service, drive_id, job)
+    if drive.state == "checking":
+        response.status_code = 202
+    if drive.state == "checking" or job is not None:
+        response.headers["Location"] = f"{service.settings.root_path}/api/v1/drives/{drive_id}"
+    if prefer:
+        response.headers["Preference-Applied"] = f"wait={wait_s}"
+    return drive
+
+
+@router.get(
+    "/trajectory",
+    response_class=FileResponse,
+    responses={
+        200: {"content": {"application/geo+json": {}}, "description": "A FeatureCollection with one LineString."},
+        **NOT_FOUND,
+        **_CONFLICT,
+    },
+    summary="Show where a drive went",
+)
+def trajectory(drive_id: str, service: ServiceDep, _client: ClientDep) -> FileResponse:
+    """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
+    file = trajectory_file(service, drive_id)
+    return FileResponse(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

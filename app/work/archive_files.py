@@ -1,0 +1,241 @@
+"""Reading of archives that nobody vouches for: .zip, .tar, .tar.gz, .tar.zst, member by member, in one pass."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import lzma
+import stat
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, BinaryIO, Literal
+
+import zstandard
+
+from interloc.errors import InterLocError
+
+ArchiveKind = Literal["zip", "tar", "tar.gz", "tar.zst"]
+
+MAGIC_BYTES = 262
+"""From the beginning of a file; enough to tell its kind."""
+
+_MAX_HEADER_BYTES = 1 << 20  # of a long name or extended header of a tar file, which are read into memory
+_MAX_WINDOW_BYTES = 1 << 27  # of zstandard: what its own tools take without being told to
+_BLOCK = 512
+_HEADERS = (
+    tarfile.XHDTYPE,
+    tarfile.XGLTYPE,
+    tarfile.SOLARIS_XHDTYPE,
+    tarfile.GNUTYPE_LONGNAME,
+    tarfile.GNUTYPE_LONGLINK,
+)
+
+
+class ArchiveError(InterLocError):
+    """An archive that is damaged, or that holds what no drive has."""
+
+    http_status = 422
+
+
+@dataclass(frozen=True)
+class Member:
+    """A file of an archive.
+
+    Attributes
+    ----------
+    name : str
+        As it stands there; not checked.
+    size_bytes : int
+        As announced; not to be trusted.
+    open : callable
+        Returns its contents; to be read before the next member is asked for.
+    """
+
+    name: str
+    size_bytes: int
+    open: Callable[[], IO[bytes]]
+
+
+def archive_kind(head: bytes) -> ArchiveKind | None:
+    """Tell an archive by its first `MAGIC_BYTES`."""
+    if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        return "zip"
+    if head.startswith(b"\x1f\x8b"):
+        return "tar.gz"
+    if head.startswith(b"\x28\xb5\x2f\xfd"):
+        return "tar.zst"
+    return "tar" if head[257:262] == b"ustar" else None
+
+
+@contextmanager
+def members(path: Path, count: Callable[[int], None]) -> Iterator[Iterator[Member]]:
+    """Open an archive.
+
+    Parameters
+    ----------
+    path
+    count
+        Called with the bytes that come out of its decompressor beside the contents of members: what is skipped counts.
+
+    Yields
+    ------
+    iterator of Member
+        Files only; folders are passed over.
+
+    Raises
+    ------
+    ArchiveError
+        It is none, damaged or cut short, or holds links, devices or encrypted files. Raised within the block too.
+    """
+    with path.open("rb") as file:
+        kind = archive_kind(file.read(MAGIC_BYTES))
+        file.seek(0)
+        try:
+            if kind == "zip":
+                with zipfile.ZipFile(file) as archive:
+                    yield _zip_members(archive)
+            elif kind is not None:
+                yield _tar_members(_decompressed(file, kind), count)
+            else:
+                raise ArchiveError("the archive is neither .zip nor .tar, .tar.gz or .tar.zst.")
+        except (
+            zipfile.BadZipFile,
+            tarfile.TarError,
+            zlib.error,
+            lzma.LZMAError,
+            zstandard.ZstdError,
+            gzip.BadGzipFile,
+            EOFError,
+            UnicodeError,
+            OverflowError,
+            ValueError,
+        ) as error:
+            raise ArchiveError(
+                f"the archive is damaged or cut short ({error}). Usual cause: a transfer that did not finish."
+            ) from error
+
+
+def _zip_members(archive: zipfile.ZipFile) -> Iterator[Member]:
+    for info in archive.infolist():
+        kind = stat.S_IFMT(info.external_attr >> 16)
+        if info.is_dir():
+            continue
+        if kind not in {0, stat.S_IFREG}:
+            raise _special(info.filename)
+        if info.flag_bits & 0x1:
+            raise ArchiveError(f"{info.filename!a}: is encrypted. Make the archive without a password.")
+
+        def contents(info: zipfile.ZipInfo = info) -> IO[bytes]:
+            try:
+                return archive.open(info)
+            except NotImplementedError as error:
+                raise ArchiveError(
+                    f"{info.filename!a}: is packed by a method that is not read here ({error}). Use deflate."
+                ) from error
+
+        yield Member(info.filename, info.file_size, contents)
+
+
+def _special(name: str) -> ArchiveError:
+    return ArchiveError(
+        f"{name!a}: is a link or a device. A drive has plain files only; pack the files themselves (tar --dereference)."
+    )
+
+
+def _tar_members(stream: BinaryIO, count: Callable[[int], None]) -> Iterator[Member]:
+    watched = _Watched(stream, count)
+    with tarfile.open(
+        fileobj=watched, mode="r|", bufsize=1 << 16, tarinfo=_CarefulTarInfo, encoding="utf-8", errors="surrogateescape"
+    ) as archive:
+        for info in archive:
+            if info.isdir():
+                continue
+            if not info.isreg() or info.issparse():
+                raise _special(info.name)
+
+            def contents(info: tarfile.TarInfo = info) -> IO[bytes]:
+                file = archive.extractfile(info)
+                assert file is not None
+                return file
+
+            yield Member(info.name, info.size, contents)
+        watched.drain()
+
+
+class _CarefulTarInfo(tarfile.TarInfo):
+    """A header that is not believed when it announces a name of gigabytes, which would be read into memory."""
+
+    def _proc_member(self, archive: tarfile.TarFile) -> tarfile.TarInfo:
+        if self.type in _HEADERS and self.size > _MAX_HEADER_BYTES:
+            raise tarfile.ReadError(f"a header of {self.size:,} bytes")
+        info: tarfile.TarInfo = super()._proc_member(archive)  # type: ignore[misc] # not in the stubs
+        return info
+
+
+class _Watched(io.RawIOBase):
+    """The bytes of a tar file: counted, and seen to the end, which a whole one marks by a block of zeros."""
+
+    def __init__(self, stream: BinaryIO, count: Callable[[int], None]) -> None:
+        self._stream = stream
+        self._count = count
+        self._last = b""
+
+    def read(self, size: int = -1, /) -> bytes:
+        data = self._stream.read(size)
+        self._count(len(data))
+        self._last = (self._last + data[-_BLOCK:])[-_BLOCK:]
+        return data
+
+    def drain(self) -> None:
+        """Read what follows the last member, so that checksums at the end are looked at."""
+        while self.read(1 << 16):
+            pass
+        if self._last != bytes(_BLOCK):
+            raise EOFError("its end mark is missing")
+
+
+def _decompressed(file: BinaryIO, kind: ArchiveKind) -> BinaryIO:
+    if kind == "tar.gz":
+        return gzip.GzipFile(fileobj=file)  # type: ignore[return-value] # it reads like one
+    if kind == "tar.zst":
+        return _ZstdStream(file)  # type: ignore[return-value]
+    return file
+
+
+class _ZstdStream(io.RawIOBase):
+    """Frames of zstandard one after the other; the last must be complete, which the library's own reader ignores."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._decompressor = zstandard.ZstdDecompressor(max_window_size=_MAX_WINDOW_BYTES)
+        self._frame: zstandard.ZstdDecompressionObj | None = None
+        self._packed = b""
+        self._ready = bytearray()
+
+    def read(self, size: int = -1, /) -> bytes:
+        while not self._ready and self._fill():
+            pass
+        data = bytes(self._ready[:size])
+        del self._ready[:size]
+        return data
+
+    def _fill(self) -> bool:
+        """Decompress a little more; False at the end."""
+        packed = self._packed or self._file.read(1 << 14)  # little: it may become a thousand times as much
+        self._packed = b""
+        if not packed:
+            if self._frame is not None:
+                raise EOFError("the last zstandard frame is not complete")
+            return False
+        if self._frame is None:
+            self._frame = self._decompressor.decompressobj()
+        self._ready += self._frame.decompress(packed)
+        if self._frame.eof:
+            self._packed = self._frame.unused_data
+            self._frame = None
+        return True

@@ -1,0 +1,294 @@
+"""The commit of a drive: all of its files are checked, then its scans are reduced to what the method needs.
+
+A drive that comes reduced (by a client that thins and reduces before it sends) is checked scan by scan and taken over.
+What is wrong with the files ends up in the report, every problem with its path; the outcome has no result then.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from app.drives.names import is_map
+from app.work.places import REDUCED, TRAJECTORY
+from app.work.task import Outcome, Part, Plan, Report, Task
+from interloc.drives.drive import GroundPoints
+from interloc.drives.faults import DriveFileError, Problem
+from interloc.drives.inspect import DriveReport, inspect_drive
+from interloc.drives.open import open_drive
+from interloc.drives.options import LabelFolder
+from interloc.drives.reduction.contents import GroundFiles
+from interloc.drives.reduction.manifest import MANIFEST, ground_path, is_reduced, read_manifest
+from interloc.drives.reduction.reduce import Reduction, label_folders_in, prepare_reduction
+from interloc.errors import InterLocError
+from interloc.mapping.exports import trajectory_feature
+from interloc.mapping.geojson import write_collection
+from interloc.mapping.georeferencing import trajectory
+
+PART_SCANS = 200
+MOST_PROBLEMS = 500
+"""In a report: a drive of 9,000 bad scans is told from some of them."""
+
+_PROBLEMS = "problems.json"
+_SHOWN = 3
+
+
+class Options(NamedTuple):
+    """How the drive is read; the arguments of `inspect_drive`."""
+
+    label_scheme: str
+    pose_frame: Any
+    layout: Any
+    oxts: str | None
+    name: str
+
+    def arguments(self) -> dict[str, Any]:
+        """Return them by name."""
+        return self._asdict()
+
+
+def prepare(task: Task) -> Plan:
+    """Check the files as `interloc info` does; cut the scans into parts where they are sound."""
+    files = task.drive / "files"
+    files.mkdir(parents=True, exist_ok=True)
+    report = check(task)
+    if not report.ok or task.request.get("check_only"):
+        return Plan([], 0, {"report": report.to_dict()})
+    try:
+        frames = _frames(task)
+    except InterLocError as error:  # what the check does not look at: files that cannot be gathered
+        return Plan([], 0, {"report": _with_errors(report, [_problem(error)], task).to_dict()})
+    edges = range(0, len(frames), PART_SCANS)
+    parts = [Part(number, start, min(start + PART_SCANS, len(frames))) for number, start in enumerate(edges)]
+    return Plan(parts, len(frames), {"report": report.to_dict(), "began": time.time()})
+
+
+def run(task: Task, part: Part, report: Report) -> None:
+    """Reduce some scans, or check them where they are reduced; what is wrong with them is noted, not raised."""
+    target = task.scratch / f"part-{part.number}"
+    if target.is_dir():
+        return
+    folder = task.scratch / f"part-{part.number}-{task.attempt}"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    do = _scan_check(task) if is_reduced(task.drive / "files") else _scan_reduction(task, folder)
+    frames = _frames(task)[part.start : part.stop]
+    problems: list[list[str]] = []
+    for done, frame in enumerate(frames, start=1):
+        try:
+            do(frame)
+        except InterLocError as error:
+            if isinstance(error, DriveFileError):
+                problems.append([error.path, error.message])
+            else:
+                raise
+        report(done)
+    (folder / _PROBLEMS).write_text(json.dumps(problems[:MOST_PROBLEMS]))
+    os.sync()  # the scans themselves will be removed: better one wait a part than one a file
+    with suppress(OSError):  # another attempt was faster
+        folder.rename(target)
+
+
+def finish(task: Task, plan: Plan) -> Outcome:
+    """Put the reduced drive together."""
+    report = DriveReport.model_validate(plan.notes["report"])
+    if not plan.parts:
+        return Outcome({"ok": report.ok}, report.to_dict())
+    folders = [task.scratch / f"part-{part.number}" for part in plan.parts]
+    problems = [
+        Problem("error", path, message)
+        for folder in folders
+        for path, message in json.loads((folder / _PROBLEMS).read_text())
+    ]
+    if problems:
+        return Outcome({"ok": False}, _with_errors(report, problems, task).to_dict())
+    shutil.rmtree(task.result, ignore_errors=True)
+    reduced = task.result / REDUCED
+    reduced.mkdir(parents=True)
+    if is_reduced(task.drive / "files"):
+        _take_over(task.drive / "files", reduced)
+    else:
+        reduction = _reduction(str(task.drive / "files"), _options(task), task.job_id)
+        for labels in reduction.scans:
+            (reduced / ground_path(labels, 0)).parent.mkdir(parents=True)
+        for folder in folders:
+            _link_tree(folder / "ground", reduced / "ground")
+        reduction.write_rest(reduced)
+    drive = open_drive(reduced, labels=_label_folders(task)[0], check=False)
+    track = trajectory_feature(*trajectory(drive.T_world_lidar, drive.georeference))
+    is_local = drive.georeference is None
+    write_collection(task.result / TRAJECTORY[is_local], [track], local=is_local)
+    os.sync()
+    summary = {
+        "ok": True,
+        "scans": len(drive.frames),
+        "kept_scans": plan.total,
+        "reduced_bytes": sum(file.stat().st_size for file in reduced.rglob("*") if file.is_file()),
+        "seconds": round(time.time() - float(plan.notes["began"]), 3),
+    }
+    return Outcome(summary, report.to_dict())
+
+
+def check(task: Task) -> DriveReport:
+    """Look at all label folders of a drive; one report, with the problems of all."""
+    root = task.drive / "files"
+    try:
+        folders = _label_folders(task)
+    except DriveFileError:  # a manifest that cannot be read: said once more, with all else
+        folders = ("labels",)
+    reports = [inspect_drive(root, labels=folder, **_options(task).arguments()) for folder in folders]
+    first = reports[0]
+    problems = list(dict.fromkeys(problem for report in reports for problem in report.problems))
+    problems += _unknown_files(task, problems)
+    name = first.name if first.layout else task.drive_name
+    return first.model_copy(update={"path": name, "name": name, "problems": _tidied(problems, root, task.drive_name)})
+
+
+def _unknown_files(task: Task, problems: list[Problem]) -> list[Problem]:
+    """Tell which files will not be kept because nothing reads them."""
+    root = task.drive / "files"
+    if task.request.get("keep_raw") or any(problem.severity == "error" for problem in problems):
+        return []
+    try:
+        known = _known_files(task)
+    except InterLocError:
+        return []
+    folders = tuple(f"{name}/" for name in ("velodyne", "velodyne_points/data", "labels", "predictions", "ground"))
+    found = (os.path.relpath(Path(folder, name), root) for folder, _, names in os.walk(root) for name in names)
+    unknown = sorted(path for path in found if path not in known and not path.startswith(folders) and not is_map(path))
+    if not unknown:
+        return []
+    names = ", ".join(unknown[:_SHOWN]) + (", ..." if len(unknown) > _SHOWN else "")
+    return [Problem("note", unknown[0], f"not needed, so not kept ({len(unknown):,} in all: {names}).")]
+
+
+def _known_files(task: Task) -> set[str]:
+    """Return the small files that are kept."""
+    root = task.drive / "files"
+    if not is_reduced(root):
+        return set(_reduction(str(root), _options(task), task.job_id).plan.copies.sources)
+    return {path.relative_to(root).as_posix() for path in _small_files(root)}
+
+
+def _tidied(problems: list[Problem], root: Path, name: str) -> list[Problem]:
+    """Sort problems, leave some of very many, and name the folder of the drive as its owner does."""
+
+    def named(text: str) -> str:
+        return text.replace(f"{root}/", "").replace(str(root), name)
+
+    order = ("error", "warning", "note")
+    problems = sorted(problems, key=lambda problem: order.index(problem.severity))
+    kept = [Problem(each.severity, named(each.path), named(each.message)) for each in problems[:MOST_PROBLEMS]]
+    if len(problems) > MOST_PROBLEMS:
+        kept.append(Problem("note", "", f"And {len(problems) - MOST_PROBLEMS:,} more problems."))
+    return kept
+
+
+def _with_errors(report: DriveReport, problems: list[Problem], task: Task) -> DriveReport:
+    every = list(dict.fromkeys([*problems, *report.problems]))
+    return report.model_copy(update={"problems": _tidied(every, task.drive / "files", task.drive_name)})
+
+
+def _problem(error: InterLocError) -> Problem:
+    path, message = (error.args[0], error.args[1]) if len(error.args) == 2 else ("", str(error))
+    return Problem("error", path, message)
+
+
+def _options(task: Task) -> Options:
+    options = task.request["options"]
+    oxts = options.get("oxts")
+    return Options(
+        label_scheme=options["label_scheme"],
+        pose_frame=options["pose_frame"],
+        layout=options["layout"],
+        oxts=None if oxts is None else str(task.drive / "files" / oxts),
+        name=task.drive_name.replace("/", "_"),
+    )
+
+
+def _label_folders(task: Task) -> tuple[LabelFolder, ...]:
+    root = task.drive / "files"
+    if not is_reduced(root):
+        return label_folders_in(root)
+    return tuple(labels.folder for labels in read_manifest(root).labels) or ("labels",)
+
+
+def _frames(task: Task) -> list[int]:
+    """Return the numbers of the scans that are to be reduced, or were."""
+    root = task.drive / "files"
+    if is_reduced(root):
+        return [int(frame) for frame in read_manifest(root).kept_frames]
+    return [int(frame) for frame in _reduction(str(root), _options(task), task.job_id).plan.frames_to_send]
+
+
+@lru_cache(maxsize=2)
+def _reduction(root: str, options: Options, job_id: str) -> Reduction:  # noqa: ARG001 - files may differ for another job
+    """Survey a drive once for all parts of a job that this process does."""
+    return prepare_reduction(root, **options.arguments())
+
+
+def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:
+    """Return what reduces one scan."""
+    reduction = _reduction(str(task.drive / "files"), _options(task), task.job_id)
+    for labels in reduction.scans:
+        (folder / ground_path(labels, 0)).parent.mkdir(parents=True)
+    return lambda frame: reduction.write_ground(frame, folder)
+
+
+def _scan_check(task: Task) -> Callable[[int], None]:
+    """Return what decodes one reduced scan."""
+    root = task.drive / "files"
+    manifest = read_manifest(root)
+    sources = [GroundFiles(root, labels.folder, manifest.kept_frames, manifest.keyframes) for labels in manifest.labels]
+
+    def check_scan(frame: int) -> None:
+        for source in sources:
+            _: GroundPoints = source.read(frame)
+
+    return check_scan
+
+
+def _take_over(files: Path, reduced: Path) -> None:
+    """Link the files of an upload that is reduced already."""
+    manifest = read_manifest(files)
+    for labels in manifest.labels:
+        (reduced / ground_path(labels.folder, 0)).parent.mkdir(parents=True)
+        for frame in manifest.kept_frames:
+            name = ground_path(labels.folder, int(frame))
+            _link(files / name, reduced / name)
+    for path in _small_files(files):
+        target = reduced / path.relative_to(files)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _link(path, target)
+
+
+def _small_files(files: Path) -> list[Path]:
+    """Return the manifest of a reduced drive and all files that it names."""
+    found = [files / MANIFEST]
+    for name in read_manifest(files).files.paths:
+        path = files / name
+        found += [each for each in path.rglob("*") if each.is_file()] if path.is_dir() else [path]
+    return found
+
+
+def _link_tree(source: Path, target: Path) -> None:
+    for folder in source.iterdir():
+        for file in folder.iterdir():
+            _link(file, target / folder.name / file.name)
+
+
+def _link(source: Path, target: Path) -> None:
+    """Give a file a second name; where the file system cannot, a copy."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:
+        shutil.copyfile(source, target)

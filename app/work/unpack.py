@@ -1,0 +1,182 @@
+"""Unpacking of an archive: nothing in it is trusted, and nothing of it stays where something is wrong."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from app.drives.names import BadNameError, check_path
+from app.work.archive_files import ArchiveError, Member, members
+from app.work.places import LISTING, UNPACKED
+from app.work.roots import drive_paths
+from app.work.task import Outcome, Part, Plan, Report, Task
+from interloc.errors import OutputError
+
+_PIECE = 1 << 20
+_MB = 1 << 20
+_LOOK_BYTES = 64 * _MB
+_FREE_RATIO_BYTES = 64 * _MB  # a small archive may unpack to so much, however well it is packed
+
+
+def prepare(task: Task) -> Plan:
+    """Tell how much there is to do: megabytes of contents are not known before, files neither."""
+    size = _archive(task).stat().st_size
+    return Plan([Part(0, 0, max(1, size // _MB))], max(1, size // _MB), {"archive_bytes": size})
+
+
+def run(task: Task, part: Part, report: Report) -> None:
+    """Unpack all files to the scratch folder, with a list of them."""
+    if (task.scratch / LISTING).is_file():
+        return
+    folder = task.scratch / f"unpacking-{task.attempt}"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    try:
+        unpacking = _Unpacking(task, folder, lambda: report(0))
+        with members(_archive(task), unpacking.count) as found:
+            for member in found:
+                unpacking.take(member)
+        listing = unpacking.sort()
+        os.sync()
+        listed = folder / "listing"
+        listed.write_text(json.dumps(listing))
+        (folder / "drive").rename(task.scratch / UNPACKED)
+        listed.rename(task.scratch / LISTING)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    report(part.stop - part.start)
+
+
+def finish(task: Task, plan: Plan) -> Outcome:
+    """Say what was unpacked; the server gives the files their places."""
+    listing = json.loads((task.scratch / LISTING).read_text())
+    return Outcome(
+        {
+            "files": len(listing),
+            "size_bytes": sum(file["size_bytes"] for file in listing),
+            "archive_bytes": plan.notes["archive_bytes"],
+        }
+    )
+
+
+def _archive(task: Task) -> Path:
+    return task.drive / str(task.request["archive"])
+
+
+@dataclass
+class _File:
+    name: str
+    place: Path
+    size_bytes: int
+    sha256: str
+
+
+class _Unpacking:
+    """Files as they come out of an archive, under numbers instead of names."""
+
+    def __init__(self, task: Task, folder: Path, look_up: Callable[[], None]) -> None:
+        self._folder = folder
+        self._limits = task.limits
+        self._most_bytes = min(
+            int(self._limits["max_drive_bytes"]),
+            max(_FREE_RATIO_BYTES, int(_archive(task).stat().st_size * self._limits["max_archive_ratio"])),
+        )
+        self._look_up = look_up
+        self._files: dict[str, _File] = {}
+        self._unpacked = 0
+        self._streamed = 0
+        self._looked_at = 0
+        self._members = 0
+
+    def count(self, size: int) -> None:
+        """Count what the decompressor gives, headers and padding included."""
+        self._streamed += size
+        self._check_size(self._streamed, "the archive")
+
+    def take(self, member: Member) -> None:
+        """Unpack a file.
+
+        Raises
+        ------
+        ArchiveError
+            Its name cannot be one of a drive, comes twice, or there is too much.
+        """
+        self._members += 1
+        if self._members > self._limits["max_drive_files"]:
+            raise ArchiveError(f"the archive holds more than {self._limits['max_drive_files']:,} files.")
+        name = member.name.removeprefix("./")
+        if _is_litter(name):
+            return
+        try:
+            check_path(name)
+        except BadNameError as error:
+            raise ArchiveError(str(error)) from error
+        if name in self._files:
+            raise ArchiveError(f"{name}: comes twice in the archive. Pack it anew.")
+        place = self._folder / str(len(self._files))
+        digest = hashlib.sha256()
+        size = 0
+        with member.open() as source, place.open("xb") as target:
+            while piece := source.read(_PIECE):
+                size += len(piece)
+                self._unpacked += len(piece)
+                self._check_file(name, size)
+                self._check_size(self._unpacked, name)
+                target.write(piece)
+                digest.update(piece)
+        if size != member.size_bytes:
+            raise ArchiveError(f"{name}: has {size:,} bytes, not {member.size_bytes:,} as the archive says.")
+        self._files[name] = _File(name, place, size, digest.hexdigest())
+
+    def sort(self) -> list[dict[str, Any]]:
+        """Give the files of the drive their names, and return the list of them.
+
+        Raises
+        ------
+        ArchiveError
+            There is nothing in the archive, or two drives, or a name is both file and folder.
+        """
+        if not self._files:
+            raise ArchiveError("the archive holds no files.")
+        listing = []
+        for name, path in drive_paths(self._files).items():
+            file = self._files[name]
+            target = self._folder / "drive" / path
+            try:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                file.place.rename(target)
+            except OSError as error:
+                raise ArchiveError(f"{name}: is a file and a folder in the archive. Pack it anew.") from error
+            listing.append({"path": path, "size_bytes": file.size_bytes, "sha256": file.sha256})
+        return listing
+
+    def _check_file(self, name: str, size: int) -> None:
+        limit = int(self._limits["max_file_bytes"])
+        if size > limit:
+            raise ArchiveError(f"{name}: is larger than {limit / _MB:,.0f} MB, the limit of a file.")
+
+    def _check_size(self, size: int, name: str) -> None:
+        """Refuse what unpacks to too much; look now and then whether there is room, and whether anybody waits."""
+        if size > self._most_bytes:
+            raise ArchiveError(
+                f"{name}: the archive unpacks to more than {self._most_bytes / _MB:,.0f} MB, the limit for a drive or "
+                f"{self._limits['max_archive_ratio']:g} times its own size. Send the files one by one instead."
+            )
+        if self._unpacked + self._streamed - self._looked_at > _LOOK_BYTES:
+            self._looked_at = self._unpacked + self._streamed
+            self._look_up()
+            if shutil.disk_usage(self._folder).free < self._limits["min_free_bytes"]:
+                raise OutputError("the disk of the service is full. Nothing of the archive was kept.")
+
+
+def _is_litter(name: str) -> bool:
+    """Tell what file managers put into archives: hidden files, and the shadows of another system."""
+    segments = name.split("/")
+    hidden = any(segment.startswith(".") and segment not in {".", ".."} for segment in segments)
+    return (hidden and not {"", ".", ".."} & set(segments)) or segments[0] == "__MACOSX" or segments[-1] == "Thumbs.db"
