@@ -1,19 +1,25 @@
-"""A real HTTP server on this machine that fails in the ways that servers and networks fail."""
+"""Servers to talk to: a real one of InterLoc, and one that fails in the ways that servers and networks fail."""
 
 from __future__ import annotations
 
 import json
+import os
 import socket
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
 from interloc.client.connection import Connection
+from tests.app.processes import ServerProcess, started
+from tests.app.street import write_street
 
 Reply = Callable[[BaseHTTPRequestHandler], None]
 
@@ -99,3 +105,75 @@ def connection(faulty: Faulty) -> Iterator[Connection]:
     """A connection to the faulty server, with little patience."""
     with Connection(faulty.address, patience_s=20) as connection:
         yield connection
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """The one JSON object on stdout."""
+        assert self.code == 0, self.err
+        return json.loads(self.out)
+
+
+class Here:
+    """The command line in processes of its own, as a user of one server with a cache of his own has it."""
+
+    def __init__(self, server: str, cache: Path, **variables: str) -> None:
+        clean = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
+        own = {"XDG_CACHE_HOME": str(cache), "PYTHONWARNINGS": "error", "INTERLOC_SERVER": server}
+        self.environment = {**clean, **own, **variables}
+
+    def start(self, *arguments: object) -> subprocess.Popen[str]:
+        """Start a command."""
+        command = [sys.executable, "-c", "from interloc.cli.main import main; main()", *map(str, arguments)]
+        return subprocess.Popen(
+            command, env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    def __call__(self, *arguments: object) -> Outcome:
+        """Run a command to its end."""
+        with self.start(*arguments) as process:
+            out, err = process.communicate(timeout=300)
+        assert "Traceback" not in err
+        return Outcome(process.returncode, out, err)
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """A server for all tests that do not stop it."""
+    folder = tmp_path_factory.mktemp("server")
+    with started(folder / "data", folder / "log", workers=1) as process:
+        yield process
+
+
+@pytest.fixture
+def here(server: ServerProcess, tmp_path: Path) -> Here:
+    """The command line, for that server."""
+    return Here(server.address, tmp_path / "cache")
+
+
+@pytest.fixture(scope="session")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive of 60 scans, all of them keyframes, with its map.osm. Shared: do not change it."""
+    return write_street(tmp_path_factory.mktemp("drives") / "street", 60)
+
+
+@pytest.fixture
+def data() -> Callable[[str], Path]:
+    """Find a folder or file of the real data beside the project, or skip."""
+    root = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+
+    def find(name: str) -> Path:
+        path = root / name
+        if not path.exists():
+            pytest.skip(f"real data not here: {name}")
+        return path
+
+    return find

@@ -1,0 +1,43 @@
+"""`interloc push` and `interloc fetch`: what is refused before any server is asked (the rest: tests/client)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["-o", "out"], "-o, --overpass and --set belong to --run"),
+        (["--run", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
+        (["--keep-raw"], "--keep-raw: there is nothing to keep"),
+        (["--osm", "map.txt"], "is no OpenStreetMap file by its name"),
+        (["--name", "a/b"], "without slashes"),
+        (["--server", "localhost:8000"], "expected an address as http://127.0.0.1:8000"),
+        (["--run", "--set", "bev.resolution_m=cats"], "bev.resolution_m"),
+    ],
+)
+def test_wrong_usage(arguments: list[str], says: str, interloc: Callable) -> None:
+    outcome = interloc("push", "drive", *arguments)
+    assert outcome.code == 2
+    assert says in outcome.err
+
+
+def test_no_server_there(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    for arguments in (["push", drive], ["fetch", "9b1e44f00c7a2d53", "-o", tmp_path / "out"]):
+        complaint = interloc(*arguments, "--server", "http://127.0.0.1:9").complaint
+        assert complaint.startswith("interloc: http://127.0.0.1:9: cannot be reached")
+        assert "Give its address by --server or INTERLOC_SERVER" in complaint
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_token_is_not_shown(interloc: Callable, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("INTERLOC_TOKEN", "a b-secret")
+    outcome = interloc("fetch", "9b1e44f00c7a2d53", "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert outcome.complaint.startswith("interloc: token: ")
+    assert "secret" not in outcome.err
+    assert "secret" not in interloc("push", "--help").out

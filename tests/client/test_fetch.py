@@ -1,0 +1,224 @@
+"""From a drive to a result by way of a server: the same bytes as without one, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.app.processes import ServerProcess, wait_until
+
+API = "/api/v1"
+LAYERS = {"intersections", "detections", "keyframes", "trajectory"}
+
+
+def layers(folder: Path) -> dict[str, bytes]:
+    """All layers of a result, as bytes."""
+    return {
+        path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in {".geojson"} or "local" in path.name
+    }
+
+
+@pytest.fixture(scope="session")
+def scored(server: ServerProcess, street: Path, tmp_path_factory: pytest.TempPathFactory, make: ModuleType) -> Any:
+    """A drive pushed, run and fetched, with the outcome."""
+    folder = tmp_path_factory.mktemp("scored")
+    here = make.Here(server.address, folder / "cache")
+    arguments = ["--osm", street / "map.osm", "--run", "-o", folder / "out", "--json"]
+    return {**here("push", street, *arguments).json, "out": folder / "out"}
+
+
+def test_a_result_fetched_is_a_result_made_here(here: Any, scored: Any, street: Path, tmp_path: Path) -> None:
+    assert here("run", street, "-o", tmp_path / "local", "--osm", street / "map.osm").code == 0
+    ours, theirs = layers(tmp_path / "local"), layers(scored["out"])
+    assert {f"{layer}.geojson" for layer in LAYERS} <= ours.keys()
+    assert {name: theirs[name] for name in ours} == ours
+    reports = [json.loads((folder / "report.json").read_bytes()) for folder in (tmp_path / "local", scored["out"])]
+    assert reports[0]["ace_m"] == reports[1]["ace_m"]
+    assert reports[0]["f1"] == reports[1]["f1"]
+    assert reports[0]["nodes_found"] == scored["report"]["nodes_found"] > 0
+
+
+def test_fetched_again_every_byte_is_that_of_the_server(
+    here: Any, scored: Any, server: ServerProcess, tmp_path: Path
+) -> None:
+    outcome = here("fetch", scored["job"], "-o", tmp_path / "out")
+    assert outcome.code == 0
+    assert "nodes found" in outcome.out
+    listed = server.client.get(f"{API}/jobs/{scored['job']}/files").json()["files"]
+    found = {p.relative_to(tmp_path / "out").as_posix(): p for p in (tmp_path / "out").rglob("*") if p.is_file()}
+    assert found.keys() == {file["name"] for file in listed}
+    for name, path in found.items():
+        assert path.read_bytes() == server.client.get(f"{API}/jobs/{scored['job']}/files/{name}").content
+
+
+def test_every_command_reads_what_was_fetched(here: Any, scored: Any, street: Path) -> None:
+    again = here("evaluate", scored["out"], "--osm", street / "map.osm", "--policy", "all", "--json").json
+    assert again["policy"] == "all"
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("kitti360_0009", ["--labels", "labels"]),
+        ("kitti360_0009", ["--labels", "predictions"]),
+        ("semantickitti_mini/sequences/07", ["--oxts", "kitti/oxts/07.txt.gz"]),
+    ],
+)
+@pytest.mark.parametrize("sending", [[], ["--raw"]])
+def test_real_drives(
+    name: str, options: list[str], sending: list[str], here: Any, data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    given = [options[0], data(options[1]) if "/" in options[1] else options[1]]
+    drive = data(name)
+    assert here("detect", drive, *given, "-o", tmp_path / "local").code == 0
+    outcome = here("push", drive, *given, *sending, "--run", "-o", tmp_path / "out")
+    assert outcome.code == 0, outcome.err
+    ours = layers(tmp_path / "local")
+    assert len(ours) == 4
+    assert {name: data for name, data in layers(tmp_path / "out").items() if name in ours} == ours
+
+
+def test_without_a_georeference_results_are_local(here: Any, street: Path, tmp_path: Path) -> None:
+    drive = Path(shutil.copytree(street, tmp_path / "street"))
+    (drive / "geo.csv").unlink()
+    assert here("detect", drive, "-o", tmp_path / "local").code == 0
+    assert here("push", drive, "--run", "-o", tmp_path / "out").code == 0
+    ours = layers(tmp_path / "local")
+    assert ours.keys() == {f"{layer}.local.json" for layer in LAYERS}
+    assert layers(tmp_path / "out") == ours
+
+
+def test_a_job_that_fails_says_why(here: Any, street: Path, tmp_path: Path) -> None:
+    (tmp_path / "broken.osm").write_text("<osm")
+    outcome = here("push", street, "--osm", tmp_path / "broken.osm", "--run", "-o", tmp_path / "out")
+    assert outcome.code == 1
+    assert "failed: " in outcome.err
+    assert "broken.osm" in outcome.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_job_that_was_cancelled(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+    drive = here("push", street, "--json").json["drive_id"]
+    job = server.client.post(f"{API}/jobs", json={"drive_id": drive}).json()["id"]
+    server.client.delete(f"{API}/jobs/{job}").raise_for_status()
+    outcome = here("fetch", job, "-o", tmp_path / "out")
+    state = server.client.get(f"{API}/jobs/{job}").json()["state"]
+    assert state == "dismissed"
+    assert outcome.code == 1
+    assert outcome.err == f"interloc: job {job} was cancelled.\n"
+
+
+def test_a_job_that_is_not_there(here: Any, tmp_path: Path) -> None:
+    outcome = here("fetch", "0123456789abcdef", "-o", tmp_path / "out")
+    assert outcome.code == 1
+    assert "0123456789abcdef" in outcome.err
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_an_older_result_stays_until_the_new_one_is_whole(here: Any, scored: Any, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(scored["out"], tmp_path / "out"))
+    (out / "mine.txt").write_text("notes")
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    assert here("fetch", "0123456789abcdef", "-o", out).code == 1
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
+    assert here("fetch", scored["job"], "-o", out).code == 0
+    assert (out / "mine.txt").read_text() == "notes"
+
+
+def test_a_folder_of_something_else_is_not_touched(here: Any, scored: Any, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    outcome = here("fetch", scored["job"], "-o", tmp_path)
+    assert outcome.code == 1
+    assert "is no InterLoc result" in outcome.err
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["thesis.tex"]
+
+
+def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+    drive = here("push", street, "--json").json["drive_id"]
+    with here.start("push", street, "--run", "--set", "keyframes.window=40", "-o", tmp_path / "out") as process:
+        jobs = f"{API}/jobs"
+        wait_until(lambda: server.client.get(jobs, params={"drive": drive}).json()["jobs"], "the job")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    (job,) = server.client.get(f"{API}/jobs", params={"drive": drive}).json()["jobs"]
+    if process.returncode:  # else the job was quicker than the signal
+        assert f"interrupted; the job goes on: interloc fetch {job['id']} -o OUT" in err
+        assert not (tmp_path / "out").exists()
+    assert here("fetch", job["id"], "-o", tmp_path / "fetched").code == 0
+
+
+@pytest.mark.parametrize("name", ["../../evil", "/etc/evil", "a\\b", "c:evil", "figures/../../evil"])
+def test_names_that_lead_elsewhere_are_not_written(name: str, faulty: Any, make: ModuleType, tmp_path: Path) -> None:
+    job = {"id": "j1", "drive_id": "d1", "state": "successful"}
+    files = [{"name": "run.json", "size_bytes": 2}, {"name": name, "size_bytes": 2}]
+    faulty.script = [make.answer(200, job), make.answer(200, {"files": files}), make.answer(200, b"{}")]
+    outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out")
+    assert outcome.code == 1
+    assert "which was not written" in outcome.err
+    assert not list(tmp_path.rglob("*evil*"))
+
+
+def test_a_file_that_does_not_fit_its_size_is_not_kept(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
+    job = {"id": "j1", "drive_id": "d1", "state": "successful"}
+    files = {"files": [{"name": "run.json", "size_bytes": 1000}]}
+    faulty.script = [make.answer(200, job), make.answer(200, files), make.answer(200, b"{}")]
+    outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out")
+    assert outcome.code == 1
+    assert "run.json came with 2 bytes, but is listed with 1,000" in outcome.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_answer_that_breaks_off_is_asked_for_again(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
+    def break_off(handler: Any) -> None:
+        handler.send_response(200)
+        handler.send_header("Content-Length", str(len(run)))
+        handler.end_headers()
+        handler.wfile.write(run[:10])
+        make.hang_up(handler)
+
+    record = {"scans": 1, "keyframes": 1, "georeference": None}
+    run = json.dumps(record).encode()
+    job = {"id": "j1", "drive_id": "d1", "state": "successful"}
+    files = {"files": [{"name": "run.json", "size_bytes": len(run)}]}
+    nothing = make.answer(200, {"drives": []})
+    faulty.script = [make.answer(200, job), make.answer(200, files), break_off, nothing, make.answer(200, run)]
+    outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out")
+    assert outcome.code == 0, outcome.err
+    assert (tmp_path / "out" / "run.json").read_bytes() == run
+
+
+def test_a_job_is_followed_by_asking_where_events_do_not_come(faulty: Any, make: ModuleType, tmp_path: Path) -> None:
+    """As behind a proxy that holds streams back or refuses them."""
+    states = iter(["accepted", "running", "successful"])
+    files = {"files": [{"name": "run.json", "size_bytes": 52}]}
+    run = json.dumps({"scans": 1, "keyframes": 1, "georeference": None}).encode()
+
+    def reply(handler: Any) -> None:
+        if handler.path.endswith("/events"):
+            make.answer(502, b"<html>", kind="text/html")(handler)
+        elif handler.path.endswith("/files"):
+            make.answer(200, {**files, "files": [{"name": "run.json", "size_bytes": len(run)}]})(handler)
+        elif handler.path.endswith("run.json"):
+            make.answer(200, run)(handler)
+        else:
+            make.answer(200, {"id": "j1", "drive_id": "d1", "state": next(states)})(handler)
+
+    faulty.script = [reply]
+    outcome = make.Here(faulty.address, tmp_path / "cache")("fetch", "j1", "-o", tmp_path / "out", "--quiet")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert next(states, None) is None
+
+
+def test_numbers_of_the_summary_are_those_of_the_tables(scored: Any) -> None:
+    tables = {name: json.loads((scored["out"] / f"{name}.geojson").read_bytes())["features"] for name in LAYERS}
+    for name in ("detections", "intersections", "keyframes"):
+        assert scored["summary"][name] == len(tables[name])
+    assert np.isfinite(scored["summary"]["seconds"])

@@ -1,0 +1,315 @@
+"""A drive on its way to a server: stopped at any point, it goes on; what is wrong with it is said before it is sent."""
+
+from __future__ import annotations
+
+import http.server
+import os
+import shutil
+import signal
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interloc.drives.reduction.ground import decode_ground
+from tests.app.processes import ServerProcess, started, wait_until
+
+API = "/api/v1"
+RIGHT = "the-right-one"
+
+
+def files_on(server: ServerProcess, drive_id: str) -> dict[str, str]:
+    """Paths and digests of what a server has of a drive."""
+    answer = server.client.get(f"{API}/drives/{drive_id}/files", params={"limit": 10_000}).raise_for_status().json()
+    return {file["path"]: file["sha256"] for file in answer["files"]}
+
+
+def drives_on(server: ServerProcess) -> list[dict[str, Any]]:
+    drives: list[dict[str, Any]] = server.client.get(f"{API}/drives").raise_for_status().json()["drives"]
+    return drives
+
+
+def copy_of(drive: Path, folder: Path) -> Path:
+    """A drive that may be changed."""
+    return Path(shutil.copytree(drive, folder))
+
+
+def files_of_newest(server: ServerProcess, name: str) -> int:
+    """How many files the server has of the newest drive of a name; 0 without any."""
+    return next((int(drive["files"]) for drive in drives_on(server) if drive["name"] == name), 0)
+
+
+def test_a_drive_arrives_reduced_and_ready(here: Any, server: ServerProcess, street: Path) -> None:
+    pushed = here("push", street, "--json").json
+    drive = server.client.get(f"{API}/drives/{pushed['drive_id']}").json()
+    assert (drive["name"], drive["state"]) == ("street", "ready")
+    assert drive["report"]["ok"]
+    there = files_on(server, pushed["drive_id"])
+    assert sorted(there) == sorted(
+        ["calib.txt"] * (street / "calib.txt").exists()
+        + ["geo.csv", "poses.txt", "reduced.json", "times.txt"]
+        + [f"ground/labels/{frame:06d}.ground" for frame in range(60)]
+    )
+    assert (pushed["scans"], pushed["scans_sent"], pushed["files_sent"]) == (60, 60, len(there))
+    assert pushed["bytes_sent"] == pushed["bytes_there"] < pushed["source_bytes"] / 2
+
+
+def test_only_keyframes_are_sent_unless_all_are_asked_for(
+    here: Any, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    dense = copy_of(street, tmp_path / "dense")
+    poses = [f"1 0 0 {0.5 * frame:.3f} 0 1 0 0 0 0 1 0" for frame in range(60)]
+    (dense / "poses.txt").write_text("\n".join(poses) + "\n")
+    (dense / "geo.csv").unlink()
+    for label in (dense / "labels").iterdir():  # a straight road without crossings: its place tells nothing
+        points = np.fromfile(dense / "velodyne" / f"{label.stem}.bin", np.float32).reshape(-1, 4)
+        np.where(np.abs(points[:, 1]) < 5, 40, 72).astype(np.uint32).tofile(label)
+    thinned = here("push", dense, "--json").json
+    assert (thinned["scans"], thinned["scans_sent"]) == (60, 12)  # every fifth: more than 2 m
+    assert here("push", dense, "--all-scans", "--json").json["scans_sent"] == 60
+    finer = here("push", dense, "--run", "--set", "keyframes.distance_m=0.9", "--json").json
+    assert finer["scans_sent"] == 30
+    assert finer["summary"]["keyframes"] == 30
+
+
+def test_pushed_again_nothing_is_sent(here: Any, street: Path) -> None:
+    first, second = here("push", street, "--json").json, here("push", street, "--json").json
+    assert first["files_sent"] == 64
+    assert (second["files_sent"], second["bytes_sent"]) == (0, 0)
+    assert second["drive_id"] == first["drive_id"]
+    assert "nothing: the server has all of it already" in here("push", street).out
+
+
+def test_a_map_that_comes_later_is_added(here: Any, server: ServerProcess, street: Path) -> None:
+    first = here("push", street, "--json").json
+    second = here("push", street, "--osm", street / "map.osm", "--json").json
+    assert second["drive_id"] == first["drive_id"]
+    assert second["files_sent"] == 1
+    assert "map.osm" in files_on(server, first["drive_id"])
+
+
+def test_a_drive_that_changed_since_is_a_new_one(here: Any, street: Path, tmp_path: Path) -> None:
+    drive = copy_of(street, tmp_path / "street")
+    first = here("push", drive, "--json").json
+    spoil_label(drive, 3, 48)
+    second = here("push", drive, "--json").json
+    assert second["drive_id"] != first["drive_id"]
+
+
+def spoil_label(drive: Path, frame: int, label: int) -> None:
+    """Give the first points of a scan another label."""
+    path = drive / "labels" / f"{frame:06d}.label"
+    labels = np.fromfile(path, np.uint32)
+    labels[:50] = label
+    labels.tofile(path)
+    os.utime(path, ns=(time.time_ns(), time.time_ns()))
+
+
+@pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
+def test_a_push_that_is_stopped_goes_on_where_it_was(
+    stop: signal.Signals, here: Any, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    drive = copy_of(street, tmp_path / f"stopped-{stop.name}")
+    with here.start("push", drive, "--jobs", "1") as process:
+        wait_until(lambda: files_of_newest(server, drive.name) >= 15 or process.poll() is not None, "some files")
+        process.send_signal(stop)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode != 0
+    if stop == signal.SIGINT:
+        assert "of 64 files are on the server; the same command sends the rest" in err
+    (begun,) = [each for each in drives_on(server) if each["name"] == drive.name]
+    before = files_on(server, begun["id"])
+    assert 15 <= len(before) < 64
+    pushed = here("push", drive, "--json").json
+    assert pushed["drive_id"] == begun["id"]
+    assert pushed["files_sent"] == 64 - len(before)
+    after = files_on(server, begun["id"])
+    assert {path: after[path] for path in before} == before
+    whole = here("push", street, "--name", "as a whole", "--json").json
+    complete = files_on(server, whole["drive_id"])
+    assert {path: digest for path, digest in after.items() if path != "reduced.json"} == {
+        path: digest for path, digest in complete.items() if path != "reduced.json"
+    }
+
+
+def test_an_interrupted_push_sends_what_changed_meanwhile(
+    here: Any, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    drive = copy_of(street, tmp_path / "mended")
+    with here.start("push", drive, "--jobs", "1") as process:
+        wait_until(lambda: files_of_newest(server, drive.name) >= 30 or process.poll() is not None, "some files")
+        process.kill()
+    (begun,) = [each for each in drives_on(server) if each["name"] == drive.name]
+    before = files_on(server, begun["id"])
+    assert "ground/labels/000003.ground" in before
+    spoil_label(drive, 3, 48)
+    (drive / "times.txt").unlink()
+    pushed = here("push", drive, "--json").json
+    after = files_on(server, begun["id"])
+    assert pushed["drive_id"] == begun["id"]
+    assert {path for path in before.keys() & after.keys() if before[path] != after[path]} == {
+        "ground/labels/000003.ground"
+    }
+    assert before.keys() - after.keys() == {"times.txt"}
+
+
+def test_the_server_restarts_in_the_middle(street: Path, tmp_path: Path, make: ModuleType) -> None:
+    drive = copy_of(street, tmp_path / "street")
+    data, log = tmp_path / "data", tmp_path / "log"
+    with started(data, log, workers=1) as first:
+        here = make.Here(first.address, tmp_path / "cache")
+        with here.start("push", drive, "--jobs", "2", "--json") as process:
+            wait_until(lambda: files_of_newest(first, "street") >= 15 or process.poll() is not None, "some files")
+            first.kill()
+            assert process.poll() is None
+            with started(data, log, workers=1, port=int(first.address.rpartition(":")[2])) as second:
+                out, err = process.communicate(timeout=120)
+                assert process.returncode == 0, err
+                (ready,) = drives_on(second)
+                assert (ready["state"], ready["files"]) == ("ready", 64)
+    assert "trying again for up to" in err
+    assert ready["id"] in out
+
+
+def test_a_bad_drive_is_explained_and_not_sent(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+    drive = copy_of(street, tmp_path / "bad")
+    (drive / "labels" / "000004.label").unlink()
+    (drive / "velodyne" / "000009.bin").write_bytes(b"12345")
+    outcome = here("push", drive)
+    assert outcome.code == 1
+    assert f"{drive} cannot be used as it is; nothing was sent:" in outcome.err
+    assert "labels/000004.label: is missing" in outcome.err
+    assert "velodyne/000009.bin: 5 bytes, which is no multiple of 16" in outcome.err
+    assert files_of_newest(server, "bad") == 0
+    assert not [each for each in drives_on(server) if each["name"] == "bad"]
+
+
+def test_one_problem_is_one_line(here: Any, street: Path, tmp_path: Path) -> None:
+    drive = copy_of(street, tmp_path / "bad")
+    (drive / "poses.txt").write_text("1 2 3\n")
+    outcome = here("push", drive)
+    assert outcome.code == 1
+    (line,) = outcome.err.splitlines()
+    assert line.startswith("interloc: poses.txt: line 1: 3 numbers")
+
+
+def test_a_fault_that_shows_while_reading_stops_the_push_and_mending_goes_on(
+    here: Any, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    drive = copy_of(street, tmp_path / "nan")
+    path = drive / "velodyne" / "000007.bin"
+    sound = path.read_bytes()
+    points = np.frombuffer(sound, np.float32).reshape(-1, 4).copy()
+    points[:, 2] = np.nan
+    points.tofile(path)
+    outcome = here("push", drive, "--jobs", "1")
+    assert outcome.code == 1
+    assert "velodyne/000007.bin: point" in outcome.err
+    (begun,) = [each for each in drives_on(server) if each["name"] == "nan"]
+    assert begun["state"] == "uploading"
+    path.write_bytes(sound)
+    pushed = here("push", drive, "--json").json
+    assert pushed["drive_id"] == begun["id"]
+    assert pushed["files_sent"] < 64
+
+
+def test_what_the_server_finds_wrong_is_told_and_can_be_mended(
+    here: Any, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    drive = copy_of(street, tmp_path / "raw")
+    path = drive / "velodyne" / "000007.bin"  # sizes are right, and it is not among the scans looked into
+    sound = path.read_bytes()
+    points = np.frombuffer(sound, np.float32).reshape(-1, 4).copy()
+    points[:, 2] = np.nan
+    points.tofile(path)
+    outcome = here("push", drive, "--raw")
+    assert outcome.code == 1
+    assert "velodyne/000007.bin" in outcome.err
+    assert "is not finite" in outcome.err
+    path.write_bytes(sound)
+    pushed = here("push", drive, "--raw", "--json").json
+    assert pushed["files_sent"] == 1
+    assert server.client.get(f"{API}/drives/{pushed['drive_id']}").json()["state"] == "ready"
+
+
+def test_a_reduced_drive_is_sent_as_it_is(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+    small = tmp_path / "small"
+    assert here("reduce", street, "-o", small).code == 0
+    pushed = here("push", small, "--json").json
+    direct = here("push", street, "--json").json
+    assert pushed["drive_id"] != direct["drive_id"]
+    assert files_on(server, pushed["drive_id"]) == files_on(server, direct["drive_id"])
+    refused = here("push", small, "--all-scans")
+    assert refused.code == 2
+    assert "is a reduced drive" in refused.err
+
+
+def test_what_arrives_is_what_the_scans_hold(here: Any, server: ServerProcess, street: Path) -> None:
+    pushed = here("push", street, "--name", "kept", "--raw", "--keep-raw", "--json").json
+    reduced = here("push", street, "--json").json
+    for path in ("velodyne/000042.bin", "labels/000042.label"):
+        kept = server.client.get(f"{API}/drives/{pushed['drive_id']}/files/{path}")
+        assert kept.content == (street / path).read_bytes()
+    ground = server.client.get(f"{API}/drives/{reduced['drive_id']}/files/ground/labels/000042.ground").content
+    points = np.fromfile(street / "velodyne/000042.bin", np.float32).reshape(-1, 4)
+    ids = np.fromfile(street / "labels/000042.label", np.uint32)
+    np.testing.assert_array_equal(decode_ground(ground, "").road, points[ids == 40, :3])
+
+
+def test_tokens(street: Path, tmp_path: Path, make: ModuleType) -> None:
+    with started(tmp_path / "data", tmp_path / "log", token=RIGHT, workers=1) as server:
+        for variables in ({}, {"INTERLOC_TOKEN": "a-wrong-one"}):
+            outcome = make.Here(server.address, tmp_path / "cache", **variables)("push", street)
+            assert outcome.code == 1
+            assert "Give a token of this server by INTERLOC_TOKEN or --token" in outcome.err
+            assert "wrong-one" not in outcome.err + outcome.out
+        here = make.Here(server.address, tmp_path / "cache", INTERLOC_TOKEN=RIGHT)
+        assert here("push", street, "--json").json["files_sent"] == 64
+        assert RIGHT not in "".join(path.read_text() for path in (tmp_path / "cache").rglob("*.jsonl"))
+
+
+def test_an_address_that_is_no_service(here: Any, street: Path, tmp_path: Path) -> None:
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path))) as other:
+        threading.Thread(target=other.serve_forever, args=(0.05,), daemon=True).start()
+        outcome = here("push", street, "--server", f"http://127.0.0.1:{other.server_address[1]}")
+        other.shutdown()
+    assert outcome.code == 1
+    assert "not in the way of an InterLoc server" in outcome.err
+    assert len(outcome.err.splitlines()) == 1
+
+
+def test_a_map_needs_a_georeference_before_anything_is_sent(
+    here: Any, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    drive = copy_of(street, tmp_path / "nowhere")
+    (drive / "geo.csv").unlink()
+    outcome = here("push", drive, "--run", "--osm", street / "map.osm")
+    assert outcome.code == 1
+    assert "the drive has no georeference" in outcome.err
+    assert not [each for each in drives_on(server) if each["name"] == "nowhere"]
+
+
+def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(
+    faulty: Any, make: ModuleType, street: Path, tmp_path: Path
+) -> None:
+    drive = {"id": "d1", "name": "street", "state": "uploading"}
+    wrong = {"path": "x", "size_bytes": 1, "sha256": "00" * 32}
+    by_method: dict[str, Callable[..., None]] = {
+        "POST": make.answer(201, drive),
+        "PUT": make.answer(201, wrong),
+        "GET": make.answer(200, {"drives": [], "files": [], "next": None}),
+    }
+    faulty.script = [lambda handler: by_method[handler.command](handler)]
+    outcome = make.Here(faulty.address, tmp_path / "cache")("push", street)
+    assert outcome.code == 1
+    assert "but with other contents than were sent" in outcome.err
