@@ -10,7 +10,21 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.middleware import add_middleware
 from app.problems import ProblemDocument, add_handlers
-from app.routes import archive, compare, drives, events, exports, files, jobs, keyframes, page, results, scans, system
+from app.routes import (
+    archive,
+    commit,
+    compare,
+    drives,
+    events,
+    exports,
+    files,
+    jobs,
+    keyframes,
+    page,
+    results,
+    scans,
+    system,
+)
 from app.service import Service
 from app.settings import Settings
 from interloc.pipeline import versions
@@ -64,7 +78,7 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
     app.state.settings = settings
     add_handlers(app)
     add_middleware(app, settings)
-    for module in (drives, files, scans, archive, jobs, events, results, keyframes, exports, compare):
+    for module in (drives, files, scans, archive, commit, jobs, events, results, keyframes, exports, compare):
         app.include_router(module.router, prefix=API)
     for module in (system, page):
         app.include_router(module.router)
