@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager, contextmanager
 from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 
+from app.drives.cleanup import Sweeper
 from app.middleware import add_middleware
 from app.problems import ProblemDocument, add_handlers
 from app.routes import (
@@ -60,9 +61,12 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
             opened = service or Service.open(settings)
             app.state.service = opened
             opened.runner.start(opened)
+        sweeper = Sweeper()
+        sweeper.start(opened)
         try:
             yield
         finally:
+            await run_in_threadpool(sweeper.stop)
             await run_in_threadpool(opened.runner.stop)
             opened.close()
 

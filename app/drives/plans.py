@@ -37,6 +37,7 @@ def plan_upload(service: Service, drive_id: str, request: PlanRequest) -> Reduct
         layout=options.layout,
         oxts=None if options.oxts is None else root / options.oxts,
         name=drive.name.replace("/", "_"),
+        keyframes=request.keyframes,
         scan_folder=request.scan_folder,
     )
     return _shown(plan, str(root), drive.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -194,8 +195,20 @@ def delete_file(service: Service, drive_id: str, path: str) -> None:
                 folder.rmdir()
 
 
-def delete_drive(service: Service, drive_id: str) -> None:
+def delete_drive(service: Service, drive_id: str, *, only_if: Callable[[Session, Drive], bool] | None = None) -> bool:
     """Remove a drive with its files, jobs and results; jobs that run end when they find their rows gone.
+
+    Parameters
+    ----------
+    service
+    drive_id
+    only_if
+        Asked in the transaction that removes it.
+
+    Returns
+    -------
+    bool
+        False where `only_if` said no.
 
     Raises
     ------
@@ -203,12 +216,15 @@ def delete_drive(service: Service, drive_id: str) -> None:
         404.
     """
     with service.database.writing() as session:
-        lock_drive(session, drive_id)
+        drive = lock_drive(session, drive_id)
+        if only_if is not None and not only_if(session, drive):
+            return False
         jobs = session.scalars(select(Job.id).where(Job.drive_id == drive_id)).all()
         session.execute(delete(Drive).where(Drive.id == drive_id))
     for job in jobs:
         service.storage.delete(f"jobs/{job}")
     service.storage.delete(drive_key(drive_id))
+    return True
 
 
 def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> DriveModel:

@@ -1,0 +1,148 @@
+"""Clean-up: uploads that were left alone, and what servers left behind that were ended in the middle of something."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import Exists, exists, select
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
+from app.drives.intake import INCOMING
+from app.drives.records import delete_drive, drive_key
+from app.drives.settle import tidy_drive
+from app.jobs.queue import FINAL
+from app.models import Base, Drive, Job
+from app.problems import Problem
+from app.service import Service
+
+PERIOD_S = 3600.0
+LEFT_ALONE_S = 24 * 3600.0
+"""No upload of a file, and no work on a folder that has no row yet, takes so long."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SweepReport:
+    """What was removed.
+
+    Attributes
+    ----------
+    drives : list of str
+        Ids of uploads that nobody touched for too long.
+    leftovers : list of str
+        Files and folders that nothing knows, by their keys.
+    """
+
+    drives: list[str]
+    leftovers: list[str]
+
+
+def sweep(service: Service) -> SweepReport:
+    """Remove what nobody needs any more; doing it again, or by several servers at once, does no harm."""
+    report = SweepReport(_remove_expired(service), [])
+    for key in _leftovers(service):
+        service.storage.delete(key)
+        report.leftovers.append(key)
+    with service.database.reading() as session:
+        ready = session.execute(select(Drive.id, Drive.keep_raw).where(Drive.state == "ready")).all()
+    for drive_id, keep_raw in ready:
+        tidy_drive(service, drive_id, keep_raw=keep_raw)
+    if report.drives or report.leftovers:
+        _log.info("clean-up: %d expired uploads, %d leftovers", len(report.drives), len(report.leftovers))
+    return report
+
+
+def _remove_expired(service: Service) -> list[str]:
+    """Remove uploads that were left alone."""
+    with service.database.reading() as session:
+        oldest = service.database.clock(session) - 3600 * service.settings.upload_expires_h
+        found = session.scalars(
+            select(Drive.id).where(Drive.state == "uploading", Drive.touched_at < oldest, ~_is_worked_on())
+        ).all()
+
+    def is_expired(session: Session, drive: Drive) -> bool:
+        worked_on = session.scalar(select(_is_worked_on()).where(Drive.id == drive.id))
+        return drive.state == "uploading" and drive.touched_at < oldest and not worked_on
+
+    removed = []
+    for drive_id in found:
+        with suppress(Problem):  # deleted meanwhile
+            if delete_drive(service, drive_id, only_if=is_expired):
+                removed.append(drive_id)
+    return removed
+
+
+def _is_worked_on() -> Exists:
+    return exists().where(Job.drive_id == Drive.id, Job.state.not_in(FINAL)).correlate(Drive)
+
+
+def _leftovers(service: Service) -> Iterator[str]:
+    """Find what is old and belongs to nothing."""
+    yield from (f"{INCOMING}/{path.name}" for path in _old(service.storage.folder(INCOMING)))
+    tables: dict[str, type[Base]] = {"drives": Drive, "jobs": Job}
+    for folder, table in tables.items():
+        for path in _old(service.storage.folder(folder)):
+            with service.database.reading() as session:
+                is_known = session.get(table, path.name) is not None
+            if not is_known:
+                yield f"{folder}/{path.name}"
+    drives = service.storage.folder("drives")
+    for archive in drives.glob("*/archives/*") if drives.is_dir() else ():
+        drive_id = archive.parent.parent.name
+        if _is_old(archive) and not _is_waited_for(service, drive_id, archive.name):
+            yield f"{drive_key(drive_id)}/archives/{archive.name}"
+
+
+def _is_waited_for(service: Service, drive_id: str, archive: str) -> bool:
+    with service.database.reading() as session:
+        jobs = session.scalars(
+            select(Job).where(Job.drive_id == drive_id, Job.kind == "unpack", Job.state.not_in(FINAL))
+        )
+        return any(job.request.get("archive") == f"archives/{archive}" for job in jobs)
+
+
+def _old(folder: Path) -> list[Path]:
+    return [path for path in folder.iterdir() if _is_old(path)] if folder.is_dir() else []
+
+
+def _is_old(path: Path) -> bool:
+    try:
+        return time.time() - path.stat().st_mtime > LEFT_ALONE_S
+    except OSError:  # gone meanwhile
+        return False
+
+
+class Sweeper:
+    """Cleans up now and then, from `start` to `stop`."""
+
+    def __init__(self) -> None:
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, service: Service) -> None:
+        """Begin, in the background."""
+        self._thread = threading.Thread(target=self._run, args=(service,), name="sweeper", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join(5)
+
+    def _run(self, service: Service) -> None:
+        while True:
+            try:
+                sweep(service)
+            except (SQLAlchemyError, OSError) as error:
+                _log.warning("clean-up: %s", error)
+            if self._stopping.wait(PERIOD_S):
+                return
