@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_vali
 
 from app.drives.names import BadNameError, check_path
 from app.problems import FileProblem
+from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.labels import named_scheme
 from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
@@ -144,6 +145,11 @@ class PlanRequest(BaseModel):
     label_folders: list[LabelFolder] = Field(["labels"], min_length=1, max_length=2)
     scan_folder: ScanFolder | None = Field(None, description="Where the scans lie; told from the small files if null.")
     options: DriveOptionsModel | None = Field(None, description="Those of the drive by default.")
+    keyframes: KeyframeConfig | None = Field(
+        default_factory=KeyframeConfig,
+        description="Scans to send: the keyframes by these settings, those of the default preset if left out; "
+        "null: every scan.",
+    )
 
     @model_validator(mode="after")
     def _check_range(self) -> PlanRequest:
@@ -168,7 +174,7 @@ class ReductionPlanModel(BaseModel):
     georeference_reason: str | None = Field(description="Why there is none.")
     length_m: float | None = Field(description="Way driven.")
     scans: int = Field(description="Number of all scans.")
-    frames: list[int] = Field(description="Numbers of the scans to send, the keyframes of the default preset.")
+    frames: list[int] = Field(description="Numbers of the scans to send.")
     frames_to_look_into: list[int] = Field(description="Numbers of the scans whose labels tell the label scheme.")
     manifest: dict[str, Any] | None = Field(
         description="reduced.json, to be completed with `labels`; null where the poses cannot be read."
