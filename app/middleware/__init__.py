@@ -1,10 +1,11 @@
-"""What every request passes, from the outside in: log, headers, gate, limits of the body."""
+"""What every request passes, from the outside in: log, headers, faults, gate, limits of the body."""
 
 from __future__ import annotations
 
 from fastapi import FastAPI
 
 from app.middleware.bodies import Bodies
+from app.middleware.faults import Faults
 from app.middleware.gate import Gate
 from app.middleware.headers import SecurityHeaders
 from app.middleware.requests import RequestLog
@@ -15,5 +16,6 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
     """Put them around the application; the last that is added is the outermost."""
     app.add_middleware(Bodies, idle_s=settings.idle_timeout_s)
     app.add_middleware(Gate, settings=settings)
+    app.add_middleware(Faults)
     app.add_middleware(SecurityHeaders, settings=settings)
     app.add_middleware(RequestLog, root_path=settings.root_path)

@@ -1,4 +1,4 @@
-"""One line of log and one count of metrics a request; an id for it; and an answer to what nobody expected."""
+"""One line of log and one count of metrics a request, and an id for it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
 from app.metrics import Metrics
-from app.problems import problem_of, respond
 
 _GIVEN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _ABOUT = re.compile(r"/api/v1/(drive|job)s/([0-9a-f]{16})(?=/|$)")
@@ -60,10 +59,6 @@ class RequestLog:
 
         try:
             await self._app(scope, receive_and_count, send_and_note)
-        except Exception as error:
-            if request.has_begun:  # half an answer is out already: all that is left is to break the connection
-                raise
-            await respond(problem_of(error), scope["path"])(scope, receive, send_and_note)
         finally:
             request.end()
 
@@ -79,7 +74,6 @@ class _Request:
         self.id = given if _GIVEN_ID.fullmatch(given) else secrets.token_hex(8)
         about = _ABOUT.match(self._path)
         self.about = {about[1]: about[2]} if about else {}
-        self.has_begun = False
         self.status = _GONE
         self.received_bytes = 0
 
@@ -87,7 +81,7 @@ class _Request:
         """See the beginning of the answer."""
         if message["type"] != "http.response.start":
             return
-        self.has_begun, self.status = True, message["status"]
+        self.status = message["status"]
         headers = MutableHeaders(scope=message)
         headers["x-request-id"] = self.id
         self._is_stream = headers.get("content-type", "").startswith("text/event-stream")

@@ -6,10 +6,11 @@ from typing import Literal
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
-from sqlalchemy import text
+from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.metrics import CONTENT_TYPE
+from app.models import Drive
 from app.problems import ProblemDocument
 from app.security import ClientDep
 from app.service import Service, ServiceDep
@@ -71,13 +72,14 @@ def _ailments(service: Service) -> dict[str, str | None]:
         "server": "it is being stopped" if service.stopping.is_set() else None,
         "database": _ailment_of_database(service),
         "disk": _ailment_of_disk(service),
+        "workers": service.runner.ailment(),
     }
 
 
 def _ailment_of_database(service: Service) -> str | None:
     try:
         with service.database.reading() as session:
-            session.execute(text("SELECT 1"))
+            session.execute(select(Drive.id).limit(1))
     except SQLAlchemyError as error:
         return f"it does not answer ({type(error).__name__})"
     return None

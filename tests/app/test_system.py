@@ -1,0 +1,103 @@
+"""Health, readiness, metrics."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from app.metrics import Metrics
+from app.models import Drive, Job
+from app.service import Service, open_database
+from app.settings import Settings
+from app.storage import LocalStorage
+from app.tokens import TokenBook
+
+Serve = Callable[..., httpx.Client]
+
+
+def figures(text: str) -> dict[tuple[str, ...], float]:
+    """Samples by name and labels, as Prometheus parses them."""
+    return {
+        (sample.name, *(f"{name}={value}" for name, value in sorted(sample.labels.items()))): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def test_a_service_that_can_work_is_ready(shared: httpx.Client) -> None:
+    assert shared.get("/healthz").json() == {"status": "ok"}
+    answer = shared.get("/readyz")
+    assert (answer.status_code, answer.json()) == (200, {"ready": True, "reasons": {}})
+
+
+def test_a_full_disk_is_not_ready_but_alive(serve: Serve) -> None:
+    client = serve(min_free_bytes=1 << 60)
+    answer = client.get("/readyz")
+    assert answer.status_code == 503
+    assert list(answer.json()["reasons"]) == ["disk"]
+    assert "INTERLOC_MIN_FREE_BYTES" in answer.json()["reasons"]["disk"]
+    assert client.get("/healthz").status_code == 200
+
+
+def test_a_database_that_is_gone_is_not_ready(serve: Serve, tmp_path: Path) -> None:
+    client = serve(tmp_path / "data")
+    with sqlite3.connect(tmp_path / "data/interloc.sqlite3") as link:
+        link.execute("DROP TABLE drive_files")
+        link.execute("DROP TABLE jobs")
+        link.execute("DROP TABLE drives")
+    link.close()
+    answer = client.get("/readyz")
+    assert answer.status_code == 503
+    assert "database" in answer.json()["reasons"]
+
+
+def test_requests_are_counted_by_route(client: httpx.Client) -> None:
+    for name in ("a", "b"):
+        drive = client.post("/api/v1/drives", json={"name": name}).json()["id"]
+        assert client.get(f"/api/v1/drives/{drive}").status_code == 200
+    client.put(f"/api/v1/drives/{drive}/files/poses.txt", content=bytes(1000))
+    client.get("/api/v1/nowhere")
+    client.request("BREW", "/api/v1/drives")
+    found = figures(client.get("/metrics").text)
+    count = "interloc_http_requests_total"
+    assert found[count, "method=POST", "route=/api/v1/drives", "status=201"] == 2
+    assert found[count, "method=GET", "route=/api/v1/drives/{drive_id}", "status=200"] == 2
+    assert found[count, "method=GET", "route=(none)", "status=404"] == 1
+    assert found["interloc_http_request_seconds_count", "method=POST", "route=/api/v1/drives"] == 2
+    assert found["interloc_received_bytes_total",] >= 1000
+    assert found["interloc_drives", "state=uploading"] == 2
+    assert found["interloc_event_listeners",] == 0
+    assert found["interloc_free_bytes",] > 0
+    assert not [labels for labels in found if drive in str(labels)]
+
+
+def test_jobs_are_counted_in_the_database(tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path)
+    database = open_database(settings)
+    service = Service(settings, database, LocalStorage(tmp_path), TokenBook(database, settings), Metrics())
+    with database.writing() as session:
+        now = database.clock(session)
+        session.add(Drive(id="d", name="d", owner="a", state="ready", created_at=now, touched_at=now, stored_bytes=50))
+        session.flush()
+        common = {"drive_id": "d", "owner": "a", "request": {}, "kind": "intersections"}
+        session.add(Job(**common, state="accepted", created_at=now - 30))
+        for seconds, keyframes in ((4.0, 100), (6.0, 500)):
+            outcome = {"seconds": seconds, "keyframes": keyframes, "stage_seconds": {"detecting": seconds / 2}}
+            times = {"created_at": now - 20, "started_at": now - 18, "finished_at": now - 18 + seconds}
+            session.add(Job(**common, **times, state="successful", summary=outcome))
+    found = figures(service.metrics.render(service).decode())
+    database.close()
+    assert found["interloc_jobs", "kind=intersections", "state=successful"] == 2
+    assert found["interloc_jobs", "kind=intersections", "state=accepted"] == 1
+    assert found["interloc_oldest_waiting_job_seconds",] == pytest.approx(30, abs=10)
+    assert found["interloc_queue_wait_seconds_sum", "kind=intersections"] == pytest.approx(4, abs=1e-3)
+    assert found["interloc_job_seconds_count", "kind=intersections", "state=successful"] == 2
+    assert found["interloc_job_seconds_sum", "kind=intersections", "state=successful"] == pytest.approx(10, abs=1e-3)
+    assert found["interloc_stage_seconds", "stage=detecting"] == 5
+    assert found["interloc_keyframes_per_second",] == 60
+    assert found["interloc_stored_bytes", "state=ready"] == 50
