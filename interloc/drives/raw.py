@@ -83,7 +83,7 @@ class RawContents:
                 "least_points": int(points.min()),
                 "most_points": int(points.max()),
             }
-        if self.scans is not None and self.labels is not None:
+        if self.labels is not None:
             report |= {"label_folder": self.parts.labels.name, "label_bytes": int(self.labels.sizes.sum())}
         return report
 

@@ -65,11 +65,11 @@ def decode_ground(data: bytes, name: str) -> GroundPoints:
         raw = inflate.decompress(memoryview(data)[_HEADER.size :], size + 1)  # never more than the header promises
     except zlib.error as error:
         raise DriveFileError(name, f"is damaged: {error}. {_CUT}") from None
-    if len(raw) != size or not inflate.eof:
-        found = f"more than {size:,} bytes" if len(raw) > size else f"{len(raw):,} of {size:,} bytes"
-        if len(raw) == size:
-            found = "no end"
-        raise DriveFileError(name, f"is damaged: its points unpack to {found} ({count:,} points). {_CUT}")
+    if len(raw) != size:
+        found = f"more than {size:,}" if len(raw) > size else f"{len(raw):,} of {size:,}"
+        raise DriveFileError(name, f"is damaged: its {count:,} points unpack to {found} bytes. {_CUT}")
+    if not inflate.eof:
+        raise DriveFileError(name, f"is damaged: the end of its {count:,} points is missing. {_CUT}")
     if inflate.unused_data:
         raise DriveFileError(
             name, f"{len(inflate.unused_data):,} bytes follow after its points. Expected nothing more."
