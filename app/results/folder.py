@@ -117,8 +117,8 @@ class Result:
             404 where there is none.
         """
         path = self.folder / name
-        inside = path.resolve().is_relative_to(self.folder.resolve())
-        if "\0" in name or not inside or not path.is_file():
+        inside = "\0" not in name and path.resolve().is_relative_to(self.folder.resolve())
+        if not inside or not path.is_file():
             raise Problem(404, "File not found", f"The result has no file {name!r}; {self.address}/files lists them.")
         return path
 

@@ -93,7 +93,7 @@ def get(path: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..
 
     def register(endpoint: Callable[..., Any]) -> Callable[..., Any]:
         router.add_api_route(path, endpoint, methods=["GET"], **options)
-        router.add_api_route(path, endpoint, methods=["HEAD"], include_in_schema=False, response_class=Response)
+        router.add_api_route(path, endpoint, methods=["HEAD"], **{**options, "include_in_schema": False})
         return endpoint
 
     return register

@@ -1,0 +1,113 @@
+"""Jobs that have ended, put into a data folder as the runner leaves them: for tests of what comes after."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.database import Database
+from app.models import Drive, Job
+from interloc.config import preset
+from interloc.drives.open import open_drive
+from interloc.evaluate.coverage import drive_bounds
+from interloc.evaluate.evaluate import evaluate
+from interloc.evaluate.report import write_report
+from interloc.mapping.exports import write_results
+from interloc.osm.reader import read_osm
+from interloc.osm.roads import write_roads
+from interloc.pipeline import detect
+from tests.app.conftest import running_server
+from tests.app.street import write_street
+
+API = "/api/v1"
+SCANS = 62
+
+
+def work(root: Path, out: Path, *, preset_name: str = "default", scored: bool = True) -> None:
+    """Do by the library what a job does."""
+    result = detect(open_drive(root), preset(preset_name))
+    write_results(result, out)
+    if scored:
+        graph = read_osm(root / "map.osm")
+        write_report(evaluate(result, graph), result, out)
+        write_roads(graph, drive_bounds(result), out)
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A server whose data folder holds jobs that have ended.
+
+    Attributes
+    ----------
+    results : Path
+        Result folders by the names of the jobs, as the command line writes them.
+    """
+
+    client: httpx.Client
+    data_dir: Path
+    results: Path
+
+    def get(self, address: str, **options: Any) -> httpx.Response:
+        """Ask for something below /api/v1."""
+        return self.client.get(f"{API}{address}", **options)
+
+
+def add_drive(database: Database, data_dir: Path, name: str, root: Path) -> None:
+    """Register a drive that is ready; its id is its name."""
+    shutil.copytree(root, data_dir / f"drives/{name}/files")
+    with database.writing() as session:
+        now = database.clock(session)
+        session.add(
+            Drive(id=name, name=f"Straße {name}", owner="anonymous", state="ready", created_at=now, touched_at=now)
+        )
+
+
+def add_job(database: Database, data_dir: Path, name: str, drive: str, result: Path | None, **columns: Any) -> None:
+    """Register a job, successful unless said otherwise; its id is its name."""
+    config = preset(columns.pop("preset_name", "default")).model_dump(mode="json")
+    with database.writing() as session:
+        values: dict[str, Any] = {"kind": "intersections", "state": "successful", "owner": "anonymous", **columns}
+        session.add(
+            Job(id=name, drive_id=drive, request={"config": config}, created_at=database.clock(session), **values)
+        )
+    if result is not None:
+        shutil.copytree(result, data_dir / f"jobs/{name}/result")
+
+
+@pytest.fixture(scope="session")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Result folders: default and paper of a street with its map, plain without, local without georeference."""
+    root = tmp_path_factory.mktemp("results")
+    street = write_street(root / "street", SCANS)
+    local = root / "unplaced"
+    shutil.copytree(street, local, ignore=shutil.ignore_patterns("geo.csv", "map.osm"))
+    work(street, root / "default")
+    work(street, root / "paper", preset_name="paper")
+    work(street, root / "plain", scored=False)
+    work(local, root / "local", scored=False)
+    return root
+
+
+@pytest.fixture(scope="module")
+def finished(results: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Finished]:
+    """A server with those jobs, and some that are not successful. Shared by a module."""
+    data_dir = tmp_path_factory.mktemp("data")
+    with running_server(data_dir) as address, httpx.Client(base_url=address, timeout=120) as client:
+        database = Database(f"sqlite:///{data_dir}/interloc.sqlite3")
+        for drive, folder in (("street", "street"), ("local", "unplaced"), ("other", "street")):
+            add_drive(database, data_dir, drive, results / folder)
+        for job, drive in (("default", "street"), ("paper", "street"), ("plain", "street"), ("local", "local")):
+            add_job(database, data_dir, job, drive, results / job, preset_name="paper" if job == "paper" else "default")
+        add_job(database, data_dir, "elsewhere", "other", results / "default")
+        add_job(database, data_dir, "failed", "street", None, state="failed")
+        add_job(database, data_dir, "cancelled", "street", None, state="dismissed")
+        add_job(database, data_dir, "upload", "street", None, kind="commit")
+        add_job(database, data_dir, "lost", "street", None)
+        database.close()
+        yield Finished(client, data_dir, results)
