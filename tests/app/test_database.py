@@ -1,0 +1,106 @@
+"""Transactions of many threads at once, and what the database cannot do."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from sqlalchemy import Connection, event, text
+from sqlalchemy.exc import OperationalError
+
+from app.database import Database
+from app.models import Drive
+from app.problems import problem_of
+
+
+@pytest.fixture
+def url(tmp_path: Path) -> str:
+    return f"sqlite:///{tmp_path / 'db.sqlite3'}"
+
+
+def add_drive(database: Database, name: str) -> None:
+    with database.writing() as session:
+        now = database.clock(session)
+        session.add(Drive(name=name, owner="me", created_at=now, touched_at=now))
+
+
+def names(database: Database) -> set[str]:
+    with database.reading() as session:
+        return set(session.scalars(text("SELECT name FROM drives")))
+
+
+def test_writers_wait_for_each_other(url: str) -> None:
+    """Also those of other processes, which the lock of this one does not see: two engines stand for them."""
+    databases = [Database(url), Database(url)]
+    databases[0].upgrade()
+
+    def write(number: int) -> None:
+        database = databases[number % 2]
+        with database.writing() as session:
+            count = session.scalar(text("SELECT count(*) FROM drives"))
+            now = database.clock(session)
+            session.add(Drive(name=f"{count}", owner="me", created_at=now, touched_at=now))
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(100)))
+    assert names(databases[0]) == {str(number) for number in range(100)}
+    for database in databases:
+        database.close()
+
+
+def test_readers_see_whole_transactions_and_wait_for_nobody(url: str) -> None:
+    database = Database(url)
+    database.upgrade()
+    began, go_on = threading.Event(), threading.Event()
+
+    def write() -> None:
+        with database.writing() as session:
+            for name in ("a", "b"):
+                session.add(Drive(name=name, owner="me", created_at=1.0, touched_at=1.0))
+                session.flush()
+                began.set()
+                assert go_on.wait(20)
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    assert began.wait(20)
+    assert names(database) == set()
+    go_on.set()
+    thread.join()
+    assert names(database) == {"a", "b"}
+    database.close()
+
+
+def test_a_transaction_that_fails_leaves_nothing(url: str) -> None:
+    database = Database(url)
+    database.upgrade()
+
+    def fail() -> None:
+        with database.writing() as session:
+            session.add(Drive(name="a", owner="me", created_at=1.0, touched_at=1.0))
+            session.flush()
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert names(database) == set()
+    add_drive(database, "b")
+    assert names(database) == {"b"}
+    database.close()
+
+
+def test_a_full_disk_is_told(url: str) -> None:
+    database = Database(url)
+    database.upgrade()
+
+    @event.listens_for(database.engine, "begin")
+    def stay_small(connection: Connection) -> None:
+        connection.exec_driver_sql("PRAGMA max_page_count = 1")  # no smaller than it is
+
+    with pytest.raises(OperationalError) as failure:
+        for _ in range(1000):
+            add_drive(database, "x" * 255)
+    assert problem_of(failure.value).status == 507
+    database.close()

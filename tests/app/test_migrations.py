@@ -1,0 +1,162 @@
+"""The tables come up to date by themselves, whatever state they are found in."""
+
+from __future__ import annotations
+
+import multiprocessing
+import sqlite3
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from alembic import command
+from alembic.autogenerate import compare_metadata
+from alembic.config import Config
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import inspect, text
+
+from app import database as module
+from app.database import Database
+from app.models import Base, Drive
+from interloc.errors import ConfigError, InterLocError
+
+TABLES = {"alembic_version", "drives", "drive_files", "jobs", "tokens"}
+FIRST = "0001"
+OLD_DRIVE = """
+INSERT INTO drives
+(id, name, owner, state, options, keep_raw, file_count, size_bytes, stored_bytes, created_at, touched_at)
+VALUES ('d', 'old', 'me', 'ready', '{}', false, 0, 0, 0, 1.5, 2.5)
+"""
+
+
+@pytest.fixture
+def url(tmp_path: Path) -> str:
+    return f"sqlite:///{tmp_path / 'db.sqlite3'}"
+
+
+def config() -> Config:
+    made = Config()
+    made.set_main_option("script_location", str(Path(module.__file__).parent / "migrations"))
+    return made
+
+
+def upgrade(url: str) -> set[str]:
+    database = Database(url)
+    database.upgrade()
+    try:
+        return set(inspect(database.engine).get_table_names())
+    finally:
+        database.close()
+
+
+def add_drive(database: Database, name: str) -> None:
+    with database.writing() as session:
+        now = database.clock(session)
+        session.add(Drive(name=name, owner="me", created_at=now, touched_at=now))
+
+
+def names(database: Database) -> set[str]:
+    with database.reading() as session:
+        return set(session.scalars(text("SELECT name FROM drives")))
+
+
+def test_an_empty_database_gets_all_tables_and_keeps_them(url: str) -> None:
+    assert upgrade(url) >= TABLES
+    database = Database(url)
+    add_drive(database, "kept")
+    database.upgrade()
+    assert names(database) == {"kept"}
+    database.close()
+
+
+def test_processes_that_start_together_agree(url: str) -> None:
+    with ProcessPoolExecutor(3, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for tables in pool.map(upgrade, [url] * 6):
+            assert tables >= TABLES
+
+
+def test_threads_that_start_together_agree(url: str) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        for tables in pool.map(upgrade, [url] * 8):
+            assert tables >= TABLES
+
+
+def test_the_first_version_is_brought_up_to_date_with_its_content(url: str) -> None:
+    database = Database(url)
+    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        old = config()
+        old.attributes["connection"] = connection
+        command.upgrade(old, FIRST)
+        connection.execute(text(OLD_DRIVE))
+    database.upgrade()
+    with database.reading() as session:
+        drive = session.get_one(Drive, "d")
+    assert (drive.name, drive.created_at) == ("old", 1.5)
+    database.close()
+
+
+def test_models_and_migrations_describe_the_same_tables(url: str) -> None:
+    database = Database(url)
+    database.upgrade()
+    with database.engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True, "compare_server_default": True})
+        assert compare_metadata(context, Base.metadata) == []
+    database.close()
+
+
+def test_migrations_form_one_line_and_can_be_undone(url: str) -> None:
+    scripts = ScriptDirectory.from_config(config())
+    assert scripts.get_bases() == [FIRST]
+    assert len(scripts.get_heads()) == 1
+    database = Database(url)
+    database.upgrade()
+    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        down = config()
+        down.attributes["connection"] = connection
+        command.downgrade(down, "base")
+    assert set(inspect(database.engine).get_table_names()) == {"alembic_version"}
+    database.close()
+    assert upgrade(url) >= TABLES
+
+
+def test_a_database_of_a_newer_version_is_left_alone(url: str) -> None:
+    database = Database(url)
+    database.upgrade()
+    add_drive(database, "kept")
+    with database.writing() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    with pytest.raises(InterLocError, match="made by a newer version of InterLoc") as refusal:
+        database.upgrade()
+    assert "'9999'" in str(refusal.value)
+    assert names(database) == {"kept"}
+    database.close()
+
+
+def test_a_file_that_is_no_database_is_named(tmp_path: Path) -> None:
+    (tmp_path / "db.sqlite3").write_bytes(b"not a database at all" * 100)
+    with pytest.raises(InterLocError, match=r"db\.sqlite3 cannot be reached .*: file is not a database"):
+        upgrade(f"sqlite:///{tmp_path / 'db.sqlite3'}")
+
+
+def test_tables_of_something_else_are_left_alone(url: str, tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "db.sqlite3") as link:
+        link.execute("CREATE TABLE drives (letter TEXT)")
+    link.close()
+    with pytest.raises(InterLocError, match="table drives already exists"):
+        upgrade(url)
+    with sqlite3.connect(tmp_path / "db.sqlite3") as link:
+        assert [row[0] for row in link.execute("SELECT name FROM sqlite_master WHERE type = 'table'")] == ["drives"]
+    link.close()
+
+
+@pytest.mark.parametrize("url", ["", "here.sqlite3", "mysql://host/x", "http://host", "oracle://x"])
+def test_other_databases_are_refused(url: str) -> None:
+    with pytest.raises(ConfigError, match="SQLite and PostgreSQL can be used"):
+        Database(url)
+
+
+def test_passwords_are_not_shown() -> None:
+    with pytest.raises(InterLocError) as refusal:
+        Database("postgres://me:geheim@127.0.0.1:1/x").upgrade()
+    assert "geheim" not in str(refusal.value)
+    assert "\n" not in str(refusal.value)
