@@ -11,12 +11,11 @@ import { fingerprintOf } from "./memory.js";
 import { error, numberedFiles, sorted } from "./numbered.js";
 import { placeOf } from "./oxts_rows.js";
 import { readingSection } from "./reading_section.js";
-import { judgeLabels, sampleOf } from "./schemes.js";
+import { groundBytesOf, judgeLabels, sampleOf } from "./schemes.js";
 import { LAYOUTS, SENDING } from "./words.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
 
-const SHARE_LEFT = 1 / 9; // of a scan, in its ground points
 const ADDED = /^(poses|cam0_to_world|times|calib[^/]*)\.txt$|^geo\.csv$/;
 
 /**
@@ -149,7 +148,7 @@ export function formView({ drive, drives, archive, handle, presets, begun, befor
     if (drive) {
       job.setFolders(isWhole ? labelNames(drive) : labels.folders());
       job.setGeoreference(hasFix(drive) || fix !== null);
-      fill(facts, factsOf(drive, isWhole ? [] : labels.folders(), /** @type {any} */ (sending.value())));
+      fill(facts, factsOf(drive, isWhole ? [] : labels.folders(), groundBytesOf(drive, judged), /** @type {any} */ (sending.value())));
     } else if (archive) {
       fill(facts, fact("Archive", archive.name), fact("Size", formatBytes(archive.size)));
     }
@@ -257,16 +256,21 @@ const baseName = (archive) => archive?.name.replace(/\.(zip|tgz|tzst|tar(\.\w+)?
 /** @param {string} name @param {any} value */
 const fact = (name, value) => [el("dt", {}, name), el("dd", {}, value)];
 
-/** @param {DriveFolder} drive @param {string[]} folders @param {keyof typeof SENDING} sending */
-function factsOf(drive, folders, sending) {
+/**
+ * @param {DriveFolder} drive
+ * @param {string[]} folders
+ * @param {number} groundBytes What is left of a scan.
+ * @param {keyof typeof SENDING} sending
+ */
+function factsOf(drive, folders, groundBytes, sending) {
   const { scans, labels, ground, maps, unused } = drive;
   const numbers = [...(scans?.files.keys() ?? [])];
   const labelBytes = folders.reduce((sum, folder) => sum + (labels[folder]?.bytes ?? 0), 0);
-  const groundBytes = [...ground.values()].reduce((sum, file) => sum + file.size, 0);
-  const reduced = scans ? scans.bytes * SHARE_LEFT * Math.max(1, folders.length) : groundBytes;
-  const whole = scans ? scans.bytes + labelBytes : groundBytes;
+  const packed = [...ground.values()].reduce((sum, file) => sum + file.size, 0);
+  const reduced = scans ? groundBytes * scans.files.size : packed;
+  const whole = scans ? scans.bytes + labelBytes : packed;
   const sent = {
-    keyframes: `at most ${formatBytes(reduced)} of ${formatBytes(whole)}`,
+    keyframes: `at most about ${formatBytes(reduced)} of ${formatBytes(whole)}`,
     scans: `about ${formatBytes(reduced)} of ${formatBytes(whole)}`,
     raw: formatBytes(whole),
   };
@@ -277,7 +281,7 @@ function factsOf(drive, folders, sending) {
     ground.size > 0 && fact("Files of ground points", ground.size.toLocaleString("en")),
     fact("Georeference", hasFix(drive) ? (drive.small.has("geo.csv") ? "geo.csv" : "oxts/") : "none in the folder"),
     maps.size > 0 && fact("Maps", [...maps.keys()].join(", ")),
-    fact("To be sent", drive.layout === "reduced" ? formatBytes(groundBytes) : sent[sending]),
+    fact("To be sent", drive.layout === "reduced" ? formatBytes(packed) : sent[sending]),
     unused.files > 0 && fact("Not needed", `${plural(unused.files, "file")}, ${formatBytes(unused.bytes)}`),
   ];
 }

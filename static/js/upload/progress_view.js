@@ -41,6 +41,7 @@ export function progressView({ onChange, onMend, onLeave }) {
   /** Which buttons are shown: they are not made anew while someone is about to press one. */
   let shownButtons = "";
   let shownFault = "";
+  let shownSteps = "";
   let shownProblems = "";
   let timer = 0;
 
@@ -52,7 +53,9 @@ export function progressView({ onChange, onMend, onLeave }) {
     badge.className = `badge ${kind}`;
     badge.textContent = text;
     const at = upload.steps.indexOf(step);
-    fill(steps, upload.steps.map((each, i) => stepItem(each, status === "done" || i < at ? "done" : i > at ? "ahead" : status === "failed" ? "failed" : "now")));
+    const marks = JSON.stringify([status, step]);
+    if (marks !== shownSteps) fill(steps, upload.steps.map((each, i) => stepItem(each, status === "done" || i < at ? "done" : i > at ? "ahead" : status === "failed" ? "failed" : "now")));
+    shownSteps = marks;
     const isSending = step === "files" || step === "scans" || step === "archive";
     const fraction = status === "done" ? 1 : isSending ? transfer.meter.fraction : upload.total ? upload.done / upload.total : null;
     if (fraction === null) bar.removeAttribute("value");
@@ -107,7 +110,7 @@ export function progressView({ onChange, onMend, onLeave }) {
         row("Poses", owner, found.pose_frame_reason),
         row("Georeference", found.georeference ?? "none", found.georeference_reason),
         row("Way", found.length_m !== null && found.length_m !== undefined && formatMetres(found.length_m)),
-        row("Keyframes", `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`),
+        row("To be sent", `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`),
       ),
     );
   }

@@ -12,6 +12,7 @@ import { countLabels } from "./scan.js";
  * @property {LabelScheme} scheme
  * @property {Map<number, number>} counts How many points of the scans looked into carry each id.
  * @property {number} roadShare
+ * @property {number} groundShare Of road, sidewalk, parking and other ground: what is left of a scan.
  * @property {FileProblem[]} problems
  */
 
@@ -51,8 +52,9 @@ export async function judgeLabels(labels, frames, choice, isKitti360) {
   const scheme = named ?? guessScheme(counts.keys(), isKitti360);
   const total = sum(counts.values());
   const road = sum(scheme.road.map((id) => counts.get(id) ?? 0));
+  const ground = road + sum(scheme.confusable.map((id) => counts.get(id) ?? 0));
   const problems = total ? complaints(labels.folder, scheme, counts, road, total) : [];
-  return { scheme, counts, roadShare: total ? road / total : 0, problems };
+  return { scheme, counts, roadShare: total ? road / total : 0, groundShare: total ? ground / total : 0, problems };
 }
 
 /**
@@ -85,6 +87,19 @@ function complaints(folder, scheme, counts, road, total) {
     problems.push(warning(folder, `${text} Usual cause: another label scheme, or labels of other scans.`));
   }
   return problems;
+}
+
+const GROUND_POINT_BYTES = 7; // packed without loss, scans of 64 beams
+
+/**
+ * About how large the ground points of a scan are, by all label folders together.
+ *
+ * @param {import("./drive_folder.js").DriveFolder} drive
+ * @param {Iterable<Judgement>} judged
+ */
+export function groundBytesOf(drive, judged) {
+  const points = drive.scans ? drive.scans.bytes / 16 / drive.scans.files.size : 0;
+  return sum([...judged].map(({ groundShare }) => groundShare * points * GROUND_POINT_BYTES));
 }
 
 /** @param {Iterable<number>} values */

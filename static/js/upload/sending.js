@@ -134,15 +134,16 @@ export function rawFiles(drive, folders) {
  * @param {import("./drive_folder.js").DriveFolder} what.drive
  * @param {number[]} what.frames Scans to send.
  * @param {Map<string, import("./labels.js").LabelScheme>} what.schemes By label folder.
+ * @param {number} what.groundBytes About the size of what is left of a scan.
  * @param {Present} what.present
  * @param {Set<string>} what.trusted Label folders whose files on the service are known to be good.
  * @param {(done: number) => void} onDone
  */
-export async function sendReduced(transfer, { drive, frames, schemes, present, trusted }, onDone) {
+export async function sendReduced(transfer, { drive, frames, schemes, groundBytes, present, trusted }, onDone) {
   const scans = /** @type {NumberedFiles} */ (drive.scans);
   const items = frames.flatMap((frame) => [...schemes.keys()].map((folder) => ({ frame, folder })));
   const pool = WorkerPool.ofThisMachine();
-  const estimate = new Estimate(transfer.meter, items.length, scans.bytes / scans.files.size);
+  const estimate = new Estimate(transfer.meter, items.length, groundBytes * items.length);
   let done = 0;
   try {
     await transfer.each(items, pool.size + PARALLEL, async ({ frame, folder }) => {
@@ -175,15 +176,14 @@ export async function sendReduced(transfer, { drive, frames, schemes, present, t
 
 /** Bytes of all reduced scans, as far as those that are done tell. */
 class Estimate {
-  /** @param {import("./meter.js").Meter} meter @param {number} count @param {number} scanBytes */
-  constructor(meter, count, scanBytes) {
+  /** @param {import("./meter.js").Meter} meter @param {number} count @param {number} expected Before any is done. */
+  constructor(meter, count, expected) {
     this.meter = meter;
     this.left = count;
     this.sum = 0;
     this.done = 0;
-    this.share = scanBytes / 9; // what scans of 64 beams shrink to, about
-    this.expected = count * this.share;
-    meter.total += this.expected;
+    this.expected = expected;
+    meter.total += expected;
   }
 
   /** @param {number} bytes Of one more scan. */

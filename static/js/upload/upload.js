@@ -5,7 +5,7 @@ import { checkAndKeep, waitForWork } from "./committing.js";
 import { submitJob } from "./job_request.js";
 import { forget, remember, remembered } from "./memory.js";
 import { runsOf, sorted } from "./numbered.js";
-import { sampleOf, judgeLabels } from "./schemes.js";
+import { groundBytesOf, judgeLabels } from "./schemes.js";
 import { listPresent, manifestBytes, rawFiles, sendFiles, sendReduced, sendSmallFiles } from "./sending.js";
 import { Transfer } from "./transfer.js";
 
@@ -215,11 +215,10 @@ export class Upload {
     const before = remembered(/** @type {string} */ (this.driveId))?.schemes ?? {};
     const trusted = new Set(isTrusted ? folders.filter((folder) => before[folder] === keys[folder]) : []);
     this.#remember(isTrusted ? this.source.fingerprint : "", keys);
-    const all = [.../** @type {import("./numbered.js").NumberedFiles} */ (drive.scans).files.keys()];
-    const frames = sending === "scans" ? all : plan.frames;
+    const { frames, manifest } = plan;
     this.#say({ step: "scans", message: "", done: 0, total: frames.length * schemes.size });
-    await sendReduced(this.transfer, { drive, frames, schemes, present, trusted }, (done) => this.#say({ done }));
-    const manifest = sending === "scans" ? { ...plan.manifest, kept: runsOf(all), keyframes: null } : plan.manifest;
+    const groundBytes = groundBytesOf(drive, judged.values()) / schemes.size;
+    await sendReduced(this.transfer, { drive, frames, schemes, groundBytes, present, trusted }, (done) => this.#say({ done }));
     await this.transfer.put("reduced.json", manifestBytes(manifest, drive, judged));
   }
 
@@ -232,7 +231,8 @@ export class Upload {
 
   /** @param {import("./drive_folder.js").DriveFolder} drive */
   async #askPlan(drive) {
-    const { folders, options, keyframes } = this.settings;
+    const { folders, options, sending } = this.settings;
+    const keyframes = sending === "scans" ? null : this.settings.keyframes;
     const scans = /** @type {import("./numbered.js").NumberedFiles} */ (drive.scans);
     const runs = runsOf(scans.files.keys());
     const [first, count] = runs[0];
@@ -248,7 +248,7 @@ export class Upload {
 
   /** @param {import("./drive_folder.js").DriveFolder} drive @param {any} plan */
   async #judge(drive, plan) {
-    const frames = sampleOf([.../** @type {import("./numbered.js").NumberedFiles} */ (drive.scans).files.keys()]);
+    const frames = plan.frames_to_look_into;
     const judged = new Map();
     for (const folder of this.settings.folders) {
       const found = await judgeLabels(drive.labels[folder], frames, this.settings.options.label_scheme, plan.layout === "kitti360");

@@ -40,12 +40,12 @@ export const SENDING = {
 export const LABEL_FOLDERS = { labels: "labels (by hand)", predictions: "predictions (of a network)" };
 
 export const STEPS = {
-  files: "Poses, times, map",
+  files: "Small files",
   archive: "Archive",
   plan: "Plan",
   scans: "Scans",
   check: "Check",
-  run: "Start the job",
+  run: "Job",
 };
 
 export const EXAMPLE = `07/
