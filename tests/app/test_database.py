@@ -99,8 +99,11 @@ def test_a_full_disk_is_told(url: str) -> None:
     def stay_small(connection: Connection) -> None:
         connection.exec_driver_sql("PRAGMA max_page_count = 1")  # no smaller than it is
 
-    with pytest.raises(OperationalError) as failure:
+    def fill() -> None:
         for _ in range(1000):
             add_drive(database, "x" * 255)
+
+    with pytest.raises(OperationalError) as failure:
+        fill()
     assert problem_of(failure.value).status == 507
     database.close()
