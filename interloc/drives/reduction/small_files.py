@@ -16,7 +16,7 @@ from interloc.drives.calibration import (
     locate_imu_calibration,
 )
 from interloc.drives.faults import DriveFileError
-from interloc.drives.files import list_numbered, missing_numbers, os_reason, shown
+from interloc.drives.files import list_numbered, os_reason
 from interloc.drives.georeference import locate_georeference
 from interloc.drives.parts import DriveParts
 
@@ -83,7 +83,7 @@ def gather_small_files(parts: DriveParts, frames: NDArray[np.int64], given: Path
     Raises
     ------
     GeoreferenceError, DriveError
-        A georeference was given that does not exist, or a frame has no fix.
+        A georeference was given that does not exist, or its folder cannot be read.
     """
     copies = SmallFileCopies()
 
@@ -130,10 +130,7 @@ def _take_folder(
         digits = files.digits
     else:
         place, digits = f"{GEOREFERENCE_FOLDER}/oxts", 10
-    missing = missing_numbers(files.numbers, frames + first)
-    if len(missing):
-        raise DriveFileError(shown(files.path(int(missing[0])), parts.root), "is missing: a scan has no fix.")
-    for frame in frames:
+    for frame in frames[np.isin(frames + first, files.numbers)]:  # a missing fix is the complaint of who reads them
         copies.sources[f"{place}/{int(frame):0{digits}d}.txt"] = files.path(int(frame) + first)
     return place
 

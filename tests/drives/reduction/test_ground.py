@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from interloc.drives.drive import GroundPoints
-from interloc.drives.reduction.ground import MAX_POINTS, decode_ground, encode_ground
+from interloc.drives.reduction.ground import MAX_BYTES, MAX_POINTS, decode_ground, encode_ground
 from interloc.errors import DriveError
 
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False, allow_subnormal=True)
@@ -74,6 +74,13 @@ def test_views_of_larger_arrays_are_written_too() -> None:
 def test_what_is_no_scan_is_not_written(points: GroundPoints) -> None:
     with pytest.raises(ValueError, match=r"expected \(N, 3\) float32"):
         encode_ground(points)
+
+
+def test_no_scan_is_that_large() -> None:
+    with pytest.raises(ValueError, match="4,000,001 ground points; no scan has more than 4,000,000"):
+        encode_ground(GroundPoints(np.zeros((MAX_POINTS + 1, 3), np.float32), 0))
+    with pytest.raises(DriveError, match="is larger than 51 MB, which the ground points of one scan never are"):
+        decode_ground(bytes(MAX_BYTES + 1), NAME)
 
 
 SOUND = encode_ground(ground())

@@ -137,6 +137,22 @@ def test_a_bad_georeference_leaves_the_rest_of_the_plan(small_files: Path) -> No
     assert "no column lat_deg" in (plan.georeference_reason or "")
 
 
+def test_a_scan_without_a_fix_is_one_problem(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_kitti_raw(tmp_path / "raw")
+    (root / "poses.txt").write_text(make.pose_text(make.lidar_poses()))
+    (root / "oxts/data/0000000004.txt").unlink()
+    plan = plan_reduction(root, range(12))
+    assert [problem.message.split(":")[0] for problem in plan.problems] == ["1 of 12 scans have no fix"]
+    assert len(plan.frames_to_send) > 4
+
+
+def test_a_small_file_that_has_gone(small_files: Path, tmp_path: Path) -> None:
+    plan = plan_reduction(small_files, range(12))
+    (small_files / "times.txt").unlink()
+    with pytest.raises(DriveError, match=r"times\.txt: cannot be read: no such file"):
+        plan.copies.write_to(tmp_path)
+
+
 def test_nothing_sent_so_far(tmp_path: Path) -> None:
     plan = plan_reduction(tmp_path, range(3))
     assert [problem.path for problem in plan.problems] == ["poses.txt"]
