@@ -1,0 +1,199 @@
+"""Batches: several files in one request, all or none."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+Parts = list[tuple[str, tuple[str | None, bytes]]]
+
+
+@pytest.fixture
+def drive(client: httpx.Client) -> str:
+    """Address of a new drive."""
+    return str(client.post("/api/v1/drives", json={"name": "town"}).headers["location"])
+
+
+def send(client: httpx.Client, drive: str, parts: Parts) -> httpx.Response:
+    return client.post(f"{drive}/scans", files=[(field, (name or "", data)) for field, (name, data) in parts])
+
+
+def raw(client: httpx.Client, drive: str, body: bytes, **headers: str) -> httpx.Response:
+    """Send a body as it stands; its boundary is B."""
+    return client.post(
+        f"{drive}/scans", content=body, headers={"Content-Type": "multipart/form-data; boundary=B", **headers}
+    )
+
+
+def listed(client: httpx.Client, drive: str) -> list[str]:
+    return [file["path"] for file in client.get(f"{drive}/files").json()["files"]]
+
+
+def left(tmp_path: Path) -> list[str]:
+    return [path.name for path in (tmp_path / "data").rglob("*") if path.is_file() and "sqlite" not in path.name]
+
+
+def test_every_part_goes_to_its_place(client: httpx.Client, drive: str) -> None:
+    scan = bytes(range(256)) * 9000  # several pieces
+    parts: Parts = [
+        ("scans", ("000000.bin", scan)),
+        ("scans", ("000001.bin", b"\r\n--B\r\n")),
+        ("labels", ("000000.label", b"1")),
+        ("predictions", ("000000.label", b"2")),
+        ("poses", ("whatever.txt", b"3")),
+        ("calib", ("calib.txt", b"4")),
+        ("times", ("times.txt", b"5")),
+        ("geo", ("geo.csv", b"6")),
+        ("files", ("oxts/data/0000000000.txt", b"7")),
+        ("files", ("Straße.osm", b"")),
+    ]
+    answer = send(client, drive, parts)
+    assert answer.status_code == 200
+    places = {
+        "velodyne/000000.bin": scan,
+        "velodyne/000001.bin": b"\r\n--B\r\n",
+        "labels/000000.label": b"1",
+        "predictions/000000.label": b"2",
+        "poses.txt": b"3",
+        "calib.txt": b"4",
+        "times.txt": b"5",
+        "geo.csv": b"6",
+        "oxts/data/0000000000.txt": b"7",
+        "Straße.osm": b"",
+    }
+    assert {file["path"]: file["sha256"] for file in answer.json()["files"]} == {
+        path: hashlib.sha256(data).hexdigest() for path, data in places.items()
+    }
+    assert listed(client, drive) == sorted(places)
+    for path, data in places.items():
+        assert client.get(f"{drive}/files/{path}").content == data
+    assert client.get(drive).json()["size_bytes"] == sum(map(len, places.values()))
+    assert send(client, drive, parts).status_code == 200
+    assert client.get(drive).json()["files"] == len(places)
+
+
+def test_poses_may_come_as_a_plain_field(client: httpx.Client, drive: str) -> None:
+    body = b'--B\r\nContent-Disposition: form-data; name="poses"\r\n\r\n1 0 0\r\n--B--\r\n'
+    assert raw(client, drive, body).status_code == 200
+    assert client.get(f"{drive}/files/poses.txt").content == b"1 0 0"
+
+
+@pytest.mark.parametrize(
+    ("field", "filename", "reason"),
+    [
+        ("scans", "poses.txt", "expected the number of the scan"),
+        ("scans", "velodyne/000000.bin", "expected the number of the scan"),
+        ("scans", "../000000.bin", "expected the number of the scan"),
+        ("scans", "000000.label", "expected the number of the scan"),
+        ("scans", "\u0661.bin", "expected the number of the scan"),
+        ("labels", "000000.bin", "expected the number of the scan"),
+        ("files", "../../etc/passwd", "lead elsewhere"),
+        ("files", "/etc/passwd", "absolute"),
+        ("files", "a\\b", "backslash"),
+        ("files", ".bashrc", "hidden"),
+        ("images", "000000.png", "no part 'images'"),
+        ("", "a", "no part ''"),
+    ],
+)
+def test_one_bad_part_keeps_out_all(
+    client: httpx.Client, drive: str, tmp_path: Path, field: str, filename: str, reason: str
+) -> None:
+    answer = send(client, drive, [("scans", ("000000.bin", b"good")), (field, (filename, b"bad"))])
+    assert answer.status_code == 422
+    assert reason in answer.json()["detail"]
+    assert listed(client, drive) == []
+    assert left(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        (b"", 400),
+        (b"nonsense", 400),
+        (b"--B--\r\n", 422),
+        (b'--B\r\nContent-Disposition: form-data; name="scans"; filename="000000.bin"\r\n\r\ndata', 400),
+        (b'--B\r\nContent-Disposition: form-data; name="scans"\r\n\r\n1\r\n--B--\r\n', 422),
+        (b'--B\r\nContent-Disposition: form-data; name="files"; filename=""\r\n\r\n1\r\n--B--\r\n', 422),
+        (b'--B\r\nContent-Disposition: form-data; name="files"; filename="\xff"\r\n\r\n1\r\n--B--\r\n', 422),
+        (b"--B\r\nContent-Type: text/plain\r\n\r\n1\r\n--B--\r\n", 400),
+        (b"--B\r\nContent-Disposition: attachment\r\n\r\n1\r\n--B--\r\n", 400),
+        (b"--B\r\nX: " + b"a" * 10_000 + b"\r\n\r\n1\r\n--B--\r\n", 400),
+        (b"--B\r\n" + b"X: a\r\n" * 100 + b"\r\n1\r\n--B--\r\n", 400),
+        (
+            (
+                b'--B\r\nContent-Disposition: form-data; name="poses"\r\nContent-Transfer-Encoding: base64\r\n\r\n'
+                b"MQ==\r\n--B--\r\n"
+            ),
+            422,
+        ),
+    ],
+)
+def test_a_malformed_body_is_refused(
+    client: httpx.Client, drive: str, tmp_path: Path, body: bytes, status: int
+) -> None:
+    answer = raw(client, drive, body)
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert left(tmp_path) == []
+
+
+@pytest.mark.parametrize("kind", ["application/json", "multipart/form-data", "multipart/mixed; boundary=B", ""])
+def test_other_kinds_of_bodies_are_refused(client: httpx.Client, drive: str, kind: str) -> None:
+    answer = client.post(f"{drive}/scans", content=b"{}", headers={"Content-Type": kind})
+    assert (answer.status_code, answer.json()["title"]) == (415, "Not multipart/form-data")
+
+
+def test_a_name_that_comes_twice(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+    answer = send(client, drive, [("poses", ("poses.txt", b"1")), ("files", ("poses.txt", b"2"))])
+    assert answer.status_code == 422
+    assert "poses.txt comes twice" in answer.json()["detail"]
+    assert left(tmp_path) == []
+
+
+def test_names_in_conflict_leave_what_was_there(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+    assert send(client, drive, [("poses", ("", b"old")), ("files", ("a/b", b"old"))]).status_code == 200
+    answer = send(client, drive, [("poses", ("", b"new")), ("files", ("a/c", b"new")), ("files", ("a", b"new"))])
+    assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
+    assert listed(client, drive) == ["a/b", "poses.txt"]
+    assert client.get(f"{drive}/files/poses.txt").content == b"old"
+    assert sorted(left(tmp_path)) == ["b", "poses.txt"]
+
+
+def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    client = serve(max_batch_files=3, max_batch_bytes=500_000, max_file_bytes=200_000)
+    drive = str(client.post("/api/v1/drives", json={"name": "town"}).headers["location"])
+
+    def scans(count: int, size: int) -> Parts:
+        return [("scans", (f"{number:06d}.bin", bytes(size))) for number in range(count)]
+
+    for parts, title in (
+        (scans(4, 10), "Too many files"),
+        (scans(1, 200_001), "Too large"),
+        (scans(3, 170_000), "Too large"),
+    ):
+        answer = send(client, drive, parts)
+        assert (answer.status_code, answer.json()["title"]) == (413, title)
+    assert left(tmp_path) == []
+    assert send(client, drive, scans(3, 160_000)).status_code == 200
+
+
+def test_there_must_be_a_drive(client: httpx.Client) -> None:
+    assert send(client, "/api/v1/drives/0123456789abcdef", [("poses", ("", b"1"))]).status_code == 404
+
+
+def test_many_batches_at_once(client: httpx.Client, drive: str) -> None:
+    def batch(first: int) -> Any:
+        return send(
+            client, drive, [("scans", (f"{n:06d}.bin", bytes(n))) for n in range(first, first + 10)]
+        ).status_code
+
+    with ThreadPoolExecutor(6) as pool:
+        assert set(pool.map(batch, range(0, 120, 10))) == {200}
+    shown = client.get(drive).json()
+    assert (shown["files"], shown["size_bytes"]) == (120, sum(range(120)))
