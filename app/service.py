@@ -13,6 +13,7 @@ from fastapi import Depends, Request
 
 from app.database import Database
 from app.jobs.runner import Runner
+from app.jobs.watcher import JobWatcher
 from app.metrics import Metrics
 from app.settings import Settings
 from app.storage import LocalStorage, Storage
@@ -32,6 +33,7 @@ class Service:
     stopping: threading.Event = field(default_factory=threading.Event)
     """Set when the server begins to stop: streams and waits that would go on must end."""
     runner: Runner = field(default_factory=Runner)
+    watcher: JobWatcher = field(default_factory=JobWatcher)
 
     @classmethod
     def open(cls, settings: Settings) -> Service:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
+from contextlib import suppress
 from typing import Any, Protocol, TypeVar
 
 from app.settings import Settings
 from interloc.errors import ConfigError
 from interloc.processes import cores
 
+_ASK_AGAIN_S = 5.0
 _log = logging.getLogger(__name__)
 
 Result = TypeVar("Result")
@@ -38,17 +41,18 @@ class WorkExecutor(Protocol):
 
     @property
     def alive(self) -> int:
-        """How many of the slots are ready to work."""
-        ...
-
-    @property
-    def workers_lost(self) -> int:
-        """Workers that died so far."""
+        """How many of the slots can work."""
         ...
 
 
-def open_executor(settings: Settings) -> WorkExecutor:
+def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExecutor:
     """Start the executor that the settings ask for.
+
+    Parameters
+    ----------
+    settings
+    count_loss
+        Called when a worker died.
 
     Raises
     ------
@@ -56,10 +60,10 @@ def open_executor(settings: Settings) -> WorkExecutor:
         Dask is not installed, or its scheduler does not answer.
     """
     if settings.dask is not None:
-        return DaskExecutor(settings.dask)
+        return DaskExecutor(settings.dask, count_loss)
     from app.jobs.processes import ProcessExecutor  # noqa: PLC0415 - not needed beside Dask
 
-    return ProcessExecutor(settings.workers or cores())
+    return ProcessExecutor(settings.workers or cores(), count_loss)
 
 
 class DaskExecutor(Executor):
@@ -69,9 +73,11 @@ class DaskExecutor(Executor):
     ----------
     address
         Of the scheduler, as ``tcp://host:8786``.
+    count_loss
+        Called when workers died of a piece of work.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, count_loss: Callable[[], None]) -> None:
         try:
             from distributed import Client  # noqa: PLC0415 - an extra
         except ImportError as error:
@@ -88,16 +94,22 @@ class DaskExecutor(Executor):
             ) from error
         # Not pure: the same call again is done again, its outcome is a file and not its value.
         self._executor: Executor = self._client.get_executor(pure=False)
-        self.workers_lost = 0
+        self._count_loss = count_loss
+        self._known_slots = (0.0, 0)
 
     @property
     def slots(self) -> int:  # noqa: D102 - see WorkExecutor
         return max(1, self.alive)
 
     @property
-    def alive(self) -> int:  # noqa: D102 - see WorkExecutor
-        workers = self._client.scheduler_info(n_workers=-1).get("workers", {})
-        return sum(int(worker["nthreads"]) for worker in workers.values())
+    def alive(self) -> int:
+        """Threads of all workers, asked for now and then."""
+        until, slots = self._known_slots
+        if time.monotonic() >= until:
+            with suppress(OSError, TimeoutError):  # the scheduler is away; the client keeps trying
+                slots = sum(self._client.nthreads().values())
+            self._known_slots = time.monotonic() + _ASK_AGAIN_S, slots
+        return slots
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401, D102
         ours: Future[Result] = Future()
@@ -125,7 +137,7 @@ class DaskExecutor(Executor):
         from distributed.scheduler import KilledWorker, NoValidWorkerError  # noqa: PLC0415
 
         if isinstance(error, KilledWorker | NoValidWorkerError):
-            self.workers_lost += 1
+            self._count_loss()
             return WorkerLostError("the Dask workers that tried it died")
         return error
 

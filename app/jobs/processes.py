@@ -39,11 +39,13 @@ class ProcessExecutor(Executor):
     ----------
     slots
         Processes. They start in the background, and each one is replaced when it dies.
+    count_loss
+        Called when one died.
     """
 
-    def __init__(self, slots: int) -> None:
+    def __init__(self, slots: int, count_loss: Callable[[], None] = lambda: None) -> None:
         self.slots = slots
-        self.workers_lost = 0
+        self.count_loss = count_loss
         self._waiting: deque[_Work] = deque()
         self._change = threading.Condition()
         self._stopping = False
@@ -60,8 +62,8 @@ class ProcessExecutor(Executor):
 
     @property
     def alive(self) -> int:
-        """How many worker processes run."""
-        return sum(slot.is_alive for slot in self._slots)
+        """How many slots can work; a process that died is replaced when there is work for it."""
+        return sum(slot.thread.is_alive() for slot in self._slots)
 
     @property
     def pids(self) -> list[int]:
@@ -95,11 +97,6 @@ class ProcessExecutor(Executor):
                 work = self._waiting.popleft()
                 if work.future.set_running_or_notify_cancel():
                     return work
-
-    def count_loss(self) -> None:
-        """Count a worker that died."""
-        with self._change:
-            self.workers_lost += 1
 
     @property
     def is_stopping(self) -> bool:

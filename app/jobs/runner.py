@@ -53,6 +53,12 @@ class Runner:
         """Jobs that this server works on."""
         return len(self._attempts)
 
+    def ailment(self) -> str | None:
+        """Return why no job could be worked on, None where all is well."""
+        if self._executor is None or not all(thread.is_alive() for thread in self._threads):
+            return "the runner does not run"
+        return None if self._executor.alive else "there is no worker"
+
     def start(self, service: Service) -> None:
         """Begin; workers start in the background.
 
@@ -61,7 +67,7 @@ class Runner:
         ConfigError
             The Dask cluster of the settings cannot be used.
         """
-        self._executor = open_executor(service.settings)
+        self._executor = open_executor(service.settings, service.metrics.worker_restarts.inc)
         queue = JobQueue(service.database, service.settings.lease_s)
         for target in (self._claim_jobs, self._keep_leases):
             thread = threading.Thread(target=target, args=(service, queue), name=target.__name__, daemon=True)

@@ -1,7 +1,43 @@
-"""Endpoints: events."""
+"""Endpoint: the changes of a job as they happen."""
 
 from __future__ import annotations
 
-from fastapi import APIRouter
+from collections.abc import AsyncIterator
+from typing import Annotated
 
-router = APIRouter(tags=["events"])
+from fastapi import APIRouter, Depends, Header
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+
+from app.jobs.watcher import Change
+from app.routes.jobs import NOT_FOUND, show_job
+from app.schemas.jobs import JobModel
+from app.service import ServiceDep
+
+router = APIRouter(tags=["Jobs"])
+
+
+@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=NOT_FOUND, summary="Follow a job")
+async def follow_job(
+    job: Annotated[JobModel, Depends(show_job)],
+    service: ServiceDep,
+    last_event_id: Annotated[
+        str | None, Header(max_length=40, description="Id of the last event that arrived; that state is not repeated.")
+    ] = None,
+) -> AsyncIterator[ServerSentEvent]:
+    """Send the job as it is now, then after each change, until it has ended (server-sent events).
+
+    Each event is named `job`, its data is the job as JSON, its id counts the changes. Comments keep the connection
+    open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do by themselves.
+    """
+    current = Change.of(job)
+    with service.metrics.listeners.track_inprogress():
+        if current.is_final or last_event_id != str(current.version):
+            yield _event(current)
+        if current.is_final:
+            return
+        async for change in service.watcher.follow(service, job.id, current.version):
+            yield _event(change)
+
+
+def _event(change: Change) -> ServerSentEvent:
+    return ServerSentEvent(event="job", id=str(change.version), raw_data=change.data)

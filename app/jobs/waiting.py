@@ -1,0 +1,58 @@
+"""Wait for the end of a job within a request."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import TYPE_CHECKING
+
+from fastapi.concurrency import run_in_threadpool
+
+from app.jobs.queue import FINAL
+from app.jobs.view import find_job
+from app.models import Job
+
+if TYPE_CHECKING:
+    from app.service import Service
+
+_FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
+
+
+def wait_for(service: Service, job_id: str, seconds: float) -> Job:
+    """Return a job when it has ended, or as it is after some seconds, or when the server is to stop.
+
+    Raises
+    ------
+    Problem
+        404 there is no such job (any more).
+
+    Notes
+    -----
+    It holds a thread but no connection. An endpoint that is `async` waits by `wait_for_async`, without a thread.
+    """
+    end = time.monotonic() + seconds
+    pause_s = _FIRST_LOOK_S
+    while True:
+        job = _look(service, job_id)
+        left_s = end - time.monotonic()
+        if job.state in FINAL or left_s <= 0 or service.stopping.wait(min(pause_s, left_s)):
+            return job
+        pause_s = min(1.3 * pause_s, _LAST_LOOK_S)
+
+
+async def wait_for_async(service: Service, job_id: str, seconds: float) -> Job:
+    """Do what `wait_for` does in the event loop."""
+    end = time.monotonic() + seconds
+    pause_s = _FIRST_LOOK_S
+    while True:
+        job = await run_in_threadpool(_look, service, job_id)
+        left_s = end - time.monotonic()
+        if job.state in FINAL or left_s <= 0 or service.stopping.is_set():
+            return job
+        await asyncio.sleep(min(pause_s, left_s))
+        pause_s = min(1.3 * pause_s, _LAST_LOOK_S)
+
+
+def _look(service: Service, job_id: str) -> Job:
+    with service.database.reading() as session:
+        return find_job(session, job_id)[0]

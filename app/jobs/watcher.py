@@ -1,0 +1,116 @@
+"""Changes of jobs, for all who listen on this server: one question to the database twice a second, however many."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fastapi.concurrency import run_in_threadpool
+from sqlalchemy import select
+from sqlalchemy.exc import OperationalError
+
+from app.jobs.queue import FINAL
+from app.jobs.view import job_model
+from app.models import Drive, Job
+from app.schemas.jobs import JobModel
+
+if TYPE_CHECKING:
+    from app.service import Service
+
+_POLL_S = 0.5
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Change:
+    """A job as it stands after a change.
+
+    Attributes
+    ----------
+    version : int
+    is_final : bool
+        Nothing follows.
+    data : str
+        `JobModel` as JSON, made once for all who listen.
+    """
+
+    version: int
+    is_final: bool
+    data: str
+
+    @classmethod
+    def of(cls, job: JobModel) -> Change:
+        """Make it from a job."""
+        return cls(job.version, job.state in FINAL, job.model_dump_json())
+
+
+class JobWatcher:
+    """Tells the changes of jobs; to be used in the event loop."""
+
+    def __init__(self) -> None:
+        self._listeners: dict[str, set[asyncio.Queue[Change | None]]] = {}
+        self._versions: dict[str, int] = {}
+        self._polling: asyncio.Task[None] | None = None
+
+    async def follow(self, service: Service, job_id: str, version: int) -> AsyncIterator[Change]:
+        """Yield the changes of a job after a version, until it has ended, is deleted, or the server stops."""
+        queue: asyncio.Queue[Change | None] = asyncio.Queue()
+        self._listeners.setdefault(job_id, set()).add(queue)
+        self._versions[job_id] = min(version, self._versions.get(job_id, version))
+        if self._polling is None or self._polling.done():
+            self._polling = asyncio.create_task(self._poll(service))
+        try:
+            while (change := await queue.get()) is not None:
+                if change.version > version:
+                    version = change.version
+                    yield change
+                if change.is_final:
+                    return
+        finally:
+            self._listeners[job_id].discard(queue)
+            if not self._listeners[job_id]:
+                del self._listeners[job_id], self._versions[job_id]
+
+    async def _poll(self, service: Service) -> None:
+        try:
+            await self._tell_changes(service)
+        except Exception:  # noqa: BLE001 - the listeners must hear of it
+            _log.exception("changes of jobs could not be told")
+        finally:  # whatever happened, nobody listens to silence
+            for queues in self._listeners.values():
+                for queue in queues:
+                    queue.put_nowait(None)
+
+    async def _tell_changes(self, service: Service) -> None:
+        while self._listeners and not service.stopping.is_set():
+            known = dict(self._versions)
+            try:
+                changes = await run_in_threadpool(_changes, service, known)
+            except OperationalError as error:
+                _log.warning("changes of jobs could not be read: %s", error)
+                changes = {}  # the next look says it all
+            for job_id, change in changes.items():
+                if change is not None and job_id in self._versions:
+                    self._versions[job_id] = change.version
+                for queue in self._listeners.get(job_id, ()):
+                    queue.put_nowait(change)
+            await asyncio.sleep(_POLL_S)
+
+
+def _changes(service: Service, known: dict[str, int]) -> dict[str, Change | None]:
+    """Return the jobs whose version is not the known one; None for those that are gone."""
+    with service.database.reading() as session:
+        rows = session.execute(select(Job.id, Job.version).where(Job.id.in_(list(known))))
+        versions = {row.id: row.version for row in rows}
+        changed = [job_id for job_id, version in versions.items() if version != known[job_id]]
+        gone: dict[str, Change | None] = dict.fromkeys(known.keys() - versions.keys())
+        if not changed:
+            return gone
+        query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id.in_(changed))
+        found = session.execute(query).all()
+        now = service.database.clock(session)
+    root_path = service.settings.root_path
+    return gone | {job.id: Change.of(job_model(job, name, root_path, now)) for job, name in found}
