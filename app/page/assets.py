@@ -52,7 +52,7 @@ class Assets:
         parts = name.split("/")
         if "\0" in name or name in _PRIVATE or any(not part or part.startswith(".") for part in parts):
             return None
-        if parts[0] == _PACKAGES and parts[1] not in self.packages:
+        if parts[0] == _PACKAGES and self.packages.isdisjoint(parts[1:2]):
             return None
         path = self.root.joinpath(*parts)
         if path.suffix not in MEDIA_TYPES or not path.is_file() or not path.resolve().is_relative_to(self.root):

@@ -36,7 +36,7 @@ class PageConfig(BaseModel):
     tile_attribution: str
     overpass: bool = Field(description="Whether jobs may fetch the map from Overpass.")
     needs_token: bool = Field(description="Whether the API wants `Authorization: Bearer TOKEN`.")
-    limits: dict[str, float] = Field(description="Limits of uploads, as they are called in the settings.")
+    limits: dict[str, int | float] = Field(description="Limits of uploads, as they are called in the settings.")
 
 
 def _assets(request: Request) -> Assets:

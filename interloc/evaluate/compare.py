@@ -61,7 +61,7 @@ def compare_reports(
 def differing_settings(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the settings in which runs differ, as ``{"name": "bev.resolution_m", "values": [...]}``."""
     flat = [
-        {name: value for key in SETTINGS for name, value in _flatten(run.get(key), "" if key == "config" else key)}
+        {name: value for key in SETTINGS for name, value in _flatten(run.get(key, {}), "" if key == "config" else key)}
         for run in runs
     ]
     names = dict.fromkeys(name for each in flat for name in each)

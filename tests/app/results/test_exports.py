@@ -1,0 +1,71 @@
+"""Exports over HTTP: the files of the library, built once, with the reasons where there is none."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pyogrio
+import pytest
+
+from tests.app.results.conftest import Finished
+
+SCORED = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]
+
+
+def layers_of(content: bytes, path: Path) -> dict[str, int]:
+    path.write_bytes(content)
+    return {name: pyogrio.read_info(path, layer=name)["features"] for name in pyogrio.list_layers(path)[:, 0]}
+
+
+def features_in(path: Path) -> int:
+    return len(json.loads(path.read_text())["features"])
+
+
+def test_a_geopackage_of_all_layers(finished: Finished, tmp_path: Path) -> None:
+    answer = finished.get("/jobs/default/export.gpkg")
+    assert answer.headers["content-type"] == "application/geopackage+sqlite3"
+    assert answer.headers["content-disposition"] == 'attachment; filename="Stra_e_street.gpkg"'
+    expected = {layer: features_in(finished.results / f"default/{layer}.geojson") for layer in SCORED}
+    assert layers_of(answer.content, tmp_path / "a.gpkg") == expected
+    again = finished.get("/jobs/default/export.gpkg", headers={"if-none-match": answer.headers["etag"]})
+    assert again.status_code == 304
+    plain = layers_of(finished.get("/jobs/plain/export.gpkg").content, tmp_path / "plain.gpkg")
+    assert list(plain) == SCORED[:4]
+
+
+@pytest.mark.parametrize(("suffix", "media_type"), [
+    ("fgb", "application/vnd.flatgeobuf"), ("kml", "application/vnd.google-earth.kml+xml")
+])  # fmt: skip
+def test_one_layer(suffix: str, media_type: str, finished: Finished, tmp_path: Path) -> None:
+    for query, layer in (("", "intersections"), ("?layer=osm-nodes", "osm_nodes"), ("?layer=osm-roads", "osm_roads")):
+        answer = finished.get(f"/jobs/default/export.{suffix}{query}")
+        assert answer.headers["content-type"] == media_type
+        (count,) = layers_of(answer.content, tmp_path / f"a.{suffix}").values()
+        assert count == features_in(finished.results / f"default/{layer}.geojson")
+        assert (b"OpenStreetMap contributors" in answer.content) == (layer != "intersections")
+
+
+def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
+    with ThreadPoolExecutor(8) as threads:
+        answers = list(threads.map(finished.get, ["/jobs/paper/export.gpkg"] * 8))
+    assert {answer.status_code for answer in answers} == {200}
+    assert len({answer.headers["etag"] for answer in answers}) == 1
+    assert [path.name for path in (finished.data_dir / "jobs/paper/cache/exports").iterdir()] == ["all.gpkg"]
+    head = finished.client.head("/api/v1/jobs/paper/export.gpkg")
+    assert head.headers["content-length"] == str(len(answers[0].content))
+
+
+@pytest.mark.parametrize(("address", "status", "title"), [
+    ("/jobs/local/export.gpkg", 404, "Not georeferenced"),
+    ("/jobs/local/export.kml", 404, "Not georeferenced"),
+    ("/jobs/plain/export.fgb?layer=matches", 404, "Not scored"),
+    ("/jobs/default/export.fgb?layer=roofs", 422, "Request not valid"),
+    ("/jobs/default/export.shp", 404, "Not Found"),
+    ("/jobs/failed/export.gpkg", 409, "Result not ready"),
+])  # fmt: skip
+def test_why_there_is_none(address: str, status: int, title: str, finished: Finished) -> None:
+    answer = finished.get(address)
+    assert (answer.status_code, answer.json()["title"]) == (status, title)
+    assert answer.headers["content-type"] == "application/problem+json"

@@ -1,0 +1,177 @@
+"""The page is served from its folder, and nothing else is; the documentation needs no other host."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+
+PAGE = """<!doctype html><title>InterLoc</title><script type="module" src="static/js/main.js"></script>"""
+
+
+@pytest.fixture
+def static(tmp_path: Path) -> Path:
+    """A page that needs one package, among things that are nobody's business."""
+    root = tmp_path / "static"
+    for name, content in {
+        "index.html": PAGE,
+        "package.json": json.dumps({"dependencies": {"leaflet": "1.9.4"}, "devDependencies": {"tool": "1"}}),
+        "js/main.js": "export const answer = 42;\n" * 200,
+        "js/upload/main.js": "export const other = 43;\n" * 200,
+        "css/style.css": "body { margin: 0 }",
+        "icon.svg": "<svg xmlns='http://www.w3.org/2000/svg'/>",
+        "notes.py": "secret",
+        ".env": "secret",
+        "js/.hidden.js": "secret",
+        "node_modules/leaflet/dist/leaflet.js": "L = 1",
+        "node_modules/tool/dist/tool.js": "secret",
+        "node_modules/.package-lock.json": "secret",
+    }.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(content)
+    (tmp_path / "outside.js").write_text("secret")
+    (root / "js/link.js").symlink_to(tmp_path / "outside.js")
+    return root
+
+
+@pytest.fixture
+def page(serve: Callable[..., httpx.Client], static: Path) -> httpx.Client:
+    return serve(static_dir=static)
+
+
+def raw_get(client: httpx.Client, path: str) -> tuple[int, bytes]:
+    """Ask for a path as it is, dots and all."""
+    connection = http.client.HTTPConnection(urlsplit(str(client.base_url)).netloc, timeout=30)
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer.status, content
+
+
+def test_the_page_and_its_files(page: httpx.Client, static: Path) -> None:
+    for address, name, media_type in (
+        ("/", "index.html", "text/html; charset=utf-8"),
+        ("/static/js/main.js", "js/main.js", "text/javascript; charset=utf-8"),
+        ("/static/js/upload/main.js", "js/upload/main.js", "text/javascript; charset=utf-8"),
+        ("/static/css/style.css", "css/style.css", "text/css; charset=utf-8"),
+        ("/static/icon.svg", "icon.svg", "image/svg+xml"),
+        ("/static/node_modules/leaflet/dist/leaflet.js", "node_modules/leaflet/dist/leaflet.js", None),
+    ):
+        answer = page.get(address)
+        assert answer.status_code == 200
+        assert answer.content == (static / name).read_bytes()
+        assert media_type in {None, answer.headers["content-type"]}
+        assert answer.headers["cache-control"] == "no-cache"
+        assert "'unsafe-inline'" not in answer.headers["content-security-policy"]
+        assert page.get(address, headers={"if-none-match": answer.headers["etag"]}).status_code == 304
+        assert page.head(address).headers["etag"] == answer.headers["etag"]
+
+
+def test_a_changed_file_is_sent_anew(page: httpx.Client, static: Path) -> None:
+    before = page.get("/static/js/main.js")
+    (static / "js/main.js").write_text("export const answer = 43;\n" * 300)
+    after = page.get("/static/js/main.js", headers={"if-none-match": before.headers["etag"]})
+    assert after.status_code == 200
+    assert after.content == (static / "js/main.js").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/static/package.json",
+        "/static/notes.py",
+        "/static/.env",
+        "/static/js/.hidden.js",
+        "/static/js/link.js",
+        "/static/js",
+        "/static/",
+        "/static/js//main.js",
+        "/static/../outside.js",
+        "/static/js/../../outside.js",
+        "/static/%2e%2e/outside.js",
+        "/static/..%2foutside.js",
+        "/static//etc/passwd",
+        "/static/js/main.js%00.js",
+        "/static/node_modules/tool/dist/tool.js",
+        "/static/node_modules/.package-lock.json",
+        "/static/node_modules",
+    ],
+)
+def test_nothing_else_is_served(path: str, page: httpx.Client) -> None:
+    status, content = raw_get(page, path)
+    assert status == 404
+    assert b"secret" not in content
+    assert json.loads(content)["title"]
+
+
+def test_without_the_page_the_documentation_is_there(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    client = serve(static_dir=tmp_path / "nothing", root_path="/interloc")
+    answer = client.get("/")
+    assert (answer.status_code, answer.headers["location"]) == (307, "/interloc/docs")
+    listing = client.get("/docs")
+    assert listing.status_code == 200
+    for path in client.get("/openapi.json").json()["paths"]:
+        assert path in listing.text
+    assert not re.findall(r"<script|https?://", listing.text)
+
+
+def test_a_page_without_its_packages_is_not_installed(serve: Callable[..., httpx.Client], static: Path) -> None:
+    (static / "node_modules/leaflet").rename(static / "node_modules/gone")
+    client = serve(static_dir=static)
+    assert client.get("/").status_code == 307
+    (static / "node_modules/gone").rename(static / "node_modules/leaflet")
+    assert client.get("/").text == PAGE, "found without a restart"
+
+
+class _Addresses(HTMLParser):
+    """Gathers what a page loads."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        names = {"script": "src", "link": "href", "img": "src"}
+        self.found += [value for name, value in attrs if name == names.get(tag) and value]
+
+
+def test_the_real_page_and_documentation_load_from_here_only(serve: Callable[..., httpx.Client]) -> None:
+    client = serve()
+    if client.get("/").status_code != 200:
+        pytest.skip("the page is not installed: `npm ci` in static/")
+    for address in ("/", "/docs"):
+        answer = client.get(address)
+        page = _Addresses()
+        page.feed(answer.text)
+        assert page.found
+        for each in page.found:
+            assert not urlsplit(each).netloc
+            assert client.get(each).status_code == 200, each
+    assert "'unsafe-eval'" not in answer.headers["content-security-policy"]
+    assert "script-src 'self';" in answer.headers["content-security-policy"]
+
+
+def test_what_the_page_needs_to_know(serve: Callable[..., httpx.Client]) -> None:
+    told = serve(tile_url="", max_file_bytes=12345, overpass=False).get("/config.json").json()
+    assert told["tile_url"] is None
+    assert told["overpass"] is False
+    assert told["needs_token"] is False
+    assert told["limits"]["max_file_bytes"] == 12345
+    assert told["version"]
+
+
+def test_the_page_is_open_to_all_and_says_that_a_token_is_needed(
+    serve: Callable[..., httpx.Client], static: Path
+) -> None:
+    client = serve(static_dir=static, token="a-token-that-nobody-guesses")  # noqa: S106
+    assert client.get("/config.json").json()["needs_token"] is True
+    assert client.get("/").status_code == client.get("/static/js/main.js").status_code == 200
+    assert client.get("/api/v1/paper").status_code == 401
