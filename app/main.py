@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from app.drives.cleanup import Sweeper
 from app.middleware import add_middleware
+from app.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.problems import ProblemDocument, add_handlers
 from app.routes import (
     archive,
@@ -26,6 +27,7 @@ from app.routes import (
     scans,
     system,
 )
+from app.security import client_of
 from app.service import Service
 from app.settings import Settings
 from interloc.pipeline import versions
@@ -77,13 +79,17 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
         lifespan=lifespan,
         docs_url=None,  # the defaults ask other hosts for their scripts: see app/page/docs.py
         redoc_url=None,
-        responses={422: {"model": ProblemDocument}},
+        description=DESCRIPTION,
+        openapi_tags=TAGS,
+        generate_unique_id_function=operation_id,
+        responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` says where."}},
     )
+    app.openapi = Description(app)  # type: ignore[method-assign] # as FastAPI's documentation has it
     app.state.settings = settings
     add_handlers(app)
     add_middleware(app, settings)
     for module in (drives, files, scans, archive, commit, jobs, events, results, keyframes, exports, compare):
-        app.include_router(module.router, prefix=API)
+        app.include_router(module.router, prefix=API, dependencies=[Depends(client_of)])
     for module in (system, page):
         app.include_router(module.router)
     return app

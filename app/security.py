@@ -21,12 +21,13 @@ _bearer = HTTPBearer(
 )
 
 
-def _client(request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
+async def client_of(request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
+    """Return the name of the client, which the gate has found out; all of the API depends on it."""
     client: str = request.state.client
     return client
 
 
-ClientDep = Annotated[str, Depends(_client)]
+ClientDep = Annotated[str, Depends(client_of)]
 """Name of the client (of its token): owner of what it makes."""
 
 
@@ -47,4 +48,4 @@ def check_exposure(service: Service) -> None:
     )
 
 
-__all__ = ["ANONYMOUS", "ClientDep", "check_exposure"]
+__all__ = ["ANONYMOUS", "ClientDep", "check_exposure", "client_of"]

@@ -85,14 +85,10 @@ class _Request:
         headers = MutableHeaders(scope=message)
         headers["x-request-id"] = self.id
         self._is_stream = headers.get("content-type", "").startswith("text/event-stream")
-        if self._is_stream:
-            self._metrics.listeners.inc()
 
     def end(self) -> None:
         """Log and count it."""
         seconds = time.perf_counter() - self._started
-        if self._is_stream:
-            self._metrics.listeners.dec()
         self._metrics.count_request(
             self._scope["method"],
             self._route(),

@@ -28,7 +28,7 @@ _CONFLICT: dict[int | str, dict[str, Any]] = {
 
 
 @router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive")
-def plan(drive_id: str, request: PlanRequest, service: ServiceDep, _client: ClientDep) -> ReductionPlanModel:
+def plan_upload(drive_id: str, request: PlanRequest, service: ServiceDep, _client: ClientDep) -> ReductionPlanModel:
     """Tell which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
 
     For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
@@ -50,7 +50,7 @@ def plan(drive_id: str, request: PlanRequest, service: ServiceDep, _client: Clie
     },
     summary="Commit a drive",
 )
-async def commit(
+async def commit_drive(
     drive_id: str,
     response: Response,
     service: ServiceDep,
@@ -87,7 +87,7 @@ async def commit(
     },
     summary="Show where a drive went",
 )
-def trajectory(drive_id: str, service: ServiceDep, _client: ClientDep) -> FileResponse:
+def show_trajectory(drive_id: str, service: ServiceDep, _client: ClientDep) -> FileResponse:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
     file = trajectory_file(service, drive_id)
     return FileResponse(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

@@ -1,0 +1,128 @@
+"""The description of the API is whole: it is all that many will read of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from fastapi.routing import APIRoute
+
+from app.main import create_app
+from app.settings import Settings
+
+MEDIA_TYPE = "application/problem+json"
+Operation = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def document() -> dict[str, Any]:
+    return create_app(Settings()).openapi()
+
+
+def operations(document: dict[str, Any]) -> Iterator[tuple[str, Operation]]:
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            yield f"{method.upper()} {path}", operation
+
+
+def test_every_operation_is_described(document: dict[str, Any]) -> None:
+    tags = {tag["name"] for tag in document["tags"]}
+    lacking = [
+        name
+        for name, operation in operations(document)
+        if not operation.get("summary")
+        or not operation.get("description", "").endswith((".", ")", "`"))
+        or operation["summary"].endswith(".")
+        or len(operation.get("tags", [])) != 1
+        or operation["tags"][0] not in tags
+    ]
+    assert lacking == []
+    assert {operation["tags"][0] for _, operation in operations(document)} == tags
+
+
+def test_names_of_operations_are_good_names_of_functions(document: dict[str, Any]) -> None:
+    names = [operation["operationId"] for _, operation in operations(document)]
+    assert len(set(names)) == len(names)
+    assert [name for name in names if not re.fullmatch(r"[a-z]+(_[a-z0-9]+)+", name)] == []
+
+
+def test_every_error_is_a_problem_document(document: dict[str, Any]) -> None:
+    lacking = []
+    for name, operation in operations(document):
+        statuses = operation["responses"]
+        assert "default" in statuses, name
+        if name.partition(" ")[2].startswith("/api/"):
+            assert operation["security"] == [{"token": []}], name
+            assert "401" in statuses, name
+        if "{" in name and "/presets/" not in name:
+            assert "404" in statuses, name
+        for status, response in statuses.items():
+            is_error = status == "default" or (status >= "4" and status != "416")
+            if is_error and (list(response.get("content", {})) != [MEDIA_TYPE] or not response["description"]):
+                lacking.append(f"{name}: {status}")
+    assert lacking == ["GET /readyz: 503"]
+
+
+def test_every_parameter_and_body_is_described(document: dict[str, Any]) -> None:
+    schemas = document["components"]["schemas"]
+    for name, operation in operations(document):
+        for parameter in operation.get("parameters", []):
+            described = parameter.get("description") or parameter["name"] in {"drive_id", "path", "limit", "name"}
+            assert described, f"{name}: {parameter['name']}"
+    for schema in ("NewDrive", "NewJob", "CommitRequest"):
+        for field, described in schemas[schema]["properties"].items():
+            known = described.get("description") or "$ref" in described or field in {"drive_id", "options", "keep_raw"}
+            assert known, f"{schema}.{field}"
+    assert schemas["NewDrive"]["examples"]
+    assert schemas["NewJob"]["examples"]
+
+
+def test_references_lead_somewhere(document: dict[str, Any]) -> None:
+    def references(value: Any) -> Iterator[str]:
+        if isinstance(value, dict):
+            yield from ([value["$ref"]] if isinstance(value.get("$ref"), str) else [])
+            for each in value.values():
+                yield from references(each)
+        elif isinstance(value, list):
+            for each in value:
+                yield from references(each)
+
+    found = set(references(document))
+    assert "#/components/schemas/ProblemDocument" in found
+    for reference in found:
+        assert reference.removeprefix("#/components/schemas/") in document["components"]["schemas"]
+
+
+def test_nothing_of_the_api_is_left_out() -> None:
+    """Only the page, the documentation and HEAD of what can be got are not described."""
+    app = create_app(Settings())
+    hidden = {
+        (method, route.path)
+        for router in [app.router, *(included.original_router for included in included_routers(app))]
+        for route in router.routes
+        if isinstance(route, APIRoute) and not route.include_in_schema
+        for method in route.methods
+    }
+    assert {path for method, path in hidden if method != "HEAD"} <= {
+        "/",
+        "/static/{path:path}",
+        "/docs",
+        "/docs/start.js",
+    }
+
+
+def included_routers(app: Any) -> list[Any]:
+    return [route for route in app.router.routes if hasattr(route, "original_router")]
+
+
+def test_the_document_is_served_under_the_root_path(serve_all: Any) -> None:
+    client: httpx.Client = serve_all(root_path="/interloc")
+    for path in ("/openapi.json", "/interloc/openapi.json"):
+        answer = client.get(path)
+        assert answer.status_code == 200
+        assert answer.json()["servers"] == [{"url": "/interloc"}]
+    created = client.post("/interloc/api/v1/drives", json={"name": "a"})
+    assert created.headers["location"] == f"/interloc/api/v1/drives/{created.json()['id']}"
