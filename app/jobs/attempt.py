@@ -8,7 +8,6 @@ from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -212,6 +211,8 @@ class Attempt:
         return state
 
     def _settle(self, state: State, outcome: Outcome | Problem) -> bool:
+        from app.drives.settle import settle  # noqa: PLC0415 - it needs the service, of which this is a part
+
         job_id = self.claim.job.id
         error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
         summary = None if isinstance(outcome, Problem) else outcome.summary
@@ -223,7 +224,7 @@ class Attempt:
             if self._kind.is_quick:
                 job = session.get(Job, job_id)
                 assert job is not None
-                import_module("app.drives.settle").settle(session, self._service, job, outcome)
+                settle(session, self._service, job, outcome)
         return True
 
     def _leave(self) -> str:

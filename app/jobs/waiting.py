@@ -18,30 +18,14 @@ if TYPE_CHECKING:
 _FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
 
 
-def wait_for(service: Service, job_id: str, seconds: float) -> Job:
+async def wait_for_async(service: Service, job_id: str, seconds: float) -> Job:
     """Return a job when it has ended, or as it is after some seconds, or when the server is to stop.
 
     Raises
     ------
     Problem
         404 there is no such job (any more).
-
-    Notes
-    -----
-    It holds a thread but no connection. An endpoint that is `async` waits by `wait_for_async`, without a thread.
     """
-    end = time.monotonic() + seconds
-    pause_s = _FIRST_LOOK_S
-    while True:
-        job = _look(service, job_id)
-        left_s = end - time.monotonic()
-        if job.state in FINAL or left_s <= 0 or service.stopping.wait(min(pause_s, left_s)):
-            return job
-        pause_s = min(1.3 * pause_s, _LAST_LOOK_S)
-
-
-async def wait_for_async(service: Service, job_id: str, seconds: float) -> Job:
-    """Do what `wait_for` does in the event loop."""
     end = time.monotonic() + seconds
     pause_s = _FIRST_LOOK_S
     while True:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.work.checkpoints import read_checkpoint, write_checkpoint
+from app.work.places import REDUCED
 from app.work.progress import Board
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.config import DetectorConfig
@@ -80,7 +80,6 @@ def finish(task: Task, plan: Plan) -> Outcome:
         workers=min(int(task.limits.get("workers", 1)), len(plan.parts)),
         seconds=max(0.0, time.time() - plan.notes["began"]),
     )
-    result = replace(result, drive=task.drive_name, run=result.run | {"drive": task.drive_name})
     report = None
     with atomic_folder(task.result) as folder:
         write_results(result, folder)
@@ -94,14 +93,13 @@ def finish(task: Task, plan: Plan) -> Outcome:
 def open_input(task: Task) -> tuple[Drive, _Positions]:
     """Return the drive of a task, and the positions of its keyframes."""
     config = config_of(task)
-    reduced = task.drive / "reduced"
-    root = reduced if reduced.is_dir() else task.drive / "files"
-    return _open_once(root, _label_folder(task, root), config)
+    root = task.drive / REDUCED
+    return _open_once(root, task.drive_name, _label_folder(task, root), config)
 
 
 @lru_cache(maxsize=4)  # a worker does many parts of few drives; their files do not change any more
-def _open_once(root: Path, labels: LabelFolder, config: DetectorConfig) -> tuple[Drive, _Positions]:
-    drive = open_drive(root, labels=labels, check=False)  # the commit has checked it
+def _open_once(root: Path, name: str, labels: LabelFolder, config: DetectorConfig) -> tuple[Drive, _Positions]:
+    drive = open_drive(root, name=name, labels=labels, check=False)  # the commit has checked it
     return drive, select_keyframes(drive.T_world_lidar, config.keyframes)
 
 

@@ -1,0 +1,280 @@
+"""The queue, on SQLite and on PostgreSQL: fair, fenced, and nobody gets what another one has."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app.database import Database
+from app.jobs.queue import Claim, JobQueue, cancel, submit
+from app.models import Drive, Job
+from app.problems import Problem
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'jobs.sqlite3'}"
+    address: str = request.getfixturevalue("postgres_url")
+    return address
+
+
+@pytest.fixture
+def database(url: str) -> Iterator[Database]:
+    database = Database(url)
+    database.upgrade()
+    yield database
+    database.close()
+
+
+@pytest.fixture
+def drive(database: Database) -> str:
+    return add_drive(database)
+
+
+def add_drive(database: Database, state: str = "ready") -> str:
+    with database.writing() as session:
+        now = database.clock(session)
+        row = Drive(name="town", owner="ann", state=state, options={}, created_at=now, touched_at=now)
+        session.add(row)
+        session.flush()
+        return row.id
+
+
+def add_job(database: Database, drive_id: str, owner: str = "ann", kind: str = "intersections", **more: Any) -> str:
+    with database.writing() as session:
+        request = {"name": owner}
+        job, is_new = submit(session, database, kind=kind, drive_id=drive_id, owner=owner, request=request, **more)
+        assert is_new
+        return job.id
+
+
+def read_job(database: Database, job_id: str) -> Job:
+    with database.reading() as session:
+        job = session.get(Job, job_id)
+        assert job is not None
+        return job
+
+
+def finish(database: Database, queue: JobQueue, claim: Claim) -> bool:
+    with database.writing() as session:
+        return queue.finish(session, claim, "successful", summary={"by": claim.lease})
+
+
+def taken(queue: JobQueue) -> str | None:
+    claim = queue.claim()
+    return None if claim is None else claim.job.id
+
+
+def claim_all(url: str) -> list[str]:
+    """Claim until nothing is left: what a server of its own does."""
+    database = Database(url)
+    queue = JobQueue(database, 60)
+    found = []
+    for _ in range(5):  # on PostgreSQL a look can miss what another one is just letting go
+        while (job_id := taken(queue)) is not None:
+            found.append(job_id)
+        time.sleep(0.01)
+    database.close()
+    return found
+
+
+def test_the_oldest_job_is_first(database: Database, drive: str) -> None:
+    jobs = [add_job(database, drive) for _ in range(3)]
+    queue = JobQueue(database, 60)
+    assert [taken(queue) for _ in range(4)] == [*jobs, None]
+
+
+def test_the_client_with_the_fewest_running_jobs_is_next(database: Database, drive: str) -> None:
+    first, second, third = (add_job(database, drive, "ann") for _ in range(3))
+    bob = add_job(database, drive, "bob")
+    queue = JobQueue(database, 60)
+    assert [taken(queue) for _ in range(4)] == [first, bob, second, third]
+
+
+def test_uploads_go_before_long_work(database: Database, drive: str) -> None:
+    long = add_job(database, drive)
+    commit = add_job(database, add_drive(database, "checking"), kind="commit")
+    unpack = add_job(database, add_drive(database, "uploading"), kind="unpack")
+    queue = JobQueue(database, 60)
+    assert [taken(queue) for _ in range(3)] == [commit, unpack, long]
+
+
+def test_only_quick_jobs_where_there_is_no_room_for_others(database: Database, drive: str) -> None:
+    add_job(database, drive)
+    queue = JobQueue(database, 60)
+    assert queue.claim(quick_only=True) is None
+    commit = add_job(database, add_drive(database, "checking"), kind="commit")
+    claim = queue.claim(quick_only=True)
+    assert claim is not None
+    assert claim.job.id == commit
+
+
+def test_a_job_waits_for_the_check_of_its_drive(database: Database) -> None:
+    drive_id = add_drive(database, "checking")
+    job_id = add_job(database, drive_id)
+    assert read_job(database, job_id).message == "Waiting for the check of its drive."
+    queue = JobQueue(database, 60)
+    assert queue.claim() is None
+    with database.writing() as session:
+        session.get_one(Drive, drive_id).state = "ready"
+    claim = queue.claim()
+    assert claim is not None
+    assert (claim.job.id, claim.drive_name, claim.drive_state) == (job_id, "town", "ready")
+    assert read_job(database, job_id).message is None
+
+
+def test_threads_never_get_the_same_job(url: str, database: Database, drive: str) -> None:
+    jobs = [add_job(database, drive, f"client {number % 3}") for number in range(40)]
+    with ThreadPoolExecutor(8) as pool:
+        found = [job_id for some in pool.map(claim_all, [url] * 8) for job_id in some]
+    assert Counter(found) == Counter(jobs)
+
+
+def test_processes_never_get_the_same_job(url: str, database: Database, drive: str) -> None:
+    jobs = [add_job(database, drive) for _ in range(40)]
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        found = [job_id for some in pool.map(claim_all, [url] * 2) for job_id in some]
+    assert Counter(found) == Counter(jobs)
+
+
+def test_a_silent_server_loses_its_job_and_changes_nothing_more(database: Database, drive: str) -> None:
+    job_id = add_job(database, drive)
+    silent, other = JobQueue(database, 0.05), JobQueue(database, 60)
+    old = silent.claim()
+    assert old is not None
+    time.sleep(0.1)
+    new = other.claim()
+    assert new is not None
+    assert (new.job.id, new.job.attempts) == (job_id, 2)
+
+    assert silent.heartbeat([old.lease]) == {old.lease: "lost"}
+    assert not silent.progress(old, done=99)
+    assert not silent.release(old)
+    assert not finish(database, silent, old)
+    assert finish(database, other, new)
+    assert not finish(database, other, new)
+    job = read_job(database, job_id)
+    assert (job.state, job.done, job.summary) == ("successful", 0, {"by": new.lease})
+
+
+def test_a_server_that_speaks_up_keeps_its_job(database: Database, drive: str) -> None:
+    add_job(database, drive)
+    queue, other = JobQueue(database, 0.5), JobQueue(database, 60)
+    claim = queue.claim()
+    assert claim is not None
+    for _ in range(4):
+        time.sleep(0.2)
+        assert queue.heartbeat([claim.lease]) == {claim.lease: "held"}
+        assert other.claim() is None
+    version = read_job(database, claim.job.id).version
+    assert version == claim.job.version  # a heartbeat is no change
+
+
+def test_a_job_that_is_given_back_keeps_its_attempts(database: Database, drive: str) -> None:
+    job_id = add_job(database, drive)
+    queue = JobQueue(database, 60)
+    for _ in range(5):
+        claim = queue.claim()
+        assert claim is not None
+        assert claim.job.attempts == 1
+        assert queue.release(claim)
+    job = read_job(database, job_id)
+    assert (job.state, job.attempts, job.lease_owner) == ("accepted", 0, None)
+
+
+def test_every_change_counts(database: Database, drive: str) -> None:
+    job_id = add_job(database, drive)
+    queue = JobQueue(database, 60)
+    versions = [read_job(database, job_id).version]
+    claim = queue.claim()
+    assert claim is not None
+    versions.append(read_job(database, job_id).version)
+    assert queue.progress(claim, done=3, total=10, stage="detecting")
+    versions.append(read_job(database, job_id).version)
+    assert finish(database, queue, claim)
+    versions.append(read_job(database, job_id).version)
+    assert versions == [1, 2, 3, 4]
+
+
+def test_a_waiting_job_is_dismissed_at_once_and_a_running_one_is_told(database: Database, drive: str) -> None:
+    waiting, running = add_job(database, drive), add_job(database, drive)
+    queue = JobQueue(database, 60)
+    first = queue.claim()
+    assert first is not None
+    for job_id in (waiting, running):
+        with database.writing() as session:
+            cancel(session, database, session.get_one(Job, job_id))
+    assert first.job.id == waiting
+    assert queue.look([first.lease]) == {first.lease: "cancelled"}
+    assert queue.heartbeat([first.lease]) == {first.lease: "cancelled"}
+    assert read_job(database, running).state == "dismissed"
+    assert queue.claim() is None
+
+
+def test_a_deleted_job_is_lost(database: Database, drive: str) -> None:
+    job_id = add_job(database, drive)
+    queue = JobQueue(database, 60)
+    claim = queue.claim()
+    assert claim is not None
+    with database.writing() as session:
+        session.delete(session.get_one(Job, job_id))
+    assert queue.look([claim.lease]) == {claim.lease: "lost"}
+    assert not finish(database, queue, claim)
+
+
+def test_the_same_key_is_the_same_job(database: Database, drive: str) -> None:
+    job_id = add_job(database, drive, key="k")
+    with database.writing() as session:
+        job, is_new = submit(
+            session,
+            database,
+            kind="intersections",
+            drive_id=drive,
+            owner="ann",
+            request={"name": "ann"},
+            key="k",
+        )
+    assert (job.id, is_new) == (job_id, False)
+    assert add_job(database, drive, "bob", key="k") != job_id  # another client's key
+    with pytest.raises(Problem, match="another request") as caught, database.writing() as session:
+        submit(session, database, kind="intersections", drive_id=drive, owner="ann", request={}, key="k")
+    assert caught.value.status == 422
+
+
+def test_one_key_sent_many_times_at_once_is_one_job(url: str, database: Database, drive: str) -> None:
+    def send(_: int) -> str:
+        own = Database(url)
+        with own.writing() as session:
+            job, _new = submit(session, own, kind="intersections", drive_id=drive, owner="ann", request={}, key="k")
+        own.close()
+        return job.id
+
+    with ThreadPoolExecutor(8) as pool:
+        assert len(set(pool.map(send, range(16)))) == 1
+
+
+def test_a_client_can_have_so_many_jobs_and_no_more(database: Database, drive: str) -> None:
+    for _ in range(2):
+        add_job(database, drive, limit=2)
+    with pytest.raises(Problem, match="2 jobs of ann") as caught:
+        add_job(database, drive, limit=2)
+    assert caught.value.status == 429
+    assert caught.value.headers == {"Retry-After": "30"}
+    add_job(database, drive, "bob", limit=2)
+
+
+def test_a_drive_that_takes_files_still_takes_no_jobs(database: Database) -> None:
+    with pytest.raises(Problem, match="Commit it first") as caught:
+        add_job(database, add_drive(database, "uploading"))
+    assert caught.value.status == 409
+    with pytest.raises(Problem, match="no drive nowhere"):
+        add_job(database, "nowhere")
