@@ -16,6 +16,7 @@ from app.routes import (
     archive,
     commit,
     compare,
+    demo,
     drives,
     events,
     exports,
@@ -88,7 +89,7 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
     app.state.settings = settings
     add_handlers(app)
     add_middleware(app, settings)
-    for module in (drives, files, scans, archive, commit, jobs, events, results, keyframes, exports, compare):
+    for module in (drives, files, scans, archive, commit, jobs, events, results, keyframes, exports, compare, demo):
         app.include_router(module.router, prefix=API, dependencies=[Depends(client_of)])
     for module in (system, page):
         app.include_router(module.router)

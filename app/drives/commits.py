@@ -53,15 +53,17 @@ def begin_commit(service: Service, drive_id: str, owner: str, request: CommitReq
             drive.options = {**DriveOptionsModel.model_validate(drive.options).model_dump(mode="json"), **given}
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
-        work: dict[str, Any] = {
-            "options": drive.options,
-            "keep_raw": drive.keep_raw,
-            "check_only": request.check_only,
-        }
-        job, _ = submit(session, service.database, kind="commit", drive_id=drive_id, owner=owner, request=work)
-        drive.state = "checking"
-        drive.touched_at = job.created_at
+        job = queue_commit(session, service, drive, owner, check_only=request.check_only)
     service.runner.wake()
+    return job
+
+
+def queue_commit(session: Session, service: Service, drive: Drive, owner: str, *, check_only: bool = False) -> Job:
+    """Queue the check of a drive, within a transaction that has locked it."""
+    work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
+    job, _ = submit(session, service.database, kind="commit", drive_id=drive.id, owner=owner, request=work)
+    drive.state = "checking"
+    drive.touched_at = job.created_at
     return job
 
 

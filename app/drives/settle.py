@@ -13,6 +13,7 @@ from pathlib import Path
 from sqlalchemy import event, select
 from sqlalchemy.orm import Session
 
+from app.drives.commits import queue_commit
 from app.drives.intake import INCOMING, Arrival
 from app.drives.names import is_map
 from app.drives.placement import Placement, refuse_unless_open, register, sizes_of
@@ -49,8 +50,10 @@ def settle(session: Session, service: Service, job: Job, outcome: Outcome | Prob
     drive.touched_at = service.database.clock(session)
     if job.kind == "commit":
         _settle_commit(session, service, job, drive, outcome)
-    elif job.kind == "unpack":
+    elif job.kind in {"unpack", "demo"}:
         _settle_unpack(session, service, job, drive, outcome)
+        if job.kind == "demo" and job.state == "successful":  # nobody may wait for it any more
+            queue_commit(session, service, drive, job.owner)
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
     archive = job.request.get("archive")
 

@@ -1,0 +1,54 @@
+"""A drive to try the service with."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from fastapi import APIRouter, Response
+from fastapi.concurrency import run_in_threadpool
+
+from app.drives.archives import raise_failure
+from app.drives.commits import begin_commit, committed
+from app.drives.demos import begin_demo
+from app.drives.preferences import wait_of
+from app.jobs.waiting import wait_for_async
+from app.problems import ProblemDocument
+from app.routes.archive import PreferHeader
+from app.schemas.drives import CommitRequest, DriveModel
+from app.security import ClientDep
+from app.service import ServiceDep
+
+router = APIRouter(tags=["Drives"])
+
+_ANSWERS: dict[int | str, dict[str, Any]] = {
+    202: {"model": DriveModel, "description": "It is still being made or checked; ask for the drive again."},
+    507: {"model": ProblemDocument, "description": "The disk is full."},
+}
+
+
+@router.post("/demo", summary="Make a demo drive", operation_id="make_demo_drive", responses=_ANSWERS)
+async def make_demo(
+    response: Response, service: ServiceDep, client: ClientDep, prefer: PreferHeader = None
+) -> DriveModel:
+    """Simulate a drive through a small made-up town, and commit it; its map is `map.osm` among its files.
+
+    It takes half a minute. Asked again, it answers with the drive that there is.
+    """
+    wait_s = wait_of(prefer)
+    end = time.monotonic() + wait_s
+    job = await run_in_threadpool(begin_demo, service, client)
+    drive_id, check = job.drive_id, None
+    job = await wait_for_async(service, job.id, wait_s)
+    raise_failure(job)
+    if job.state == "successful":
+        check = await run_in_threadpool(begin_commit, service, drive_id, client, CommitRequest())
+        if check is not None:
+            check = await wait_for_async(service, check.id, max(0.0, end - time.monotonic()))
+    drive = await run_in_threadpool(committed, service, drive_id, check)
+    if drive.state != "ready":
+        response.status_code = 202
+    response.headers["Location"] = f"{service.settings.root_path}/api/v1/drives/{drive_id}"
+    if prefer:
+        response.headers["Preference-Applied"] = f"wait={wait_s}"
+    return drive

@@ -1,0 +1,61 @@
+"""The drive of the demo: through a small made-up town, as `interloc simulate town --small` makes it, but coarser."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+
+from app.work.places import LISTING, UNPACKED
+from app.work.task import Outcome, Part, Plan, Report, Task
+
+_SCANS = 281
+_COLUMNS = 1024  # shots of a laser a turn: half of a real one's, which is enough and half the work
+
+
+def prepare(task: Task) -> Plan:
+    """Tell how many scans there will be, about."""
+    del task
+    return Plan([Part(0, 0, _SCANS)], _SCANS)
+
+
+def run(task: Task, part: Part, report: Report) -> None:
+    """Simulate the drive into the scratch folder, with a list of its files."""
+    if (task.scratch / LISTING).is_file():
+        return
+    from interloc.simulate.config import LidarConfig  # noqa: PLC0415 - other work needs no simulator
+    from interloc.simulate.town import simulate_town  # noqa: PLC0415
+
+    folder = task.scratch / f"simulating-{task.attempt}"
+    shutil.rmtree(folder, ignore_errors=True)
+    drive = folder / "drive"
+    try:
+        simulate_town(
+            drive,
+            part="plain",
+            keyframes_only=True,
+            ground_only=True,
+            sensor=LidarConfig(columns=_COLUMNS),
+            progress=lambda done, _: report(min(done, part.stop)),
+        )
+        listing = []
+        for path in sorted(path for path in drive.rglob("*") if path.is_file()):
+            content = path.read_bytes()
+            digest = hashlib.sha256(content).hexdigest()
+            listing.append({"path": path.relative_to(drive).as_posix(), "size_bytes": len(content), "sha256": digest})
+        os.sync()
+        listed = folder / "listing"
+        listed.write_text(json.dumps(listing))
+        shutil.rmtree(task.scratch / UNPACKED, ignore_errors=True)
+        drive.rename(task.scratch / UNPACKED)
+        listed.rename(task.scratch / LISTING)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def finish(task: Task, plan: Plan) -> Outcome:
+    """Say what was made; the server gives the files their places, and commits the drive."""
+    del plan
+    listing = json.loads((task.scratch / LISTING).read_text())
+    return Outcome({"files": len(listing), "size_bytes": sum(file["size_bytes"] for file in listing)})

@@ -1,0 +1,62 @@
+"""The demo drive: made once for a client, committed by itself, good for a job with its own map."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx
+
+API = "/api/v1"
+
+
+def until(client: httpx.Client, address: str, state: str) -> dict[str, Any]:
+    """Ask until something has a state."""
+    for _ in range(1200):
+        told: dict[str, Any] = client.get(f"{API}{address}").json()
+        if told["state"] in {state, "failed"}:
+            break
+        time.sleep(0.1)
+    assert told["state"] == state, told
+    return told
+
+
+def test_the_demo_runs_from_one_click_to_a_report(serve: Callable[..., httpx.Client]) -> None:
+    client = serve()
+    impatient = {"prefer": "wait=0"}
+    with ThreadPoolExecutor(4) as threads:
+        answers = list(threads.map(lambda _: client.post(f"{API}/demo", headers=impatient), range(4)))
+    assert {answer.status_code for answer in answers} == {202}
+    (drive_id,) = {answer.json()["id"] for answer in answers}
+    assert answers[0].headers["location"] == f"{API}/drives/{drive_id}"
+    drive = until(client, f"/drives/{drive_id}", "ready")  # nobody asks for its commit
+    assert [problem for problem in drive["report"]["problems"] if problem["severity"] == "error"] == []
+    again = client.post(f"{API}/demo")
+    assert (again.status_code, again.json()["id"]) == (200, drive_id)
+    assert len(client.get(f"{API}/drives").json()["drives"]) == 1
+
+    request = {"drive_id": drive_id, "osm": {"file": "map.osm"}}
+    job = client.post(f"{API}/jobs", json=request).json()
+    summary = until(client, f"/jobs/{job['id']}", "successful")["summary"]
+    assert summary["report"]["nodes_found"] == summary["report"]["nodes_in_zone"] == 5
+    report = client.get(f"{API}/jobs/{job['id']}/report").json()
+    assert report["precision"]["5.0"] > 0.9
+    assert client.get(f"{API}/jobs/{job['id']}/osm-roads").status_code == 200
+    assert client.get(f"{API}/jobs/{job['id']}/keyframes/100/bev.png?layer=all").status_code == 200
+
+    assert client.delete(f"{API}/drives/{drive_id}").status_code == 204
+    new = client.post(f"{API}/demo", headers=impatient).json()
+    assert new["id"] != drive_id
+
+
+def test_a_demo_that_was_cancelled_is_begun_anew(serve: Callable[..., httpx.Client]) -> None:
+    client = serve()
+    first = client.post(f"{API}/demo", headers={"prefer": "wait=0"}).json()
+    (job,) = client.get(f"{API}/jobs?kind=demo").json()["jobs"]
+    client.delete(f"{API}/jobs/{job['id']}")
+    until(client, f"/jobs/{job['id']}", "dismissed")
+    second = client.post(f"{API}/demo", headers={"prefer": "wait=0"}).json()
+    assert [drive["id"] for drive in client.get(f"{API}/drives").json()["drives"]] == [second["id"]]
+    assert second["id"] != first["id"]
