@@ -1,0 +1,178 @@
+"""Workers: a killed one takes only its own work with it, and is replaced."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from app.jobs.executors import DaskExecutor, WorkerLostError, open_executor
+from app.jobs.processes import ProcessExecutor
+from app.settings import Settings
+from interloc.errors import ConfigError, DriveError
+from tests.app.processes import wait_until
+
+
+def pid_of(delay_s: float = 0.0) -> int:
+    time.sleep(delay_s)
+    return os.getpid()
+
+
+def wait_for_file(path: Path) -> int:
+    """Say that the work has begun, and go on until the file is there."""
+    path.with_name(f"{path.name}.began-{os.getpid()}").touch()
+    while not path.exists():
+        time.sleep(0.01)
+    return os.getpid()
+
+
+def fail() -> None:
+    raise DriveError("labels/000010.label: is missing")
+
+
+class _NeverBackError(Exception):
+    def __init__(self, one: int, two: int) -> None:
+        super().__init__(f"{one} and {two}")
+
+
+def fail_without_return() -> None:
+    raise _NeverBackError(1, 2)
+
+
+def return_a_lock() -> object:
+    return threading.Lock()
+
+
+def sleep_for_ever(path: Path) -> None:
+    path.write_text(str(os.getpid()))
+    time.sleep(3600)
+
+
+@pytest.fixture
+def executor() -> Iterator[ProcessExecutor]:
+    executor = ProcessExecutor(2)
+    yield executor
+    executor.stop()
+
+
+def is_gone(pid: int) -> bool:
+    return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+
+
+def begun(path: Path) -> list[int]:
+    return [int(each.name.rpartition("-")[2]) for each in path.parent.glob(f"{path.name}.began-*")]
+
+
+def test_work_is_done_in_other_processes(executor: ProcessExecutor) -> None:
+    pids = {future.result(60) for future in [executor.submit(pid_of, 0.05) for _ in range(20)]}
+    assert os.getpid() not in pids
+    assert pids <= set(executor.pids)
+
+
+def test_a_killed_worker_takes_only_its_own_work_with_it(tmp_path: Path) -> None:
+    lost: list[int] = []
+    executor = ProcessExecutor(2, lambda: lost.append(1))
+    try:
+        first, second = tmp_path / "first", tmp_path / "second"
+        doomed, other = executor.submit(wait_for_file, first), executor.submit(wait_for_file, second)
+        waiting = executor.submit(pid_of)
+        wait_until(lambda: begun(first) and begun(second), "both workers to be at work")
+        os.kill(begun(first)[0], signal.SIGKILL)
+        with pytest.raises(WorkerLostError, match="SIGKILL"):
+            doomed.result(60)
+        assert waiting.result(60) not in begun(first)  # done by the worker that took its place
+        second.touch()
+        assert other.result(60) == begun(second)[0]
+        assert lost == [1]
+        assert executor.alive == 2
+    finally:
+        executor.stop()
+
+
+def test_an_idle_worker_that_was_killed_is_replaced(executor: ProcessExecutor) -> None:
+    executor.submit(pid_of).result(60)
+    before = wait_until(lambda: len(executor.pids) == 2 and executor.pids, "both workers to run")
+    for pid in before:
+        os.kill(pid, signal.SIGKILL)
+    wait_until(lambda: all(map(is_gone, before)), "the workers to be gone", 10)
+    assert executor.submit(pid_of).result(60) not in before
+
+
+def test_errors_come_back_with_their_words(executor: ProcessExecutor) -> None:
+    with pytest.raises(DriveError) as caught:
+        executor.submit(fail).result(60)
+    assert str(caught.value) == "labels/000010.label: is missing"
+    with pytest.raises(RuntimeError, match="_NeverBackError: 1 and 2"):
+        executor.submit(fail_without_return).result(60)
+    with pytest.raises(TypeError, match="cannot pickle"):
+        executor.submit(return_a_lock).result(60)
+    with pytest.raises(TypeError, match="cannot pickle"):
+        executor.submit(pid_of, threading.Lock()).result(60)  # type: ignore[arg-type]
+    assert executor.submit(pid_of).result(60) in executor.pids
+
+
+def test_cancelled_work_is_never_begun(tmp_path: Path) -> None:
+    executor = ProcessExecutor(1)
+    try:
+        gate, never = tmp_path / "gate", tmp_path / "never"
+        running = executor.submit(wait_for_file, gate)
+        waiting = executor.submit(wait_for_file, never)
+        assert waiting.cancel()
+        gate.touch()
+        running.result(60)
+        executor.submit(pid_of).result(60)
+        assert not begun(never)
+    finally:
+        executor.stop()
+
+
+def test_a_stop_ends_what_runs(tmp_path: Path) -> None:
+    executor = ProcessExecutor(1)
+    running = executor.submit(sleep_for_ever, tmp_path / "pid")
+    waiting = executor.submit(pid_of)
+    pid = int(wait_until(lambda: (tmp_path / "pid").exists() and (tmp_path / "pid").read_text(), "the work to begin"))
+    executor.stop()
+    assert isinstance(running.exception(10), WorkerLostError)
+    assert waiting.cancelled()
+    wait_until(lambda: is_gone(pid), "the worker to be gone", 10)
+    with pytest.raises(RuntimeError, match="stopped"):
+        executor.submit(pid_of)
+
+
+def test_workers_end_with_their_server(tmp_path: Path) -> None:
+    code = (
+        "import sys, pathlib, time\n"
+        "from app.jobs.processes import ProcessExecutor\n"
+        "from tests.app.test_executors import sleep_for_ever\n"
+        "if __name__ == '__main__':\n"
+        "    executor = ProcessExecutor(1)\n"
+        "    executor.submit(sleep_for_ever, pathlib.Path(sys.argv[1]))\n"
+        "    time.sleep(3600)\n"
+    )
+    path = tmp_path / "pid"
+    script = tmp_path / "server.py"
+    script.write_text(code)
+    root = str(Path(__file__).parents[2])
+    server = subprocess.Popen([sys.executable, str(script), str(path)], env={**os.environ, "PYTHONPATH": root})
+    try:
+        pid = int(wait_until(lambda: path.exists() and path.read_text(), "the worker to be at work"))
+    finally:
+        server.kill()
+        server.wait()
+    wait_until(lambda: is_gone(pid), "the worker to be gone", 20)
+
+
+def test_no_dask_scheduler_is_told(tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path, dask="tcp://127.0.0.1:9")
+    with pytest.raises(ConfigError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        open_executor(settings, lambda: None)
+    with pytest.raises(ConfigError, match="no Dask scheduler answers at nonsense://"):
+        DaskExecutor("nonsense://", lambda: None)
