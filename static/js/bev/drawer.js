@@ -71,7 +71,7 @@ export function mountDrawer(drawer) {
       ),
       note,
       trouble,
-      el("div", { class: "steps" }, figures.map((each) => each.figure)),
+      el("div", { class: "pictures" }, figures.map((each) => each.figure)),
       el("label", { class: "row" }, el("span", { class: "small" }, "Opacity on the map"), fade),
       seen,
     ),

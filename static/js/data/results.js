@@ -90,6 +90,26 @@ async function load(job) {
   };
 }
 
+/**
+ * The way of a drive alone, for a job that still runs.
+ * @param {any} job
+ * @returns {Promise<Result|null>} null where the drive cannot tell.
+ */
+export async function loadWay(job) {
+  const at = `drives/${job.drive_id}/trajectory`;
+  let local = false;
+  let way = await getJson(at).catch(() => null);
+  if (!way) {
+    local = true;
+    way = await getJson(`${at}?local=true`).catch(() => null);
+  }
+  const geometry = way?.geometry ?? way?.features?.[0]?.geometry ?? way;
+  if (!geometry?.coordinates?.length) return null;
+  /** @type {any} */
+  const nothing = { keyframes: [], detections: [], intersections: [], nodes: [], matches: [], roads: [], byFrame: new Map() };
+  return { ...nothing, job, run: {}, report: null, local, frame: new Frame([], local), trajectory: geometry.coordinates, roi_m: 0, zone_m: null };
+}
+
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */
 async function orNull(answer) {
   try {

@@ -7,7 +7,7 @@ import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "..
 import { lists, onListsChange, refreshLists } from "../data/lists.js";
 import { openRunDialog } from "../job/run_dialog.js";
 import { confirmAction, problemNote, showError } from "../shell/messages.js";
-import { jobName, openDrive } from "../shell/header.js";
+import { jobTitle, openDrive } from "../shell/header.js";
 import { getState, setState, subscribe } from "../state.js";
 import { runDemo } from "./demo.js";
 
@@ -113,8 +113,9 @@ function jobRow(job) {
     el(
       "button",
       { "aria-current": String(getState().job === job.id), onClick: () => setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null }) },
-      el("span", { class: "cut" }, jobName(job)),
-      job.state === "successful" ? el("span", { class: "small number" }, outcomeOf(job)) : stateBadge(job.state),
+      el("span", { class: "cut" }, jobTitle(job)),
+      job.state === "successful" ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
+      job.state === "successful" && el("span", { class: "small number both" }, outcomeOf(job)),
     ),
   );
 }

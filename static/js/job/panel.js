@@ -13,7 +13,7 @@ import { openRunDialog } from "./run_dialog.js";
 const STAGES = [
   ["waiting", "Waiting for its turn"],
   ["preparing", "Reading the drive"],
-  ["detecting", "Finding intersections, keyframe by keyframe"],
+  ["detecting", "Finding intersections"],
   ["mapping", "Joining detections to a map"],
   ["evaluating", "Scoring against OpenStreetMap"],
 ];

@@ -16,7 +16,7 @@ const OPEN_KEY = "interloc.legend";
  * @returns {{show: (result: import("../data/results.js").Result|null) => void}}
  */
 export function addLegend(map) {
-  const box = el("section", { class: "legend", "aria-label": "Layers of the map" });
+  const box = el("section", { class: "legend", hidden: true, "aria-label": "Layers of the map" });
   const control = new Control({ position: "topright" });
   control.onAdd = () => {
     DomEvent.disableClickPropagation(box);

@@ -2,7 +2,7 @@
  * A picture laid on the map by its corners, turned as they are: Leaflet's own image overlay knows no rotation.
  * @module map/overlay
  */
-import { DomUtil, Layer } from "../leaflet.js";
+import { DomUtil, Layer, Util } from "../leaflet.js";
 
 /** Options: `opacity`, `pane`. `corners`: lat, lng of top left, top right and bottom left. */
 export const TurnedImage = Layer.extend({
@@ -12,7 +12,7 @@ export const TurnedImage = Layer.extend({
   initialize(url, corners, options) {
     this._url = url;
     this._corners = corners;
-    this.options = { ...this.options, ...options };
+    Util.setOptions(this, options);
   },
 
   onAdd() {

@@ -45,17 +45,32 @@ export class Scene {
     this.roads.sort((a, b) => a.width - b.width);
     /** @type {Set<string>} */
     this.on = new Set();
-    /** @type {number|null} */
-    this.node = null;
+    /** Share of the way that a running job is through with. */
+    this.progress = 0;
   }
 
-  /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
+  /**
+   * What lies below the pictures of a keyframe.
+   * @param {CanvasRenderingContext2D} context
+   * @param {import("./surface.js").View} view
+   */
+  paintGround(context, view) {
+    context.lineCap = "round";
+    context.lineJoin = "round";
+    if (this.on.has("roads")) this.#paintRoads(context, view);
+  }
+
+  /**
+   * All the rest.
+   * @param {CanvasRenderingContext2D} context
+   * @param {import("./surface.js").View} view
+   */
   paint(context, view) {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";
     context.lineJoin = "round";
-    if (this.on.has("roads")) this.#paintRoads(context, view);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
+    if (this.progress > 0) strokePaths(context, view, [this.track.slice(0, 2 * Math.ceil((this.progress * this.track.length) / 2))], colour("--accent"), 5);
     if (this.on.has("keyframes")) this.#paintPoints(context, view, this.keyframes, "keyframe", 2 * size, 0.8);
     if (this.on.has("errors")) {
       for (const [outcome, layer] of [["TP", "tp"], ["FP", "fp"]]) {

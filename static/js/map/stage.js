@@ -1,12 +1,12 @@
 /**
- * The map: shows the result of the job at hand, or the way of the drive.
+ * The map: shows the result of the job at hand, or the way of its drive while it runs.
  * @module map/stage
  */
 import { control, CRS, Map as LeafletMap, latLngBounds } from "../leaflet.js";
 import { getJson } from "../api.js";
 import { el, fill, icon } from "../dom.js";
-import { loadResult } from "../data/results.js";
-import { rememberJob, lists } from "../data/lists.js";
+import { lists, onListsChange, rememberJob } from "../data/lists.js";
+import { loadResult, loadWay } from "../data/results.js";
 import { getState, setState, subscribe } from "../state.js";
 import { problemNote } from "../shell/messages.js";
 import { watchPointer, openDetails } from "./details.js";
@@ -79,6 +79,7 @@ export async function mountStage() {
       if (job.state !== "successful") {
         clear();
         fill(cover, el("p", {}, waiting(job)));
+        if (!isOver(job)) await showWay(job, mine);
         return;
       }
       if (result?.job.id === id) return;
@@ -90,6 +91,19 @@ export async function mountStage() {
       clear();
       fill(cover, problemNote(error));
     }
+  };
+
+  /** @param {any} job @param {number} mine */
+  const showWay = async (job, mine) => {
+    const way = await loadWay(job);
+    if (mine !== token || !way) return;
+    fill(cover);
+    build(way.local);
+    scene = new Scene(way, map);
+    scene.on = new Set(["track"]);
+    scene.progress = job.progress.fraction;
+    fit(way.trajectory.map(([lng, lat]) => [lat, lng]), false, way.local);
+    parts.redraw();
   };
 
   /** @param {import("../data/results.js").Result} next */
@@ -113,7 +127,7 @@ export async function mountStage() {
     result = null;
     scene = null;
     parts?.legend.show(null);
-    parts?.surface.redraw();
+    parts?.redraw();
     parts?.keyframe.show(null, null, false);
     map?.closePopup();
     parts?.setTiles(false);
@@ -125,7 +139,7 @@ export async function mountStage() {
     if (!scene) return;
     scene.on = layersOn(getState().layers);
     parts.setTiles(scene.on.has("tiles") && !result?.local);
-    parts.surface.redraw();
+    parts.redraw();
   };
 
   const updateKeyframe = () => {
@@ -133,19 +147,24 @@ export async function mountStage() {
     const row = result.frame.rows.get(getState().frame);
     const keyframe = row === undefined ? null : result.keyframes[row];
     parts.keyframe.show(result, keyframe, layersOn(getState().layers).has("zone"));
-    if (keyframe && timeline.isFollowing && !map.getBounds().pad(-0.12).contains([keyframe.lat, keyframe.lng])) {
-      map.panTo([keyframe.lat, keyframe.lng], { animate: false });
-    }
+    if (keyframe && timeline.isFollowing) keepInView([keyframe.lat, keyframe.lng]);
   };
 
   subscribe(["job", "drive"], () => void showDrive());
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
   subscribe(["frame"], updateKeyframe);
   onTilesChange(() => (parts?.setTiles(false), updateLayers()));
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.surface.redraw());
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
   document.addEventListener("job-finished", () => void showDrive());
+  onListsChange(() => {
+    const job = lists.jobs.find((each) => each.id === getState().job);
+    if (!job || !scene || result || scene.progress === job.progress.fraction) return;
+    scene.progress = job.progress.fraction;
+    parts.redraw();
+  });
   const { mountDrawer } = await import("../bev/drawer.js");
   mountDrawer(/** @type {HTMLElement} */ (document.getElementById("drawer")));
+  subscribe(["drawer"], updateKeyframe);
   await showDrive();
 }
 
@@ -163,12 +182,12 @@ function makeMap(holder, local, current) {
     maxBoundsViscosity: 0,
   });
   made.setView([0, 0], local ? 0 : 3);
-  for (const [name, z] of /** @type {const} */ ([["pictures", 250], ["surface", 350], ["keyframe", 450], ["marks", 600]])) {
+  for (const [name, z] of /** @type {const} */ ([["ground", 240], ["pictures", 300], ["surface", 350], ["keyframe", 450], ["marks", 600]])) {
     made.createPane(name).style.zIndex = String(z);
     if (name !== "pictures") made.getPane(name).style.pointerEvents = "none";
   }
-  const surface = new Surface((/** @type {any} */ context, /** @type {any} */ view) => current()?.paint(context, view), { pane: "surface" });
-  surface.addTo(made);
+  const ground = new Surface((/** @type {any} */ context, /** @type {any} */ view) => current()?.paintGround(context, view), { pane: "ground" }).addTo(made);
+  const surface = new Surface((/** @type {any} */ context, /** @type {any} */ view) => current()?.paint(context, view), { pane: "surface" }).addTo(made);
   control.zoom({ position: "topleft" }).addTo(made);
   addFit(made);
   control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
@@ -183,7 +202,10 @@ function makeMap(holder, local, current) {
   return {
     map: made,
     local,
-    surface,
+    redraw() {
+      ground.redraw();
+      surface.redraw();
+    },
     legend,
     keyframe: new KeyframeLayer(made),
     /** @param {boolean} on */
@@ -219,11 +241,31 @@ function addFit(made) {
 /** @param {boolean} animate */
 export function fitDrive(animate) {
   if (!map || !result) return;
-  const bounds = latLngBounds([]);
-  for (const each of [...result.keyframes, ...result.intersections]) bounds.extend([each.lat, each.lng]);
-  if (!bounds.isValid()) return;
+  fit([...result.keyframes, ...result.intersections].map(({ lat, lng }) => [lat, lng]), animate, result.local);
+}
+
+/** @param {number[][]} places lat, lng @param {boolean} animate @param {boolean} local */
+function fit(places, animate, local) {
+  if (!places.length) return;
+  const [paddingTopLeft, paddingBottomRight] = margins();
   map.invalidateSize({ animate: false });
-  map.fitBounds(bounds, { paddingTopLeft: [56, 40], paddingBottomRight: [map.getSize().x > 760 ? 232 : 40, 40], animate, maxZoom: result.local ? 4 : 19.5 });
+  map.fitBounds(latLngBounds(places), { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
+}
+
+/** @returns {number[][]} What the controls cover: left and top, right and bottom, pixels. */
+function margins() {
+  const hasLegend = map.getSize().x > 640 && localStorage.getItem("interloc.legend") !== "no";
+  return [[56, 40], [hasLegend ? 232 : 40, 40]];
+}
+
+/** @param {[number, number]} place */
+function keepInView(place) {
+  const [[left, top], [right, bottom]] = margins();
+  const { x, y } = map.latLngToContainerPoint(place);
+  const size = map.getSize();
+  if (x > left && y > top && x < size.x - right && y < size.y - bottom) return;
+  const target = [left + (size.x - left - right) / 2, top + (size.y - top - bottom) / 2];
+  map.panBy([x - target[0], y - target[1]], { animate: false });
 }
 
 /**
@@ -250,6 +292,11 @@ function applyView(text) {
   if (![zoom, lat, lng].every(Number.isFinite)) return false;
   map.setView([lat, lng], zoom, { animate: false });
   return true;
+}
+
+/** @param {any} job @returns {boolean} */
+function isOver(job) {
+  return job.state === "failed" || job.state === "dismissed";
 }
 
 /** @param {any} job @returns {string} */

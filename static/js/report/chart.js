@@ -73,11 +73,10 @@ export function lineChart(lines, { max, mark, onMark }) {
     },
     [0, 0.25, 0.5, 0.75, 1].map((share) => [
       svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(share), y2: y(share) }),
-      svg("text", { x: BOX.left - 6, y: y(share) + 4, "text-anchor": "end" }, String(100 * share)),
+      svg("text", { x: BOX.left - 6, y: y(share) + 4, "text-anchor": "end" }, `${100 * share}${share === 1 ? " %" : ""}`),
     ]),
     Array.from({ length: max / 2 + 1 }, (_, i) => svg("text", { x: x(2 * i), y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(2 * i))),
     svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "distance D [m]"),
-    svg("text", { x: 0, y: 6 }, "%"),
     lines.map((line) =>
       svg("polyline", {
         class: "curve",

@@ -54,13 +54,19 @@ export function mountHeader(header) {
   refreshLists().catch(showError);
 }
 
-/** @param {any} job @returns {string} */
+/** @param {any} job @returns {string} Its name, or what it was asked for. */
+export function jobTitle(job) {
+  const request = job.request ?? {};
+  if (request.name) return request.name;
+  const parts = [`Preset ${request.preset ?? "default"}`];
+  if (request.osm) parts.push(`policy ${request.policy ?? "drive"}`);
+  if (request.config && Object.keys(request.config).length) parts.push("own settings");
+  return parts.join(", ");
+}
+
+/** @param {any} job @returns {string} Its title, and when it ended or how it stands. */
 export function jobName(job) {
-  const parts = [job.request?.preset ?? "default"];
-  if (job.request?.osm && job.request.policy) parts.push(job.request.policy);
-  if (job.request?.config && Object.keys(job.request.config).length) parts.push("own settings");
-  const name = job.request?.name ?? parts.join(", ");
-  return job.state === "successful" ? `${name} · ${formatAgo(job.finished_at ?? job.created_at)}` : `${name} · ${job.state}`;
+  return `${jobTitle(job).replace("Preset ", "").replace("policy ", "")} · ${job.state === "successful" ? formatAgo(job.finished_at ?? job.created_at) : job.state}`;
 }
 
 /** @param {string} id Show a drive, with its newest job if there is one. */
