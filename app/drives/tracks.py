@@ -16,7 +16,7 @@ def trajectory_file(service: Service, drive_id: str) -> Path:
     Raises
     ------
     Problem
-        404: no such drive. 409: it is not ready.
+        404: no such drive. 409: it is not ready. 410: somebody else removed it.
     """
     with service.database.reading() as session:
         drive = find_drive(session, drive_id)
@@ -25,4 +25,7 @@ def trajectory_file(service: Service, drive_id: str) -> Path:
             409, "Drive not ready", f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed."
         )
     folder = service.storage.folder(drive_key(drive_id))
-    return next(path for name in TRAJECTORY if (path := folder / name).is_file())
+    path = next((path for name in TRAJECTORY if (path := folder / name).is_file()), None)
+    if path is None:
+        raise Problem(410, "Drive not whole", f"The trajectory of drive {drive_id} is no longer on disk.")
+    return path

@@ -195,7 +195,7 @@ def list_result_files(job_id: JobId, service: ServiceDep) -> ResultFileList:
     summary="Read a file of the result",
     operation_id="read_result_file",
     response_class=Response,
-    responses=answers("application/octet-stream", {"type": "string", "format": "binary"}, "The file, by its type."),
+    responses=answers("*/*", {}, "The file, by its type."),
 )
 def read_result_file(
     job_id: JobId,
