@@ -80,7 +80,7 @@ def _check_writable(folder: Path) -> None:
         ) from error
 
 
-def _service(request: Request) -> Service:
+async def _service(request: Request) -> Service:  # async: no trip to the thread pool
     service: Service = request.app.state.service
     return service
 

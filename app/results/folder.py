@@ -7,14 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sqlalchemy import select
+
 from app.models import Drive, Job
 from app.problems import Problem
 from app.service import Service
+from app.storage import Storage
 from interloc.mapping.layout import RUN_FILE, TABLES, file_names
 
 EVALUATION_FILES = {"osm-nodes": "osm_nodes.geojson", "matches": "matches.geojson", "osm-roads": "osm_roads.geojson"}
 LAYERS = (*TABLES, *EVALUATION_FILES)
 """GeoJSON layers of a result, by the names of their addresses."""
+
+_KNOWN: dict[tuple[Storage, str], Result] = {}
+"""Results found before. A job that was successful stays so until it is removed, and then its folder goes too."""
+
+_MOST_KNOWN = 1000
 
 _STATES = {
     "accepted": "It waits for its turn; follow GET {job}/events.",
@@ -135,13 +143,15 @@ def open_result(service: Service, job_id: str) -> Result:
     Problem
         404: no such job, or one without results; 409: not successful (yet).
     """
+    known = _KNOWN.get((service.storage, job_id))
+    if known is not None and (known.folder / RUN_FILE).exists():
+        return known
     with service.database.reading() as session:
-        row = (
-            session.query(Job.kind, Job.state, Job.request, Job.drive_id, Drive.name)
+        row = session.execute(
+            select(Job.kind, Job.state, Job.request, Job.drive_id, Drive.name)
             .join(Drive, Drive.id == Job.drive_id)
-            .filter(Job.id == job_id)
-            .first()
-        )
+            .where(Job.id == job_id)
+        ).first()
     if row is None:
         raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
     kind, state, request, drive_id, drive_name = row
@@ -164,4 +174,7 @@ def open_result(service: Service, job_id: str) -> Result:
     )
     if not (result.folder / RUN_FILE).exists():
         raise Problem(410, "Result is gone", f"The result of job {job_id} is no longer on disk. Submit the job again.")
+    if len(_KNOWN) >= _MOST_KNOWN:
+        _KNOWN.clear()
+    _KNOWN[service.storage, job_id] = result
     return result

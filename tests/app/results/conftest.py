@@ -15,6 +15,7 @@ from app.database import Database
 from app.models import Drive, Job
 from interloc.config import preset
 from interloc.drives.open import open_drive
+from interloc.drives.reduction.reduce import reduce_drive
 from interloc.evaluate.coverage import drive_bounds
 from interloc.evaluate.evaluate import evaluate
 from interloc.evaluate.report import write_report
@@ -60,7 +61,9 @@ class Finished:
 
 def add_drive(database: Database, data_dir: Path, name: str, root: Path) -> None:
     """Register a drive that is ready; its id is its name."""
-    shutil.copytree(root, data_dir / f"drives/{name}/files")
+    reduced = data_dir / f"drives/{name}/reduced"
+    reduced.parent.mkdir(parents=True)
+    reduce_drive(root, reduced)
     with database.writing() as session:
         now = database.clock(session)
         session.add(

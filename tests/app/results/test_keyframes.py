@@ -95,7 +95,7 @@ def test_what_cannot_be_drawn(address: str, status: int, said: str, finished: Fi
 
 
 def test_a_drive_that_is_damaged_is_no_fault_of_the_service(finished: Finished) -> None:
-    scan = finished.data_dir / "drives/other/files/velodyne/000040.bin"
+    scan = finished.data_dir / "drives/other/reduced/ground/labels/000040.ground"
     content = scan.read_bytes()
     scan.write_bytes(content[:-3])
     try:
@@ -103,6 +103,6 @@ def test_a_drive_that_is_damaged_is_no_fault_of_the_service(finished: Finished) 
     finally:
         scan.write_bytes(content)
     assert answer.status_code == 422
-    assert "velodyne/000040.bin" in answer.json()["detail"]
+    assert "ground/labels/000040.ground" in answer.json()["detail"]
     assert not (finished.data_dir / "jobs/elsewhere/cache/bev").exists()
     assert finished.get("/jobs/elsewhere/keyframes/40/bev").status_code == 200
