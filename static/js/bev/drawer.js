@@ -27,6 +27,7 @@ export function mountDrawer(drawer) {
   const note = el("p", { class: "small" });
   const trouble = el("div", {});
   const seen = el("div", {});
+  const rejected = el("div", {});
   const step = (/** @type {number} */ by) => {
     const result = shownResult();
     const row = result?.frame.rows.get(getState().frame);
@@ -74,6 +75,7 @@ export function mountDrawer(drawer) {
       el("div", { class: "pictures" }, figures.map((each) => each.figure)),
       el("label", { class: "row" }, el("span", { class: "small" }, "Opacity on the map"), fade),
       seen,
+      rejected,
     ),
   );
 
@@ -130,6 +132,7 @@ export function mountDrawer(drawer) {
         }),
       );
       fill(trouble);
+      fill(rejected, candidateTable((await geometry).candidates ?? []));
       place(result, await geometry, new Map(figures.map(({ layer, image }) => [layer, image.src])));
     } catch (error) {
       if (signal.aborted) return;
@@ -195,4 +198,14 @@ function detectionTable(detections) {
       ),
     ),
   );
+}
+
+/**
+ * What became of the candidates that are no intersections.
+ * @param {any[]} candidates
+ */
+function candidateTable(candidates) {
+  const out = candidates.filter((each) => !each.kept);
+  if (!out.length) return null;
+  return el("div", {}, el("h3", {}, "Candidates that were rejected"), el("ul", { class: "reasons" }, out.map((each) => el("li", {}, el("b", {}, each.number), ` ${each.why_not ?? "rejected"}`))));
 }

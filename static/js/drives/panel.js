@@ -2,7 +2,7 @@
  * The drives of the server and their jobs: to come back to, to run again, to delete.
  * @module drives/panel
  */
-import { sendJson } from "../api.js";
+import { getJson, sendJson } from "../api.js";
 import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
 import { lists, onListsChange, refreshLists } from "../data/lists.js";
 import { openRunDialog } from "../job/run_dialog.js";
@@ -27,6 +27,9 @@ export function stateBadge(state) {
   const [text, kind] = STATES[state] ?? [state, ""];
   return el("span", { class: `badge ${kind}` }, text);
 }
+
+/** @type {Map<string, any>} What the check of a drive found; lists leave it out. */
+const reports = new Map();
 
 /** @param {HTMLElement} container */
 export function mount(container) {
@@ -60,6 +63,14 @@ export function mount(container) {
   const update = () => {
     if (!lists.isLoaded) return fill(body, el("p", { class: "quiet" }, "Loading…"));
     fill(body, lists.drives.length ? lists.drives.map(driveCard) : emptyNote());
+    void learn();
+  };
+  const learn = async () => {
+    const current = lists.drives.find((drive) => drive.id === getState().drive);
+    if (!current || current.state !== "ready" || reports.has(current.id)) return;
+    reports.set(current.id, null);
+    reports.set(current.id, (await getJson(`drives/${current.id}`)).report);
+    update();
   };
   onListsChange(update);
   subscribe(["drive", "job"], update);
@@ -80,10 +91,11 @@ function emptyNote() {
 function driveCard(drive) {
   const jobs = lists.jobs.filter((job) => job.drive_id === drive.id);
   const current = getState().drive === drive.id;
+  const report = drive.report ?? reports.get(drive.id) ?? null;
   const facts = [];
-  if (drive.report?.scans) facts.push(plural(drive.report.scans, "scan"));
+  if (report?.scans) facts.push(plural(report.scans, "scan"));
   else if (drive.files) facts.push(plural(drive.files, "file"));
-  if (drive.report?.length_m) facts.push(formatMetres(drive.report.length_m, 0));
+  if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
   facts.push(formatBytes(drive.stored_bytes || drive.size_bytes), formatAgo(drive.created_at));
   return el(
     "article",
@@ -97,6 +109,7 @@ function driveCard(drive) {
         el("h3", {}, el("button", { class: "link", title: drive.name, onClick: () => (drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id)) }, drive.name)),
         el("p", { class: "small cut" }, facts.join(" · ")),
         drive.state !== "ready" && el("p", {}, stateBadge(drive.state)),
+        current && report && el("p", { class: "small" }, report.georeference ? `Georeference: ${report.georeference}` : "No georeference: metres of its own frame"),
       ),
       drive.state === "ready" && el("button", { class: "square plain", title: "Run it with other settings", "aria-label": `Run ${drive.name}`, onClick: () => openRunDialog(drive) }, icon("run")),
       el("button", { class: "square plain", title: "Delete the drive", "aria-label": `Delete ${drive.name}`, onClick: () => removeDrive(drive).catch(showError) }, icon("trash")),

@@ -4,6 +4,7 @@
  */
 import { follow, getJson, sendJson } from "../api.js";
 import { lists, rememberJob } from "../data/lists.js";
+import { ownSettings } from "../data/presets.js";
 import { announce, el, fill, formatAgo, formatBytes, formatCount, formatDuration, formatMetres, formatPercent, icon } from "../dom.js";
 import { stateBadge } from "../drives/panel.js";
 import { problemNote, showError } from "../shell/messages.js";
@@ -17,6 +18,7 @@ const STAGES = [
   ["mapping", "Joining detections to a map"],
   ["evaluating", "Scoring against OpenStreetMap"],
 ];
+const LOOK_MS = 15000; // a proxy may hold events back: look now and then, too
 const FINAL = new Set(["successful", "failed", "dismissed"]);
 
 /** @param {HTMLElement} container */
@@ -36,12 +38,15 @@ export function mount(container) {
       if (signal.aborted) return;
       update(job);
       if (FINAL.has(job.state)) return;
+      const look = setInterval(() => void getJson(`jobs/${id}`, { signal }).then((now) => !signal.aborted && update(now), () => {}), LOOK_MS);
+      signal.addEventListener("abort", () => clearInterval(look));
       await follow(`jobs/${id}/events`, {
         signal,
         onConnection: (connected) => container.classList.toggle("offline", !connected),
         onEvent: (next) => {
           if (signal.aborted) return true;
           update(next);
+          if (FINAL.has(next.state)) clearInterval(look);
           return FINAL.has(next.state);
         },
       });
@@ -53,6 +58,7 @@ export function mount(container) {
   /** @param {any} job */
   const update = (job) => {
     const before = lists.jobs.find((each) => each.id === job.id);
+    if (before && before.version > job.version) return;
     const finished = FINAL.has(job.state) && before && !FINAL.has(before.state);
     rememberJob(job);
     show(job);
@@ -112,6 +118,7 @@ async function cancel(job) {
 function outcome(job) {
   const summary = job.summary ?? {};
   const report = summary.report ?? null;
+  const own = ownSettings(job.request);
   const figures = [
     figure(formatCount(summary.intersections ?? 0), "intersections"),
     figure(formatCount(summary.detections ?? 0), "detections"),
@@ -119,10 +126,8 @@ function outcome(job) {
   ];
   if (report) {
     figures.push(figure(formatMetres(report.ace_m), "mean error (ACE)"));
-    const at5 = (/** @type {any} */ value) => (typeof value === "object" && value !== null ? value["5.0"] : value);
-    if (at5(report.precision) !== undefined) figures.push(figure(formatPercent(at5(report.precision)), "precision, D = 5 m"));
-    if (at5(report.recall) !== undefined) figures.push(figure(formatPercent(at5(report.recall)), "recall, D = 5 m"));
-    else if (report.nodes_in_zone !== undefined) figures.push(figure(`${report.nodes_found} of ${report.nodes_in_zone}`, "OSM nodes found"));
+    figures.push(figure(formatPercent(report.precision_at_5), "precision, D = 5 m"));
+    figures.push(figure(formatPercent(report.recall_at_5), "recall, D = 5 m"));
   }
   return [
     el("div", { class: "tiles-row" }, figures),
@@ -139,7 +144,7 @@ function outcome(job) {
       { class: "figures section" },
       fact("Map", mapOf(job.request)),
       job.request.osm && fact("Policy", job.request.policy ?? "drive"),
-      fact("Own settings", job.request.config && Object.keys(job.request.config).length ? el("code", {}, JSON.stringify(job.request.config)) : "none"),
+      fact("Own settings", own.length ? own.map(([name, value]) => el("code", {}, `${name} = ${JSON.stringify(value)} `)) : "none"),
       summary.seconds !== undefined && fact("Time", formatDuration(summary.seconds)),
       summary.seconds && summary.keyframes ? fact("A keyframe", `${((1000 * summary.seconds) / summary.keyframes).toFixed(1)} ms`) : null,
       summary.peak_memory_bytes && fact("Peak memory", formatBytes(summary.peak_memory_bytes)),

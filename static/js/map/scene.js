@@ -247,5 +247,5 @@ function widthOf({ highway }) {
 
 /** @param {any} properties @returns {boolean} */
 function isDrivable(properties) {
-  return Boolean(properties.drivable ?? properties.is_drivable ?? true);
+  return Boolean(properties.is_drivable ?? true);
 }

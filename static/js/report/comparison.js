@@ -5,6 +5,8 @@
 import { getJson } from "../api.js";
 import { lists } from "../data/lists.js";
 import { el, fill, formatMetres, formatPercent } from "../dom.js";
+import { goTo, shownResult } from "../map/stage.js";
+import { signIcon } from "../map/symbols.js";
 import { jobName } from "../shell/header.js";
 import { problemNote } from "../shell/messages.js";
 import { at } from "./scores.js";
@@ -59,10 +61,32 @@ function table(a, b) {
 
 /** @param {any} compared */
 function differences(compared) {
-  const settings = compared.settings ?? [];
+  const { settings, nodes } = compared;
   return [
+    compared.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
+    el("h4", {}, "Settings that differ"),
     settings.length
-      ? el("table", {}, el("thead", {}, el("tr", {}, ["Setting", "This job", "Other job"].map((name) => el("th", { scope: "col" }, name)))), el("tbody", {}, settings.map((/** @type {any} */ each) => el("tr", {}, el("td", {}, el("code", {}, each.name)), (each.values ?? []).map((/** @type {any} */ value) => el("td", {}, String(value)))))))
-      : el("p", { class: "small" }, "Both ran with the same settings."),
+      ? headed(["Setting", "This job", "Other job"], settings.map((/** @type {any} */ each) => [el("code", {}, each.name), ...each.values.map((/** @type {any} */ value) => JSON.stringify(value))]))
+      : el("p", { class: "small" }, "None."),
+    el("h4", {}, "OSM intersections with another outcome"),
+    nodes.length
+      ? headed(["OSM node", "This job", "Other job"], nodes.map((/** @type {any} */ node) => [el("button", { class: "link", onClick: () => show(node) }, node.osm_id), ...node.outcomes.map(outcome)]))
+      : el("p", { class: "small" }, `None: both found ${compared.found_by_all} and missed ${compared.missed_by_all}.`),
   ];
+}
+
+/** @param {string} name */
+function outcome(name) {
+  return [signIcon(name), ` ${name === "outside" ? "out of reach" : name}`];
+}
+
+/** @param {any} node */
+function show(node) {
+  const item = shownResult()?.nodes.find((each) => each.properties.osm_id === node.osm_id);
+  if (item) goTo({ kind: "node", item });
+}
+
+/** @param {string[]} heads @param {any[][]} rows */
+function headed(heads, rows) {
+  return el("table", {}, el("thead", {}, el("tr", {}, heads.map((name) => el("th", { scope: "col" }, name)))), el("tbody", {}, rows.map((cells) => el("tr", {}, cells.map((each) => el("td", {}, each))))));
 }

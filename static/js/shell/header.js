@@ -6,6 +6,7 @@ import { getJson, getToken, onTokenChange, ROOT, setToken } from "../api.js";
 import { el, fill, formatAgo, icon } from "../dom.js";
 import { getState, setState, subscribe } from "../state.js";
 import { onListsChange, lists, refreshLists } from "../data/lists.js";
+import { loadPresets, ownSettings } from "../data/presets.js";
 import { getConfig } from "./config.js";
 import { showError } from "./messages.js";
 import { askForToken } from "./token.js";
@@ -51,7 +52,7 @@ export function mountHeader(header) {
   onListsChange(update);
   onTokenChange(update);
   update();
-  refreshLists().catch(showError);
+  loadPresets().then(refreshLists).catch(showError);
 }
 
 /** @param {any} job @returns {string} Its name, or what it was asked for. */
@@ -60,7 +61,7 @@ export function jobTitle(job) {
   if (request.name) return request.name;
   const parts = [`Preset ${request.preset ?? "default"}`];
   if (request.osm) parts.push(`policy ${request.policy ?? "drive"}`);
-  if (request.config && Object.keys(request.config).length) parts.push("own settings");
+  if (ownSettings(request).length) parts.push("own settings");
   return parts.join(", ");
 }
 
