@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
+
 import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
+from PIL import Image
 
 from interloc.config import DetectorConfig, preset
 from interloc.drives.drive import Drive
@@ -42,8 +45,8 @@ def evidence(drive: Drive, config: DetectorConfig) -> Evidence:
 
 
 def draw(evidence: Evidence, layer: str) -> NDArray[np.uint8]:
-    """Draw a layer and read it back: rows, columns, blue green red alpha."""
-    picture = cv2.imdecode(np.frombuffer(draw_overlay(evidence, layer), np.uint8), cv2.IMREAD_UNCHANGED)
+    """Draw a layer and read it back: rows, columns, red green blue alpha."""
+    picture = np.array(Image.open(io.BytesIO(draw_overlay(evidence, layer))).convert("RGBA"))
     assert picture.shape[0] == picture.shape[1]
     assert picture.shape[0] % evidence.roi.size == 0
     assert picture.shape[2] == 4

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from interloc.errors import InterLocError
 from interloc.explain.evidence import Evidence
 from interloc.explain.sheet import Floats, extent
 
@@ -37,26 +37,27 @@ class Canvas:
         self._cell_px = max(1, round(_SHARP_PX / size)) if sharp else 1
         self._left_m, _, _, self._top_m = extent(evidence)
         self._px_per_m = self._cell_px / evidence.roi.resolution_m
-        self.pixels = np.zeros((size * self._cell_px, size * self._cell_px, 4), np.uint8)
-        if background is not None:
-            self.pixels[:] = _bgra(background)
+        self.pixels = np.zeros((size * self._cell_px, size * self._cell_px), np.uint8)
+        """Numbers of colours; 0 is the background."""
+        self._is_opaque = background is not None
+        self._colours = [background or "#ffffff"]
 
     def fill(self, mask: NDArray[np.bool_], colour: str) -> None:
         """Paint the cells of a (H, W) mask."""
         enlarged = mask.repeat(self._cell_px, axis=0).repeat(self._cell_px, axis=1) if self._cell_px > 1 else mask
-        self.pixels[enlarged] = _bgra(colour)
+        self.pixels[enlarged] = self._number(colour)
 
     def lines(self, ends: Floats, colour: str, width_m: float) -> None:
         """Draw (N, 2, 2) straight pieces."""
         width = max(1, round(width_m * self._px_per_m))
         for start, stop in self._place(ends):
-            cv2.line(self.pixels, _point(start), _point(stop), _bgra(colour), width, cv2.LINE_8, _SHIFT)
+            cv2.line(self.pixels, _point(start), _point(stop), self._number(colour), width, cv2.LINE_8, _SHIFT)
 
     def circle(self, centre: Floats, radius_m: float, colour: str, width_m: float) -> None:
         """Draw a circle."""
         radius = round(radius_m * self._px_per_m * 2**_SHIFT)
         width = max(1, round(width_m * self._px_per_m))
-        cv2.circle(self.pixels, _point(self._place(centre)), radius, _bgra(colour), width, cv2.LINE_8, _SHIFT)
+        cv2.circle(self.pixels, _point(self._place(centre)), radius, self._number(colour), width, cv2.LINE_8, _SHIFT)
 
     def mark(self, marker: Marker, places: Floats, colour: str, radius_m: float, *, edge: str) -> None:
         """Draw a mark at each of (N, 2) places, with an edge that sets it off."""
@@ -66,14 +67,23 @@ class Canvas:
 
     def polygon(self, outline: Floats, colour: str) -> None:
         """Fill a (N, 2) outline."""
-        cv2.fillPoly(self.pixels, [self._place(outline)], _bgra(colour), cv2.LINE_8, _SHIFT)
+        cv2.fillPoly(self.pixels, [self._place(outline)], self._number(colour), cv2.LINE_8, _SHIFT)
 
     def png(self) -> bytes:
-        """Return the picture as a PNG file."""
-        good, content = cv2.imencode(".png", self.pixels, [cv2.IMWRITE_PNG_COMPRESSION, 6])
-        if not good:
-            raise InterLocError("OpenCV could not write a PNG")
-        return content.tobytes()
+        """Return the picture as a PNG file with a palette, which is much smaller and sooner packed than true colours."""
+        from PIL import Image  # noqa: PLC0415 - slow to import
+
+        picture = Image.fromarray(self.pixels)
+        picture.putpalette([int(colour[i : i + 2], 16) for colour in self._colours for i in (1, 3, 5)])
+        file = io.BytesIO()
+        transparency = {} if self._is_opaque else {"transparency": 0}
+        picture.save(file, "PNG", bits=4 if len(self._colours) <= 16 else 8, **transparency)
+        return file.getvalue()
+
+    def _number(self, colour: str) -> int:
+        if colour not in self._colours[1:]:
+            self._colours.append(colour)
+        return self._colours.index(colour, 1)
 
     def _draw(self, marker: Marker, place: Floats, radius_m: float, colour: str) -> None:
         if marker == "disc":
@@ -81,7 +91,7 @@ class Canvas:
                 self.pixels,
                 _point(self._place(place)),
                 round(radius_m * self._px_per_m * 2**_SHIFT),
-                _bgra(colour),
+                self._number(colour),
                 cv2.FILLED,
                 cv2.LINE_8,
                 _SHIFT,
@@ -104,8 +114,3 @@ class Canvas:
 
 def _point(place: NDArray[np.int32]) -> tuple[int, int]:
     return int(place[0]), int(place[1])
-
-
-def _bgra(colour: str) -> tuple[int, int, int, int]:
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return blue, green, red, 255
