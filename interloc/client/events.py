@@ -10,7 +10,9 @@ _MAX_EVENT_BYTES = 4 * 1024**2
 
 
 def read_events(pieces: Iterable[bytes]) -> Iterator[bytes]:
-    """Yield the data of each event of a stream that arrives in pieces; an event cut off at the end is dropped.
+    """Yield the data of each event of a stream that arrives in pieces, and nothing (``b""``) for a sign of life.
+
+    An event cut off at the end is dropped.
 
     Raises
     ------
@@ -24,6 +26,8 @@ def read_events(pieces: Iterable[bytes]) -> Iterator[bytes]:
             name, _, value = line.partition(b":")
             if name == b"data":
                 data.append(value.removeprefix(b" "))
+            elif line.startswith(b":"):
+                yield b""
             elif not line and data:
                 yield b"\n".join(data)
                 data = []

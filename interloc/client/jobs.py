@@ -128,6 +128,8 @@ def _events(connection: Connection, address: str, version: int) -> Iterator[JobA
         if media_type(response) != "text/event-stream":
             raise NetworkError(f"{connection.server}: {address} sends no events.")
         for data in read_events(response.iter_raw()):
+            if not data:  # nothing new for a while, or an event was lost on its way: asking tells which
+                return
             try:
                 yield JobAnswer.model_validate_json(data)
             except ValidationError as error:

@@ -14,7 +14,7 @@ from interloc.errors import NetworkError
 STREAM = (
     'id: 1\nevent: job\ndata: {"name": "Straße\u2028am Ort"}\n\n: still here\n\ndata: a\r\ndata: b\r\n\r\ndata:cut'
 ).encode()
-EVENTS = ['{"name": "Straße\u2028am Ort"}'.encode(), b"a\nb"]
+EVENTS = ['{"name": "Straße\u2028am Ort"}'.encode(), b"", b"a\nb"]
 
 
 @given(st.lists(st.integers(0, len(STREAM)), max_size=20))

@@ -21,9 +21,8 @@ LAYERS = {"intersections", "detections", "keyframes", "trajectory"}
 
 def layers(folder: Path) -> dict[str, bytes]:
     """All layers of a result, as bytes."""
-    return {
-        path.name: path.read_bytes() for path in folder.iterdir() if path.suffix in {".geojson"} or "local" in path.name
-    }
+    found = [path for path in folder.iterdir() if path.name.endswith((".geojson", ".local.json"))]
+    return {path.name: path.read_bytes() for path in found}
 
 
 @pytest.fixture(scope="session")

@@ -21,7 +21,7 @@ from interloc.drives.reduction.ground import decode_ground
 from tests.app.processes import ServerProcess, started, wait_until
 
 API = "/api/v1"
-RIGHT = "the-right-one"
+RIGHT = "the-right-one-for-this-server"
 
 
 def files_on(server: ServerProcess, drive_id: str) -> dict[str, str]:
@@ -49,7 +49,7 @@ def test_a_drive_arrives_reduced_and_ready(here: Any, server: ServerProcess, str
     pushed = here("push", street, "--json").json
     drive = server.client.get(f"{API}/drives/{pushed['drive_id']}").json()
     assert (drive["name"], drive["state"]) == ("street", "ready")
-    assert drive["report"]["ok"]
+    assert (drive["report"]["scans"], drive["report"]["layout"]) == (60, "semantickitti")
     there = files_on(server, pushed["drive_id"])
     assert sorted(there) == sorted(
         ["calib.txt"] * (street / "calib.txt").exists()
@@ -264,7 +264,7 @@ def test_what_arrives_is_what_the_scans_hold(here: Any, server: ServerProcess, s
 
 def test_tokens(street: Path, tmp_path: Path, make: ModuleType) -> None:
     with started(tmp_path / "data", tmp_path / "log", token=RIGHT, workers=1) as server:
-        for variables in ({}, {"INTERLOC_TOKEN": "a-wrong-one"}):
+        for variables in ({}, {"INTERLOC_TOKEN": "a-wrong-one-for-this-server"}):
             outcome = make.Here(server.address, tmp_path / "cache", **variables)("push", street)
             assert outcome.code == 1
             assert "Give a token of this server by INTERLOC_TOKEN or --token" in outcome.err
