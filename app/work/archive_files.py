@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import io
 import lzma
@@ -109,12 +110,14 @@ def members(path: Path, count: Callable[[int], None]) -> Iterator[Iterator[Membe
             zlib.error,
             lzma.LZMAError,
             zstandard.ZstdError,
-            gzip.BadGzipFile,
             EOFError,
             UnicodeError,
             OverflowError,
             ValueError,
+            OSError,
         ) as error:
+            if isinstance(error, OSError) and error.errno not in {None, errno.EINVAL}:
+                raise  # the disk, not the archive: a position before its beginning is "invalid argument"
             raise ArchiveError(
                 f"the archive is damaged or cut short ({error}). Usual cause: a transfer that did not finish."
             ) from error

@@ -1,0 +1,387 @@
+"""Archives: whatever is in them, either all files of one drive come out or nothing does."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import stat
+import struct
+import tarfile
+import time
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import pytest
+import zstandard
+
+FILES = {
+    "poses.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n",
+    "velodyne/000000.bin": bytes(range(256)) * 4096,
+    "velodyne/000001.bin": b"",
+    "labels/000000.label": b"\x28\0\0\0",
+}
+
+
+@pytest.fixture
+def drive(client: httpx.Client) -> str:
+    """Address of a new drive."""
+    return make_drive(client)
+
+
+def make_drive(client: httpx.Client) -> str:
+    return str(client.post("/api/v1/drives", json={"name": "town"}).headers["location"])
+
+
+def zipped(files: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", compression) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return data.getvalue()
+
+
+def tarred(files: dict[str, bytes], *more: tarfile.TarInfo, **options: object) -> bytes:
+    data = io.BytesIO()
+    with tarfile.open(fileobj=data, mode="w", **options) as archive:  # type: ignore[call-overload]
+        for name, content in files.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(content)
+            archive.addfile(info, io.BytesIO(content))
+        for info in more:
+            archive.addfile(info)
+    return data.getvalue()
+
+
+def in_folder(folder: str, files: dict[str, bytes]) -> dict[str, bytes]:
+    return {f"{folder}/{name}": data for name, data in files.items()}
+
+
+def listed(client: httpx.Client, drive: str) -> dict[str, str]:
+    return {file["path"]: file["sha256"] for file in client.get(f"{drive}/files").json()["files"]}
+
+
+def digests(files: dict[str, bytes]) -> dict[str, str]:
+    return {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
+
+
+def left(tmp_path: Path) -> list[str]:
+    return [
+        path.relative_to(tmp_path).as_posix()
+        for path in (tmp_path / "data").rglob("*")
+        if path.is_file() and "sqlite" not in path.name
+    ]
+
+
+def refuse(client: httpx.Client, tmp_path: Path, data: bytes, *reasons: str, status: int = 422) -> None:
+    """Nothing of a bad archive is kept, and the drive takes a good one afterwards."""
+    drive = make_drive(client)
+    answer = client.post(f"{drive}/archive", content=data)
+    assert answer.status_code == status, answer.text
+    for reason in reasons:
+        assert reason in answer.json()["detail"]
+    assert str(tmp_path) not in answer.text
+    assert listed(client, drive) == {}
+    wait_until(lambda: left(tmp_path) == [])
+    assert client.get(drive).json()["state"] == "uploading"
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not holds():
+        assert time.monotonic() < deadline, "it never came to be"
+        time.sleep(0.02)
+
+
+TARRED = tarred(in_folder("07", FILES))
+KINDS = {
+    "zip": zipped(in_folder("sequences/07", FILES)),
+    "zip without a folder": zipped(FILES),
+    "stored zip": zipped(in_folder("07", FILES), zipfile.ZIP_STORED),
+    "lzma zip": zipped(in_folder("07", FILES), zipfile.ZIP_LZMA),
+    "tar": TARRED,
+    "tar with dots": tarred(in_folder("./07", FILES)),
+    "old tar": tarred(in_folder("07", FILES), format=tarfile.GNU_FORMAT),
+    "tar.gz": gzip.compress(TARRED),
+    "tar.gz in two members": gzip.compress(TARRED[:1000]) + gzip.compress(TARRED[1000:]),
+    "tar.zst": zstandard.compress(TARRED),
+    "tar.zst in two frames": zstandard.compress(TARRED[:1000]) + zstandard.compress(TARRED[1000:]),
+}
+
+
+@pytest.mark.parametrize("data", KINDS.values(), ids=KINDS.keys())
+def test_every_kind_of_archive(client: httpx.Client, drive: str, tmp_path: Path, data: bytes) -> None:
+    answer = client.post(f"{drive}/archive", content=data)
+    assert answer.status_code == 200, answer.text
+    result = answer.json()
+    assert (result["state"], result["files"], result["size_bytes"]) == ("successful", 4, sum(map(len, FILES.values())))
+    assert listed(client, drive) == digests(FILES)
+    for name, content in FILES.items():
+        assert client.get(f"{drive}/files/{name}").content == content
+    shown = client.get(drive).json()
+    assert (shown["files"], shown["size_bytes"]) == (4, result["size_bytes"])
+    root = f"data/drives/{drive.rsplit('/', maxsplit=1)[-1]}/files"
+    wait_until(lambda: sorted(left(tmp_path)) == sorted(f"{root}/{name}" for name in FILES))
+
+
+def test_an_archive_as_part_of_a_form(client: httpx.Client, drive: str) -> None:
+    answer = client.post(f"{drive}/archive", files={"archive": ("07.zip", KINDS["zip"])})
+    assert answer.status_code == 200
+    assert listed(client, drive) == digests(FILES)
+    answer = client.post(f"{drive}/archive", files={"archive": ("07.zip", b"no archive")})
+    assert (answer.status_code, answer.json()["title"]) == (415, "Not an archive")
+
+
+def test_an_archive_replaces_files(client: httpx.Client, drive: str) -> None:
+    assert client.put(f"{drive}/files/poses.txt", content=b"an older one").status_code == 201
+    assert client.put(f"{drive}/files/times.txt", content=b"0\n").status_code == 201
+    assert client.post(f"{drive}/archive", content=KINDS["zip"]).status_code == 200
+    assert listed(client, drive) == digests({**FILES, "times.txt": b"0\n"})
+    assert client.get(drive).json()["size_bytes"] == sum(map(len, FILES.values())) + 2
+
+
+def test_a_client_need_not_wait(client: httpx.Client, drive: str) -> None:
+    answer = client.post(f"{drive}/archive", content=KINDS["tar.gz"], headers={"Prefer": "respond-async"})
+    assert answer.status_code == 202
+    assert answer.headers["preference-applied"] == "wait=0"
+    job = answer.headers["location"]
+    assert job == f"/api/v1/jobs/{answer.json()['job_id']}"
+    wait_until(lambda: client.get(job).json()["state"] == "successful")
+    assert listed(client, drive) == digests(FILES)
+
+
+def test_the_drive_is_found_in_its_archive(client: httpx.Client, drive: str) -> None:
+    root = "2011_09_26/2011_09_26_drive_0001_sync"
+    files = {
+        f"{root}/velodyne_points/data/0000000000.bin": b"1",
+        f"{root}/oxts/data/0000000000.txt": b"2",
+        f"{root}/labels/0000000000.label": b"3",
+        f"{root}/image_00/data/0000000000.png": b"4",
+        "2011_09_26/calib_imu_to_velo.txt": b"5",
+        "2011_09_26/readme.txt": b"6",
+        "map.osm.gz": b"7",
+        f"{root}/.DS_Store": b"8",
+        "__MACOSX/._07": b"9",
+    }
+    answer = client.post(f"{drive}/archive", content=zipped(files))
+    assert answer.status_code == 200, answer.text
+    assert listed(client, drive) == digests(
+        {
+            "velodyne_points/data/0000000000.bin": b"1",
+            "oxts/data/0000000000.txt": b"2",
+            "labels/0000000000.label": b"3",
+            "image_00/data/0000000000.png": b"4",
+            "calib_imu_to_velo.txt": b"5",
+            "map.osm.gz": b"7",
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "places"),
+    [
+        (["predictions/000000.label"], ["predictions/000000.label"]),
+        (["07/predictions/000000.label", "07/x.txt"], ["predictions/000000.label", "x.txt"]),
+        (["oxts/data/0000000000.txt"], ["oxts/data/0000000000.txt"]),
+        (["07/oxts/data/0000000000.txt", "07/poses.txt"], ["oxts/data/0000000000.txt", "poses.txt"]),
+        (["ground/labels/000000.ground", "reduced.json"], ["ground/labels/000000.ground", "reduced.json"]),
+        (["07/ground/labels/000000.ground", "07/reduced.json"], ["ground/labels/000000.ground", "reduced.json"]),
+        (["map.osm"], ["map.osm"]),
+    ],
+)
+def test_parts_of_a_drive(client: httpx.Client, drive: str, names: list[str], places: list[str]) -> None:
+    answer = client.post(f"{drive}/archive", content=zipped(dict.fromkeys(names, b"1")))
+    assert answer.status_code == 200, answer.text
+    assert sorted(listed(client, drive)) == places
+
+
+def test_two_drives_are_refused_by_name(client: httpx.Client, tmp_path: Path) -> None:
+    both = {**in_folder("sequences/00", FILES), **in_folder("sequences/07", FILES)}
+    refuse(client, tmp_path, zipped(both), "2 drives: sequences/00/ and sequences/07/")
+    apart = {"a/velodyne/000000.bin": b"1", "b/labels/000000.label": b"1"}
+    refuse(client, tmp_path, tarred(apart), "2 drives: a/ and b/")
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("../evil.txt", "lead elsewhere"),
+        ("velodyne/../../evil.txt", "lead elsewhere"),
+        ("/etc/evil.txt", "absolute"),
+        ("C:/evil.txt", "absolute"),
+        ("a\\..\\evil.txt", "backslash"),
+        ("a/\x07bell", "control character"),
+        ("a" * 300, "255 bytes"),
+    ],
+)
+def test_names_that_lead_elsewhere(client: httpx.Client, tmp_path: Path, name: str, reason: str) -> None:
+    refuse(client, tmp_path, zipped({**FILES, name: b"evil"}), reason)
+    refuse(client, tmp_path, tarred({**FILES, name: b"evil"}), reason)
+    assert not list(tmp_path.rglob("evil*"))
+
+
+def test_names_that_are_not_utf8(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+    refuse(client, tmp_path, tarred(FILES).replace(b"poses.txt\0", b"pos\xffs.txt\0"), "damaged")  # and its checksum
+    data = tarred({"07/a\u00fc.txt": b"1"}, format=tarfile.GNU_FORMAT, encoding="latin-1")
+    refuse(client, tmp_path, data, "not UTF-8")
+    data = zipped({"07/axx.txt": b"1"}).replace(b"axx", b"a\x81x")  # code page 437, as old archives have it
+    assert client.post(f"{drive}/archive", content=data).status_code == 200
+    assert list(listed(client, drive)) == ["a\u00fcx.txt"]
+
+
+def special(kind: bytes, name: str = "velodyne/000001.bin") -> tarfile.TarInfo:
+    info = tarfile.TarInfo(name)
+    info.type = kind
+    info.linkname = "../../../etc/passwd"
+    return info
+
+
+@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE, tarfile.BLKTYPE, tarfile.FIFOTYPE])
+def test_links_and_devices_in_tar(client: httpx.Client, tmp_path: Path, kind: bytes) -> None:
+    refuse(client, tmp_path, tarred({"poses.txt": b"1"}, special(kind)), "is a link or a device")
+
+
+@pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFCHR, stat.S_IFIFO])
+def test_links_and_devices_in_zip(client: httpx.Client, tmp_path: Path, kind: int) -> None:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        info = zipfile.ZipInfo("velodyne/000000.bin")
+        info.create_system = 3
+        info.external_attr = (kind | 0o777) << 16
+        archive.writestr(info, "/etc/passwd")
+    refuse(client, tmp_path, data.getvalue(), "is a link or a device")
+
+
+def test_encrypted_files(client: httpx.Client, tmp_path: Path) -> None:
+    data = bytearray(zipped({"poses.txt": b"1"}))
+    for mark, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        data[data.index(mark) + offset] |= 1
+    refuse(client, tmp_path, bytes(data), "is encrypted")
+
+
+def test_names_that_come_twice(client: httpx.Client, tmp_path: Path) -> None:
+    refuse(client, tmp_path, tarred(FILES, tarfile.TarInfo("poses.txt")), "comes twice")
+    once = zipped({"poses.txt": b"1", "times.txt": b"2"})
+    refuse(client, tmp_path, once.replace(b"times.txt", b"poses.txt"), "comes twice")
+
+
+def test_a_name_that_is_file_and_folder(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+    refuse(client, tmp_path, zipped({"07/a": b"1", "07/a/b": b"2"}), "file and a folder")
+    assert client.put(f"{drive}/files/velodyne", content=b"a file").status_code == 201
+    answer = client.post(f"{drive}/archive", content=KINDS["zip"])
+    assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
+    assert list(listed(client, drive)) == ["velodyne"]
+    wait_until(lambda: [Path(name).name for name in left(tmp_path)] == ["velodyne"])
+
+
+CUT = {
+    "zip": KINDS["zip"][:-30],
+    "zip without its beginning": b"PK\x03\x04" + KINDS["zip"][2000:],
+    "stored zip": KINDS["stored zip"].replace(b"1 0 0 0", b"1 0 0 7", 1),
+    "tar": TARRED[: len(TARRED) // 2],
+    "tar at a file's end": TARRED[: TARRED.index(b"07/velodyne/000000.bin")],
+    "tar without its mark": TARRED.rstrip(b"\0") + bytes(-len(TARRED.rstrip(b"\0")) % 512),
+    "tar.gz": gzip.compress(TARRED)[:-9],
+    "tar.gz checksum": gzip.compress(TARRED)[:-8] + b"\0" * 8,
+    "tar.zst": zstandard.compress(TARRED)[:-3],
+    "tar.gz of text": gzip.compress(b"hello " * 1000),
+    "empty tar.gz": gzip.compress(b""),
+    "tar.zst of nothing": zstandard.compress(b""),
+}
+
+
+@pytest.mark.parametrize("data", CUT.values(), ids=CUT.keys())
+def test_damaged_archives(client: httpx.Client, tmp_path: Path, data: bytes) -> None:
+    refuse(client, tmp_path, data, "damaged or cut short")
+
+
+def test_archives_without_files(client: httpx.Client, tmp_path: Path) -> None:
+    refuse(client, tmp_path, zipped({}), "holds no files")
+    refuse(client, tmp_path, tarred({}, special(tarfile.DIRTYPE, "07")), "holds no files")
+
+
+@pytest.mark.parametrize("data", [b"", b"Rar!\x1a\x07\x00", b"7z\xbc\xaf\x27\x1c", b"\x89PNG", bytes(1000)])
+def test_what_is_no_archive(client: httpx.Client, tmp_path: Path, data: bytes) -> None:
+    refuse(client, tmp_path, data, "neither .zip nor .tar", status=415)
+
+
+ZEROS = {"velodyne/000000.bin": bytes(100_000_000)}
+
+
+@pytest.mark.parametrize(
+    "data", [zipped(ZEROS), gzip.compress(tarred(ZEROS)), zstandard.compress(tarred(ZEROS))], ids=["zip", "gz", "zst"]
+)
+def test_bombs(client: httpx.Client, tmp_path: Path, data: bytes) -> None:
+    refuse(client, tmp_path, data, "unpacks to more than 64 MB", "200 times")
+
+
+def test_a_zip_that_lies_about_its_size(client: httpx.Client, tmp_path: Path) -> None:
+    data = zipped(ZEROS).replace(struct.pack("<I", 100_000_000), struct.pack("<I", 1000))
+    refuse(client, tmp_path, data)
+
+
+def test_a_zip_whose_files_overlap(client: httpx.Client, tmp_path: Path) -> None:
+    """All names of the directory point to one piece of data."""
+    data = zipped({f"velodyne/{n:06d}.bin": bytes(8_000_000) for n in range(20)})
+    parts = data.split(b"PK\x01\x02")
+    overlapping = b"PK\x01\x02".join([parts[0], *(part[:38] + bytes(4) + part[42:] for part in parts[1:])])
+    refuse(client, tmp_path, overlapping)
+
+
+def test_nested_archives_stay_packed(client: httpx.Client, drive: str) -> None:
+    inner = zipped(ZEROS)
+    answer = client.post(f"{drive}/archive", content=zipped({"07/inner.zip": inner, "07/poses.txt": b"1"}))
+    assert answer.status_code == 200
+    assert listed(client, drive) == digests({"inner.zip": inner, "poses.txt": b"1"})
+
+
+def test_a_tar_header_of_gigabytes(client: httpx.Client, tmp_path: Path) -> None:
+    for kind in (tarfile.XHDTYPE, tarfile.GNUTYPE_LONGNAME):
+        info = special(kind, "long")
+        info.size = 4_000_000_000
+        refuse(client, tmp_path, gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(100_000)), "damaged or cut short")
+
+
+def test_too_many_files(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    client = serve(max_drive_files=50)
+    names = {f"velodyne/{n:06d}.bin": b"" for n in range(51)}
+    refuse(client, tmp_path, zipped(names), "more than 50 files")
+    refuse(client, tmp_path, tarred(names), "more than 50 files")
+    drive = make_drive(client)
+    assert client.put(f"{drive}/files/poses.txt", content=b"1").status_code == 201
+    names.popitem()
+    answer = client.post(f"{drive}/archive", content=zipped(names))
+    assert (answer.status_code, answer.json()["title"]) == (413, "Too many files")
+    assert list(listed(client, drive)) == ["poses.txt"]
+
+
+def test_too_large_files_and_archives(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    client = serve(max_file_bytes=1_000_000, max_archive_bytes=200_000, max_drive_bytes=1_500_000)
+    refuse(client, tmp_path, zipped({"07/poses.txt": bytes(1_000_001)}), "larger than 1 MB")
+    refuse(client, tmp_path, zipped({f"07/{n}": bytes(900_000) for n in range(2)}), "the limit for a drive")
+    refuse(client, tmp_path, bytes(200_001), "An archive may have", status=413)
+
+
+def test_a_full_disk(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    refuse(serve(min_free_bytes=1 << 60), tmp_path, KINDS["zip"], "no disk space left", status=507)
+
+
+def test_a_zip64_archive(client: httpx.Client, drive: str) -> None:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        for name, content in FILES.items():
+            with archive.open(name, "w", force_zip64=True) as file:
+                file.write(content)
+    assert client.post(f"{drive}/archive", content=data.getvalue()).status_code == 200
+    assert listed(client, drive) == digests(FILES)
+
+
+def test_a_committed_drive_takes_no_archive_and_one_being_unpacked_no_commit(client: httpx.Client, drive: str) -> None:
+    answer = client.post(f"{drive}/archive", content=KINDS["zip"], headers={"Prefer": "wait=0"})
+    assert answer.status_code in {200, 202}
+    commit = client.post(f"{drive}/commit")
+    wait_until(lambda: client.get(f"/api/v1/jobs/{answer.json()['job_id']}").json()["state"] == "successful")
+    assert commit.status_code == 409 or answer.status_code == 200
+    assert client.post("/api/v1/drives/0123456789abcdef/archive", content=KINDS["zip"]).status_code == 404
