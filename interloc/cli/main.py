@@ -17,6 +17,7 @@ COMMANDS = {
     "info": "info",
     "detect": "detect",
     "evaluate": "evaluate",
+    "compare": "compare",
     "run": "run",
     "explain": "explain",
     "robustness": "robustness",

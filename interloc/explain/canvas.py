@@ -70,7 +70,7 @@ class Canvas:
         cv2.fillPoly(self.pixels, [self._place(outline)], self._number(colour), cv2.LINE_8, _SHIFT)
 
     def png(self) -> bytes:
-        """Return the picture as a PNG file with a palette, which is much smaller and sooner packed than true colours."""
+        """Return the picture as a PNG file with a palette, much smaller and sooner packed than true colours."""
         from PIL import Image  # noqa: PLC0415 - slow to import
 
         picture = Image.fromarray(self.pixels)

@@ -17,7 +17,19 @@ from pathlib import Path
 
 import pytest
 
-COMMANDS = ["info", "detect", "evaluate", "run", "explain", "robustness", "export", "simulate", "benchmark", "config"]
+COMMANDS = [
+    "info",
+    "detect",
+    "evaluate",
+    "compare",
+    "run",
+    "explain",
+    "robustness",
+    "export",
+    "simulate",
+    "benchmark",
+    "config",
+]
 
 
 def test_help_lists_the_commands(interloc: Callable) -> None:

@@ -1,0 +1,66 @@
+"""`interloc compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from interloc.cli import console, options
+
+
+@click.command(short_help="Put the reports of several results side by side.")
+@click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
+@options.JSON
+def command(results: tuple[Path, ...], as_json: bool) -> None:
+    """Show in which settings RESULTS differ, their figures, and which intersections only one of them found.
+
+    RESULTS are two or more result folders of `interloc run` over one drive.
+
+    \b
+    Example:
+      interloc compare out_default out_paper
+    """
+    from interloc.errors import ConfigError
+    from interloc.evaluate.compare import compare_reports
+    from interloc.mapping.geojson import read_json
+
+    names = [str(result) for result in results]
+    for result in results:
+        if (result / "run.json").is_file() and not (result / "report.json").is_file():
+            raise ConfigError(
+                f"{result} was not scored against a map: `interloc evaluate {result} --osm FILE` does that"
+            )
+    reports = [read_json(result / "report.json") for result in results]
+    told = compare_reports(names, reports, [read_json(result / "run.json") for result in results])
+    if as_json:
+        console.say_json(told)
+        return
+    _say_table(["", *names], [[row["name"], *map(_said, row["values"])] for row in told["figures"]])
+    click.echo()
+    if told["settings"]:
+        _say_table(["setting", *names], [[row["name"], *map(_said, row["values"])] for row in told["settings"]])
+    else:
+        click.echo("the same settings")
+    click.echo()
+    click.echo(f"{told['found_by_all']} nodes found by all, {told['missed_by_all']} missed by all")
+    for name, only in zip(names, told["found_only_by"], strict=True):
+        click.echo(f"only {name}: {len(only)}" + (f" ({', '.join(map(str, only[:20]))})" if only else ""))
+    for warning in told["warnings"]:
+        click.echo(f"note: {warning}")
+
+
+def _say_table(head: list[str], rows: list[list[str]]) -> None:
+    widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
+    for row in [head, *rows]:
+        first, *rest = (
+            text.ljust(w) if i == 0 else text.rjust(w) for i, (text, w) in enumerate(zip(row, widths, strict=True))
+        )
+        click.echo("  ".join([first, *rest]).rstrip())
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "-" if value is None else str(value)

@@ -1,0 +1,39 @@
+"""`interloc compare`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from interloc.cli.main import run
+
+
+@pytest.fixture(scope="module")
+def outs(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Result folders of two presets. Shared: do not change them."""
+    root = tmp_path_factory.mktemp("outs")
+    for preset in ("default", "paper"):
+        assert run(["run", str(drive), "-o", str(root / preset), "--osm", str(osm), "--preset", preset, "--quiet"]) == 0
+    return root / "default", root / "paper"
+
+
+def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Callable) -> None:
+    told = interloc("compare", *outs, "--json").json
+    assert told["runs"] == [str(out) for out in outs]
+    assert {"name": "preset", "values": ["default", "paper"]} in told["settings"]
+    text = interloc("compare", *outs).out
+    (line,) = [line.split() for line in text.splitlines() if line.startswith("nodes_found")]
+    (figure,) = [row["values"] for row in told["figures"] if row["name"] == "nodes_found"]
+    assert line[1:] == [str(value) for value in figure]
+    assert f"{told['found_by_all']} nodes found by all" in text
+
+
+def test_what_cannot_be_compared(outs: tuple[Path, Path], drive: Path, tmp_path: Path, interloc: Callable) -> None:
+    assert "two runs or more" in interloc("compare", outs[0]).complaint
+    assert "is missing" in interloc("compare", outs[0], tmp_path).complaint
+    assert interloc("detect", drive, "-o", tmp_path / "plain", "--quiet").code == 0
+    outcome = interloc("compare", outs[0], tmp_path / "plain")
+    assert outcome.code == 2
+    assert "interloc evaluate" in outcome.complaint
