@@ -1,24 +1,40 @@
-# The command line in a slim image: docker build -t interloc . && docker run -v "$PWD:/data" interloc info DRIVE
+# The web service with its page, and the command line, in a slim image:
+#   docker build -t interloc .
+#   docker run -p 8000:8000 -v interloc:/data -e INTERLOC_TOKEN="$(openssl rand -hex 24)" interloc
+#   docker run -v "$PWD:/work" -w /work interloc info DRIVE
+FROM node:22-slim AS page
+WORKDIR /static
+COPY static/package.json static/package-lock.json static/.npmrc ./
+RUN npm ci --omit=dev
+COPY static ./
+
 FROM python:3.11-slim AS build
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./
 COPY interloc interloc
 COPY app app
+COPY --from=page /static static
 RUN python -m venv /opt/interloc \
- && /opt/interloc/bin/pip install --no-cache-dir -c constraints.txt .
+ && /opt/interloc/bin/pip install --no-cache-dir -c constraints.txt ".[service,dask]"
 
 FROM python:3.11-slim
 # The bindings of libosmium read XML through expat.
 RUN apt-get update \
  && apt-get install -y --no-install-recommends libexpat1 \
  && rm -rf /var/lib/apt/lists/* \
- && useradd --create-home interloc \
+ && useradd --create-home --uid 1000 interloc \
  && mkdir -p /var/cache/interloc /data \
  && chown interloc /var/cache/interloc /data
 COPY --from=build /opt/interloc /opt/interloc
 # The compiled kernels are kept here between runs.
-ENV PATH=/opt/interloc/bin:$PATH NUMBA_CACHE_DIR=/var/cache/interloc MPLCONFIGDIR=/var/cache/interloc
+ENV PATH=/opt/interloc/bin:$PATH NUMBA_CACHE_DIR=/var/cache/interloc MPLCONFIGDIR=/var/cache/interloc \
+    INTERLOC_DATA_DIR=/data INTERLOC_HOST=0.0.0.0
 USER interloc
 WORKDIR /data
+VOLUME /data
+EXPOSE 8000
+HEALTHCHECK --interval=30s --timeout=5s --start-period=60s \
+    CMD ["python", "-c", "import os, urllib.request as r; r.urlopen(f'http://127.0.0.1:{os.environ.get(\"INTERLOC_PORT\", 8000)}/healthz', timeout=4)"]
 ENTRYPOINT ["interloc"]
-CMD ["--help"]
+# Other machines can connect: it asks for a token (INTERLOC_TOKEN, or `interloc token add NAME` on the same volume).
+CMD ["serve"]

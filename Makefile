@@ -4,15 +4,21 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: install demo test lint format types bench clean
+.PHONY: install serve demo test lint format types bench clean
 
 install: $(READY)
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml constraints.txt static/package-lock.json
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "InterLoc needs Python 3.11 or newer; PYTHON=... chooses one")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[service,dask,dev]"
+	@if command -v npm >/dev/null; then npm ci --silent --omit=dev --prefix static; \
+	else echo "npm was not found: the web service will run without its page."; fi
 	@touch $(READY)
+
+# The web service and its page, for this machine only: drives and results in ./interloc-data.
+serve: $(READY)
+	$(BIN)/interloc serve
 
 # A drive through a made-up town, found, mapped and scored against the town's own map: all in demo/.
 demo: $(READY)
