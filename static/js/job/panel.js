@@ -126,8 +126,8 @@ function outcome(job) {
   ];
   if (report) {
     figures.push(figure(formatMetres(report.ace_m), "mean error (ACE)"));
-    figures.push(figure(formatPercent(report.precision_at_5), "precision, D = 5 m"));
-    figures.push(figure(formatPercent(report.recall_at_5), "recall, D = 5 m"));
+    figures.push(figure(formatPercent(report.precision_at_5), "precision, 5 m"));
+    figures.push(figure(formatPercent(report.recall_at_5), "recall, 5 m"));
   }
   return [
     el("div", { class: "tiles-row" }, figures),

@@ -10,6 +10,7 @@ import { LAYERS, layersOn } from "./layers.js";
 import { signIcon } from "./symbols.js";
 
 const OPEN_KEY = "interloc.legend";
+const WIDE_PX = 640; // on a narrower map the legend is folded: it would hide the half of it
 
 /**
  * @param {any} map
@@ -39,8 +40,8 @@ export function addLegend(map) {
       box,
       el(
         "details",
-        { open: localStorage.getItem(OPEN_KEY) !== "no", onToggle: (/** @type {any} */ e) => localStorage.setItem(OPEN_KEY, e.target.open ? "yes" : "no") },
-        el("summary", {}, icon("layers"), "Layers"),
+        { open: isWide() && localStorage.getItem(OPEN_KEY) !== "no" },
+        el("summary", { onClick: (/** @type {any} */ e) => localStorage.setItem(OPEN_KEY, e.currentTarget.parentElement.open ? "no" : "yes") }, icon("layers"), "Layers"),
         groups.map((group) =>
           el(
             "fieldset",
@@ -54,6 +55,13 @@ export function addLegend(map) {
     );
     if (focused) document.getElementById(focused)?.focus();
   };
+  const isWide = () => map.getSize().x >= WIDE_PX;
+  let wasWide = true;
+  map.on("resize", () => {
+    if (isWide() === wasWide) return;
+    wasWide = !wasWide;
+    update();
+  });
   subscribe(["layers"], update);
   return {
     show(next) {

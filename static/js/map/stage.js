@@ -24,6 +24,8 @@ let result = null;
 let map = null;
 /** @type {Scene|null} */
 let scene = null;
+/** Whether the map shows a place of the result, worth a permalink. */
+let isPlaced = false;
 /** @type {Set<(result: import("../data/results.js").Result|null) => void>} */
 const listeners = new Set();
 
@@ -60,7 +62,7 @@ export async function mountStage() {
     map?.remove();
     parts = makeMap(holder, local, () => scene);
     map = parts.map;
-    map.on("moveend", () => result && setState({ view: viewText() }));
+    map.on("moveend", () => isPlaced && setState({ view: viewText() }));
   };
 
   const showDrive = async () => {
@@ -115,15 +117,18 @@ export async function mountStage() {
     updateLayers();
     parts.legend.show(next);
     parts.setAttribution(next);
+    isPlaced = false;
+    for (const call of listeners) call(next); // the drawer may open, so the map is fitted after it
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
+    isPlaced = true;
     if (frame !== null && !next.frame.rows.has(frame)) setState({ frame: null });
     timeline.show(next);
     updateKeyframe();
-    for (const call of listeners) call(next);
   };
 
   const clear = () => {
+    isPlaced = false;
     result = null;
     scene = null;
     parts?.legend.show(null);
@@ -254,7 +259,7 @@ function fit(places, animate, local) {
 
 /** @returns {number[][]} What the controls cover: left and top, right and bottom, pixels. */
 function margins() {
-  const hasLegend = map.getSize().x > 640 && localStorage.getItem("interloc.legend") !== "no";
+  const hasLegend = map.getSize().x >= 640 && localStorage.getItem("interloc.legend") !== "no";
   return [[56, 40], [hasLegend ? 232 : 40, 40]];
 }
 

@@ -4,7 +4,7 @@
  */
 import { getJson } from "../api.js";
 import { lists } from "../data/lists.js";
-import { el, fill, formatMetres, formatPercent } from "../dom.js";
+import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
 import { goTo, shownResult } from "../map/stage.js";
 import { signIcon } from "../map/symbols.js";
 import { jobName } from "../shell/header.js";
@@ -64,10 +64,9 @@ function differences(compared) {
   const { settings, nodes } = compared;
   return [
     compared.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
-    el("h4", {}, "Settings that differ"),
     settings.length
-      ? headed(["Setting", "This job", "Other job"], settings.map((/** @type {any} */ each) => [el("code", {}, each.name), ...each.values.map((/** @type {any} */ value) => JSON.stringify(value))]))
-      : el("p", { class: "small" }, "None."),
+      ? el("details", {}, el("summary", {}, plural(settings.length, "setting differs", "settings differ")), headed(["Setting", "This job", "Other job"], settings.map((/** @type {any} */ each) => [el("code", {}, each.name), ...each.values.map((/** @type {any} */ value) => value === null ? "–" : String(value))])))
+      : el("p", { class: "small" }, "Both ran with the same settings."),
     el("h4", {}, "OSM intersections with another outcome"),
     nodes.length
       ? headed(["OSM node", "This job", "Other job"], nodes.map((/** @type {any} */ node) => [el("button", { class: "link", onClick: () => show(node) }, node.osm_id), ...node.outcomes.map(outcome)]))

@@ -2,7 +2,7 @@
  * The table of all OSM intersections that the drive could or did find; a row leads to its place on the map.
  * @module report/nodes
  */
-import { el, fill, formatMetres } from "../dom.js";
+import { el, fill } from "../dom.js";
 import { kindOfNode } from "../map/layers.js";
 import { goTo } from "../map/stage.js";
 import { signIcon } from "../map/symbols.js";
@@ -12,23 +12,23 @@ const NAMES = { missed: "missed", found: "found", outside: "out of reach" };
 
 /** @type {Array<{name: string, title: string, value: (node: any) => number, text: (node: any) => any}>} */
 const COLUMNS = [
-  { name: "OSM node", title: "Number of the node in OpenStreetMap", value: (n) => n.osm_id ?? 0, text: (n) => [signIcon(n.kind), ` ${n.osm_id}`] },
-  { name: "Outcome", title: "Whether a true detection was matched to it", value: (n) => ORDER[/** @type {"found"} */ (n.kind)], text: (n) => NAMES[/** @type {"found"} */ (n.kind)] },
-  { name: "Det.", title: "Detections matched to it", value: (n) => n.detections, text: (n) => n.detections },
+  { name: "", title: "Outcome: whether a true detection was matched to it", value: (n) => ORDER[/** @type {"found"} */ (n.kind)], text: (n) => el("span", { title: NAMES[/** @type {"found"} */ (n.kind)] }, signIcon(n.kind), el("span", { class: "unseen" }, NAMES[/** @type {"found"} */ (n.kind)])) },
+  { name: "OSM node", title: "Number of the node in OpenStreetMap", value: (n) => n.osm_id ?? 0, text: (n) => n.osm_id },
+  { name: "Seen", title: "Detections matched to it", value: (n) => n.detections, text: (n) => n.detections },
   { name: "Missed", title: "Keyframes that had it in the relevant zone without a detection", value: (n) => n.keyframes_missed, text: (n) => `${n.keyframes_missed}/${n.keyframes_in_zone}` },
-  { name: "Median", title: "Median error of the detections", value: (n) => n.median_error_m ?? Infinity, text: (n) => formatMetres(n.median_error_m) },
-  { name: "Map", title: "Error of the fused intersection", value: (n) => n.map_error_m ?? Infinity, text: (n) => formatMetres(n.map_error_m) },
+  { name: "Median", title: "Median error of the detections, metres", value: (n) => n.median_error_m ?? Infinity, text: (n) => n.median_error_m?.toFixed(2) ?? "–" },
+  { name: "Map", title: "Error of the intersection on the map, metres", value: (n) => n.map_error_m ?? Infinity, text: (n) => n.map_error_m?.toFixed(2) ?? "–" },
 ];
 
 /** @param {import("../data/results.js").Result} result */
 export function nodeTable(result) {
   const places = new Map(result.nodes.map((node) => [node.properties.osm_id, node]));
   const rows = result.report.nodes.map((/** @type {any} */ node) => ({ ...node, kind: kindOfNode({ lng: 0, lat: 0, properties: node }) }));
-  let column = 1;
+  let column = 0;
   let down = false;
   const body = el("tbody", {});
   const heads = COLUMNS.map(({ name, title }, i) =>
-    el("th", { scope: "col", title }, el("button", { type: "button", onClick: () => sort(i) }, name, el("span", { "aria-hidden": "true" }))),
+    el("th", { scope: "col", title }, el("button", { type: "button", "aria-label": title, onClick: () => sort(i) }, name, el("span", { "aria-hidden": "true" }))),
   );
   /** @param {number} next */
   const sort = (next) => {

@@ -79,7 +79,7 @@ function sections(result, report) {
       counts,
     ),
     section("Center errors", barChart(histogram(errors, 0.5, 20), { width: 0.5, limit: report.ace_tp_threshold_m ?? D })),
-    section("OSM intersections", nodeTable(result)),
+    section("OSM intersections", nodeTable(result), el("p", { class: "small" }, "Errors in metres. A row leads to its place on the map.")),
     comparison(result),
   ];
 }
