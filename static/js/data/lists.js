@@ -42,6 +42,11 @@ export function rememberDrive(drive) {
   changed();
 }
 
+/** Let everybody show the lists again, since something that they are shown with is known now. */
+export function touchLists() {
+  if (lists.isLoaded) changed();
+}
+
 function changed() {
   for (const call of listeners) call();
 }

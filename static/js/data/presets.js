@@ -3,6 +3,7 @@
  * @module data/presets
  */
 import { getJson } from "../api.js";
+import { touchLists } from "./lists.js";
 
 /** @type {Map<string, any>} Name -> configuration. */
 const presets = new Map();
@@ -12,6 +13,7 @@ export async function loadPresets() {
   if (presets.size) return;
   const answer = await getJson("presets");
   for (const { name, config } of answer.presets) presets.set(name, config);
+  touchLists();
 }
 
 /**

@@ -75,7 +75,8 @@ export class Scene {
     if (this.on.has("errors")) {
       for (const [outcome, layer] of [["TP", "tp"], ["FP", "fp"]]) {
         if (!this.on.has(layer)) continue;
-        const paths = this.errors.filter((each) => each.outcome === outcome).map((each) => each.path);
+        const taken = new Set();
+        const paths = this.errors.filter((each) => each.outcome === outcome && isFresh(each.path, view, taken)).map((each) => each.path);
         strokePaths(context, view, paths, colour(SIGNS[layer].colour), 1, outcome === "TP" ? 0.55 : 0.35);
       }
     }
@@ -118,12 +119,16 @@ export class Scene {
    */
   #paintPoints(context, view, { xs, ys, items }, name, r, alpha, chosen) {
     const sign = SIGNS[name];
+    const taken = new Set(); // pixels: a sign over a sign of the same kind changes nothing
     context.beginPath();
     for (let i = 0; i < items.length; i += 1) {
       if (chosen && !chosen(items[i])) continue;
       const x = view.x(xs[i]);
       const y = view.y(ys[i]);
-      if (view.shows(x, y)) trace(context, sign.shape, x, y, r);
+      const pixel = Math.round(x) * 65536 + Math.round(y);
+      if (!view.shows(x, y) || taken.has(pixel)) continue;
+      taken.add(pixel);
+      trace(context, sign.shape, x, y, r);
     }
     context.globalAlpha = alpha;
     if (!sign.filled && sign.width > 2) {
@@ -236,6 +241,16 @@ function strokePaths(context, view, paths, stroke, width, alpha = 1) {
   context.lineWidth = width;
   context.stroke();
   context.globalAlpha = 1;
+}
+
+/** @param {Float64Array} line Of two points. @param {import("./surface.js").View} view @param {Set<string>} taken @returns {boolean} Whether it is seen, and differs from the lines before by a pixel. */
+function isFresh(line, view, taken) {
+  const [x, y, toX, toY] = [view.x(line[0]), view.y(line[1]), view.x(line[2]), view.y(line[3])];
+  if (!view.shows(x, y) && !view.shows(toX, toY)) return false;
+  const key = `${Math.round(x)} ${Math.round(y)} ${Math.round(toX)} ${Math.round(toY)}`;
+  if (taken.has(key)) return false;
+  taken.add(key);
+  return true;
 }
 
 /** @param {any} properties @returns {number} Metres as drawn. */

@@ -52,7 +52,8 @@ export function mountHeader(header) {
   onListsChange(update);
   onTokenChange(update);
   update();
-  loadPresets().then(refreshLists).catch(showError);
+  loadPresets().catch(showError);
+  refreshLists().catch(showError);
 }
 
 /** @param {any} job @returns {string} Its name, or what it was asked for. */
