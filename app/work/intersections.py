@@ -30,7 +30,10 @@ from interloc.pipeline import RangeResult, assemble, detect_range
 from interloc.results import DriveResult
 
 _RANGE = 240
-"""Keyframes of a part: about two seconds of work, of which the halo is a twentieth."""
+"""Keyframes of a part with images of `_CELLS` a side: a second or two of work, of which the halo is a twentieth."""
+
+_SHORTEST_RANGE = 40
+_CELLS = 750
 
 _Positions = NDArray[np.int64]
 
@@ -45,7 +48,7 @@ def prepare(task: Task) -> Plan:
     if task.request.get("osm") is not None:
         _require_georeference(task, drive)
         _read_map(task, drive, keyframes)
-    return Plan(_cut(len(keyframes)), len(keyframes), {"began": time.time()})
+    return Plan(_cut(len(keyframes), config_of(task)), len(keyframes), {"began": time.time()})
 
 
 def run(task: Task, part: Part, report: Report) -> None:
@@ -117,9 +120,10 @@ def config_of(task: Task) -> DetectorConfig:
     return DetectorConfig.model_validate(task.request["config"])
 
 
-def _cut(keyframes: int) -> list[Part]:
+def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:
     """Cut the keyframes into ranges; the same ones on every server, so that each finds the other's checkpoints."""
-    count = max(1, round(keyframes / _RANGE))
+    length = max(_SHORTEST_RANGE, min(_RANGE, _RANGE * _CELLS**2 // config.bev.cells**2))
+    count = max(1, round(keyframes / length))
     edges = [round(i * keyframes / count) for i in range(count + 1)]
     return [Part(number, start, stop) for number, (start, stop) in enumerate(pairwise(edges))]
 

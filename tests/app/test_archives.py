@@ -10,12 +10,14 @@ import struct
 import tarfile
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 import zstandard
+
+from tests.app.conftest import running_server
 
 FILES = {
     "poses.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n",
@@ -23,6 +25,19 @@ FILES = {
     "velodyne/000001.bin": b"",
     "labels/000000.label": b"\x28\0\0\0",
 }
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the server of this module keeps its data."""
+    return tmp_path_factory.mktemp("archives")
+
+
+@pytest.fixture(scope="module")
+def client(home: Path) -> Iterator[httpx.Client]:
+    """One server for all tests of this module: its workers start only once."""
+    with running_server(home / "data") as address, httpx.Client(base_url=address, timeout=120) as client:
+        yield client
 
 
 @pytest.fixture
@@ -67,24 +82,24 @@ def digests(files: dict[str, bytes]) -> dict[str, str]:
     return {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
 
 
-def left(tmp_path: Path) -> list[str]:
-    return [
-        path.relative_to(tmp_path).as_posix()
-        for path in (tmp_path / "data").rglob("*")
+def left(home: Path, below: str = "data") -> list[str]:
+    return sorted(
+        path.relative_to(home).as_posix()
+        for path in (home / below).rglob("*")
         if path.is_file() and "sqlite" not in path.name
-    ]
+    )
 
 
 def refuse(client: httpx.Client, tmp_path: Path, data: bytes, *reasons: str, status: int = 422) -> None:
     """Nothing of a bad archive is kept, and the drive takes a good one afterwards."""
-    drive = make_drive(client)
+    drive, before = make_drive(client), left(tmp_path)
     answer = client.post(f"{drive}/archive", content=data)
     assert answer.status_code == status, answer.text
     for reason in reasons:
         assert reason in answer.json()["detail"]
     assert str(tmp_path) not in answer.text
     assert listed(client, drive) == {}
-    wait_until(lambda: left(tmp_path) == [])
+    wait_until(lambda: left(tmp_path) == before)
     assert client.get(drive).json()["state"] == "uploading"
 
 
@@ -112,7 +127,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("data", KINDS.values(), ids=KINDS.keys())
-def test_every_kind_of_archive(client: httpx.Client, drive: str, tmp_path: Path, data: bytes) -> None:
+def test_every_kind_of_archive(client: httpx.Client, drive: str, home: Path, data: bytes) -> None:
     answer = client.post(f"{drive}/archive", content=data)
     assert answer.status_code == 200, answer.text
     result = answer.json()
@@ -122,8 +137,8 @@ def test_every_kind_of_archive(client: httpx.Client, drive: str, tmp_path: Path,
         assert client.get(f"{drive}/files/{name}").content == content
     shown = client.get(drive).json()
     assert (shown["files"], shown["size_bytes"]) == (4, result["size_bytes"])
-    root = f"data/drives/{drive.rsplit('/', maxsplit=1)[-1]}/files"
-    wait_until(lambda: sorted(left(tmp_path)) == sorted(f"{root}/{name}" for name in FILES))
+    root = f"data/drives/{drive.rsplit('/', maxsplit=1)[-1]}"
+    wait_until(lambda: left(home, root) == sorted(f"{root}/files/{name}" for name in FILES))
 
 
 def test_an_archive_as_part_of_a_form(client: httpx.Client, drive: str) -> None:
@@ -197,11 +212,11 @@ def test_parts_of_a_drive(client: httpx.Client, drive: str, names: list[str], pl
     assert sorted(listed(client, drive)) == places
 
 
-def test_two_drives_are_refused_by_name(client: httpx.Client, tmp_path: Path) -> None:
+def test_two_drives_are_refused_by_name(client: httpx.Client, home: Path) -> None:
     both = {**in_folder("sequences/00", FILES), **in_folder("sequences/07", FILES)}
-    refuse(client, tmp_path, zipped(both), "2 drives: sequences/00/ and sequences/07/")
+    refuse(client, home, zipped(both), "2 drives: sequences/00/ and sequences/07/")
     apart = {"a/velodyne/000000.bin": b"1", "b/labels/000000.label": b"1"}
-    refuse(client, tmp_path, tarred(apart), "2 drives: a/ and b/")
+    refuse(client, home, tarred(apart), "2 drives: a/ and b/")
 
 
 @pytest.mark.parametrize(
@@ -216,16 +231,16 @@ def test_two_drives_are_refused_by_name(client: httpx.Client, tmp_path: Path) ->
         ("a" * 300, "255 bytes"),
     ],
 )
-def test_names_that_lead_elsewhere(client: httpx.Client, tmp_path: Path, name: str, reason: str) -> None:
-    refuse(client, tmp_path, zipped({**FILES, name: b"evil"}), reason)
-    refuse(client, tmp_path, tarred({**FILES, name: b"evil"}), reason)
-    assert not list(tmp_path.rglob("evil*"))
+def test_names_that_lead_elsewhere(client: httpx.Client, home: Path, name: str, reason: str) -> None:
+    refuse(client, home, zipped({**FILES, name: b"evil"}), reason)
+    refuse(client, home, tarred({**FILES, name: b"evil"}), reason)
+    assert not list(home.rglob("evil*"))
 
 
-def test_names_that_are_not_utf8(client: httpx.Client, drive: str, tmp_path: Path) -> None:
-    refuse(client, tmp_path, tarred(FILES).replace(b"poses.txt\0", b"pos\xffs.txt\0"), "damaged")  # and its checksum
+def test_names_that_are_not_utf8(client: httpx.Client, drive: str, home: Path) -> None:
+    refuse(client, home, tarred(FILES).replace(b"poses.txt\0", b"pos\xffs.txt\0"), "damaged")  # and its checksum
     data = tarred({"07/a\u00fc.txt": b"1"}, format=tarfile.GNU_FORMAT, encoding="latin-1")
-    refuse(client, tmp_path, data, "not UTF-8")
+    refuse(client, home, data, "not UTF-8")
     data = zipped({"07/axx.txt": b"1"}).replace(b"axx", b"a\x81x")  # code page 437, as old archives have it
     assert client.post(f"{drive}/archive", content=data).status_code == 200
     assert list(listed(client, drive)) == ["a\u00fcx.txt"]
@@ -239,41 +254,42 @@ def special(kind: bytes, name: str = "velodyne/000001.bin") -> tarfile.TarInfo:
 
 
 @pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.CHRTYPE, tarfile.BLKTYPE, tarfile.FIFOTYPE])
-def test_links_and_devices_in_tar(client: httpx.Client, tmp_path: Path, kind: bytes) -> None:
-    refuse(client, tmp_path, tarred({"poses.txt": b"1"}, special(kind)), "is a link or a device")
+def test_links_and_devices_in_tar(client: httpx.Client, home: Path, kind: bytes) -> None:
+    refuse(client, home, tarred({"poses.txt": b"1"}, special(kind)), "is a link or a device")
 
 
 @pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFCHR, stat.S_IFIFO])
-def test_links_and_devices_in_zip(client: httpx.Client, tmp_path: Path, kind: int) -> None:
+def test_links_and_devices_in_zip(client: httpx.Client, home: Path, kind: int) -> None:
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w") as archive:
         info = zipfile.ZipInfo("velodyne/000000.bin")
         info.create_system = 3
         info.external_attr = (kind | 0o777) << 16
         archive.writestr(info, "/etc/passwd")
-    refuse(client, tmp_path, data.getvalue(), "is a link or a device")
+    refuse(client, home, data.getvalue(), "is a link or a device")
 
 
-def test_encrypted_files(client: httpx.Client, tmp_path: Path) -> None:
+def test_encrypted_files(client: httpx.Client, home: Path) -> None:
     data = bytearray(zipped({"poses.txt": b"1"}))
     for mark, offset in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         data[data.index(mark) + offset] |= 1
-    refuse(client, tmp_path, bytes(data), "is encrypted")
+    refuse(client, home, bytes(data), "is encrypted")
 
 
-def test_names_that_come_twice(client: httpx.Client, tmp_path: Path) -> None:
-    refuse(client, tmp_path, tarred(FILES, tarfile.TarInfo("poses.txt")), "comes twice")
+def test_names_that_come_twice(client: httpx.Client, home: Path) -> None:
+    refuse(client, home, tarred(FILES, tarfile.TarInfo("poses.txt")), "comes twice")
     once = zipped({"poses.txt": b"1", "times.txt": b"2"})
-    refuse(client, tmp_path, once.replace(b"times.txt", b"poses.txt"), "comes twice")
+    refuse(client, home, once.replace(b"times.txt", b"poses.txt"), "comes twice")
 
 
-def test_a_name_that_is_file_and_folder(client: httpx.Client, drive: str, tmp_path: Path) -> None:
-    refuse(client, tmp_path, zipped({"07/a": b"1", "07/a/b": b"2"}), "file and a folder")
+def test_a_name_that_is_file_and_folder(client: httpx.Client, drive: str, home: Path) -> None:
+    refuse(client, home, zipped({"07/a": b"1", "07/a/b": b"2"}), "file and a folder")
     assert client.put(f"{drive}/files/velodyne", content=b"a file").status_code == 201
     answer = client.post(f"{drive}/archive", content=KINDS["zip"])
     assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
     assert list(listed(client, drive)) == ["velodyne"]
-    wait_until(lambda: [Path(name).name for name in left(tmp_path)] == ["velodyne"])
+    root = f"data/drives/{drive.rsplit('/', maxsplit=1)[-1]}"
+    wait_until(lambda: left(home, root) == [f"{root}/files/velodyne"])
 
 
 CUT = {
@@ -293,18 +309,18 @@ CUT = {
 
 
 @pytest.mark.parametrize("data", CUT.values(), ids=CUT.keys())
-def test_damaged_archives(client: httpx.Client, tmp_path: Path, data: bytes) -> None:
-    refuse(client, tmp_path, data, "damaged or cut short")
+def test_damaged_archives(client: httpx.Client, home: Path, data: bytes) -> None:
+    refuse(client, home, data, "damaged or cut short")
 
 
-def test_archives_without_files(client: httpx.Client, tmp_path: Path) -> None:
-    refuse(client, tmp_path, zipped({}), "holds no files")
-    refuse(client, tmp_path, tarred({}, special(tarfile.DIRTYPE, "07")), "holds no files")
+def test_archives_without_files(client: httpx.Client, home: Path) -> None:
+    refuse(client, home, zipped({}), "holds no files")
+    refuse(client, home, tarred({}, special(tarfile.DIRTYPE, "07")), "holds no files")
 
 
 @pytest.mark.parametrize("data", [b"", b"Rar!\x1a\x07\x00", b"7z\xbc\xaf\x27\x1c", b"\x89PNG", bytes(1000)])
-def test_what_is_no_archive(client: httpx.Client, tmp_path: Path, data: bytes) -> None:
-    refuse(client, tmp_path, data, "neither .zip nor .tar", status=415)
+def test_what_is_no_archive(client: httpx.Client, home: Path, data: bytes) -> None:
+    refuse(client, home, data, "neither .zip nor .tar", status=415)
 
 
 ZEROS = {"velodyne/000000.bin": bytes(100_000_000)}
@@ -313,21 +329,21 @@ ZEROS = {"velodyne/000000.bin": bytes(100_000_000)}
 @pytest.mark.parametrize(
     "data", [zipped(ZEROS), gzip.compress(tarred(ZEROS)), zstandard.compress(tarred(ZEROS))], ids=["zip", "gz", "zst"]
 )
-def test_bombs(client: httpx.Client, tmp_path: Path, data: bytes) -> None:
-    refuse(client, tmp_path, data, "unpacks to more than 64 MB", "200 times")
+def test_bombs(client: httpx.Client, home: Path, data: bytes) -> None:
+    refuse(client, home, data, "unpacks to more than 64 MB", "200 times")
 
 
-def test_a_zip_that_lies_about_its_size(client: httpx.Client, tmp_path: Path) -> None:
+def test_a_zip_that_lies_about_its_size(client: httpx.Client, home: Path) -> None:
     data = zipped(ZEROS).replace(struct.pack("<I", 100_000_000), struct.pack("<I", 1000))
-    refuse(client, tmp_path, data)
+    refuse(client, home, data)
 
 
-def test_a_zip_whose_files_overlap(client: httpx.Client, tmp_path: Path) -> None:
+def test_a_zip_whose_files_overlap(client: httpx.Client, home: Path) -> None:
     """All names of the directory point to one piece of data."""
     data = zipped({f"velodyne/{n:06d}.bin": bytes(8_000_000) for n in range(20)})
     parts = data.split(b"PK\x01\x02")
     overlapping = b"PK\x01\x02".join([parts[0], *(part[:38] + bytes(4) + part[42:] for part in parts[1:])])
-    refuse(client, tmp_path, overlapping)
+    refuse(client, home, overlapping)
 
 
 def test_nested_archives_stay_packed(client: httpx.Client, drive: str) -> None:
@@ -337,11 +353,11 @@ def test_nested_archives_stay_packed(client: httpx.Client, drive: str) -> None:
     assert listed(client, drive) == digests({"inner.zip": inner, "poses.txt": b"1"})
 
 
-def test_a_tar_header_of_gigabytes(client: httpx.Client, tmp_path: Path) -> None:
+def test_a_tar_header_of_gigabytes(client: httpx.Client, home: Path) -> None:
     for kind in (tarfile.XHDTYPE, tarfile.GNUTYPE_LONGNAME):
         info = special(kind, "long")
         info.size = 4_000_000_000
-        refuse(client, tmp_path, gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(100_000)), "damaged or cut short")
+        refuse(client, home, gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(100_000)), "damaged or cut short")
 
 
 def test_too_many_files(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
