@@ -28,8 +28,8 @@ class Settings(BaseSettings):
     static_dir: Path | None = Field(None, description="Folder of the page; the one beside the package by default.")
 
     # Where it listens.
-    host: str = "127.0.0.1"
-    port: int = Field(8000, ge=0, le=65535)
+    host: str = Field("127.0.0.1", description="Address to listen on; others than this machine's need a token.")
+    port: int = Field(8000, ge=0, le=65535, description="0: any free one.")
     root_path: str = Field("", description="Path under which a reverse proxy shows the service, as /interloc.")
     trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
     allowed_hosts: str = Field(
@@ -46,15 +46,15 @@ class Settings(BaseSettings):
     lease_s: float = Field(30.0, ge=1.0, description="A job whose server is silent for so long is taken over.")
 
     # Limits.
-    max_file_bytes: int = Field(256 * MB, ge=1)
-    max_archive_bytes: int = Field(32 * GB, ge=1)
+    max_file_bytes: int = Field(256 * MB, ge=1, description="One uploaded file.")
+    max_archive_bytes: int = Field(32 * GB, ge=1, description="One uploaded archive.")
     max_archive_ratio: float = Field(
         200.0, ge=1.0, description="Unpacked size over packed size; labels alone reach more than 100."
     )
     max_batch_bytes: int = Field(512 * MB, ge=1, description="One multipart request.")
     max_batch_files: int = Field(1000, ge=1, description="Files in one multipart request.")
-    max_drive_bytes: int = Field(64 * GB, ge=1)
-    max_drive_files: int = Field(200_000, ge=1)
+    max_drive_bytes: int = Field(64 * GB, ge=1, description="All files of a drive, unpacked.")
+    max_drive_files: int = Field(200_000, ge=1, description="Files of a drive.")
     min_free_bytes: int = Field(1 * GB, ge=0, description="No upload or job begins with less space on the disk.")
     idle_timeout_s: float = Field(60.0, gt=0, description="A request whose body pauses for so long is given up.")
     max_queued_jobs: int = Field(100, ge=1, description="Jobs of one client that wait or run.")
@@ -66,11 +66,13 @@ class Settings(BaseSettings):
     tile_url: str | None = Field(
         "https://tile.openstreetmap.org/{z}/{x}/{y}.png", description="Tiles that the page offers; empty for none."
     )
-    tile_attribution: str = "© OpenStreetMap contributors"
+    tile_attribution: str = Field("© OpenStreetMap contributors", description="Shown on the tiles.")
 
     # What is logged.
-    log_format: Literal["json", "text"] = "json"
-    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    log_format: Literal["json", "text"] = Field("json", description="json (a line each) or text.")
+    log_level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="debug, info, warning or error; checks of health are debug."
+    )
 
     @field_validator("token")
     @classmethod
