@@ -13,10 +13,15 @@ from sqlalchemy.exc import OperationalError
 from app.database import Database
 from app.models import Drive
 from app.problems import problem_of
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 
-@pytest.fixture
-def url(tmp_path: Path) -> str:
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """An empty database of either kind."""
+    if request.param == "postgresql":
+        address: str = request.getfixturevalue("postgres_url")
+        return address
     return f"sqlite:///{tmp_path / 'db.sqlite3'}"
 
 
@@ -31,9 +36,9 @@ def names(database: Database) -> set[str]:
         return set(session.scalars(text("SELECT name FROM drives")))
 
 
-def test_writers_wait_for_each_other(url: str) -> None:
+def test_writers_of_sqlite_wait_for_each_other(tmp_path: Path) -> None:
     """Also those of other processes, which the lock of this one does not see: two engines stand for them."""
-    databases = [Database(url), Database(url)]
+    databases = [Database(f"sqlite:///{tmp_path / 'db.sqlite3'}") for _ in range(2)]
     databases[0].upgrade()
 
     def write(number: int) -> None:
@@ -91,8 +96,8 @@ def test_a_transaction_that_fails_leaves_nothing(url: str) -> None:
     database.close()
 
 
-def test_a_full_disk_is_told(url: str) -> None:
-    database = Database(url)
+def test_a_full_disk_is_told(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
     database.upgrade()
 
     @event.listens_for(database.engine, "begin")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import sqlite3
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from app import database as module
 from app.database import Database
 from app.models import Base, Drive
 from interloc.errors import ConfigError, InterLocError
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 TABLES = {"alembic_version", "drives", "drive_files", "jobs", "tokens"}
 FIRST = "0001"
@@ -29,8 +29,12 @@ VALUES ('d', 'old', 'me', 'ready', '{}', false, 0, 0, 0, 1.5, 2.5)
 """
 
 
-@pytest.fixture
-def url(tmp_path: Path) -> str:
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """An empty database of either kind."""
+    if request.param == "postgresql":
+        address: str = request.getfixturevalue("postgres_url")
+        return address
     return f"sqlite:///{tmp_path / 'db.sqlite3'}"
 
 
@@ -138,21 +142,20 @@ def test_a_file_that_is_no_database_is_named(tmp_path: Path) -> None:
         upgrade(f"sqlite:///{tmp_path / 'db.sqlite3'}")
 
 
-def test_tables_of_something_else_are_left_alone(url: str, tmp_path: Path) -> None:
-    with sqlite3.connect(tmp_path / "db.sqlite3") as link:
-        link.execute("CREATE TABLE drives (letter TEXT)")
-    link.close()
-    with pytest.raises(InterLocError, match="table drives already exists"):
-        upgrade(url)
-    with sqlite3.connect(tmp_path / "db.sqlite3") as link:
-        assert [row[0] for row in link.execute("SELECT name FROM sqlite_master WHERE type = 'table'")] == ["drives"]
-    link.close()
+def test_tables_of_something_else_are_left_alone(url: str) -> None:
+    database = Database(url)
+    with database.writing() as session:
+        session.execute(text("CREATE TABLE jobs (letter VARCHAR(1))"))
+    with pytest.raises(InterLocError, match=r"\bjobs\b.* already exists"):
+        database.upgrade()
+    assert set(inspect(database.engine).get_table_names()) == {"jobs"}  # not one of ours
+    database.close()
 
 
-@pytest.mark.parametrize("url", ["", "here.sqlite3", "mysql://host/x", "http://host", "oracle://x"])
-def test_other_databases_are_refused(url: str) -> None:
+@pytest.mark.parametrize("other", ["", "here.sqlite3", "mysql://host/x", "http://host", "oracle://x"])
+def test_other_databases_are_refused(other: str) -> None:
     with pytest.raises(ConfigError, match="SQLite and PostgreSQL can be used"):
-        Database(url)
+        Database(other)
 
 
 def test_passwords_are_not_shown() -> None:
