@@ -27,9 +27,9 @@ COMMANDS = {
     "benchmark": "benchmark",
     "serve": "serve",
     "token": "token",
-    "config": "config",
     "push": "push",
     "fetch": "fetch",
+    "config": "config",
 }
 """Command -> module of this package, which has a click command `command`."""
 

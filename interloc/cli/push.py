@@ -201,7 +201,7 @@ def _facts(pushed: Pushed, job: JobAnswer | None, drive: Path, out: Path | None)
         ("drive id", pushed.drive_id),
     ]
     if job is None:
-        return [*rows, ("next", f"interloc push {drive} ... --run -o OUT (sends nothing twice), or {pushed.server}")]
+        return [*rows, ("next", f"interloc push {drive} --run -o OUT (sends nothing twice), or {pushed.server}")]
     rows.append(("job", job.id))
     if out is None:
         return [*rows, ("next", f"interloc fetch {job.id} -o OUT, or {pushed.server}")]
