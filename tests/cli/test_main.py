@@ -28,6 +28,8 @@ COMMANDS = [
     "export",
     "simulate",
     "benchmark",
+    "serve",
+    "token",
     "push",
     "fetch",
     "config",
@@ -90,7 +92,8 @@ def test_a_fault_of_our_own_is_one_line(interloc: Callable, monkeypatch: pytest.
 def test_no_slow_import_before_a_command_needs_it(environment: dict[str, str]) -> None:
     code = (
         "import sys; from interloc.cli.main import run; code = run(['--help']);"
-        "slow = {'numba', 'numpy', 'scipy', 'matplotlib', 'osmnx', 'pydantic', 'osmium', 'cv2', 'httpx'} & sys.modules.keys();"
+        "slow = {'numba', 'numpy', 'scipy', 'matplotlib', 'osmnx', 'pydantic', 'osmium', 'cv2', 'httpx'};"
+        "slow &= sys.modules.keys();"
         "print('slow imports:', sorted(slow), file=sys.stderr); sys.exit(code)"
     )
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
