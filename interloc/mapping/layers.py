@@ -97,6 +97,13 @@ LAYERS = {
             "{outcome}, frame {frame}",
             is_osm=True,
         ),
-        Layer("osm_roads", "Roads of OpenStreetMap", "LineString", {}, "OSM way {osm_id}", is_osm=True),
+        Layer(
+            "osm_roads",
+            "Roads of OpenStreetMap",
+            "LineString",
+            _fields(int="osm_id", text="highway name", bool="is_drivable"),
+            "OSM way {osm_id}",
+            is_osm=True,
+        ),
     )
 }

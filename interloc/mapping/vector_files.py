@@ -25,6 +25,9 @@ from interloc.mapping.layout import RUN_FILE, file_names
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
 """Suffix -> driver of GDAL. A GeoPackage holds all layers, the others hold one."""
 
+_KML_NAMES = {"id": "number", "name": "street"}
+"""Properties that mean something else in KML -> what they are called there."""
+
 
 def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> list[str]:
     """Write a result folder as one vector file, whole or not at all.
@@ -120,8 +123,8 @@ def _write_layer(
     columns = _columns(layer, rows)
     if driver == "LIBKML":  # what Google Earth shows beside the point
         columns = {"Name": ("text", [_label(layer, row) for row in rows])} | {
-            # An id means something else there, and GDAL writes 64 bit integers as text.
-            "number" if name == "id" else name: ("int32" if kind == "int" and name != "osm_id" else kind, values)
+            # GDAL writes 64 bit integers as text.
+            _KML_NAMES.get(name, name): ("int32" if kind == "int" and name != "osm_id" else kind, values)
             for name, (kind, values) in columns.items()
         }
     data, masks = zip(*(_column(kind, values) for kind, values in columns.values()), strict=True)

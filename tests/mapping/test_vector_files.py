@@ -13,21 +13,24 @@ import pytest
 import shapely
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
+from interloc.evaluate.coverage import drive_bounds
 from interloc.evaluate.evaluate import evaluate
 from interloc.evaluate.report import write_report
 from interloc.mapping.exports import write_results
 from interloc.mapping.layers import LAYERS, OSM_ATTRIBUTION
 from interloc.mapping.vector_files import write_vector_file
 from interloc.osm.reader import read_osm
+from interloc.osm.roads import write_roads
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 
-SCORED = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches"]
+SCORED = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]
 
 MAP = """<osm version="0.6"><bounds minlat="49.0" minlon="8.41" maxlat="49.03" maxlon="8.44"/>
 <node id="9000000001" lat="49.0110001" lon="8.4205001"/><node id="2" lat="49.012" lon="8.4205"/>
 <node id="3" lat="49.011" lon="8.422"/><node id="4" lat="49.011" lon="8.419"/>
 <way id="10"><nd ref="4"/><nd ref="9000000001"/><nd ref="3"/><tag k="highway" v="residential"/></way>
-<way id="11"><nd ref="9000000001"/><nd ref="2"/><tag k="highway" v="tertiary"/></way></osm>"""
+<way id="11"><nd ref="9000000001"/><nd ref="2"/><tag k="highway" v="tertiary"/><tag k="name" v="Straße &amp; Weg"/></way>
+</osm>"""
 
 
 def result_of(*, local: bool = False, empty: bool = False) -> DriveResult:
@@ -75,7 +78,9 @@ def write_folder(folder: Path, result: DriveResult, *, scored: bool) -> Path:
     write_results(result, folder)
     if scored:
         (folder.parent / "map.osm").write_text(MAP)
-        write_report(evaluate(result, read_osm(folder.parent / "map.osm")), result, folder)
+        graph = read_osm(folder.parent / "map.osm")
+        write_report(evaluate(result, graph), result, folder)
+        write_roads(graph, drive_bounds(result), folder)
     return folder
 
 
@@ -139,8 +144,9 @@ def test_kml_names_its_features_and_keeps_their_properties(layer: str, scored: P
     for feature, row, geometry in zip(features, rows, geometries, strict=True):
         properties = dict(feature["properties"])
         assert row["Name"] == LAYERS[layer].label.format(**properties)
-        if "id" in properties:
-            properties["number"] = properties.pop("id")
+        for name, there in (("id", "number"), ("name", "street")):
+            if name in properties:
+                properties[there] = properties.pop(name)
         if "osm_id" in properties:
             properties["osm_id"] = str(properties["osm_id"])
         assert_same(properties, row)

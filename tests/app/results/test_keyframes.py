@@ -29,7 +29,7 @@ def test_pictures_are_those_of_the_library(job: str, finished: Finished) -> None
         assert answer.headers["content-type"] == "image/png"
         assert answer.content == draw_overlay(evidence, layer)
     assert finished.get(f"/jobs/{job}/keyframes/{FRAME}/bev.png").content == draw_overlay(evidence, "bev")
-    assert Image.open(io.BytesIO(answer.content)).size == (750, 750)
+    assert Image.open(io.BytesIO(answer.content)).size == (1500, 1500)
 
 
 def test_the_numbers_agree_with_the_result(finished: Finished) -> None:

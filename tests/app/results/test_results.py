@@ -14,7 +14,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from tests.app.results.conftest import Finished
+from app.database import Database
+from tests.app.results.conftest import Finished, add_job
 
 LAYERS = ["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]
 IDENTITY = {"accept-encoding": "identity"}
@@ -215,3 +216,15 @@ def test_a_new_version_of_a_file_is_not_served_from_an_old_twin(finished: Finish
     assert after.status_code == 200
     assert after.content == changed
     assert len(list((finished.data_dir / "jobs/paper/cache").glob("*.gz"))) == 1
+
+
+def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> None:
+    database = Database(f"sqlite:///{finished.data_dir}/interloc.sqlite3")
+    add_job(database, finished.data_dir, "shortlived", "street", finished.results / "plain")
+    database.close()
+    assert finished.get("/jobs/shortlived/detections").status_code == 200
+    assert finished.client.delete("/api/v1/jobs/shortlived?purge=true").status_code == 204
+    for address in ("detections", "files", "archive.zip", "keyframes/0/bev", "export.gpkg"):
+        answer = finished.get(f"/jobs/shortlived/{address}")
+        assert (answer.status_code, answer.json()["title"]) == (404, "Job not found")
+    assert not (finished.data_dir / "jobs/shortlived").exists()

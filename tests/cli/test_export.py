@@ -1,0 +1,30 @@
+"""`interloc export`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pyogrio
+
+
+def test_a_result_as_one_file_for_gis(drive: Path, osm: Path, tmp_path: Path, interloc: Callable) -> None:
+    out = tmp_path / "out"
+    assert interloc("run", drive, "-o", out, "--osm", osm, "--quiet").code == 0
+    told = interloc("export", out, "-o", tmp_path / "out.gpkg", "--json").json
+    assert told["layers"][:5] == ["intersections", "detections", "trajectory", "keyframes", "osm_nodes"]
+    assert pyogrio.list_layers(tmp_path / "out.gpkg")[:, 0].tolist() == told["layers"]
+    said = interloc("export", out, "-o", tmp_path / "matches.kml", "--layer", "matches")
+    assert (said.code, said.out.splitlines()[-1].split()) == (0, ["layers", "matches"])
+    assert (tmp_path / "matches.kml").read_bytes().startswith(b"<?xml")
+
+
+def test_complaints_in_one_line(local_drive: Path, tmp_path: Path, interloc: Callable) -> None:
+    out = tmp_path / "out"
+    assert interloc("detect", local_drive, "-o", out, "--quiet").code == 0
+    assert "no georeference" in interloc("export", out, "-o", tmp_path / "out.gpkg").complaint
+    outcome = interloc("export", out, "-o", tmp_path / "out.shp")
+    assert outcome.code == 2
+    assert "unknown format '.shp'" in outcome.complaint
+    assert "run.json is missing" in interloc("export", tmp_path, "-o", tmp_path / "out.kml").complaint
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
