@@ -14,7 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from app.jobs import failures
 from app.jobs.executors import WorkerLostError, WorkExecutor
-from app.jobs.folders import place_result, task_of, tidy
+from app.jobs.folders import place_result, task_of, tidy, without_paths
 from app.jobs.queue import Claim, JobQueue, State, not_ready
 from app.models import Drive, Job
 from app.problems import Problem
@@ -153,7 +153,7 @@ class Attempt:
         if self._stop is not None:
             raise _StoppedError from error
         if failures.is_final(error) and not isinstance(error, Cancelled):
-            raise failures.problem_of(error, what, 1) from error
+            raise without_paths(failures.problem_of(error, what, 1), self._task) from error
         self._tries[what] += 1
         tries = self._tries[what]
         _log.warning("job %s: %s failed: %s", self.claim.job.id, what, error, exc_info=error)

@@ -6,6 +6,7 @@ import shutil
 from typing import TYPE_CHECKING, Any
 
 from app.jobs.queue import Claim
+from app.problems import Problem
 from app.storage import Storage
 from app.work.task import Task
 
@@ -38,6 +39,13 @@ def _limits(service: Service, slots: int) -> dict[str, Any]:
     limits = {name: value for name, value in by_name.items() if name.startswith(("max_", "min_"))}
     cache = str(service.storage.folder("cache"))
     return {**limits, "workers": slots, "cache": cache, "overpass_url": settings.overpass_url}
+
+
+def without_paths(problem: Problem, task: Task) -> Problem:
+    """Name files as their client knows them: where the data folder lies is nobody's business."""
+    for folder in (task.drive / "files", task.drive / "reduced", task.drive, task.result, task.scratch):
+        problem.detail = problem.detail.replace(f"{folder}/", "").replace(str(folder), task.drive_name)
+    return problem
 
 
 def place_result(storage: Storage, task: Task) -> None:

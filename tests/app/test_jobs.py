@@ -1,0 +1,322 @@
+"""Jobs over HTTP, from submission to results."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from app.database import Database
+from app.models import Drive
+from app.settings import Settings
+from interloc.cli.main import run
+from tests.app.conftest import running_server
+from tests.app.processes import API, ended, half_way, job_of, submit, upload, wait_until
+from tests.app.street import write_street
+from tests.osm.test_overpass import Town
+
+Serve = Callable[..., httpx.Client]
+
+LAYERS = ("detections", "intersections", "keyframes", "trajectory")
+SLOW = {"bev": {"resolution_m": 0.08}}
+SCANS = 400
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=SCANS)
+
+
+@pytest.fixture(scope="module")
+def data_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture(scope="module")
+def client(data_dir: Path) -> Iterator[httpx.Client]:
+    with running_server(data_dir, workers=2) as address, httpx.Client(base_url=address, timeout=120) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def drive(client: httpx.Client, street: Path) -> str:
+    """A committed drive with a map."""
+    return upload(client, street)
+
+
+def set_state(data_dir: Path, drive_id: str, state: str) -> None:
+    """Bring a drive into a state that is hard to catch."""
+    database = Database(Settings(data_dir=data_dir).sqlalchemy_url)
+    with database.writing() as session:
+        session.get_one(Drive, drive_id).state = state
+    database.close()
+
+
+def problem(answer: httpx.Response, status: int) -> str:
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    detail: str = answer.json()["detail"]
+    return detail
+
+
+def test_a_job_finds_what_the_command_line_finds(
+    client: httpx.Client, drive: str, street: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    assert run(["run", str(street), "-o", str(out), "--osm", str(street / "map.osm"), "--quiet"]) == 0
+    job = ended(client, submit(client, drive, osm={"file": "map.osm"}))
+    assert job["state"] == "successful", job
+    for layer in (*LAYERS, "osm-nodes", "matches"):
+        answer = client.get(job["links"][layer])
+        assert answer.content == (out / f"{layer.replace('-', '_')}.geojson").read_bytes(), layer
+    report = client.get(job["links"]["report"], headers={"Accept": "application/json"}).json()
+    assert report == json.loads((out / "report.json").read_text())
+    record = client.get(job["links"]["run"]).json()
+    ours = json.loads((out / "run.json").read_text())
+    changing = {"seconds", "stage_seconds", "peak_memory_bytes", "workers"}
+    assert {k: v for k, v in record.items() if k not in changing} == {
+        k: v for k, v in ours.items() if k not in changing
+    }
+    summary = job["summary"]
+    assert summary["keyframes"] == SCANS
+    assert summary["intersections"] == len(json.loads((out / "intersections.geojson").read_text())["features"])
+    assert summary["report"]["f1_at_5"] == report["f1"]["5.0"]
+    assert summary["report"]["nodes_found"] == report["nodes_found"] > 10
+    assert job["progress"] == {"done": SCANS, "total": SCANS, "fraction": 1.0, "seconds_left": None}
+    assert (job["attempts"], job["error"], job["stage"]) == (1, None, "finished")
+
+
+def test_the_roads_of_the_map_come_with_the_result(client: httpx.Client, drive: str) -> None:
+    job = ended(client, submit(client, drive, osm={"file": "map.osm"}))
+    roads = client.get(job["links"]["osm-roads"]).json()["features"]
+    (along,) = [road for road in roads if road["properties"]["osm_id"] == 1000]
+    assert along["geometry"]["type"] == "LineString"
+    assert len(along["geometry"]["coordinates"]) > 20
+    assert along["properties"] == {"osm_id": 1000, "highway": "residential", "name": None, "is_drivable": True}
+
+
+def test_other_settings_of_a_job(client: httpx.Client, drive: str) -> None:
+    config = {"bev": {"resolution_m": 0.4}, "candidates": {"kind": "harris", "min_score": 0.5}}
+    job = ended(client, submit(client, drive, config=config, name="coarse"))
+    settings = client.get(job["links"]["run"]).json()["config"]
+    assert settings["bev"]["resolution_m"] == 0.4
+    assert settings["bev"]["vote"] is True  # as in the preset
+    assert settings["candidates"] == {
+        "kind": "harris",
+        "block_px": 9,
+        "k": 0.04,
+        "peak_px": 21,
+        "min_score": 0.5,
+        "merge_m": 10.0,
+    }
+    assert job["request"]["name"] == "coarse"
+
+
+@pytest.mark.parametrize(
+    ("request_", "status", "words"),
+    [
+        ({"drive_id": "nowhere"}, 404, "There is no drive nowhere"),
+        ({"config": {"bev": {"resolution": 1}}}, 422, "bev.resolution: there is no such setting"),
+        ({"config": {"bev": {"resolution_m": 0.001}}}, 422, "bev.resolution_m"),
+        ({"config": {"keyframes": 3}}, 422, "keyframes"),
+        ({"osm": {"file": "other.osm"}}, 422, "no 'other.osm' among the files"),
+        ({"osm": {"file": "../../x.osm"}}, 422, "no '../../x.osm' among the files"),
+        ({"osm": {"file": "poses.txt"}}, 422, "expected a name that ends in .osm"),
+        ({"osm": {"overpass": False}}, 422, "osm"),
+        ({"preset": "best"}, 422, "preset"),
+        ({"policy": "bicycle"}, 422, "policy"),
+        ({"speed": 3}, 422, "speed"),
+    ],
+)
+def test_a_request_that_cannot_be_done_is_refused_at_once(
+    client: httpx.Client, drive: str, request_: dict[str, Any], status: int, words: str
+) -> None:
+    detail = problem(client.post(f"{API}/jobs", json={"drive_id": drive, **request_}), status)
+    assert words in detail
+
+
+def test_a_drive_that_is_not_committed_has_no_jobs(client: httpx.Client) -> None:
+    drive_id = client.post(f"{API}/drives", json={"name": "new"}).json()["id"]
+    assert "Commit it first" in problem(client.post(f"{API}/jobs", json={"drive_id": drive_id}), 409)
+
+
+def test_overpass_can_be_switched_off(serve: Serve, street: Path) -> None:
+    own = serve(overpass=False)
+    drive_id = own.post(f"{API}/drives", json={"name": "new"}).json()["id"]
+    answer = own.post(f"{API}/jobs", json={"drive_id": drive_id, "osm": {"overpass": True}})
+    assert "Upload the map as a file" in problem(answer, 422)
+
+
+def test_the_same_key_starts_one_job(client: httpx.Client, drive: str) -> None:
+    def send(_: int) -> httpx.Response:
+        return client.post(f"{API}/jobs", json={"drive_id": drive}, headers={"Idempotency-Key": "once"})
+
+    with ThreadPoolExecutor(4) as pool:
+        answers = list(pool.map(send, range(8)))
+    assert len({answer.json()["id"] for answer in answers}) == 1
+    assert sorted(answer.status_code for answer in answers) == [200] * 7 + [202]
+    assert len({answer.headers["Location"] for answer in answers}) == 1
+    other = client.post(f"{API}/jobs", json={"drive_id": drive, "preset": "paper"}, headers={"Idempotency-Key": "once"})
+    assert "another request" in problem(other, 422)
+
+
+def test_jobs_are_listed_page_by_page(serve: Serve, street: Path) -> None:
+    own = serve(max_queued_jobs=4)
+    drive_id, other = upload(own, street), upload(own, street)
+    ids = [submit(own, drive_id, config=SLOW, name=str(number)) for number in range(3)]
+    ids.append(submit(own, other, config=SLOW))
+    too_many = own.post(f"{API}/jobs", json={"drive_id": drive_id})
+    assert "that is the limit" in problem(too_many, 429)
+    assert int(too_many.headers["Retry-After"]) > 0
+
+    found, after = [], None
+    while True:
+        page = own.get(f"{API}/jobs", params={"limit": 3} | ({"after": after} if after else {})).json()
+        found += [job["id"] for job in page["jobs"]]
+        after = page["next"]
+        if after is None:
+            break
+    assert found == ids[::-1]
+    assert [job["id"] for job in own.get(f"{API}/jobs", params={"drive": other}).json()["jobs"]] == ids[3:]
+    assert own.get(f"{API}/jobs", params={"state": "failed"}).json()["jobs"] == []
+    kinds = {job["kind"] for job in own.get(f"{API}/jobs", params={"kind": "all"}).json()["jobs"]}
+    assert kinds == {"intersections", "commit", "unpack"}
+    assert "no page" in problem(own.get(f"{API}/jobs", params={"after": "x"}), 422)
+    for job_id in ids:
+        own.delete(f"{API}/jobs/{job_id}")
+
+
+def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str) -> None:
+    job_id = submit(client, drive, config=SLOW)
+    half_way(client, job_id)
+    answer = client.delete(f"{API}/jobs/{job_id}")
+    assert answer.status_code == 202
+    job = ended(client, job_id)
+    assert (job["state"], job["error"]["title"]) == ("dismissed", "Cancelled")
+    assert client.delete(f"{API}/jobs/{job_id}").status_code == 200
+    assert problem(client.get(f"{API}/jobs/{job_id}/intersections"), 409)
+    assert client.delete(f"{API}/jobs/{job_id}?purge=true").status_code == 204
+    assert problem(client.get(f"{API}/jobs/{job_id}"), 404)
+
+
+def test_a_job_that_waits_is_cancelled_at_once(client: httpx.Client, drive: str) -> None:
+    ids = [submit(client, drive, config=SLOW) for _ in range(3)]  # two at a time are worked on
+    answer = client.delete(f"{API}/jobs/{ids[2]}")
+    assert (answer.status_code, answer.json()["state"]) == (200, "dismissed")
+    for job_id in ids[:2]:
+        client.delete(f"{API}/jobs/{job_id}")
+        assert ended(client, job_id)["state"] == "dismissed"
+
+
+def test_a_result_goes_with_its_job(client: httpx.Client, drive: str) -> None:
+    job = ended(client, submit(client, drive))
+    assert client.get(job["links"]["intersections"]).status_code == 200
+    assert client.delete(f"{job['links']['self']}?purge=true").status_code == 204
+    assert client.get(job["links"]["intersections"]).status_code == 404
+
+
+def test_a_short_job_does_not_wait_for_a_long_one(client: httpx.Client, drive: str) -> None:
+    long = submit(client, drive, config={"bev": {"resolution_m": 0.05}})
+    half_way(client, long)
+    short = ended(client, submit(client, drive, config={"bev": {"resolution_m": 0.6}}))
+    assert short["state"] == "successful"
+    assert job_of(client, long)["state"] == "running"
+    client.delete(f"{API}/jobs/{long}")
+    ended(client, long)
+
+
+def test_a_drive_without_georeference_is_mapped_but_not_scored(
+    client: httpx.Client, street: Path, tmp_path: Path
+) -> None:
+    folder = write_street(tmp_path / "local", scans=60)
+    (folder / "geo.csv").unlink()
+    drive_id = upload(client, folder)
+    refused = ended(client, submit(client, drive_id, osm={"file": "map.osm"}))
+    assert refused["state"] == "failed"
+    assert refused["error"]["status"] == 422
+    assert "has no georeference" in refused["error"]["detail"]
+    assert refused["attempts"] == 1
+    assert refused["progress"]["done"] == 0
+
+    job = ended(client, submit(client, drive_id))
+    assert job["summary"]["georeferenced"] is False
+    assert client.get(job["links"]["intersections"]).json()["local"] is True
+
+
+def test_a_damaged_map_is_told_before_the_long_work(client: httpx.Client, data_dir: Path, drive: str) -> None:
+    client.put(f"{API}/drives/{drive}/files/broken.osm", content=b"<osm><way>").raise_for_status()
+    job = ended(client, submit(client, drive, osm={"file": "broken.osm"}))
+    assert (job["state"], job["error"]["status"]) == ("failed", 422)
+    assert "broken.osm: is damaged" in job["error"]["detail"]
+    assert str(data_dir) not in job["error"]["detail"]
+    assert job["progress"]["done"] == 0
+
+
+def test_labels_that_are_not_there_are_told(client: httpx.Client, drive: str) -> None:
+    job = ended(client, submit(client, drive, labels="predictions"))
+    assert job["state"] == "failed"
+    assert "predictions" in job["error"]["detail"]
+
+
+def test_a_job_waits_for_the_check_of_its_drive(client: httpx.Client, data_dir: Path, drive: str) -> None:
+    set_state(data_dir, drive, "checking")
+    waiting = submit(client, drive)
+    job = job_of(client, waiting)
+    assert (job["state"], job["message"]) == ("accepted", "Waiting for the check of its drive.")
+    set_state(data_dir, drive, "ready")
+    assert ended(client, waiting)["state"] == "successful"
+
+
+def test_a_job_fails_when_the_check_of_its_drive_does(client: httpx.Client, data_dir: Path, drive: str) -> None:
+    set_state(data_dir, drive, "checking")
+    waiting = submit(client, drive)
+    set_state(data_dir, drive, "uploading")
+    job = ended(client, waiting)
+    set_state(data_dir, drive, "ready")
+    assert (job["state"], job["error"]["status"]) == ("failed", 409)
+    assert "Commit it first" in job["error"]["detail"]
+
+
+@pytest.fixture
+def town() -> Iterator[Town]:
+    """An Overpass server on this machine."""
+    with Town() as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
+def test_waiting_for_overpass_is_told(serve: Serve, street: Path, town: Town) -> None:
+    town.first = [(429, {"Retry-After": "3"}, b"")]
+    own = serve(overpass_url=town.url)
+    drive_id = upload(own, street)
+    job_id = submit(own, drive_id, osm={"overpass": True})
+
+    def look() -> str | None:
+        job = job_of(own, job_id)
+        return job["message"] if job["stage"] == "waiting for the map" and "busy" in (job["message"] or "") else None
+
+    assert "is busy (status 429)" in wait_until(look, "the wait to be told")
+    job = ended(own, job_id)
+    assert job["state"] == "successful", job
+    assert own.get(job["links"]["report"]).json()["osm"]["source"] == f"Overpass ({town.url})"
+    asked = len(town.asked)
+    assert ended(own, submit(own, drive_id, osm={"overpass": True}))["state"] == "successful"
+    assert len(town.asked) == asked  # kept for the next job
+
+
+def test_presets_can_be_read(client: httpx.Client) -> None:
+    found = client.get(f"{API}/presets").json()
+    assert [preset["name"] for preset in found["presets"]] == ["default", "paper"]
+    assert "KeyframeConfig" in found["config_schema"]["$defs"]
+    paper = client.get(f"{API}/presets/paper").json()
+    assert paper["config"]["candidates"]["kind"] == "harris"
+    assert client.get(f"{API}/presets/best").status_code == 422
