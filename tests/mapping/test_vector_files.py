@@ -29,7 +29,8 @@ MAP = """<osm version="0.6"><bounds minlat="49.0" minlon="8.41" maxlat="49.03" m
 <node id="9000000001" lat="49.0110001" lon="8.4205001"/><node id="2" lat="49.012" lon="8.4205"/>
 <node id="3" lat="49.011" lon="8.422"/><node id="4" lat="49.011" lon="8.419"/>
 <way id="10"><nd ref="4"/><nd ref="9000000001"/><nd ref="3"/><tag k="highway" v="residential"/></way>
-<way id="11"><nd ref="9000000001"/><nd ref="2"/><tag k="highway" v="tertiary"/><tag k="name" v="Straße &amp; Weg"/></way>
+<way id="11"><nd ref="9000000001"/><nd ref="2"/><tag k="highway" v="tertiary"/>
+<tag k="name" v="Straße &amp; Weg"/></way>
 </osm>"""
 
 
