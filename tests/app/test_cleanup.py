@@ -1,0 +1,147 @@
+"""Clean-up: what nobody needs goes, what somebody needs stays."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sqlalchemy import update
+
+from app.drives.cleanup import LEFT_ALONE_S, sweep
+from app.drives.intake import Arrival
+from app.drives.placement import keep
+from app.drives.records import create_drive, list_drives
+from app.jobs.queue import submit
+from app.models import Drive
+from app.schemas.drives import NewDrive
+from app.service import Service
+from app.settings import Settings
+
+HOUR_S = 3600.0
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Iterator[Service]:
+    """A service that is not running, whose uploads expire after 2 hours."""
+    opened = Service.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0, upload_expires_h=2))
+    yield opened
+    opened.close()
+
+
+def make_drive(service: Service, *, age_h: float = 0, state: str = "uploading", keep_raw: bool = False) -> str:
+    """Make a drive of one scan and a map that was touched some hours ago."""
+    drive = create_drive(service, "somebody", NewDrive(name="town", keep_raw=keep_raw))
+    incoming = service.storage.folder("incoming")
+    incoming.mkdir(exist_ok=True)
+    arrivals = []
+    for path in ("velodyne/000000.bin", "map.osm"):
+        (incoming / path.replace("/", "-")).write_bytes(b"1")
+        arrivals.append(Arrival(path, incoming / path.replace("/", "-"), 1, "0" * 64))
+    keep(service, drive.id, arrivals)
+    with service.database.writing() as session:
+        touched = service.database.clock(session) - age_h * HOUR_S
+        session.execute(update(Drive).where(Drive.id == drive.id).values(touched_at=touched, state=state))
+    return drive.id
+
+
+def make_old(path: Path, *, folder: bool = False) -> Path:
+    """Make a file or a folder that was last changed before all of this."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if folder:
+        path.mkdir()
+        (path / "file").write_bytes(b"1")
+    else:
+        path.write_bytes(b"1")
+    old = time.time() - LEFT_ALONE_S - 60
+    os.utime(path, (old, old))
+    return path
+
+
+def drives(service: Service) -> set[str]:
+    return {drive.id for drive in list_drives(service, None, 100).drives}
+
+
+def test_uploads_that_were_left_alone_expire(service: Service) -> None:
+    fresh, old = make_drive(service, age_h=1.9), make_drive(service, age_h=2.1)
+    report = sweep(service)
+    assert report.drives == [old]
+    assert drives(service) == {fresh}
+    assert not service.storage.folder(f"drives/{old}").exists()
+    assert service.storage.folder(f"drives/{fresh}/files/velodyne/000000.bin").is_file()
+
+
+def test_drives_in_use_do_not_expire(service: Service) -> None:
+    ready, checking = make_drive(service, age_h=99, state="ready"), make_drive(service, age_h=99, state="checking")
+    unpacking = make_drive(service, age_h=99)
+    with service.database.writing() as session:
+        submit(
+            session,
+            service.database,
+            kind="unpack",
+            drive_id=unpacking,
+            owner="somebody",
+            request={"archive": "archives/1"},
+        )
+    assert sweep(service).drives == []
+    assert drives(service) == {ready, checking, unpacking}
+
+
+def test_stale_pieces_of_uploads_go(service: Service) -> None:
+    incoming = service.storage.folder("incoming")
+    old, trash = make_old(incoming / "old"), make_old(incoming / "trash", folder=True)
+    (incoming / "new").write_bytes(b"1")
+    assert sorted(sweep(service).leftovers) == ["incoming/old", "incoming/trash"]
+    assert not old.exists()
+    assert not trash.exists()
+    assert [path.name for path in incoming.iterdir()] == ["new"]
+
+
+def test_folders_that_no_row_knows_go(service: Service) -> None:
+    known = make_drive(service)
+    folder = service.storage.folder(f"drives/{known}")
+    os.utime(folder, (0, 0))
+    make_old(service.storage.folder("drives/0123456789abcdef"), folder=True)
+    make_old(service.storage.folder("jobs/0123456789abcdef"), folder=True)
+    service.storage.folder("drives/fedcba9876543210").mkdir()  # of an upload that just begins
+    assert sorted(sweep(service).leftovers) == ["drives/0123456789abcdef", "jobs/0123456789abcdef"]
+    assert {path.name for path in folder.parent.iterdir()} == {known, "fedcba9876543210"}
+
+
+def test_archives_that_nobody_unpacks_go(service: Service) -> None:
+    drive = make_drive(service)
+    with service.database.writing() as session:
+        submit(
+            session,
+            service.database,
+            kind="unpack",
+            drive_id=drive,
+            owner="somebody",
+            request={"archive": "archives/waits"},
+        )
+    archives = service.storage.folder(f"drives/{drive}/archives")
+    make_old(archives / "waits")
+    make_old(archives / "forgotten")
+    (archives / "new").write_bytes(b"1")
+    assert sweep(service).leftovers == [f"drives/{drive}/archives/forgotten"]
+    assert sorted(path.name for path in archives.iterdir()) == ["new", "waits"]
+
+
+@pytest.mark.parametrize("keep_raw", [False, True])
+def test_raw_scans_of_a_ready_drive_go_even_after_a_crash(service: Service, *, keep_raw: bool) -> None:
+    drive = make_drive(service, state="ready", keep_raw=keep_raw)
+    service.storage.folder(f"drives/{drive}/reduced").mkdir()
+    for _ in range(2):
+        sweep(service)
+        files = service.storage.folder(f"drives/{drive}/files")
+        left = sorted(path.relative_to(files).as_posix() for path in files.rglob("*") if path.is_file())
+        assert left == (["map.osm", "velodyne/000000.bin"] if keep_raw else ["map.osm"])
+
+
+def test_raw_scans_stay_where_nothing_replaces_them(service: Service, caplog: pytest.LogCaptureFixture) -> None:
+    drive = make_drive(service, state="ready")
+    sweep(service)
+    assert service.storage.folder(f"drives/{drive}/files/velodyne/000000.bin").is_file()
+    assert "its reduced folder is not there" in caplog.text

@@ -1,0 +1,425 @@
+"""Commit: a drive that was uploaded gives the very results that the command line gives on its folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from interloc.cli.main import run
+from interloc.config import KeyframeConfig
+from interloc.drives.reduction.reduce import reduce_drive
+from tests.app.conftest import running_server
+from tests.app.street import write_street
+
+RESULTS = ("detections", "keyframes", "intersections", "trajectory")
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the server of this module keeps its data."""
+    return tmp_path_factory.mktemp("commit")
+
+
+@pytest.fixture(scope="module")
+def client(home: Path) -> Iterator[httpx.Client]:
+    """One server for all tests of this module: its workers start only once."""
+    with running_server(home / "data", workers=2) as address, httpx.Client(base_url=address, timeout=300) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A street of 60 scans with labels and predictions, to be read only."""
+    root = write_street(tmp_path_factory.mktemp("street") / "07", 60)
+    (root / "predictions").mkdir()
+    for file in (root / "labels").iterdir():
+        labels = np.fromfile(file, "<u4")
+        labels[::7] = 48  # a network that takes some road for sidewalk
+        labels.tofile(root / "predictions" / file.name)
+    return root
+
+
+@pytest.fixture
+def drive(street: Path, tmp_path: Path) -> Path:
+    """The street, to be damaged."""
+    shutil.copytree(street, tmp_path / "07")
+    return tmp_path / "07"
+
+
+@pytest.fixture
+def data() -> Callable[[str], Path]:
+    """Find a folder or file of the real data beside the project, or skip."""
+    root = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+
+    def find(name: str) -> Path:
+        path = root / name
+        if not path.exists():
+            pytest.skip(f"real data not here: {name}")
+        return path
+
+    return find
+
+
+def upload(client: httpx.Client, root: Path, **new: Any) -> str:
+    """Make a drive and send all files of a folder."""
+    drive = str(client.post("/api/v1/drives", json={"name": root.name, **new}).headers["location"])
+    for file in sorted(root.rglob("*")):
+        if file.is_file():
+            answer = client.put(f"{drive}/files/{file.relative_to(root).as_posix()}", content=file.read_bytes())
+            assert answer.status_code == 201, answer.text
+    return drive
+
+
+def commit(client: httpx.Client, drive: str, **options: Any) -> dict[str, Any]:
+    """Commit a drive that is sound."""
+    answer = client.post(f"{drive}/commit", json=options)
+    assert answer.status_code == 200, answer.text
+    shown: dict[str, Any] = answer.json()
+    assert shown["state"] == "ready"
+    return shown
+
+
+def refused(client: httpx.Client, drive: str, **options: Any) -> list[dict[str, str]]:
+    """Commit a drive that is not; return its errors."""
+    answer = client.post(f"{drive}/commit", json=options)
+    assert answer.status_code == 422, answer.text
+    problem = answer.json()
+    assert problem["title"] == "Drive not usable"
+    assert problem["report"]["ok"] is False
+    assert "/drives/" not in json.dumps({**problem, "instance": None})  # no path of the server
+    shown = client.get(drive).json()
+    assert shown["state"] == "uploading"
+    assert shown["report"]["problems"] == problem["problems"]
+    return [each for each in problem["problems"] if each["severity"] == "error"]
+
+
+def results(client: httpx.Client, drive: str, **job: Any) -> dict[str, str]:
+    """Run a job to its end; return the tables of its result, as text."""
+    answer = client.post("/api/v1/jobs", json={"drive_id": drive.rsplit("/", maxsplit=1)[-1], **job})
+    assert answer.status_code == 202, answer.text
+    address = answer.headers["location"]
+    wait_until(lambda: client.get(address).json()["state"] not in {"accepted", "running"})
+    shown = client.get(address).json()
+    assert shown["state"] == "successful", shown["error"]
+    tables = {}
+    for table in RESULTS:
+        files = (client.get(f"{address}/files/{table}.{ending}") for ending in ("geojson", "local.json"))
+        tables[table] = next(file.text for file in files if file.status_code == 200)
+    return tables
+
+
+def by_command_line(root: Path, out: Path, *options: object) -> dict[str, str]:
+    """Return what `interloc detect` writes for a folder."""
+    assert run([str(part) for part in ("detect", root, "-o", out, "--quiet", *options)]) == 0
+    return {
+        table: next(
+            path for ending in ("geojson", "local.json") if (path := out / f"{table}.{ending}").is_file()
+        ).read_text()
+        for table in RESULTS
+    }
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 120
+    while not holds():
+        assert time.monotonic() < deadline, "it never came to be"
+        time.sleep(0.05)
+
+
+def files_below(home: Path, drive: str) -> list[str]:
+    root = home / "data" / "drives" / drive.rsplit("/", maxsplit=1)[-1]
+    return sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file())
+
+
+def test_results_are_those_of_the_command_line(client: httpx.Client, street: Path, tmp_path: Path) -> None:
+    drive = upload(client, street)
+    shown = commit(client, drive)
+    assert (shown["report"]["layout"], shown["report"]["scans"], shown["files"]) == ("semantickitti", 60, 184)
+    assert shown["report"]["path"] == "07"
+    for labels in ("labels", "predictions"):
+        ours = results(client, drive, labels=labels)
+        assert len(json.loads(ours["intersections"])["features"]) >= 1
+        assert ours == by_command_line(street, tmp_path / labels, "--labels", labels)
+    assert client.get(f"{drive}/trajectory").text == ours["trajectory"]
+
+
+def test_a_drive_without_georeference(client: httpx.Client, drive: Path, tmp_path: Path) -> None:
+    (drive / "geo.csv").unlink()
+    address = upload(client, drive)
+    shown = commit(client, address)
+    assert "neither oxts/ nor geo.csv" in shown["report"]["georeference_reason"]
+    ours = results(client, address)
+    assert ours == by_command_line(drive, tmp_path / "out")
+    trajectory = client.get(f"{address}/trajectory")
+    assert (trajectory.text, trajectory.json()["local"]) == (ours["trajectory"], True)
+
+
+def test_kitti_raw_layout(client: httpx.Client, street: Path, tmp_path: Path) -> None:
+    root = tmp_path / "2011_09_26_drive_0001_sync"
+    for folder, place, suffix in (("velodyne", "velodyne_points/data", "bin"), ("labels", "labels", "label")):
+        (root / place).mkdir(parents=True)
+        for number in range(60):
+            os.link(street / folder / f"{number:06d}.{suffix}", root / place / f"{number:010d}.{suffix}")
+    (root / "oxts" / "data").mkdir(parents=True)
+    for number, row in enumerate((street / "geo.csv").read_text().splitlines()[1:]):
+        values = row.split(",")[1:]
+        (root / "oxts/data" / f"{number:010d}.txt").write_text(" ".join([*values, *["0"] * 24]) + "\n")
+    (root / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n")
+    drive = upload(client, root)
+    assert commit(client, drive)["report"]["layout"] == "kitti_raw"
+    assert results(client, drive) == by_command_line(root, tmp_path / "out")
+
+
+@pytest.mark.parametrize("labels", ["labels", "predictions"])
+def test_a_real_drive_of_kitti360(
+    client: httpx.Client, data: Callable[[str], Path], tmp_path: Path, labels: str
+) -> None:
+    drive = upload(client, data("kitti360_0009"))
+    commit(client, drive)
+    assert results(client, drive, labels=labels) == by_command_line(
+        data("kitti360_0009"), tmp_path / "out", "--labels", labels
+    )
+
+
+def test_real_scans_with_a_georeference_from_elsewhere(
+    client: httpx.Client, data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    root, oxts = data("semantickitti_mini/sequences/07"), data("kitti/oxts/07.txt.gz")
+    drive = upload(client, root)
+    assert client.put(f"{drive}/files/07.txt.gz", content=oxts.read_bytes()).status_code == 201
+    shown = commit(client, drive, options={"oxts": "07.txt.gz"})
+    assert shown["options"]["oxts"] == "07.txt.gz"
+    assert shown["report"]["georeference"].startswith("07.txt.gz")
+    assert results(client, drive) == by_command_line(root, tmp_path / "out", "--oxts", oxts)
+
+
+def test_an_upload_that_is_reduced(client: httpx.Client, street: Path, home: Path, tmp_path: Path) -> None:
+    reduce_drive(street, tmp_path / "07", keyframes=KeyframeConfig())
+    drive = upload(client, tmp_path / "07")
+    shown = commit(client, drive)
+    assert shown["report"]["reduced"]["kept_scans"] == 60
+    for labels in ("labels", "predictions"):
+        assert results(client, drive, labels=labels) == by_command_line(street, tmp_path / labels, "--labels", labels)
+    wait_until(lambda: not any(name.startswith("files/") for name in files_below(home, drive)))
+    sent = {path.relative_to(tmp_path / "07").as_posix() for path in (tmp_path / "07").rglob("*") if path.is_file()}
+    assert {f"reduced/{name}" for name in sent} == set(files_below(home, drive)) - {"trajectory.geojson"}
+    name = "ground/labels/000000.ground"
+    assert client.get(f"{drive}/files/{name}").content == (tmp_path / "07" / name).read_bytes()
+
+
+def test_raw_scans_go_maps_stay(client: httpx.Client, drive: Path, home: Path) -> None:
+    (drive / "image_2").mkdir()
+    (drive / "image_2" / "000000.png").write_bytes(b"1")
+    (drive / "README.md").write_text("hello")
+    address = upload(client, drive)
+    before = client.get(address).json()
+    shown = commit(client, address)
+    notes = [each["message"] for each in shown["report"]["problems"] if each["severity"] == "note"]
+    assert any("README.md, image_2/000000.png" in note for note in notes)
+    wait_until(lambda: [name for name in files_below(home, address) if name.startswith("files/")] == ["files/map.osm"])
+    assert (shown["files"], shown["size_bytes"]) == (before["files"], before["size_bytes"])
+    assert shown["stored_bytes"] < shown["size_bytes"] / 2
+    root = home / "data" / "drives" / shown["id"]
+    stored = sum((root / name).stat().st_size for name in files_below(home, address) if "trajectory" not in name)
+    assert shown["stored_bytes"] == stored
+    gone = client.get(f"{address}/files/velodyne/000000.bin")
+    assert (gone.status_code, gone.json()["title"]) == (410, "File not kept")
+    assert client.get(f"{address}/files/poses.txt").content == (drive / "poses.txt").read_bytes()
+    assert len(client.get(f"{address}/files").json()["files"]) == before["files"]
+
+
+def test_raw_scans_are_kept_on_request(client: httpx.Client, drive: Path, home: Path) -> None:
+    address = upload(client, drive, keep_raw=True)
+    shown = commit(client, address)
+    assert shown["keep_raw"]
+    sent = {f"files/{path.relative_to(drive).as_posix()}" for path in drive.rglob("*") if path.is_file()}
+    assert {name for name in files_below(home, address) if name.startswith("files/")} == sent
+    assert shown["stored_bytes"] > shown["size_bytes"]
+
+
+def test_every_problem_is_told_with_its_path(client: httpx.Client, drive: Path) -> None:
+    (drive / "velodyne/000003.bin").write_bytes(b"123")
+    (drive / "labels/000004.label").unlink()
+    (drive / "predictions/000005.label").write_bytes(bytes(40))
+    (drive / "poses.txt").write_text("1 0 0\n")
+    address = upload(client, drive)
+    paths = {error["path"] for error in refused(client, address)}
+    assert paths == {"velodyne/000003.bin", "labels/000004.label", "predictions/000005.label", "poses.txt"}
+
+
+def test_a_drive_is_mended_and_committed_again(client: httpx.Client, street: Path, drive: Path) -> None:
+    (drive / "labels/000004.label").unlink()
+    address = upload(client, drive)
+    (error,) = refused(client, address)
+    assert error["path"] == "labels/000004.label"
+    label = (street / "labels/000004.label").read_bytes()
+    assert client.put(f"{address}/files/labels/000004.label", content=label).status_code == 201
+    assert commit(client, address)["report"]["scans"] == 60
+
+
+def test_points_that_only_the_reduction_sees(client: httpx.Client, drive: Path) -> None:
+    """A scan between those that the check looks into."""
+    for number in (7, 8):
+        points = np.fromfile(drive / f"velodyne/{number:06d}.bin", "<f4").reshape(-1, 4)
+        points[:, 2] = np.nan
+        points.tofile(drive / f"velodyne/{number:06d}.bin")
+    errors = refused(client, upload(client, drive))
+    assert {error["path"] for error in errors} == {"velodyne/000007.bin", "velodyne/000008.bin"}
+    assert "not finite" in errors[0]["message"]
+
+
+def test_a_reduced_scan_that_is_damaged(client: httpx.Client, street: Path, tmp_path: Path) -> None:
+    reduce_drive(street, tmp_path / "07", keyframes=KeyframeConfig())
+    path = tmp_path / "07/ground/predictions/000007.ground"
+    path.write_bytes(path.read_bytes()[:-20])
+    (error,) = refused(client, upload(client, tmp_path / "07"))
+    assert error["path"] == "ground/predictions/000007.ground"
+
+
+@pytest.mark.parametrize("manifest", ["{}", "nonsense", '{"format": "interloc-reduced-drive", "format_version": 2}'])
+def test_a_manifest_that_is_none(client: httpx.Client, street: Path, tmp_path: Path, manifest: str) -> None:
+    reduce_drive(street, tmp_path / "07", keyframes=KeyframeConfig())
+    (tmp_path / "07/reduced.json").write_text(manifest)
+    errors = refused(client, upload(client, tmp_path / "07"))
+    assert {error["path"] for error in errors} == {"reduced.json"}
+
+
+def test_a_manifest_cannot_reach_out_of_its_drive(client: httpx.Client, street: Path, tmp_path: Path) -> None:
+    reduce_drive(street, tmp_path / "07", keyframes=KeyframeConfig())
+    path = tmp_path / "07/reduced.json"
+    content = json.loads(path.read_text())
+    content["files"]["poses"] = "../../../interloc.sqlite3"
+    path.write_text(json.dumps(content))
+    (error,) = refused(client, upload(client, tmp_path / "07"))
+    assert error["path"] == "reduced.json"
+
+
+def test_a_drive_without_files(client: httpx.Client) -> None:
+    drive = client.post("/api/v1/drives", json={"name": "nothing"}).headers["location"]
+    (error,) = refused(client, drive)
+    assert "is an empty folder" in error["message"]
+
+
+def test_wrong_options_are_told(client: httpx.Client, street: Path) -> None:
+    address = upload(client, street)
+    assert client.post(f"{address}/commit", json={"options": {"layout": "nonsense"}}).status_code == 422
+    assert client.post(f"{address}/commit", json={"options": {"oxts": "../07.txt"}}).status_code == 422
+    (error,) = refused(client, address, options={"layout": "kitti_raw"})
+    assert "is not of layout kitti_raw" in error["message"]
+    errors = refused(client, address, options={"layout": "auto", "oxts": "nowhere.txt"})
+    assert {error["path"] for error in errors} == {"nowhere.txt"}
+    assert client.get(address).json()["options"]["layout"] == "auto"
+    commit(client, address, options={"oxts": None})
+
+
+def test_a_check_leaves_the_drive_open(client: httpx.Client, drive: Path, home: Path) -> None:
+    address = upload(client, drive)
+    answer = client.post(f"{address}/commit", json={"check_only": True})
+    assert (answer.status_code, answer.json()["state"]) == (200, "uploading")
+    assert answer.json()["report"]["scans"] == 60
+    assert not any(name.startswith("reduced") for name in files_below(home, address))
+    assert client.put(f"{address}/files/poses.txt", content=b"1").status_code == 200
+    refused(client, address, check_only=True)
+
+
+def test_commit_twice_is_commit_once(client: httpx.Client, street: Path) -> None:
+    address = upload(client, street)
+    first = client.post(f"{address}/commit", headers={"Prefer": "respond-async"})
+    assert first.status_code == 202
+    assert (first.headers["location"], first.json()["state"]) == (address, "checking")
+    put = client.put(f"{address}/files/poses.txt", content=b"1")
+    assert put.status_code == 409
+    assert put.json()["title"] in {"Drive is being checked", "Drive is closed"}
+    second = client.post(f"{address}/commit")
+    assert (second.status_code, second.json()["state"]) == (200, "ready")
+    third = client.post(f"{address}/commit")
+    assert third.json() == second.json()
+    jobs = client.get("/api/v1/jobs", params={"drive": second.json()["id"], "kind": "commit"}).json()["jobs"]
+    assert len(jobs) == 1
+
+
+def test_a_ready_drive_takes_maps_only(client: httpx.Client, street: Path) -> None:
+    address = upload(client, street)
+    commit(client, address)
+    for name in ("velodyne/000000.bin", "poses.txt", "notes.txt"):
+        answer = client.put(f"{address}/files/{name}", content=b"1")
+        assert (answer.status_code, answer.json()["title"]) == (409, "Drive is closed")
+    assert client.post(f"{address}/scans", files={"poses": ("poses.txt", b"1")}).status_code == 409
+    assert client.post(f"{address}/archive", content=b"PK\x05\x06" + bytes(18)).status_code == 409
+    assert client.delete(f"{address}/files/poses.txt").status_code == 409
+    other = (street / "map.osm").read_bytes()
+    for name in ("map.osm", "other.osm"):
+        assert client.put(f"{address}/files/{name}", content=other).status_code in {200, 201}
+        assert client.get(f"{address}/files/{name}").content == other
+    run_ = results(client, address, osm={"file": "other.osm"})
+    assert len(json.loads(run_["intersections"])["features"]) >= 1
+
+
+def test_the_trajectory_needs_a_commit(client: httpx.Client) -> None:
+    drive = client.post("/api/v1/drives", json={"name": "a/b"}).headers["location"]
+    assert client.get(f"{drive}/trajectory").status_code == 409
+    assert client.get("/api/v1/drives/0123456789abcdef/trajectory").status_code == 404
+    assert client.post("/api/v1/drives/0123456789abcdef/commit").status_code == 404
+
+
+def test_a_name_with_slashes(client: httpx.Client, street: Path) -> None:
+    address = upload(client, street, name="sequences/07: a test")
+    assert commit(client, address)["name"] == "sequences/07: a test"
+
+
+def test_a_client_that_reduces_asks_what_to_send(client: httpx.Client, street: Path, tmp_path: Path) -> None:
+    drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
+    request = {"scans": {"first": 0, "last": 59}, "label_folders": ["labels", "predictions"]}
+    early = client.post(f"{drive}/plan", json=request).json()
+    assert early["manifest"] is None
+    assert early["frames"] == []
+    assert any(problem["severity"] == "error" for problem in early["problems"])
+    for name in ("poses.txt", "times.txt", "geo.csv"):
+        assert client.put(f"{drive}/files/{name}", content=(street / name).read_bytes()).status_code == 201
+    answer = client.post(f"{drive}/plan", json=request)
+    assert answer.status_code == 200
+    plan = answer.json()
+    assert (plan["layout"], plan["scans"], plan["pose_frame"]) == ("semantickitti", 60, "lidar")
+    assert plan["georeference"].startswith("geo.csv")
+    assert plan["length_m"] == pytest.approx(59 * 2.1)
+    assert plan["frames"] == list(range(60))
+    manifest = reduce_drive(street, tmp_path / "07", keyframes=KeyframeConfig()).model_dump(mode="json")
+    assert plan["manifest"] == {**manifest, "labels": [], "source": None}
+    gaps = client.post(f"{drive}/plan", json={"scans": [0, 1, 2, 10]}).json()
+    assert "7 scans are missing between 0 and 10" in gaps["problems"][0]["message"]
+    assert gaps["problems"][0]["severity"] == "error"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {},
+        {"scans": {"first": 5, "last": 4}},
+        {"scans": {"first": 0, "last": 10_000_000}},
+        {"scans": [-1]},
+        {"scans": [0], "label_folders": []},
+        {"scans": [0], "label_folders": ["velodyne"]},
+        {"scans": [0], "scan_folder": "../x"},
+    ],
+)
+def test_a_bad_plan_is_refused(client: httpx.Client, body: dict[str, Any]) -> None:
+    drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
+    assert client.post(f"{drive}/plan", json=body).status_code == 422
+
+
+def test_a_drive_that_is_deleted_while_it_is_checked(client: httpx.Client, street: Path, home: Path) -> None:
+    address = upload(client, street)
+    assert client.post(f"{address}/commit", headers={"Prefer": "wait=0"}).status_code == 202
+    assert client.delete(address).status_code == 204
+    assert client.get(address).status_code == 404
+    assert client.post(f"{address}/commit").status_code == 404
+    wait_until(lambda: files_below(home, address) == [])
