@@ -116,6 +116,7 @@ export class Transfer {
    */
   async send(path, data, options = {}) {
     const size = data instanceof Blob ? data.size : data.byteLength;
+    await this.turn();
     return this.insist(() => this.#inLine(async () => {
       let counted = 0;
       const count = (/** @type {number} */ sent) => {

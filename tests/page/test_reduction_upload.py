@@ -1,0 +1,367 @@
+"""Uploads through the page, in a browser, to a real server: reduced there, they give what the library gives."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from interloc import detect, evaluate, open_drive, read_osm, write_results
+from tests.app.processes import ServerProcess, ended, started
+from tests.app.street import write_street
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
+
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
+    pytest.mark.skipif(not LEAFLET.is_dir(), reason="the page is not set up: npm ci in static/"),
+]
+
+API = "/api/v1"
+PATIENCE_MS = 90_000
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    folder = tmp_path_factory.mktemp("server")
+    with started(folder / "data", folder / "log", workers=1) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_street(tmp_path_factory.mktemp("drives") / "street", 60)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+    with playwright.sync_playwright() as running:
+        chromium = running.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield chromium
+        chromium.close()
+
+
+class Upload:
+    """The upload panel in a tab."""
+
+    def __init__(self, page: Any, address: str) -> None:
+        self.page = page
+        self.sent: list[str] = []
+        page.set_default_timeout(PATIENCE_MS)
+        self.under_way: set[Any] = set()
+        page.on("request", self._note)
+        page.on("requestfinished", self._note_end)
+        page.on("requestfailed", self._note_end)
+        self.faults: list[str] = []
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.goto(f"{address}/#panel=upload")
+        page.wait_for_selector(".drop")
+
+    def _note(self, request: Any) -> None:
+        if request.method == "PUT":
+            self.sent.append(request.url.split("/files/", 1)[1])
+            self.under_way.add(request)
+
+    def _note_end(self, request: Any) -> None:
+        self.under_way.discard(request)
+
+    def pick(self, folder: Path) -> None:
+        self.page.set_input_files("input[name=folder]", folder)
+        self.page.wait_for_selector(".upload-form, .note.error")
+
+    def choose(self, text: str) -> None:
+        """Choose a radio or checkbox of the form, also where it is folded away."""
+        self.page.evaluate("document.querySelectorAll('.upload-form details').forEach((each) => (each.open = true))")
+        self.page.locator("label.check", has_text=text).first.locator("input").check()
+
+    def press(self, name: str) -> None:
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def text(self) -> str:
+        return str(self.page.inner_text("#panel-upload"))
+
+    def slow_down(self, bytes_per_s: int) -> None:
+        session = self.page.context.new_cdp_session(self.page)
+        limits = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": bytes_per_s}
+        session.send("Network.emulateNetworkConditions", limits)
+
+    def wait_for_scans(self, count: int) -> None:
+        """Wait until so many scans are through."""
+        script = "count => Number(/Scans\\s+(\\d+) of/.exec(document.body.innerText)?.[1] ?? 0) >= count"
+        self.page.wait_for_function(script, arg=count)
+
+    def job(self) -> str:
+        """Wait until the job is there; returns its id."""
+        self.page.wait_for_url(re.compile("job="))
+        found = re.search(r"job=(\w+)", self.page.url)
+        assert found is not None
+        return found.group(1)
+
+
+@pytest.fixture
+def upload(browser: Any, server: ServerProcess) -> Iterator[Upload]:
+    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    panel = Upload(context.new_page(), server.address)
+    yield panel
+    context.close()
+    assert not panel.faults
+
+
+def drive_of(client: httpx.Client, job_id: str) -> dict[str, Any]:
+    job = client.get(f"{API}/jobs/{job_id}").raise_for_status().json()
+    drive: dict[str, Any] = client.get(f"{API}/drives/{job['drive_id']}").raise_for_status().json()
+    return drive
+
+
+def files_of(client: httpx.Client, drive_id: str) -> set[str]:
+    answer = client.get(f"{API}/drives/{drive_id}/files", params={"limit": 10_000}).raise_for_status().json()
+    return {file["path"] for file in answer["files"]}
+
+
+def features(data: bytes | str) -> Any:
+    return json.loads(data)["features"]
+
+
+def check_results(client: httpx.Client, job_id: str, drive: Path, out: Path, **options: Any) -> None:
+    """Compare the results of a job with what the library finds in the folder itself."""
+    job = ended(client, job_id)
+    assert job["state"] == "successful", job["error"]
+    result = detect(open_drive(drive, **options))
+    write_results(result, out)
+    for name in ("detections", "intersections", "keyframes", "trajectory"):
+        served = client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status().content
+        assert features(served) == features((out / f"{name}.geojson").read_bytes()), name
+    report = client.get(f"{API}/jobs/{job_id}/report").raise_for_status().json()
+    evaluation = evaluate(result, read_osm(drive / "map.osm"))
+    assert report["matched"] == int(evaluation.matching.is_matched.sum())
+    assert report["ace_m"] == pytest.approx(evaluation.errors.ace_m, abs=0.005)  # the report rounds
+
+
+def test_a_folder_is_reduced_in_the_browser_and_gives_the_same_results(
+    upload: Upload, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    upload.pick(street)
+    upload.page.wait_for_function("document.body.innerText.includes('read as semantickitti')")
+    text = upload.text()
+    assert "60 scans, 0 to 59" in text
+    assert "geo.csv" in text
+    upload.press("Upload and run")
+    job_id = upload.job()
+    check_results(server.client, job_id, street, tmp_path / "out")
+    drive = drive_of(server.client, job_id)
+    assert (drive["name"], drive["state"]) == ("street", "ready")
+    small = {"geo.csv", "map.osm", "poses.txt", "times.txt", "reduced.json"}
+    ground = {f"ground/labels/{frame:06d}.ground" for frame in range(60)}
+    assert files_of(server.client, drive["id"]) == small | ground
+    report = open_drive(street)
+    assert drive["report"]["scan_bytes"] == int(report.scan_files.sizes.sum())
+    assert drive["report"]["label_scheme"] == "semantickitti"
+
+
+def test_everything_can_be_sent_as_it_is(upload: Upload, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+    upload.pick(street)
+    upload.choose("Everything as it is")
+    upload.press("Upload and run")
+    job_id = upload.job()
+    check_results(server.client, job_id, street, tmp_path / "out")
+    assert sum(path.startswith("velodyne/") for path in upload.sent) == 60
+    assert sum(path.startswith("labels/") for path in upload.sent) == 60
+
+
+def test_a_dropped_folder_is_read(upload: Upload, server: ServerProcess, street: Path) -> None:
+    session = upload.page.context.new_cdp_session(upload.page)
+    data = {"items": [], "files": [str(street)], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, "x": 200, "y": 300, "data": data})
+    upload.page.wait_for_selector(".upload-form")
+    assert "60 scans, 0 to 59" in upload.text()
+    assert upload.page.input_value(".upload-form input[type=text]") == "street"
+    upload.press("Upload only")
+    upload.page.wait_for_selector("text=Upload another")
+    assert "Done" in upload.text()
+
+
+def test_a_reload_does_not_send_again_what_has_arrived(
+    upload: Upload, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    upload.pick(street)
+    upload.slow_down(150_000)
+    upload.press("Upload and run")
+    upload.wait_for_scans(12)
+    upload.page.reload()
+    upload.page.wait_for_selector("text=Uploads that were begun")
+    (before,) = [
+        drive for drive in server.client.get(f"{API}/drives").json()["drives"] if drive["state"] == "uploading"
+    ]
+    arrived = files_of(server.client, before["id"])
+    assert sum(path.startswith("ground/") for path in arrived) >= 12
+    upload.sent.clear()
+    upload.pick(street)
+    upload.press("Continue that upload")
+    job_id = upload.job()
+    check_results(server.client, job_id, street, tmp_path / "out")
+    assert drive_of(server.client, job_id)["id"] == before["id"]
+    sent = {path for path in upload.sent if path.startswith("ground/")}
+    assert len(sent) == 60 - sum(path.startswith("ground/") for path in arrived)
+    assert not sent & arrived
+    upload.page.goto(f"{server.address}/#panel=upload")
+    upload.page.reload()
+    upload.page.wait_for_selector(".drop")
+    assert "Uploads that were begun" not in upload.text()
+
+
+def test_a_paused_upload_stands_still_and_goes_on(upload: Upload, server: ServerProcess, street: Path) -> None:
+    upload.pick(street)
+    upload.slow_down(150_000)
+    upload.press("Upload and run")
+    upload.wait_for_scans(5)
+    upload.press("Pause")
+    upload.page.wait_for_selector("text=What is on its way still arrives")
+    while upload.under_way:
+        upload.page.wait_for_timeout(50)
+    sent = len(upload.sent)
+    assert sent < 60
+    upload.page.wait_for_timeout(700)
+    assert len(upload.sent) == sent
+    upload.press("Resume")
+    assert ended(server.client, upload.job())["state"] == "successful"
+
+
+def test_a_server_that_comes_back_is_waited_for(browser: Any, street: Path, tmp_path: Path) -> None:
+    with started(tmp_path / "data", tmp_path / "log", workers=1) as first:
+        upload = Upload(browser.new_context().new_page(), first.address)
+        upload.pick(street)
+        upload.slow_down(150_000)
+        upload.press("Upload and run")
+        upload.wait_for_scans(8)
+        first.kill()
+        upload.page.wait_for_selector("text=Trying again in")
+        port = int(first.address.rsplit(":", 1)[1])
+        with started(tmp_path / "data", tmp_path / "log", workers=1, port=port) as second:
+            job_id = upload.job()
+            check_results(second.client, job_id, street, tmp_path / "out")
+            upload.page.context.close()
+
+
+def test_an_archive_is_unpacked_and_run(upload: Upload, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "street.tar.gz"
+    with tarfile.open(archive, "w:gz") as packed:
+        packed.add(street, "street")
+    upload.page.set_input_files("input[name=archive]", archive)
+    upload.page.wait_for_selector(".upload-form")
+    assert "street.tar.gz" in upload.text()
+    upload.press("Upload and run")
+    check_results(server.client, upload.job(), street, tmp_path / "out")
+
+
+def test_what_is_wrong_is_told_before_anything_is_sent(upload: Upload, street: Path, tmp_path: Path) -> None:
+    broken = Path(shutil.copytree(street, tmp_path / "broken"))
+    (broken / "labels/000007.label").unlink()
+    (broken / "poses.txt").unlink()
+    upload.pick(broken)
+    text = upload.text()
+    assert "labels/000007.label" in text
+    assert "1 of 60 scans have no labels" in text
+    assert "poses.txt" in text
+    assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    assert not upload.sent
+    upload.press("Choose another")
+    upload.page.wait_for_selector(".drop")
+    upload.pick(broken / "velodyne")
+    assert "the scans themselves: pick the folder above it" in upload.text()
+
+
+def test_what_the_plan_refuses_can_be_mended(
+    upload: Upload, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    cut = Path(shutil.copytree(street, tmp_path / "cut"))
+    lines = (street / "poses.txt").read_text().splitlines()
+    (cut / "poses.txt").write_text("\n".join(lines[:40]) + "\n")
+    upload.pick(cut)
+    upload.press("Upload and run")
+    upload.page.wait_for_selector("text=This drive cannot be used yet")
+    assert "40 poses for the scans 0 to 59" in upload.text()
+    assert not any(path.startswith("ground/") for path in upload.sent)
+    (cut / "poses.txt").write_text("\n".join(lines) + "\n")
+    upload.press("Pick the mended folder")
+    upload.page.wait_for_selector(".drop")
+    upload.pick(cut)
+    upload.press("Upload and run")
+    check_results(server.client, upload.job(), cut, tmp_path / "out")
+
+
+def test_one_of_several_drives_is_chosen(upload: Upload, street: Path, tmp_path: Path) -> None:
+    for name in ("00", "07"):
+        shutil.copytree(street, tmp_path / "sequences" / name)
+    (tmp_path / "sequences/07/velodyne/000059.bin").unlink()
+    upload.pick(tmp_path)
+    assert "2 drives are in the folder" in upload.text()
+    upload.page.get_by_label("2 drives are in the folder").select_option(label="sequences/07 (59 scans)")
+    upload.page.wait_for_function("document.body.innerText.includes('59 scans, 0 to 58')")
+    assert upload.page.input_value(".upload-form input[type=text]") == "07"
+
+
+def test_settings_labels_and_maps_of_the_form_reach_the_job(
+    upload: Upload, server: ServerProcess, street: Path, tmp_path: Path
+) -> None:
+    drive = Path(shutil.copytree(street, tmp_path / "own"))
+    (drive / "labels").rename(tmp_path / "network")
+    (drive / "map.osm").rename(tmp_path / "city.osm")
+    (drive / "geo.csv").rename(tmp_path / "fixes.csv")
+    upload.pick(drive)
+    assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    upload.page.set_input_files("input[name=prediction-folder]", tmp_path / "network")
+    upload.choose("From elsewhere")
+    upload.page.set_input_files("input[name=georeference-file]", tmp_path / "fixes.csv")
+    upload.choose("A file of mine")
+    upload.page.set_input_files("input[name=osm-file]", tmp_path / "city.osm")
+    upload.page.get_by_label("Preset").first.select_option("paper")
+    upload.page.get_by_label("Side of a cell").fill("0.25")
+    upload.page.get_by_label("Way between keyframes").fill("4")
+    upload.press("Upload and run")
+    job = ended(server.client, upload.job())
+    assert job["state"] == "successful", job["error"]
+    request = job["request"]
+    assert request["preset"] == "paper"
+    assert request["config"]["bev"]["resolution_m"] == 0.25
+    assert request["config"]["bev"]["min_points"] == 5  # as the preset "paper" has it
+    assert request["config"]["keyframes"]["distance_m"] == 4
+    assert request["labels"] == "predictions"
+    assert request["osm"] == {"file": "city.osm"}
+    found = files_of(server.client, job["drive_id"])
+    assert "georeference/fixes.csv" in found
+    assert sum(path.startswith("ground/predictions/") for path in found) == 30  # every second scan: more than 4 m
+    assert job["summary"]["keyframes"] == 30
+
+
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_the_form_is_usable_by_keyboard(browser: Any, server: ServerProcess, street: Path, scheme: str) -> None:
+    context = browser.new_context(color_scheme=scheme)
+    upload = Upload(context.new_page(), server.address)
+    upload.pick(street)
+    unnamed = upload.page.evaluate(
+        """() => [...document.querySelectorAll('#panel-upload :is(input, select, button)')]
+            .filter((each) => each.type !== 'file' && !each.labels?.length && !each.textContent.trim()
+                && !each.getAttribute('aria-label')).map((each) => each.outerHTML)"""
+    )
+    assert unnamed == []
+    upload.page.locator(".upload-form input[type=text]").first.focus()
+    for _ in range(80):
+        upload.page.keyboard.press("Tab")
+        if upload.page.evaluate("document.activeElement.textContent") == "Upload only":
+            break
+    else:
+        pytest.fail("the last button cannot be reached")
+    upload.page.keyboard.press("Enter")
+    upload.page.wait_for_selector("text=Upload another")
+    context.close()
