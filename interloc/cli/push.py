@@ -111,7 +111,7 @@ def command(
         result |= result_summary(job, out) if job is not None and out is not None else {}
         console.say_json({**pushed.to_dict(), **result})
     elif not quiet:
-        console.say_facts(_facts(pushed, job, drive, out))
+        console.say_facts(_facts(pushed, job, out))
 
 
 def _check_usage(*, run: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]) -> None:
@@ -184,12 +184,12 @@ def _finish(connection: Connection, job: JobAnswer, out: Path | None, *, quiet: 
     return job
 
 
-def _facts(pushed: Pushed, job: JobAnswer | None, drive: Path, out: Path | None) -> list[tuple[str, str]]:
+def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tuple[str, str]]:
     """Return names and values for a person."""
     size = console.size(pushed.bytes_there)
     if pushed.source_bytes:
         share = 100 * pushed.bytes_there / pushed.source_bytes
-        size += f" instead of {console.size(pushed.source_bytes)} ({share:.2g} %)"
+        size += f" instead of {console.size(pushed.source_bytes)} ({share:.{0 if share >= 10 else 1}f} %)"
     sent = "nothing: the server has all of it already"
     if pushed.files_sent:
         rate = console.size(int(pushed.bytes_sent / max(pushed.seconds, 1e-3)))
@@ -201,7 +201,7 @@ def _facts(pushed: Pushed, job: JobAnswer | None, drive: Path, out: Path | None)
         ("drive id", pushed.drive_id),
     ]
     if job is None:
-        return [*rows, ("next", f"interloc push {drive} --run -o OUT (sends nothing twice), or {pushed.server}")]
+        return [*rows, ("next", f"the same command with --run -o OUT (nothing is sent twice), or {pushed.server}")]
     rows.append(("job", job.id))
     if out is None:
         return [*rows, ("next", f"interloc fetch {job.id} -o OUT, or {pushed.server}")]
