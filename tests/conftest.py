@@ -1,9 +1,24 @@
 """Settings of all tests."""
 
+import logging
 import os
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import settings
 
 # No test measures time. CI draws the same examples each time; everyone else helps to find new ones.
 settings.register_profile("interloc", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("interloc")
+
+
+@pytest.fixture
+def untouched_logging() -> Iterator[None]:
+    """Give the loggers back as they were, for tests of what sets them up."""
+    loggers = [logging.getLogger(name) for name in ("", "app", "interloc", "uvicorn")]
+    before = [(logger.handlers[:], logger.level) for logger in loggers]
+    yield
+    for logger, (handlers, level) in zip(loggers, before, strict=True):
+        logger.handlers[:] = handlers
+        logger.setLevel(level)
+    logging.captureWarnings(capture=False)

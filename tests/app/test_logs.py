@@ -8,7 +8,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,18 +21,7 @@ from app.settings import Settings
 Serve = Callable[..., httpx.Client]
 Lines = Callable[..., list[dict[str, Any]]]
 OWN = "the-token-of-the-operator"
-
-
-@pytest.fixture(autouse=True)
-def untouched_logging() -> Iterator[None]:
-    """Give the loggers of this process back as they were."""
-    names = ("", "app", "interloc", "uvicorn")
-    before = {name: (logging.getLogger(name).handlers[:], logging.getLogger(name).level) for name in names}
-    yield
-    for name, (handlers, level) in before.items():
-        logging.getLogger(name).handlers[:] = handlers
-        logging.getLogger(name).setLevel(level)
-    logging.captureWarnings(capture=False)
+pytestmark = pytest.mark.usefixtures("untouched_logging")
 
 
 @pytest.fixture

@@ -17,6 +17,11 @@ from typing import Any
 import httpx
 import pytest
 
+from app.models import Drive, Job
+from app.service import open_database
+from app.settings import Settings
+
+pytestmark = pytest.mark.usefixtures("untouched_logging")
 Interloc = Callable[..., Any]
 EVERYWHERE = "0.0.0.0"  # noqa: S104 - with tokens
 
@@ -63,10 +68,30 @@ def test_a_server_starts_and_stops(
     assert not [line for line in lines if line["level"] in {"error", "warning"}]
 
 
-def test_a_stop_does_not_wait_for_those_who_listen(
+def test_streams_of_events_end_with_the_server(
     command: tuple[str, ...], environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Nor for an upload that has stalled."""
+    database = open_database(Settings(data_dir=tmp_path / "interloc-data"))
+    with database.writing() as session:  # a job that waits as long as its drive is checked: for ever
+        common = {"owner": "me", "created_at": database.clock(session)}
+        session.add(Drive(id="d", name="d", state="checking", touched_at=0.0, **common))
+        session.flush()
+        session.add(Job(id="j", kind="intersections", drive_id="d", request={}, **common))
+    database.close()
+    with (
+        serving(command, environment, tmp_path) as (process, address),
+        httpx.stream("GET", f"{address}api/v1/jobs/j/events", timeout=60) as events,
+    ):
+        lines = events.iter_lines()
+        assert next(lines) == "event: job"
+        process.terminate()
+        assert not [line for line in lines if line.startswith("event:")]  # whole to its end: it was not cut off
+        assert process.wait(60) == 0
+
+
+def test_a_stop_does_not_wait_for_an_upload_that_stalls(
+    command: tuple[str, ...], environment: dict[str, str], tmp_path: Path
+) -> None:
     with serving(command, environment, tmp_path) as (process, address), httpx.Client(base_url=address) as client:
         drive = client.post("api/v1/drives", json={"name": "a"}).json()["id"]
         with socket.create_connection((client.base_url.host, client.base_url.port or 80)) as link:
