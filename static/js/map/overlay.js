@@ -53,6 +53,7 @@ export const TurnedImage = Layer.extend({
     if (!w || !this._map) return;
     const [origin, right, down] = this._corners.map(at);
     const matrix = [(right.x - origin.x) / w, (right.y - origin.y) / w, (down.x - origin.x) / h, (down.y - origin.y) / h, origin.x, origin.y];
+    this._image.style.imageRendering = Math.hypot(matrix[0], matrix[1]) > 1 ? "pixelated" : "auto"; // cells stay cells
     this._image.style.transform = `matrix(${matrix.join(",")})`;
   },
 });

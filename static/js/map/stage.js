@@ -118,12 +118,13 @@ export async function mountStage() {
     parts.legend.show(next);
     parts.setAttribution(next);
     isPlaced = false;
-    for (const call of listeners) call(next); // the drawer may open, so the map is fitted after it
+    timeline.show(next);
+    for (const call of listeners) call(next);
+    map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
     isPlaced = true;
     if (frame !== null && !next.frame.rows.has(frame)) setState({ frame: null });
-    timeline.show(next);
     updateKeyframe();
   };
 
@@ -253,7 +254,6 @@ export function fitDrive(animate) {
 function fit(places, animate, local) {
   if (!places.length) return;
   const [paddingTopLeft, paddingBottomRight] = margins();
-  map.invalidateSize({ animate: false });
   map.fitBounds(latLngBounds(places), { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
 }
 

@@ -31,7 +31,7 @@ export function fileProblems(problems) {
  */
 export function showError(error) {
   if (error instanceof DOMException && error.name === "AbortError") return;
-  if (!(error instanceof ApiError)) console.error(error);
+  if (error instanceof Error && !(error instanceof ApiError)) console.error(error);
   const note = problemNote(error);
   toast(note, 15000);
 }

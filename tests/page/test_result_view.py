@@ -1,0 +1,298 @@
+"""Results on the page, in a real browser against a real server: what is seen must be what the files say."""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from interloc.config import DetectorConfig
+from tests.app.processes import ServerProcess, archive_of, ended, started
+from tests.app.street import write_street
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
+
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
+    pytest.mark.skipif(not LEAFLET.is_dir(), reason="the page is not set up: npm ci in static/"),
+]
+
+API = "/api/v1"
+PATIENCE_MS = 90_000
+SCANS = 90
+TOKEN = "a-token-that-only-this-test-knows-0123456789"  # noqa: S105
+
+
+@dataclass(frozen=True)
+class Done:
+    """A server with two results of the same street: with and without georeference."""
+
+    server: ServerProcess
+    job: str
+    local_job: str
+
+    def features(self, layer: str) -> list[dict[str, Any]]:
+        answer = self.server.client.get(f"{API}/jobs/{self.job}/{layer}").raise_for_status()
+        return list(answer.json()["features"])
+
+    def report(self) -> dict[str, Any]:
+        return dict(self.server.client.get(f"{API}/jobs/{self.job}/report").raise_for_status().json())
+
+
+def run_street(server: ServerProcess, folder: Path, **request: Any) -> str:
+    """Upload a drive, run it, wait for the end; returns the id of the job."""
+    drive = server.client.post(f"{API}/drives", json={"name": folder.name}).raise_for_status().json()["id"]
+    server.client.post(f"{API}/drives/{drive}/archive", content=archive_of(folder)).raise_for_status()
+    server.client.post(f"{API}/drives/{drive}/commit", json={}).raise_for_status()
+    job = server.client.post(f"{API}/jobs", json={"drive_id": drive, **request}).raise_for_status().json()["id"]
+    assert ended(server.client, job)["state"] == "successful"
+    return str(job)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
+    folder = tmp_path_factory.mktemp("page")
+    street = write_street(folder / "street", SCANS)
+    local = write_street(folder / "street_without_fixes", SCANS)
+    (local / "geo.csv").unlink()
+    with started(folder / "data", folder / "log", workers=1) as server:
+        yield Done(server, run_street(server, street, osm={"file": "map.osm"}), run_street(server, local))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+    with playwright.sync_playwright() as running:
+        chromium = running.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser: Any, done: Done) -> Iterator[Any]:
+    """A tab that must show no fault and ask no other server."""
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
+    tab = context.new_page()
+    tab.set_default_timeout(PATIENCE_MS)
+    faults: list[str] = []
+    elsewhere: list[str] = []
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    tab.on(
+        "request",
+        lambda request: (
+            elsewhere.append(request.url) if not request.url.startswith((done.server.address, "blob:")) else 0
+        ),
+    )
+    yield tab
+    context.close()
+    assert not faults
+    assert not elsewhere
+
+
+def show(page: Any, done: Done, fields: str, job: str | None = None) -> None:
+    page.goto("about:blank")
+    page.goto(f"{done.server.address}/#job={job or done.job}&{fields}")
+    page.wait_for_selector(".legend:visible")
+
+
+def on_screen(page: Any, lon: float, lat: float) -> tuple[float, float]:
+    """Where a place must be on the screen, from the address of the page alone: spherical Mercator of 256 px tiles."""
+    zoom, at_lat, at_lon = (float(each) for each in re.search(r"view=([^&]+)", page.url)[1].split("/"))
+    box = page.locator("#map").bounding_box()
+    dx, dy = (a - b for a, b in zip(mercator(lon, lat, zoom), mercator(at_lon, at_lat, zoom), strict=True))
+    return box["x"] + box["width"] / 2 + dx, box["y"] + box["height"] / 2 + dy
+
+
+def mercator(lon: float, lat: float, zoom: float) -> tuple[float, float]:
+    size = 256 * 2**zoom
+    y = math.log(math.tan(math.pi / 4 + math.radians(lat) / 2)) / (2 * math.pi)
+    return size * (lon / 360 + 0.5), size * (0.5 - y)
+
+
+def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -> None:
+    intersections = done.features("intersections")
+    assert len(intersections) >= 2
+    for feature in intersections:
+        lon, lat = feature["geometry"]["coordinates"]
+        show(page, done, f"view=19/{lat + 0.0001}/{lon - 0.0002}&layers=intersections,roads")
+        page.mouse.move(*on_screen(page, lon, lat))
+        tip = page.locator(".leaflet-tooltip")
+        tip.wait_for()
+        assert f"Intersection {feature['properties']['id']}" in tip.inner_text()
+        x, y = on_screen(page, lon, lat)
+        page.mouse.move(x + 30, y + 30)
+        tip.wait_for(state="detached")
+
+
+def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> None:
+    show(page, done, "panel=report")
+    outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
+    nodes = [feature["properties"] for feature in done.features("osm-nodes")]
+    expected = {
+        "Intersections": len(done.features("intersections")),
+        "True detections": outcomes.count("TP"),
+        "False detections": len(done.features("detections")) - outcomes.count("TP"),
+        "Found intersections": sum(node["found"] for node in nodes),
+        "Missed intersections": sum(node["in_zone"] and not node["found"] for node in nodes),
+        "Keyframes": SCANS,
+    }
+    legend = page.inner_text(".legend")
+    for name, count in expected.items():
+        shown = re.search(rf"^{name}\s+([\d,]+)$", legend, re.MULTILINE)
+        assert int(shown[1].replace(",", "") if shown else 0) == count, name
+
+
+def test_seen_area_and_picture_lie_where_the_server_says(page: Any, done: Done) -> None:
+    frame = SCANS // 2
+    view = done.server.client.get(f"{API}/jobs/{done.job}/keyframes/{frame}/bev").raise_for_status().json()
+    lon, lat = (sum(corner[i] for corner in view["corners_lonlat"]) / 4 for i in (0, 1))
+    show(page, done, f"frame={frame}&drawer=1&view=18/{lat}/{lon}")
+    page.wait_for_selector(".turned-image >> nth=1")
+    corners = [on_screen(page, *corner) for corner in view["corners_lonlat"]]
+    for selector, tolerance in ((".turned-image", 1.0), ("path.roi", 2.0)):  # the picture is cut at whole cells
+        box = page.locator(selector).first.bounding_box()
+        found = (box["x"], box["y"], box["x"] + box["width"], box["y"] + box["height"])
+        xs, ys = zip(*corners, strict=True)
+        assert found == pytest.approx((min(xs), min(ys), max(xs), max(ys)), abs=tolerance), selector
+    sides = [math.dist(corners[0], corners[1]), math.dist(corners[1], corners[2])]
+    metre = 256 * 2**18 / (2 * math.pi * 6378137 * math.cos(math.radians(lat)))
+    assert sides == pytest.approx([DetectorConfig().bev.size_m * metre] * 2, rel=0.01)
+    assert page.locator("#drawer figure img:not(.waiting)").count() == 6
+
+
+def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done) -> None:
+    report = done.report()
+    show(page, done, "panel=report")
+    text = page.inner_text("#panel-report").replace("\u00a0", " ")
+    assert f"{report['ace_m']:.2f} m" in text
+    assert f"{100 * report['precision']['5.0']:.1f} %" in text
+    assert f"{report['nodes_found']} of {report['nodes_in_zone']}" in text
+    rows = page.locator("#panel-report tbody tr.can")
+    assert rows.count() == len(report["nodes"])
+    page.get_by_role("button", name=re.compile("^Number of the node")).click()
+    ids = [int(each) for each in page.locator("#panel-report tbody tr.can td:nth-child(2)").all_inner_texts()]
+    assert ids == sorted(node["osm_id"] for node in report["nodes"])
+    rows.nth(1).focus()
+    page.keyboard.press("Enter")
+    popup = page.locator(".leaflet-popup-content")
+    popup.wait_for()
+    assert str(ids[1]) in popup.inner_text()
+
+
+def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
+    show(page, done, "panel=job")
+    page.locator("#tab-job").focus()
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("document.activeElement.id") == "tab-report"
+    page.get_by_role("slider", name="Keyframe").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press(".")
+    page.keyboard.press(",")
+    page.keyboard.press(",")
+    assert re.search(r"frame=1(&|$)", page.url)
+    assert "Scan 1" in page.inner_text(".timeline-label")
+
+
+def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
+    show(page, done, "panel=export&frame=12")
+    page.locator("#layer-tp").uncheck()
+    link = page.get_by_label("Link to this view").input_value()
+    assert link == page.url
+    page.goto("about:blank")
+    page.goto(link)
+    page.wait_for_selector(".legend:visible")
+    assert page.url == link
+    assert not page.locator("#layer-tp").is_checked()
+    assert page.locator("#layer-fp, #layer-roads").first.is_checked()
+    assert "Scan 12" in page.inner_text(".timeline-label")
+    page.locator("#tab-report").click()
+    page.go_back()
+    assert page.locator("#tab-export").get_attribute("aria-selected") == "true"
+
+
+@pytest.mark.parametrize(
+    ("button", "path", "beginning"),
+    [
+        (re.compile("^GeoPackage"), "export.gpkg", b"SQLite format 3"),
+        (re.compile("^Everything"), "archive.zip", b"PK"),
+        ("GeoJSON", "intersections", b'{"type":"FeatureCollection"'),
+    ],
+)
+def test_downloads_are_the_files_of_the_service(
+    page: Any, done: Done, button: Any, path: str, beginning: bytes
+) -> None:
+    show(page, done, "panel=export")
+    with page.expect_download() as waiting:
+        page.locator("#panel-export").get_by_role("button", name=button).first.click()
+    content = Path(waiting.value.path()).read_bytes()
+    assert content.startswith(beginning)
+    served = done.server.client.get(f"{API}/jobs/{done.job}/{path}").raise_for_status().content
+    assert len(content) == len(served)
+
+
+def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> None:
+    show(page, done, "panel=report&view=1.5/5/80", done.local_job)
+    assert "No georeference" in page.inner_text("#panel-report")
+    assert "no georeference" in page.inner_text(".leaflet-control-attribution")
+    assert page.locator("#layer-tiles").count() == 0
+    files = done.server.client.get(f"{API}/jobs/{done.local_job}/files/intersections.local.json").json()["features"]
+    assert re.search(rf"Intersections\s+{len(files)}\b", page.inner_text(".legend"))
+    zoom, y, x = (float(each) for each in re.search(r"view=([^&]+)", page.url)[1].split("/"))
+    box = page.locator("#map").bounding_box()
+    for feature in files:
+        east, north = feature["geometry"]["coordinates"]
+        scale = 2**zoom
+        page.mouse.move(
+            box["x"] + box["width"] / 2 + (east - x) * scale, box["y"] + box["height"] / 2 - (north - y) * scale
+        )
+        page.locator(".leaflet-tooltip", has_text=f"Intersection {feature['properties']['id']}").wait_for()
+
+
+def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -> None:
+    page.goto(f"{done.server.address}/")
+    card = page.locator("article.drive", has=page.get_by_role("button", name="street", exact=True))
+    card.get_by_role("button", name="Run street").click()
+    page.get_by_label("Preset").select_option("paper")
+    page.get_by_role("button", name="Run", exact=True).click()
+    page.wait_for_selector("#panel-job .badge.good")
+    page.wait_for_selector(".legend:visible")
+    job = re.search(r"job=(\w+)", page.url)[1]
+    assert job not in {done.job, done.local_job}
+    summary = done.server.client.get(f"{API}/jobs/{job}").json()["summary"]
+    assert re.search(rf"{summary['detections']}\s+detections", page.inner_text("#panel-job"))
+    assert "paper" in page.inner_text("#panel-job")
+
+
+def test_errors_are_told_in_the_words_of_the_server(page: Any, done: Done) -> None:
+    page.goto(f"{done.server.address}/#panel=job&job=0123456789abcdef")
+    detail = done.server.client.get(f"{API}/jobs/0123456789abcdef").json()["detail"]
+    page.locator("#panel-job .note.error", has_text=detail).wait_for()
+
+
+def test_a_token_is_asked_for_once_and_refused_in_words(browser: Any, tmp_path: Path) -> None:
+    with started(tmp_path / "data", tmp_path / "log", workers=1, token=TOKEN) as server:
+        tab = browser.new_page()
+        tab.set_default_timeout(PATIENCE_MS)
+        tab.goto(server.address)
+        field = tab.get_by_label("API token")
+        field.fill("not this one")
+        field.press("Enter")
+        tab.locator("dialog .note.error").wait_for()
+        field.fill(TOKEN)
+        field.press("Enter")
+        tab.locator(".empty").wait_for()
+        tab.locator("dialog").wait_for(state="detached")
+        tab.reload()
+        tab.locator(".empty").wait_for()
+        assert tab.locator("dialog").count() == 0
+        assert TOKEN not in tab.url
+        tab.close()
