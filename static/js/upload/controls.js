@@ -100,7 +100,7 @@ export function problemList(problems) {
     problems.map(({ severity, path, message }) =>
       el(
         "li",
-        { class: severity },
+        { class: `is-${severity}` },
         el("span", { class: "severity" }, words[severity] ?? severity),
         el("span", {}, el("code", {}, path), " ", message),
       ),

@@ -12,6 +12,7 @@
 const ARCHIVE = /\.(zip|tar|tgz|tar\.gz|tar\.zst|tzst)$/i;
 const JUNK = /(^|\/)(\.[^/]*|__MACOSX|Thumbs\.db|desktop\.ini)(\/|$)/i;
 const READ_AT_ONCE = 32;
+const STILL_MS = 24;
 
 /** @param {File | string} file */
 export const isArchive = (file) => ARCHIVE.test(typeof file === "string" ? file : file.name);
@@ -31,6 +32,27 @@ export function folderOfInput(list) {
     put(files, rest.length ? rest.join("/") : top, file);
   }
   return { name, files, handle: null };
+}
+
+/**
+ * Ask for the sizes of all files, a few at a time: browsers look at the disk at the first question and stand still
+ * meanwhile, for seconds where there are thousands.
+ *
+ * @param {Folder} folder
+ * @param {OnCount} [onCount]
+ */
+export async function measure(folder, onCount = () => {}) {
+  let count = 0;
+  let since = performance.now();
+  for (const file of folder.files.values()) {
+    void file.size;
+    count += 1;
+    if (performance.now() - since > STILL_MS) {
+      onCount(count);
+      await new Promise((resolve) => setTimeout(resolve));
+      since = performance.now();
+    }
+  }
 }
 
 /** True where the browser can pick folders that it can come back to. */

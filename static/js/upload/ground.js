@@ -16,7 +16,7 @@ const VERSION = 1;
  * Sort the bytes of the differences along the points by their weight.
  *
  * @param {Uint32Array} bits Three a point: the bits of its coordinates.
- * @returns {Uint8Array} Twelve planes, each of one byte a point.
+ * @returns {Uint8Array<ArrayBuffer>} Twelve planes, each of one byte a point.
  */
 export function splitPlanes(bits) {
   const n = bits.length / 3;
@@ -46,7 +46,7 @@ export function splitPlanes(bits) {
  *
  * @param {Uint32Array} bits Three a point: the float32 bits of x, y, z in metres; road points first.
  * @param {number} roadCount How many points are road.
- * @returns {Promise<Uint8Array>}
+ * @returns {Promise<Uint8Array<ArrayBuffer>>}
  */
 export async function encodeGround(bits, roadCount) {
   const count = bits.length / 3;
@@ -58,7 +58,7 @@ export async function encodeGround(bits, roadCount) {
   return join([new Uint8Array(header.buffer), ...(await deflate(splitPlanes(bits)))]);
 }
 
-/** @param {Uint8Array} bytes */
+/** @param {Uint8Array<ArrayBuffer>} bytes */
 async function deflate(bytes) {
   const stream = new CompressionStream("deflate"); // zlib's format, with its checksum
   const writer = stream.writable.getWriter();
@@ -72,7 +72,7 @@ async function deflate(bytes) {
   return pieces;
 }
 
-/** @param {Uint8Array[]} pieces */
+/** @param {Uint8Array[]} pieces @returns {Uint8Array<ArrayBuffer>} */
 function join(pieces) {
   const whole = new Uint8Array(pieces.reduce((size, piece) => size + piece.length, 0));
   let at = 0;

@@ -7,7 +7,7 @@ import { confirmAction, problemNote, showError, showMessage } from "../shell/mes
 import { getState, setState } from "../state.js";
 import { noDriveReason } from "./checks.js";
 import { findDrives } from "./drive_folder.js";
-import { folderOfHandle, folderOfInput, isArchive, readDrop } from "./folder.js";
+import { folderOfHandle, folderOfInput, isArchive, measure, readDrop } from "./folder.js";
 import { fingerprintOfDrive, formView } from "./form_view.js";
 import { forget, handleOf, rememberedUploads } from "./memory.js";
 import { progressView } from "./progress_view.js";
@@ -85,6 +85,7 @@ function counter(container) {
 
 /** @param {HTMLElement} container @param {Folder} folder @param {Begun | null} begun */
 async function showFolder(container, folder, begun) {
+  await measure(folder, counter(container));
   const drives = await findDrives(folder);
   if (!drives.length) {
     const error = { title: "No drive in there", detail: noDriveReason(folder) };

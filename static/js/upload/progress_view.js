@@ -99,7 +99,7 @@ export function progressView({ onChange, onMend, onLeave }) {
   function drawPlan(found) {
     if (!found || plan.childElementCount) return;
     const owner = POSE_OWNERS[/** @type {keyof typeof POSE_OWNERS} */ (found.pose_frame)] ?? found.pose_frame;
-    const row = (/** @type {string} */ name, /** @type {any} */ value, /** @type {any} */ why) =>
+    const row = (/** @type {string} */ name, /** @type {any} */ value, /** @type {any} */ why = null) =>
       value && [el("dt", {}, name), el("dd", {}, value, why && el("small", { class: "why" }, why))];
     fill(
       plan,
@@ -150,6 +150,7 @@ function stepItem(step, state) {
 function figuresOf(upload, isSending) {
   const { transfer, done, total, step, source } = upload;
   const { meter } = transfer;
+  /** @type {any[]} */
   const rows = [];
   const row = (/** @type {string} */ name, /** @type {string} */ value) => rows.push(el("dt", {}, name), el("dd", {}, value));
   if (total) row(step === "scans" && source.drive?.scans && upload.settings.sending !== "raw" ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`);

@@ -203,7 +203,7 @@ class Estimate {
  * @param {any} planned The manifest as far as the plan knows it.
  * @param {import("./drive_folder.js").DriveFolder} drive
  * @param {Map<string, import("./schemes.js").Judgement>} judged By label folder.
- * @returns {Uint8Array}
+ * @returns {Uint8Array<ArrayBuffer>}
  */
 export function manifestBytes(planned, drive, judged) {
   const scans = /** @type {NumberedFiles} */ (drive.scans);

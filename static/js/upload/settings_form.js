@@ -128,7 +128,7 @@ function inputFor(schema, value, onChange) {
     return select({ true: "yes", false: "no" }, String(value), (next) => onChange(next === "true", true));
   }
   if (schema.enum) {
-    return select(Object.fromEntries(schema.enum.map((each) => [each, words(each)])), value, (next) => onChange(next, true));
+    return select(Object.fromEntries(schema.enum.map((/** @type {string} */ each) => [each, words(each)])), value, (next) => onChange(next, true));
   }
   const number = (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.type === "number" || each.type === "integer") ?? {};
   const mayBeNone = Boolean(schema.anyOf?.some((/** @type {any} */ each) => each.type === "null"));

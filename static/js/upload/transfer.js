@@ -95,7 +95,7 @@ export class Transfer {
    * Send one file.
    *
    * @param {string} path Inside the drive.
-   * @param {Blob | Uint8Array} data
+   * @param {Blob | Uint8Array<ArrayBuffer>} data
    * @param {string | null} [digest] SHA-256 in Base64, where it is known.
    * @returns {Promise<{path: string, size_bytes: number, sha256: string}>}
    */
@@ -111,7 +111,7 @@ export class Transfer {
    * Send a body, counting its bytes.
    *
    * @param {string} path Of the service.
-   * @param {Blob | Uint8Array} data
+   * @param {Blob | Uint8Array<ArrayBuffer>} data
    * @param {{digest?: string | null, method?: string, headers?: Record<string, string>}} [options]
    */
   async send(path, data, options = {}) {
