@@ -54,7 +54,7 @@ def write_checkpoint(path: Path, part: RangeResult) -> None:
 def read_checkpoint(path: Path) -> RangeResult | None:
     """Read what `write_checkpoint` wrote; None where there is nothing, or nothing that this version can go on with."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None

@@ -1,0 +1,165 @@
+"""What a restart finds is what was found, to the last bit; what is done is not done again."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.work import calls, intersections
+from app.work.checkpoints import read_checkpoint, write_checkpoint
+from app.work.progress import Board
+from app.work.task import Cancelled, Part, Task
+from interloc.config import preset
+from interloc.detect.detector import KeyframeDetections
+from interloc.detect.keyframes import Keyframe
+from interloc.drives.reduction.reduce import reduce_drive
+from interloc.errors import InterLocError, OutputError
+from interloc.pipeline import RangeResult
+from tests.app.street import write_street
+
+REALS = st.floats(allow_nan=False, width=64)
+
+
+@st.composite
+def found(draw: st.DrawFn) -> RangeResult:
+    def keyframe(frame: int) -> KeyframeDetections:
+        count = draw(st.integers(0, 3))
+        numbers = np.array([draw(REALS) for _ in range(count)], np.float64)
+        return KeyframeDetections(
+            Keyframe(frame, np.full((4, 4), draw(REALS)), draw(st.none() | REALS)),
+            np.stack([numbers, numbers[::-1]], axis=1).reshape(-1, 2),
+            np.stack([numbers, -numbers], axis=1).reshape(-1, 2),
+            [np.array([draw(REALS) for _ in range(draw(st.integers(0, 4)))], np.float64) for _ in range(count)],
+            numbers,
+        )
+
+    detections = [keyframe(frame) for frame in range(draw(st.integers(0, 4)))]
+    seconds = draw(st.dictionaries(st.sampled_from(["read", "bev", "centerline"]), REALS, max_size=3))
+    return RangeResult(draw(st.integers(0, 9)), detections, seconds, 123)
+
+
+def bits(part: RangeResult) -> list[object]:
+    arrays = [
+        [a.tobytes() for a in (k.keyframe.T_world_lidar, k.lidar_xy, k.world_xy, k.score, *k.branch_angles_rad)]
+        for k in part.detections
+    ]
+    frames = [(k.keyframe.frame, k.keyframe.time_s) for k in part.detections]
+    return [part.start, arrays, frames, part.seconds, part.peak_memory_bytes]
+
+
+@given(part=found())
+def test_a_checkpoint_keeps_every_bit(part: RangeResult, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("scratch") / "range.npz"
+    write_checkpoint(path, part)
+    again = read_checkpoint(path)
+    assert again is not None
+    assert bits(again) == bits(part)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 half a file", None])
+def test_a_checkpoint_that_cannot_be_read_is_none(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "range.npz"
+    if content is not None:
+        path.write_bytes(content)
+    assert read_checkpoint(path) is None
+
+
+def test_a_checkpoint_of_another_version_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "range.npz"
+    write_checkpoint(path, RangeResult(0, [], {}, 1))
+    monkeypatch.setattr("app.work.checkpoints._made_by", lambda: "interloc 0.0.1")
+    assert read_checkpoint(path) is None
+
+
+@contextmanager
+def small_files(limit: int) -> Iterator[None]:
+    """Let no file grow beyond a limit: the system refuses as it does on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_leaves_no_checkpoint(tmp_path: Path) -> None:
+    with small_files(100), pytest.raises(OutputError, match="could not be written") as caught:
+        write_checkpoint(tmp_path / "range.npz", RangeResult(0, [], {}, 1))
+    assert caught.value.http_status == 507
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a committed drive of 300 keyframes."""
+    folder = tmp_path_factory.mktemp("drive")
+    street = write_street(folder / "street", scans=300)
+    reduce_drive(street, folder / "reduced", keyframes=None)
+    return folder
+
+
+@pytest.fixture
+def task(drive: Path, tmp_path: Path) -> Task:
+    request = {"config": preset("default").model_dump(mode="json"), "labels": None, "osm": None}
+    scratch = tmp_path / "scratch"
+    task = Task("intersections", "job", "street", request, drive, scratch, tmp_path / "result", attempt="a")
+    Board(task).open()
+    return task
+
+
+def test_a_part_that_is_done_is_not_done_again(task: Task, tmp_path: Path) -> None:
+    plan = calls.prepare(task)
+    assert (plan.total, [(part.start, part.stop) for part in plan.parts]) == (300, [(0, 300)])
+    calls.run(task, plan.parts[0])
+    nowhere = replace(task, drive=tmp_path / "nowhere", attempt="b")  # another attempt could not do it
+    Board(nowhere).open()
+    calls.run(nowhere, plan.parts[0])
+    assert Board(nowhere).read().done == {0: 300}
+
+
+def test_the_cut_does_not_matter(task: Task) -> None:
+    whole = calls.prepare(task)
+    calls.run(task, whole.parts[0])
+    calls.finish(task, whole)
+    expected = {path.name: path.read_bytes() for path in task.result.glob("*.geojson")}
+    assert len(expected) == 4
+    shutil.rmtree(task.result)
+    cut = replace(whole, parts=[Part(0, 0, 1), Part(1, 1, 130), Part(2, 130, 300)])
+    for part in cut.parts:
+        calls.run(task, part)
+    calls.finish(task, cut)
+    assert {path.name: path.read_bytes() for path in task.result.glob("*.geojson")} == expected
+
+
+def test_work_stops_when_it_is_told_to(task: Task) -> None:
+    plan = calls.prepare(task)
+    Board(task).stop()
+    with pytest.raises(Cancelled):
+        calls.run(task, plan.parts[0])
+    with pytest.raises(Cancelled):
+        intersections.run(task, plan.parts[0], Board(task).report_of(plan.parts[0]))
+    with pytest.raises(Cancelled):
+        calls.finish(task, plan)
+    assert not task.result.exists()
+
+
+def test_two_attempts_do_not_stop_each_other(task: Task) -> None:
+    other = replace(task, attempt="b")
+    Board(other).open()
+    Board(task).stop()
+    calls.prepare(other)
+    Board(other).check()
+
+
+def test_a_worker_that_does_not_see_the_data_says_so(task: Task, tmp_path: Path) -> None:
+    with pytest.raises(InterLocError, match=r"does not see .*at the same place"):
+        calls.prepare(replace(task, scratch=tmp_path / "not mounted"))

@@ -1,0 +1,91 @@
+"""Work on a real Dask cluster: a scheduler and two workers, each a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import httpx
+import pytest
+
+from app.jobs.executors import DaskExecutor, WorkerLostError
+from interloc.cli.main import run
+from tests.app.processes import ended, half_way, submit, upload, wait_until
+from tests.app.street import write_street
+
+pytest.importorskip("distributed", reason="the extra interloc[dask] is not installed")
+
+LAYERS = ("detections", "intersections", "keyframes", "trajectory")
+SLOW = {"bev": {"resolution_m": 0.08}}
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of the scheduler; its workers have nannies, which replace them when they die."""
+    folder = tmp_path_factory.mktemp("dask")
+    contact = folder / "scheduler.json"
+    scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(contact)]
+    worker = ["worker", "--scheduler-file", str(contact), "--nthreads", "1", "--no-dashboard"]
+    with ExitStack() as stack:
+
+        def start(arguments: list[str]) -> None:
+            log = stack.enter_context((folder / f"{arguments[0]}.log").open("ab"))
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", *arguments], stdout=log, stderr=log, cwd=folder, env=os.environ
+            )
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+
+        start(scheduler)
+        wait_until(lambda: contact.exists() and contact.read_text().endswith("}"), "the scheduler")
+        address = json.loads(contact.read_text())["address"]
+        start(worker)
+        start(worker)
+        executor = DaskExecutor(address, lambda: None)
+        wait_until(lambda: executor.submit(os.getpid).result(60) and executor.alive == 2, "both workers")
+        executor.stop()
+        yield address
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=300)
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_cluster_finds_what_the_command_line_finds(
+    cluster: str, serve: Callable[..., httpx.Client], street: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    osm = street / "map.osm"
+    arguments = ["--osm", str(osm), "--set", "bev.resolution_m=0.08", "--quiet"]
+    assert run(["run", str(street), "-o", str(out), *arguments]) == 0
+    client = serve(dask=cluster)
+    job_id = submit(client, upload(client, street), osm={"file": "map.osm"}, config=SLOW)
+    half_way(client, job_id)
+    job = ended(client, job_id)
+    assert job["state"] == "successful", job
+    for layer in (*LAYERS, "osm-nodes", "matches"):
+        assert client.get(job["links"][layer]).content == (out / f"{layer.replace('-', '_')}.geojson").read_bytes()
+    assert client.get("/readyz").json()["ready"] is True
+
+
+def test_work_that_kills_its_worker_is_lost_and_the_cluster_goes_on(cluster: str) -> None:
+    lost: list[int] = []
+    executor = DaskExecutor(cluster, lambda: lost.append(1))
+    try:
+        with pytest.raises(WorkerLostError, match="died"):
+            executor.submit(die).result(120)
+        assert lost == [1]
+        assert executor.submit(os.getpid).result(60) != os.getpid()
+    finally:
+        executor.stop()
