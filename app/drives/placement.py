@@ -6,22 +6,39 @@ import os
 import secrets
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
-from sqlalchemy import insert, select, update
+from sqlalchemy import Table, bindparam, delete, insert, select, update
 from sqlalchemy.orm import Session
 
 from app.drives.intake import INCOMING, Arrival
 from app.drives.limits import check_drive, check_free_space
 from app.drives.names import is_map
-from app.drives.records import files_key, find_drive, lock_drive
+from app.drives.records import files_key, find_drive, no_drive
 from app.models import Drive, DriveFile
 from app.problems import Problem
 from app.service import Service
 
 _AT_ONCE = 500  # paths in one query
+
+_drives, _files = (cast("Table", table.__table__) for table in (Drive, DriveFile))
+_STANDING = select(_drives.c.id, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes).with_for_update()
+_SIZES = select(_files.c.path, _files.c.size_bytes)
+_REPLACE = delete(_files).where(_files.c.drive_id == bindparam("of"), _files.c.path == bindparam("at"))
+_INSERT = insert(_files)
+_COUNT = (
+    update(_drives)
+    .where(_drives.c.id == bindparam("of"))
+    .values(
+        file_count=_drives.c.file_count + bindparam("fresh"),
+        size_bytes=_drives.c.size_bytes + bindparam("more"),
+        stored_bytes=_drives.c.stored_bytes + bindparam("more"),
+        touched_at=bindparam("now"),
+    )
+)
 
 
 def keep(service: Service, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
@@ -46,15 +63,39 @@ def keep(service: Service, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
         would become too large. Nothing has changed then.
     """
     with Placement(service, drive_id) as placement, service.database.writing() as session:
-        drive = lock_drive(session, drive_id)
-        refuse_unless_open(drive, [arrival.path for arrival in arrivals])
+        standing = lock_standing(session, drive_id)
+        refuse_unless_open(standing, [arrival.path for arrival in arrivals])
         known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
-        register(service, session, drive, arrivals, known)
+        register(service, session, standing, arrivals, known)
         placement.move(arrivals)
     return not known
 
 
-def refuse_unless_open(drive: Drive, paths: Iterable[str]) -> None:
+@dataclass(frozen=True)
+class Standing:
+    """How a drive stands; its columns only, since thousands of files a drive pass here."""
+
+    id: str
+    state: str
+    file_count: int
+    size_bytes: int
+
+
+def lock_standing(session: Session, drive_id: str) -> Standing:
+    """Return how a drive stands, which nobody else changes until the transaction ends.
+
+    Raises
+    ------
+    Problem
+        404.
+    """
+    row = session.execute(_STANDING.where(_drives.c.id == drive_id)).one_or_none()
+    if row is None:
+        raise no_drive(drive_id)
+    return Standing(*row)
+
+
+def refuse_unless_open(drive: Drive | Standing, paths: Iterable[str]) -> None:
     """Refuse files that a drive does not take in its state.
 
     Raises
@@ -99,16 +140,14 @@ def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str,
     known: dict[str, int] = {}
     for start in range(0, len(paths), _AT_ONCE):
         rows = session.execute(
-            select(DriveFile.path, DriveFile.size_bytes).where(
-                DriveFile.drive_id == drive_id, DriveFile.path.in_(paths[start : start + _AT_ONCE])
-            )
+            _SIZES.where(_files.c.drive_id == drive_id, _files.c.path.in_(paths[start : start + _AT_ONCE]))
         )
         known.update((path, size) for path, size in rows)
     return known
 
 
 def register(
-    service: Service, session: Session, drive: Drive, arrivals: Sequence[Arrival], known: dict[str, int]
+    service: Service, session: Session, drive: Standing, arrivals: Sequence[Arrival], known: dict[str, int]
 ) -> None:
     """List files in the database, and count them.
 
@@ -118,19 +157,21 @@ def register(
         413: the drive would become too large.
     """
     more = sum(arrival.size_bytes for arrival in arrivals) - sum(known.values())
-    check_drive(service, drive.file_count + len(arrivals) - len(known), drive.size_bytes + more)
+    fresh = len(arrivals) - len(known)
+    check_drive(service, drive.file_count + fresh, drive.size_bytes + more)
     rows: list[dict[str, Any]] = [
         {"drive_id": drive.id, "path": each.path, "size_bytes": each.size_bytes, "sha256": each.sha256}
         for each in arrivals
     ]
-    if fresh := [row for row in rows if row["path"] not in known]:
-        session.execute(insert(DriveFile), fresh)
-    if changed := [row for row in rows if row["path"] in known]:
-        session.execute(update(DriveFile), changed)
-    drive.file_count += len(fresh)
-    drive.size_bytes += more
-    drive.stored_bytes += more
-    drive.touched_at = service.database.clock(session)
+    connection = session.connection()
+    if known:
+        replaced = [{"of": row["drive_id"], "at": row["path"]} for row in rows if row["path"] in known]
+        connection.execute(_REPLACE, replaced)
+    connection.execute(_INSERT, rows)
+    connection.execute(
+        _COUNT,
+        {"of": drive.id, "fresh": fresh, "more": more, "now": service.database.clock(session)},
+    )
 
 
 class Placement:

@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 from app.drives.commits import queue_commit
 from app.drives.intake import INCOMING, Arrival
 from app.drives.names import is_map
-from app.drives.placement import Placement, refuse_unless_open, register, sizes_of
+from app.drives.placement import Placement, lock_standing, refuse_unless_open, register, sizes_of
 from app.drives.records import drive_key, files_key, reduced_key
 from app.models import Drive, DriveFile, Job
 from app.problems import Problem
@@ -116,7 +116,7 @@ def _settle_unpack(session: Session, service: Service, job: Job, drive: Drive, o
             for arrival in arrivals:
                 _link(scratch / UNPACKED / arrival.path, arrival.temporary)
             known = sizes_of(session, drive.id, [arrival.path for arrival in arrivals])
-            register(service, session, drive, arrivals, known)
+            register(service, session, lock_standing(session, drive.id), arrivals, known)
             placement.move(arrivals)
     except Problem as problem:
         job.state = "failed"
