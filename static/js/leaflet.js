@@ -1,6 +1,14 @@
 /**
- * Leaflet, as installed by npm: the one place that knows where it lies.
+ * Leaflet, as installed by npm: the one place that knows where it lies. It has no types of its own.
  * @module leaflet
  */
-// @ts-ignore - it has no types of its own
-export * from "../node_modules/leaflet/dist/leaflet-src.esm.js";
+// @ts-ignore
+import * as Leaflet from "../node_modules/leaflet/dist/leaflet-src.esm.js";
+
+/** @type {any} */
+const all = Leaflet;
+
+export const {
+  Browser, CircleMarker, Control, control, CRS, DivIcon, DomEvent, DomUtil, latLngBounds, Layer, LayerGroup, Map, Marker,
+  Polygon, Polyline, Popup, Renderer, SVG, TileLayer, Tooltip, Util,
+} = all;

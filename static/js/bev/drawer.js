@@ -132,7 +132,7 @@ export function mountDrawer(drawer) {
         }),
       );
       fill(trouble);
-      fill(rejected, candidateTable((await geometry).candidates ?? []));
+      fill(rejected, candidateTable((await geometry).candidates));
       place(result, await geometry, new Map(figures.map(({ layer, image }) => [layer, image.src])));
     } catch (error) {
       if (signal.aborted) return;

@@ -47,7 +47,7 @@ export async function loadPicture(job, frame, layer, signal) {
  * @param {number} frame
  * @param {AbortSignal} signal
  * @returns {Promise<{corners_lonlat: number[][]|null, corners_world_m: number[][], layers: string[], resolution_m: number,
- *   size_px: number}>} Where the pictures lie; corners: top left, top right, bottom right, bottom left.
+ *   size_px: number, candidates: any[]}>} Where the pictures lie; corners: top left, top right, bottom right, bottom left.
  */
 export function loadGeometry(job, frame, signal) {
   return getJson(`jobs/${job}/keyframes/${frame}/bev`, { signal });

@@ -79,7 +79,7 @@ async function load(job) {
     frame: new Frame(points, local),
     keyframes: points,
     detections: found,
-    byFrame: Map.groupBy ? Map.groupBy(found, frameOf) : groupByFrame(found),
+    byFrame: groupByFrame(found),
     intersections: intersections.features.map(place),
     trajectory: trajectory.features[0]?.geometry?.coordinates ?? [],
     nodes: (nodes?.features ?? []).map(place),

@@ -8,7 +8,7 @@ import { colour } from "./symbols.js";
 
 const SPEEDS = [5, 10, 25, 60];
 
-/** @param {HTMLElement} strip @returns {{show: (result: import("../data/results.js").Result|null) => void}} */
+/** @param {HTMLElement} strip @returns {{show: (result: import("../data/results.js").Result|null) => void, readonly isFollowing: boolean}} */
 export function mountTimeline(strip) {
   /** @type {import("../data/results.js").Result|null} */
   let result = null;
