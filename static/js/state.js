@@ -12,10 +12,11 @@
  * @property {string|null} view Of the map: "zoom/lat/lon".
  * @property {string[]|null} layers Switched on; null for the usual ones.
  * @property {boolean} drawer Whether the keyframe is shown at large.
+ * @property {number|null} node OSM id of the intersection that was chosen; not in permalinks.
  */
 
 /** @type {State} */
-const initial = { panel: "drives", drive: null, job: null, frame: null, view: null, layers: null, drawer: false };
+const initial = { panel: "drives", drive: null, job: null, frame: null, view: null, layers: null, drawer: false, node: null };
 
 /** @type {State} */
 let state = { ...initial, ...parse(globalThis.location?.hash ?? "") };
@@ -92,6 +93,7 @@ function parse(hash) {
     view: fields.get("view"),
     layers: layers === null ? null : layers.split(",").filter(Boolean),
     drawer: fields.get("drawer") === "1",
+    node: null,
   };
 }
 

@@ -185,6 +185,9 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     popup = page.locator(".leaflet-popup-content")
     popup.wait_for()
     assert str(ids[1]) in popup.inner_text()
+    page.locator("#tab-job").click()
+    popup.get_by_role("button", name="See it in the report").click()
+    page.locator("#panel-report tbody tr.is", has_text=str(ids[1])).wait_for()
 
 
 def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
@@ -217,6 +220,24 @@ def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
     page.locator("#tab-report").click()
     page.go_back()
     assert page.locator("#tab-export").get_attribute("aria-selected") == "true"
+
+
+def test_the_pictures_of_a_drive_without_georeference_lie_in_its_frame(page: Any, done: Done) -> None:
+    frame = SCANS // 2
+    address = f"{API}/jobs/{done.local_job}/keyframes/{frame}/bev"
+    view = done.server.client.get(address).raise_for_status().json()
+    assert view["corners_lonlat"] is None
+    zoom, y, x = 1.5, 10.0, 90.0
+    show(page, done, f"frame={frame}&drawer=1&view={zoom}/{y}/{x}", done.local_job)
+    page.wait_for_selector(".turned-image >> nth=1")
+    zoom, y, x = (float(each) for each in re.search(r"view=([^&]+)", page.url)[1].split("/"))
+    box = page.locator("#map").bounding_box()
+    picture = page.locator(".turned-image").first.bounding_box()
+    left, top = view["corners_world_m"][0]
+    side = view["size_px"] * view["resolution_m"] * 2**zoom
+    expected = box["x"] + box["width"] / 2 + (left - x) * 2**zoom, box["y"] + box["height"] / 2 - (top - y) * 2**zoom
+    assert (picture["x"], picture["y"]) == pytest.approx(expected, abs=1.0)
+    assert (picture["width"], picture["height"]) == pytest.approx((side, side), abs=1.0)
 
 
 @pytest.mark.parametrize(

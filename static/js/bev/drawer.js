@@ -5,6 +5,7 @@
 import { el, fill, formatMetres, icon, plural } from "../dom.js";
 import { onResult, shownMap, shownResult } from "../map/stage.js";
 import { TurnedImage } from "../map/overlay.js";
+import { firstSight } from "../map/timeline.js";
 import { signIcon } from "../map/symbols.js";
 import { problemNote } from "../shell/messages.js";
 import { getState, setState, subscribe } from "../state.js";
@@ -101,7 +102,7 @@ export function mountDrawer(drawer) {
     if (drawer.hidden || !result) return clearOverlays();
     const row = result.frame.rows.get(frame);
     if (row === undefined) {
-      setState({ frame: result.keyframes[0]?.properties.frame ?? null });
+      if (result.keyframes.length) setState({ frame: firstSight(result) });
       return;
     }
     fill(title, `Keyframe at scan ${frame}`);

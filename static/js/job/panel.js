@@ -3,11 +3,11 @@
  * @module job/panel
  */
 import { follow, getJson, sendJson } from "../api.js";
-import { lists, rememberJob } from "../data/lists.js";
+import { lists, refreshLists, rememberJob } from "../data/lists.js";
 import { ownSettings } from "../data/presets.js";
 import { announce, el, fill, formatAgo, formatBytes, formatCount, formatDuration, formatMetres, formatPercent, icon } from "../dom.js";
 import { stateBadge } from "../drives/panel.js";
-import { problemNote, showError } from "../shell/messages.js";
+import { confirmAction, problemNote, showError } from "../shell/messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { openRunDialog } from "./run_dialog.js";
 
@@ -151,6 +151,7 @@ function outcome(job) {
       fact("Finished", new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })),
       fact("Job", el("code", {}, job.id)),
     ),
+    removal(job),
   ];
 }
 
@@ -166,12 +167,26 @@ function failure(job) {
     problemNote(job.error ?? { title: "The job failed", detail: "The server told no reason; its log does." }),
     el("p", { class: "quiet" }, "Mend what it names, then run it again. The drive is still there."),
     el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"), el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives")),
+    removal(job),
   ];
 }
 
 /** @param {any} job */
 function dismissed(job) {
-  return [el("p", { class: "quiet" }, "This job was cancelled; it has no result."), el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"))];
+  return [el("p", { class: "quiet" }, "This job was cancelled; it has no result."), el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…")), removal(job)];
+}
+
+/** @param {any} job */
+function removal(job) {
+  return el("div", { class: "section" }, el("button", { class: "plain danger", onClick: () => remove(job).catch(showError) }, icon("trash"), "Delete this job"));
+}
+
+/** @param {any} job */
+async function remove(job) {
+  if (!(await confirmAction("Delete this job?", "Its results are removed from the server; the drive stays.", "Delete the job"))) return;
+  await sendJson("DELETE", `jobs/${job.id}?purge=true`);
+  setState({ job: null, frame: null, view: null, panel: "drives" });
+  await refreshLists();
 }
 
 /** @param {any} job */

@@ -71,7 +71,7 @@ export function openDetails(map, hit, local) {
     el("h3", {}, titleOf(hit)),
     el("dl", { class: "figures" }, factsOf(hit, local).map(([name, value]) => [el("dt", {}, name), el("dd", {}, value)])),
     frame !== undefined && el("button", { onClick: () => setState({ frame, drawer: true }) }, "Look at its keyframe"),
-    kind === "node" && el("button", { onClick: () => setState({ panel: "report" }) }, "See it in the report"),
+    kind === "node" && el("button", { onClick: () => setState({ panel: "report", node: item.properties.osm_id }) }, "See it in the report"),
   );
   if (kind === "detection" && getState().frame !== frame) setState({ frame });
   new Popup({ maxWidth: 320, minWidth: 240, autoPanPadding: [24, 24] }).setLatLng([item.lat, item.lng]).setContent(content).openOn(map);

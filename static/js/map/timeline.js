@@ -25,7 +25,7 @@ export function mountTimeline(strip) {
   );
   const follow = el("button", { class: "square plain", title: "Keep the vehicle in view", "aria-label": "Keep the vehicle in view", "aria-pressed": "true", onClick: () => follow.setAttribute("aria-pressed", String(follow.getAttribute("aria-pressed") !== "true")) }, icon("follow"));
   const label = el("div", { class: "timeline-label" });
-  const large = el("button", { "aria-expanded": "false", onClick: () => setState({ drawer: !getState().drawer, frame: getState().frame ?? frameAt(rowNow()) }) }, icon("image"), "Look inside");
+  const large = el("button", { "aria-expanded": "false", onClick: () => setState({ drawer: !getState().drawer, frame: getState().frame ?? firstSight(result) }) }, icon("image"), "Look inside");
   fill(
     strip,
     el(
@@ -122,6 +122,11 @@ export function mountTimeline(strip) {
       return follow.getAttribute("aria-pressed") === "true";
     },
   };
+}
+
+/** @param {import("../data/results.js").Result|null} result @returns {number|null} The keyframe of the first detection: there is something to see. */
+export function firstSight(result) {
+  return result?.detections[0]?.properties.frame ?? result?.keyframes[0]?.properties.frame ?? null;
 }
 
 /** Bars of detections a keyframe, the true ones below, the false ones on top. */

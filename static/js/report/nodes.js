@@ -6,6 +6,7 @@ import { el, fill } from "../dom.js";
 import { kindOfNode } from "../map/layers.js";
 import { goTo } from "../map/stage.js";
 import { signIcon } from "../map/symbols.js";
+import { getState, setState, subscribe } from "../state.js";
 
 const ORDER = { missed: 0, found: 1, outside: 2 };
 const NAMES = { missed: "missed", found: "found", outside: "out of reach" };
@@ -49,18 +50,26 @@ export function nodeTable(result) {
         const go = () => {
           const item = places.get(node.osm_id);
           if (!item) return;
-          for (const each of body.children) each.classList.toggle("is", each === row);
+          setState({ node: node.osm_id });
           goTo({ kind: "node", item });
         };
-        const row = el(
+        return el(
           "tr",
-          { class: "can", tabIndex: 0, title: "Show it on the map", onClick: go, onKeydown: (/** @type {KeyboardEvent} */ e) => (e.key === "Enter" || e.key === " ") && (e.preventDefault(), go()) },
+          { class: `can${node.osm_id === getState().node ? " is" : ""}`, dataset: { node: node.osm_id }, tabIndex: 0, title: "Show it on the map", onClick: go, onKeydown: (/** @type {KeyboardEvent} */ e) => (e.key === "Enter" || e.key === " ") && (e.preventDefault(), go()) },
           COLUMNS.map(({ text }) => el("td", {}, text(node))),
         );
-        return row;
       }),
     );
   };
+  const mark = () => {
+    for (const row of body.children) row.classList.toggle("is", row.dataset.node === String(getState().node));
+    body.querySelector(".is")?.scrollIntoView({ block: "nearest" });
+  };
   update();
+  const stop = subscribe(["node", "panel"], () => {
+    if (body.isConnected) requestAnimationFrame(mark);
+    else stop();
+  });
+  requestAnimationFrame(mark);
   return el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, heads)), body));
 }
