@@ -13,20 +13,24 @@ from sqlalchemy import update
 from app.drives.cleanup import LEFT_ALONE_S, sweep
 from app.drives.intake import Arrival
 from app.drives.placement import keep
-from app.drives.records import create_drive, list_drives
+from app.drives.records import create_drive, delete_file, list_drives, list_files
 from app.jobs.queue import submit
 from app.models import Drive
 from app.schemas.drives import NewDrive
 from app.service import Service
 from app.settings import Settings
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 HOUR_S = 3600.0
 
 
-@pytest.fixture
-def service(tmp_path: Path) -> Iterator[Service]:
+@pytest.fixture(params=["sqlite", "postgres"])
+def service(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Service]:
     """A service that is not running, whose uploads expire after 2 hours."""
-    opened = Service.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0, upload_expires_h=2))
+    address = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
+    opened = Service.open(
+        Settings(data_dir=tmp_path / "data", database_url=address, min_free_bytes=0, upload_expires_h=2)
+    )
     yield opened
     opened.close()
 
@@ -145,3 +149,19 @@ def test_raw_scans_stay_where_nothing_replaces_them(service: Service, caplog: py
     sweep(service)
     assert service.storage.folder(f"drives/{drive}/files/velodyne/000000.bin").is_file()
     assert "its reduced folder is not there" in caplog.text
+
+
+def test_files_replaced_counted_and_listed_in_order(service: Service) -> None:
+    drive = make_drive(service)
+    for path, size in (("b.txt", 5), ("B.txt", 6), ("\u00e4.txt", 7), ("b.txt", 2)):
+        temporary = service.storage.folder("incoming") / "file"
+        temporary.write_bytes(bytes(size))
+        keep(service, drive, [Arrival(path, temporary, size, "0" * 64)])
+    paths = [file.path for file in list_files(service, drive, None, 100).files]
+    assert paths == ["B.txt", "b.txt", "map.osm", "velodyne/000000.bin", "\u00e4.txt"]
+    assert [file.path for file in list_files(service, drive, "b.txt", 1).files] == ["map.osm"]
+    (shown,) = list_drives(service, None, 100).drives
+    assert (shown.files, shown.size_bytes) == (5, 1 + 1 + 2 + 6 + 7)
+    delete_file(service, drive, "b.txt")
+    (shown,) = list_drives(service, None, 100).drives
+    assert (shown.files, shown.size_bytes) == (4, 1 + 1 + 6 + 7)
