@@ -85,7 +85,7 @@ function sections(result, link) {
       "section",
       { class: "section stack-s" },
       el("h3", {}, "The same by curl"),
-      codeBox(`curl -fO --remote-header-name${token} \\\n  ${result.local ? address(`${at}/archive.zip`) : gpkg}`),
+      codeBox(`curl -fOJ${token} ${result.local ? address(`${at}/archive.zip`) : gpkg}`),
     ),
     !result.local &&
       el(

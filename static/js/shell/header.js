@@ -49,6 +49,9 @@ export function mountHeader(header) {
     fill(token, icon("key"), getToken() ? "Token set" : "Set token");
   };
   subscribe(["drive", "job"], update);
+  subscribe(["drive"], ({ drive }) => {
+    if (drive && lists.isLoaded && !lists.drives.some((each) => each.id === drive)) refreshLists().catch(showError); // just uploaded
+  });
   onListsChange(update);
   onTokenChange(update);
   update();
