@@ -75,17 +75,19 @@ class Attempt:
         _log.info("job %s (%s): attempt %d", job.id, job.kind, job.attempts, extra=extra)
         try:
             outcome: Outcome | Problem = self._work()
-        except _StoppedError:
-            if self._stop == "shutdown":
-                with suppress(SQLAlchemyError):  # else the lease runs out
-                    self._queue.release(self.claim)
-                return
-            outcome = failures.cancelled()
         except Problem as problem:
             outcome = problem
         except Exception as error:  # noqa: BLE001 - a job always ends
-            _log.exception("job %s: the service itself failed", job.id, extra=extra)
-            outcome = failures.problem_of(error, "the whole", 1)
+            if self._stop is None:
+                _log.exception("job %s: the service itself failed", job.id, extra=extra)
+                outcome = failures.problem_of(error, "the whole", 1)
+            elif self._stop == "shutdown":
+                with suppress(SQLAlchemyError):  # else the lease runs out
+                    self._queue.release(self.claim)
+                _log.info("job %s (%s): given back", job.id, job.kind, extra=extra)
+                return
+            else:
+                outcome = failures.cancelled()
         state = self._end(outcome)
         _log.info("job %s (%s): %s", job.id, job.kind, state, extra=extra)
 
@@ -139,10 +141,9 @@ class Attempt:
         while True:
             ended, _ = wait(futures, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
             if self._stop is not None:
-                for future in futures:
-                    future.cancel()
+                at_work = {future for future in futures if not future.cancel()}
                 if self._stop != "lost":
-                    wait(futures, timeout=_QUIET_END_S)
+                    wait(at_work, timeout=_QUIET_END_S)
                 raise _StoppedError
             self._tell()
             if ended:

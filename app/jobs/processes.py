@@ -78,6 +78,7 @@ class ProcessExecutor(Executor):
             self._change.notify_all()
         for work in waiting:
             work.future.cancel()
+            work.future.set_running_or_notify_cancel()  # else who waits for it waits on
         for slot in self._slots:
             slot.kill()
         for slot in self._slots:

@@ -1,0 +1,259 @@
+"""What is killed, cut off or filled up half-way: nothing is lost, and nothing is done twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+
+from interloc.cli.main import run
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+from tests.app.processes import (
+    API,
+    ServerProcess,
+    archive_of,
+    ended,
+    half_way,
+    job_of,
+    started,
+    submit,
+    upload,
+    wait_until,
+    with_suppressed_kill,
+)
+from tests.app.street import write_street
+
+LAYERS = ("detections", "intersections", "keyframes", "trajectory")
+SLOW = {"bev": {"resolution_m": 0.08}}  # a job long enough to be disturbed
+
+Start = Callable[..., ServerProcess]
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive of 700 keyframes. Shared: do not change it."""
+    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=700)
+
+
+@pytest.fixture(scope="module")
+def expected(street: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the command line finds on it: the features of each layer."""
+    out = tmp_path_factory.mktemp("results") / "street"
+    osm = street / "map.osm"
+    assert (
+        run(["run", str(street), "-o", str(out), "--osm", str(osm), "--set", "bev.resolution_m=0.08", "--quiet"]) == 0
+    )
+    return {layer: json.loads((out / f"{layer}.geojson").read_text())["features"] for layer in LAYERS}
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start a server process on the data folder of this test."""
+    with ExitStack() as stack:
+
+        def go(data_dir: Path | None = None, **settings: Any) -> ServerProcess:
+            return stack.enter_context(started(data_dir or tmp_path / "data", tmp_path / "server.log", **settings))
+
+        yield go
+
+
+def assert_result(client: httpx.Client, job: dict[str, Any], expected: dict[str, Any]) -> None:
+    assert job["state"] == "successful", job
+    for layer, features in expected.items():
+        answer = client.get(f"{API}/jobs/{job['id']}/{layer}")
+        assert answer.status_code == 200, answer.text
+        assert json.dumps(answer.json()["features"]) == json.dumps(features), layer
+
+
+def test_a_killed_worker_is_replaced_and_its_part_done_again(start: Start, street: Path, expected: dict) -> None:
+    server = start(workers=2)
+    drive = upload(server.client, street)
+    job = submit(server.client, drive, config=SLOW, osm={"file": "map.osm"})
+    half_way(server.client, job)
+    before = {worker.pid for worker in server.workers()}
+    for worker in server.workers():
+        with_suppressed_kill(worker)
+    assert_result(server.client, ended(server.client, job), expected)
+    assert before.isdisjoint(worker.pid for worker in server.workers())
+
+
+def test_a_job_goes_on_where_the_killed_server_left_it(
+    start: Start, street: Path, expected: dict, tmp_path: Path
+) -> None:
+    server = start(workers=1)
+    drive = upload(server.client, street)
+    job = submit(server.client, drive, config=SLOW, osm={"file": "map.osm"})
+    scratch = tmp_path / "data" / "jobs" / job / "scratch"
+
+    def checkpoints() -> dict[str, int]:
+        return {path.name: path.stat().st_mtime_ns for path in scratch.rglob("*.npz")} if scratch.exists() else {}
+
+    wait_until(checkpoints, "the first finished range")
+    half_way(server.client, job)
+    workers = server.workers()
+    server.kill()
+    wait_until(lambda: not any(worker.is_running() for worker in workers), "the workers to end with their server")
+    done = checkpoints()
+
+    again = start(workers=1)
+    wait_until(lambda: job_of(again.client, job)["attempts"] == 2, "the lease to run out")
+    half_way(again.client, job)
+    kept = checkpoints()
+    assert {name: kept[name] for name in done} == done  # not done twice
+    assert_result(again.client, ended(again.client, job), expected)
+    assert not scratch.exists()
+
+
+def test_a_stopped_server_gives_its_job_back(start: Start, street: Path, expected: dict) -> None:
+    server = start(workers=1)
+    drive = upload(server.client, street)
+    job = submit(server.client, drive, config=SLOW, osm={"file": "map.osm"})
+    half_way(server.client, job)
+    assert server.stop() == 0
+
+    again = start(workers=1)
+    job_again = ended(again.client, job)
+    assert job_again["attempts"] == 1  # an orderly stop is no failed attempt
+    assert_result(again.client, job_again, expected)
+
+
+def test_an_upload_goes_on_after_the_server_was_killed(start: Start, street: Path, tmp_path: Path) -> None:
+    server = start()
+    drive = server.client.post(f"{API}/drives", json={"name": "street"}).json()["id"]
+    names = ["poses.txt", "velodyne/000000.bin", "labels/000000.label"]
+    for name in names:
+        answer = server.client.put(f"{API}/drives/{drive}/files/{name}", content=(street / name).read_bytes())
+        assert answer.status_code == 201
+    address = urlsplit(server.address)
+    assert address.hostname
+    assert address.port
+    half = (street / "velodyne/000001.bin").read_bytes()
+    with socket.create_connection((address.hostname, address.port)) as connection:
+        head = f"PUT {API}/drives/{drive}/files/velodyne/000001.bin HTTP/1.1\r\nHost: {address.netloc}\r\n"
+        connection.sendall(f"{head}Content-Length: {len(half)}\r\n\r\n".encode() + half[: len(half) // 2])
+        incoming = tmp_path / "data" / "incoming"
+        wait_until(lambda: any(incoming.iterdir()), "the beginning of the file")
+        server.kill()
+
+    again = start()
+    listed = again.client.get(f"{API}/drives/{drive}/files").json()["files"]
+    assert sorted(file["path"] for file in listed) == sorted(names)
+    answer = again.client.post(
+        f"{API}/drives/{drive}/archive", content=archive_of(street), headers={"Prefer": "wait=120"}
+    )
+    assert answer.status_code == 200, answer.text
+    answer = again.client.post(f"{API}/drives/{drive}/commit", headers={"Prefer": "wait=120"})
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["state"] == "ready"
+
+
+def test_a_job_that_kills_every_worker_fails_with_the_reason(start: Start, street: Path) -> None:
+    server = start(workers=1, max_attempts=2)
+    drive = upload(server.client, street)
+    job = submit(server.client, drive, config=SLOW)
+
+    def look() -> dict[str, Any] | None:
+        state = job_of(server.client, job)
+        if state["state"] == "running" and state["progress"]["total"]:
+            for worker in server.workers():
+                with_suppressed_kill(worker)
+        return state if state["state"] in {"failed", "successful"} else None
+
+    end = wait_until(look, "the end of the job")
+    assert end["state"] == "failed", end
+    assert "worker" in end["error"]["detail"]
+    assert "memory" in end["error"]["detail"]
+    assert end["attempts"] <= 2
+    good = submit(server.client, drive)  # others are not harmed
+    assert ended(server.client, good)["state"] == "successful"
+
+
+def test_two_servers_share_the_work_on_one_database(
+    start: Start,
+    street: Path,
+    expected: dict,
+    postgres_url: str,  # noqa: F811 - the fixture
+) -> None:
+    first, second = (start(workers=1, jobs_at_once=1, database_url=postgres_url) for _ in range(2))
+    drive = upload(first.client, street)
+    jobs = [submit((first, second)[i % 2].client, drive, config=SLOW, osm={"file": "map.osm"}) for i in range(4)]
+    for job in jobs:
+        end = ended(second.client, job)
+        assert end["attempts"] == 1  # nothing twice
+        assert_result(first.client, end, expected)
+
+
+def test_a_server_takes_over_from_one_that_was_killed(
+    start: Start,
+    street: Path,
+    expected: dict,
+    postgres_url: str,  # noqa: F811 - the fixture
+) -> None:
+    first = start(workers=1, database_url=postgres_url)
+    drive = upload(first.client, street)
+    job = submit(first.client, drive, config=SLOW, osm={"file": "map.osm"})
+    half_way(first.client, job)
+    second = start(workers=1, database_url=postgres_url)
+    first.kill()
+    assert_result(second.client, ended(second.client, job), expected)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A folder on a disk of 64 MB."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=64m", "none", disk], capture_output=True, text=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"no small disk can be mounted: {mounted.stderr.strip()}")
+    try:
+        yield disk
+    finally:
+        subprocess.run(["umount", "-l", disk], check=True)
+
+
+def test_a_full_disk_refuses_uploads_and_keeps_what_is_there(start: Start, small_disk: Path) -> None:
+    server = start(data_dir=small_disk, workers=1)
+    drive = server.client.post(f"{API}/drives", json={"name": "full"}).json()["id"]
+    address = f"{API}/drives/{drive}/files"
+    piece = os.urandom(8 * 1024**2)
+    answers = [server.client.put(f"{address}/velodyne/{number:06d}.bin", content=piece) for number in range(9)]
+    codes = [answer.status_code for answer in answers]
+    stored = codes.index(507)
+    assert set(codes[:stored]) == {201}
+    assert answers[stored].headers["content-type"] == "application/problem+json"
+    assert "disk" in answers[stored].json()["detail"]
+    listed = server.client.get(address).json()["files"]
+    assert len(listed) == codes.count(201)  # nothing of the refused ones is listed
+    assert not list((small_disk / "incoming").iterdir())
+    kept = server.client.get(f"{address}/velodyne/000000.bin")
+    assert kept.content == piece
+    for number in range(codes.count(201)):
+        assert server.client.delete(f"{address}/velodyne/{number:06d}.bin").status_code == 204
+    assert server.client.put(f"{address}/velodyne/000000.bin", content=piece).status_code == 201  # room again
+
+
+def test_a_job_on_a_full_disk_fails_in_words(start: Start, street: Path, small_disk: Path, tmp_path: Path) -> None:
+    database = f"sqlite:///{tmp_path / 'elsewhere.sqlite3'}"  # so that the failure itself can be recorded
+    short = write_street(tmp_path / "short", scans=60)
+    server = start(data_dir=small_disk, workers=1, database_url=database)
+    drive = upload(server.client, short)
+    filler = small_disk / "filler"
+    subprocess.run(["dd", "if=/dev/zero", f"of={filler}", "bs=4k"], check=False, capture_output=True)
+    end = ended(server.client, submit(server.client, drive))
+    assert end["state"] == "failed"
+    assert end["error"]["status"] == 507
+    assert "space" in end["error"]["detail"]
+    filler.unlink()
+    assert ended(server.client, submit(server.client, drive))["state"] == "successful"
