@@ -97,7 +97,7 @@ def test_the_roads_of_the_map_come_with_the_result(client: httpx.Client, drive: 
     roads = client.get(job["links"]["osm-roads"]).json()["features"]
     (along,) = [road for road in roads if road["properties"]["osm_id"] == 1000]
     assert along["geometry"]["type"] == "LineString"
-    assert len(along["geometry"]["coordinates"]) > 20
+    assert len(along["geometry"]["coordinates"]) > SCANS * 2.1 / 60  # a crossing every 60 m
     assert along["properties"] == {"osm_id": 1000, "highway": "residential", "name": None, "is_drivable": True}
 
 
