@@ -4,103 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from interloc.config import DetectorConfig
-from tests.app.processes import ServerProcess, archive_of, ended, started
-from tests.app.street import write_street
+from tests.app.processes import API, started
+from tests.page.browsers import Browser, Watch, needs_page
+from tests.page.results import SCANS, Done, show
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
+pytestmark = needs_page
 
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
-    pytest.mark.skipif(not LEAFLET.is_dir(), reason="the page is not set up: npm ci in static/"),
-]
-
-API = "/api/v1"
-PATIENCE_MS = 90_000
-SCANS = 90
 TOKEN = "a-token-that-only-this-test-knows-0123456789"  # noqa: S105
-
-
-@dataclass(frozen=True)
-class Done:
-    """A server with two results of the same street: with and without georeference."""
-
-    server: ServerProcess
-    job: str
-    local_job: str
-
-    def features(self, layer: str) -> list[dict[str, Any]]:
-        answer = self.server.client.get(f"{API}/jobs/{self.job}/{layer}").raise_for_status()
-        return list(answer.json()["features"])
-
-    def report(self) -> dict[str, Any]:
-        return dict(self.server.client.get(f"{API}/jobs/{self.job}/report").raise_for_status().json())
-
-
-def run_street(server: ServerProcess, folder: Path, **request: Any) -> str:
-    """Upload a drive, run it, wait for the end; returns the id of the job."""
-    drive = server.client.post(f"{API}/drives", json={"name": folder.name}).raise_for_status().json()["id"]
-    server.client.post(f"{API}/drives/{drive}/archive", content=archive_of(folder)).raise_for_status()
-    server.client.post(f"{API}/drives/{drive}/commit", json={}).raise_for_status()
-    job = server.client.post(f"{API}/jobs", json={"drive_id": drive, **request}).raise_for_status().json()["id"]
-    assert ended(server.client, job)["state"] == "successful"
-    return str(job)
-
-
-@pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
-    folder = tmp_path_factory.mktemp("page")
-    street = write_street(folder / "street", SCANS)
-    local = write_street(folder / "street_without_fixes", SCANS)
-    (local / "geo.csv").unlink()
-    with started(folder / "data", folder / "log", workers=1) as server:
-        yield Done(server, run_street(server, street, osm={"file": "map.osm"}), run_street(server, local))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
-    with playwright.sync_playwright() as running:
-        chromium = running.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield chromium
-        chromium.close()
-
-
-@pytest.fixture
-def page(browser: Any, done: Done) -> Iterator[Any]:
-    """A tab that must show no fault and ask no other server."""
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, accept_downloads=True)
-    tab = context.new_page()
-    tab.set_default_timeout(PATIENCE_MS)
-    faults: list[str] = []
-    elsewhere: list[str] = []
-    tab.on("pageerror", lambda error: faults.append(str(error)))
-    tab.on(
-        "request",
-        lambda request: (
-            elsewhere.append(request.url) if not request.url.startswith((done.server.address, "blob:")) else 0
-        ),
-    )
-    yield tab
-    context.close()
-    assert not faults
-    assert not elsewhere
-
-
-def show(page: Any, done: Done, fields: str, job: str | None = None) -> None:
-    page.goto("about:blank")
-    page.goto(f"{done.server.address}/#job={job or done.job}&{fields}")
-    page.wait_for_selector(".legend:visible")
 
 
 def on_screen(page: Any, lon: float, lat: float) -> tuple[float, float]:
@@ -293,16 +209,17 @@ def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -
     assert "paper" in page.inner_text("#panel-job")
 
 
-def test_errors_are_told_in_the_words_of_the_server(page: Any, done: Done) -> None:
+def test_errors_are_told_in_the_words_of_the_server(page: Any, done: Done, watch: Watch) -> None:
+    watch.expect("404 .*jobs/0123456789abcdef")
     page.goto(f"{done.server.address}/#panel=job&job=0123456789abcdef")
     detail = done.server.client.get(f"{API}/jobs/0123456789abcdef").json()["detail"]
     page.locator("#panel-job .note.error", has_text=detail).wait_for()
 
 
-def test_a_token_is_asked_for_once_and_refused_in_words(browser: Any, tmp_path: Path) -> None:
+def test_a_token_is_asked_for_once_and_refused_in_words(browser: Browser, watch: Watch, tmp_path: Path) -> None:
+    watch.expect("status of 401")
     with started(tmp_path / "data", tmp_path / "log", workers=1, token=TOKEN) as server:
         tab = browser.new_page()
-        tab.set_default_timeout(PATIENCE_MS)
         tab.goto(server.address)
         field = tab.get_by_label("API token")
         field.fill("not this one")

@@ -1,0 +1,111 @@
+"""A Chromium that reaches this machine only, and notes whatever goes wrong in its tabs."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
+PATIENCE_MS = 90_000
+
+needs_page = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
+    pytest.mark.skipif(not LEAFLET.is_dir(), reason="the page is not set up: npm ci in static/"),
+]
+
+_ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",  # no other host has an address
+]
+_HERE = {"127.0.0.1", ""}
+# The console tells of refused content too, but not of all of it, nor which rule refused it.
+_TELL_VIOLATIONS = """
+addEventListener("securitypolicyviolation", (event) =>
+  console.error(`policy violated: ${event.violatedDirective} by ${event.blockedURI} in ${event.sourceFile}`));
+"""
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """Start the browser of this machine."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=CHROMIUM, args=_ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+class Watch:
+    """What happens in the tabs of a test: errors and warnings, violations of the policy, requests to other hosts."""
+
+    def __init__(self) -> None:
+        self.faults: list[str] = []
+        self.elsewhere: list[str] = []
+        self._excused: list[re.Pattern[str]] = []
+        self._expected: list[re.Pattern[str]] = []
+
+    def expect(self, pattern: str) -> None:
+        """Name a fault that the test provokes: it must happen, and no other."""
+        self._expected.append(re.compile(pattern))
+
+    def excuse(self, pattern: str) -> None:
+        """Name a fault that may happen, or not."""
+        self._excused.append(re.compile(pattern))
+
+    def follow(self, context: Any) -> None:
+        """Watch all tabs of a context."""
+        context.add_init_script(_TELL_VIOLATIONS)
+        context.on("console", self._note_message)
+        context.on("weberror", lambda error: self.faults.append(f"error: {error.error}"))
+        context.on("request", self._note_request)
+
+    def check(self) -> None:
+        """Fail where something went wrong that no test asked for."""
+        known = [*self._expected, *self._excused]
+        assert [fault for fault in self.faults if not any(each.search(fault) for each in known)] == []
+        missing = [each.pattern for each in self._expected if not any(each.search(fault) for fault in self.faults)]
+        assert missing == [], f"these faults did not happen; there were {self.faults}"
+        assert self.elsewhere == [], "asked other servers"
+
+    def _note_message(self, message: Any) -> None:
+        if message.type in {"error", "warning"}:
+            self.faults.append(f"{message.type}: {message.text} ({message.location.get('url', '')})")
+
+    def _note_request(self, request: Any) -> None:
+        parts = urlsplit(request.url)
+        if (parts.hostname or "") not in _HERE:
+            self.elsewhere.append(request.url)
+
+
+class Browser:
+    """Makes contexts and tabs that are watched; they are closed with it."""
+
+    def __init__(self, launched: Any, watch: Watch) -> None:
+        self._launched = launched
+        self._watch = watch
+        self._contexts: list[Any] = []
+
+    def new_context(self, **options: Any) -> Any:
+        options = {"viewport": {"width": 1280, "height": 800}, **options}
+        context = self._launched.new_context(**options)
+        context.set_default_timeout(PATIENCE_MS)
+        self._watch.follow(context)
+        self._contexts.append(context)
+        return context
+
+    def new_page(self, **options: Any) -> Any:
+        return self.new_context(**options).new_page()
+
+    def close(self) -> None:
+        for context in self._contexts:
+            context.close()

@@ -1,0 +1,50 @@
+"""A browser whose every tab is watched, and a server with results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.app.processes import started
+from tests.app.street import write_street
+from tests.page.browsers import Browser, Watch, chromium
+from tests.page.results import SCANS, Done, run_street
+
+
+@pytest.fixture(scope="package")
+def launched() -> Iterator[Any]:
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture
+def watch() -> Iterator[Watch]:
+    """What went wrong in the tabs of this test; it fails with what was not expected."""
+    watch = Watch()
+    yield watch
+    watch.check()
+
+
+@pytest.fixture
+def browser(launched: Any, watch: Watch) -> Iterator[Browser]:
+    browser = Browser(launched, watch)
+    yield browser
+    browser.close()
+
+
+@pytest.fixture(scope="package")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
+    folder = tmp_path_factory.mktemp("page")
+    street = write_street(folder / "street", SCANS)
+    local = write_street(folder / "street_without_fixes", SCANS)
+    (local / "geo.csv").unlink()
+    with started(folder / "data", folder / "log", workers=1) as server:
+        scored = run_street(server, street, osm={"file": "map.osm"})
+        yield Done(server, scored, run_street(server, local), street)
+
+
+@pytest.fixture
+def page(browser: Browser) -> Any:
+    return browser.new_page(accept_downloads=True)
