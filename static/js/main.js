@@ -6,7 +6,7 @@
  * @module main
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
-import { getState, subscribe } from "./state.js";
+import { getState, setState, subscribe } from "./state.js";
 import { showError } from "./shell/messages.js";
 import { askForToken } from "./shell/token.js";
 import { mountHeader } from "./shell/header.js";
@@ -25,6 +25,9 @@ const PANELS = {
 async function start() {
   onTokenNeeded(askForToken);
   window.addEventListener("unhandledrejection", (event) => showError(event.reason));
+  window.addEventListener("dragenter", (event) => {
+    if (event.dataTransfer?.types.includes("Files")) setState({ panel: "upload" }); // it takes what is dropped
+  });
   setConfig(await loadConfig());
   mountHeader(/** @type {HTMLElement} */ (document.getElementById("header")));
   mountTabs(PANELS);

@@ -207,7 +207,7 @@ export function formView({ drive, drives, archive, handle, presets, begun, befor
       { class: "note" },
       el("strong", {}, "You began to upload this folder"),
       "What has arrived already is not sent again. ",
-      el("div", { class: "row" }, el("button", { class: "primary", onClick: () => onContinue(begun) }, "Continue that upload")),
+      el("div", { class: "row go-on" }, el("button", { class: "primary", onClick: () => onContinue(begun) }, "Continue that upload")),
     );
   const files = filePicker("Add files …", addFiles, { multiple: true, accept: ".txt,.csv", class: "link", name: "more-files" });
   const element = el(

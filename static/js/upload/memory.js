@@ -6,8 +6,6 @@
  * @property {string} fingerprint Of the files that were picked.
  * @property {string} name
  * @property {string} at When it was begun, ISO.
- * @property {number} files
- * @property {number} bytes
  * @property {string} root Of the drive inside the folder that was picked.
  * @property {import("./upload.js").Settings} settings
  * @property {Record<string, string>} [schemes] Label scheme of the .ground files that were sent, by folder.

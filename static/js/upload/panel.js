@@ -54,21 +54,23 @@ function run(container, work) {
   work().catch((error) => showStart(container, problemNote(error)).catch(showError));
 }
 
-/** @returns {Promise<Remembered[]>} Uploads that were begun and can go on. */
+/** @typedef {Remembered & {arrived: {files: number, size_bytes: number} | null}} Open With what the service has of it. */
+
+/** @returns {Promise<Open[]>} Uploads that were begun and can go on. */
 async function stillOpen() {
   const found = await Promise.all(
     rememberedUploads().map(async (upload) => {
       try {
         const drive = await getJson(`drives/${upload.driveId}`);
-        if (drive.state !== "ready") return upload;
+        if (drive.state !== "ready") return { ...upload, arrived: drive };
       } catch (error) {
-        if (!(error instanceof ApiError && error.status === 404)) return upload; // cannot tell now
+        if (!(error instanceof ApiError && error.status === 404)) return { ...upload, arrived: null }; // cannot tell now
       }
       forget(upload.driveId);
       return null;
     }),
   );
-  return /** @type {Remembered[]} */ (found.filter((each) => each !== null && each.driveId !== current?.driveId));
+  return /** @type {Open[]} */ (found.filter((each) => each !== null && each.driveId !== current?.driveId));
 }
 
 /** @param {HTMLElement} container @param {FileSystemDirectoryHandle} handle @param {Begun | null} [begun] */

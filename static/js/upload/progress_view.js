@@ -34,9 +34,9 @@ export function progressView({ onChange, onMend, onLeave }) {
     line,
     figures,
     fault,
+    problems,
     buttons,
     plan,
-    problems,
   );
   /** Which buttons are shown: they are not made anew while someone is about to press one. */
   let shownButtons = "";
@@ -61,9 +61,11 @@ export function progressView({ onChange, onMend, onLeave }) {
     if (fraction === null) bar.removeAttribute("value");
     else bar.value = fraction;
     bar.hidden = status === "failed" || status === "stopped";
+    line.hidden = bar.hidden;
     line.textContent = transfer.waiting ?? (transfer.isPaused ? "Paused. What is on its way still arrives." : upload.message);
     fill(figures, figuresOf(upload, isSending));
     drawPlan(upload.plan);
+    plan.hidden = status === "failed" && step === "plan";
     const faults = JSON.stringify(error);
     if (faults !== shownFault) fill(fault, error && el("div", { class: "note error" }, el("strong", {}, error.title), error.detail));
     shownFault = faults;
@@ -79,15 +81,16 @@ export function progressView({ onChange, onMend, onLeave }) {
     if (status === shownButtons) return;
     shownButtons = status;
     const stop = el("button", { onClick: () => upload.stop() }, "Stop");
-    const again = el("button", { class: "primary", onClick: () => upload.run() }, status === "stopped" ? "Continue" : "Try again");
+    const isFiles = upload.problems.length > 0;
+    const again = el("button", { class: isFiles ? "" : "primary", onClick: () => upload.run() }, status === "stopped" ? "Continue" : "Try again");
     const change = el("button", { onClick: onChange }, "Change settings");
-    const mend = el("button", { onClick: onMend }, "Pick the mended folder");
+    const mend = el("button", { class: isFiles ? "primary" : "", onClick: onMend }, "Pick the mended folder");
     const leave = el("button", { class: "plain", onClick: onLeave }, "Back");
     const sets = {
       ready: [],
       running: [el("button", { onClick: () => upload.pause() }, icon("pause"), "Pause"), stop],
       paused: [el("button", { class: "primary", onClick: () => upload.resume() }, icon("play"), "Resume"), stop],
-      failed: [again, change, mend, leave],
+      failed: isFiles ? [mend, change, again, leave] : [again, change, mend, leave],
       stopped: [again, change, leave],
       done: [el("button", { class: "primary", onClick: onLeave }, "Upload another")],
     };

@@ -1,5 +1,6 @@
 /** The files of a drive on their way to the service: small files in batches, scans as they are, or reduced. */
 
+import { getConfig } from "../shell/config.js";
 import { sha256Hex } from "./digest.js";
 import { pathOf } from "./numbered.js";
 import { PARALLEL } from "./transfer.js";
@@ -11,7 +12,7 @@ import { WorkerPool } from "./pool.js";
 
 const SMALL_BYTES = 1024 * 1024;
 const BATCH_FROM = 20;
-const BATCH_FILES = 500;
+const MOST_BATCH_FILES = 500;
 const BATCH_BYTES = 8 * 1024 * 1024;
 const PAGE = 10_000;
 
@@ -54,11 +55,12 @@ export async function sendSmallFiles(transfer, files, present) {
 
 /** @param {[string, File][]} files @returns {[string, File][][]} */
 function batches(files) {
+  const most = Math.min(MOST_BATCH_FILES, getConfig().limits.max_batch_files ?? MOST_BATCH_FILES);
   /** @type {[string, File][][]} */
   const all = [];
   let bytes = Infinity;
   for (const each of files) {
-    if (bytes + each[1].size > BATCH_BYTES || /** @type {any[]} */ (all.at(-1)).length >= BATCH_FILES) {
+    if (bytes + each[1].size > BATCH_BYTES || /** @type {any[]} */ (all.at(-1)).length >= most) {
       all.push([]);
       bytes = 0;
     }

@@ -12,7 +12,7 @@ import { EXAMPLE } from "./words.js";
  * @param {(file: File) => void} actions.onArchive
  * @param {(upload: import("./memory.js").Remembered) => void} actions.onContinue
  * @param {(upload: import("./memory.js").Remembered) => void} actions.onForget
- * @param {{upload: import("./memory.js").Remembered, hasHandle: boolean}[]} begun Uploads that were begun.
+ * @param {{upload: import("./panel.js").Open, hasHandle: boolean}[]} begun Uploads that were begun.
  * @param {any} message What happened to the last try.
  */
 export function startView({ onFolder, onHandle, onArchive, onContinue, onForget }, begun, message) {
@@ -63,7 +63,7 @@ export function startView({ onFolder, onHandle, onArchive, onContinue, onForget 
               { class: "cut" },
               el("strong", { class: "cut" }, upload.name),
               el("br"),
-              el("small", {}, `${formatAgo(upload.at)} · ${plural(upload.files, "scan")} · about ${formatBytes(upload.bytes)}`),
+              el("small", {}, formatAgo(upload.at), upload.arrived && ` · ${plural(upload.arrived.files, "file")} there, ${formatBytes(upload.arrived.size_bytes)}`),
             ),
             hasHandle
               ? el("button", { onClick: () => onContinue(upload) }, "Continue")

@@ -150,7 +150,6 @@ export class Upload {
   #remember(fingerprint, schemes) {
     const { drive, handle } = this.source;
     const id = /** @type {string} */ (this.driveId);
-    const bytes = this.transfer.meter.total + this.transfer.meter.skipped;
     const before = remembered(id);
     remember(
       {
@@ -158,8 +157,6 @@ export class Upload {
         fingerprint,
         name: this.settings.name,
         at: before?.at ?? new Date().toISOString(),
-        files: drive?.scans?.files.size ?? drive?.ground.size ?? 0,
-        bytes,
         root: drive?.root ?? "",
         settings: this.settings,
         schemes: schemes ?? before?.schemes,
