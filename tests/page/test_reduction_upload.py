@@ -21,6 +21,8 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright is no
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
 
+SAMPLE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti360_0009"
+
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
     pytest.mark.skipif(not LEAFLET.is_dir(), reason="the page is not set up: npm ci in static/"),
@@ -147,7 +149,9 @@ def features(data: bytes | str) -> Any:
     return json.loads(data)["features"]
 
 
-def check_results(client: httpx.Client, job_id: str, drive: Path, out: Path, **options: Any) -> None:
+def check_results(
+    client: httpx.Client, job_id: str, drive: Path, out: Path, *, scored: bool = True, **options: Any
+) -> None:
     """Compare the results of a job with what the library finds in the folder itself."""
     job = ended(client, job_id)
     assert job["state"] == "successful", job["error"]
@@ -156,6 +160,8 @@ def check_results(client: httpx.Client, job_id: str, drive: Path, out: Path, **o
     for name in ("detections", "intersections", "keyframes", "trajectory"):
         served = client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status().content
         assert features(served) == features((out / f"{name}.geojson").read_bytes()), name
+    if not scored:
+        return
     report = client.get(f"{API}/jobs/{job_id}/report").raise_for_status().json()
     evaluation = evaluate(result, read_osm(drive / "map.osm"))
     assert report["matched"] == int(evaluation.matching.is_matched.sum())
@@ -180,6 +186,20 @@ def test_a_folder_is_reduced_in_the_browser_and_gives_the_same_results(
     assert files_of(server.client, drive["id"]) == small | ground
     assert drive["report"]["scan_bytes"] == sum(scan.stat().st_size for scan in (street / "velodyne").iterdir())
     assert drive["report"]["label_scheme"] == "semantickitti"
+
+
+@pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")
+def test_real_scans_with_two_kinds_of_labels_give_the_same_results(
+    upload: Upload, server: ServerProcess, tmp_path: Path
+) -> None:
+    upload.pick(SAMPLE)
+    upload.page.get_by_label("Labels to find intersections with").select_option("predictions")
+    upload.press("Upload and run")
+    job_id = upload.job()
+    check_results(server.client, job_id, SAMPLE, tmp_path / "out", scored=False, labels="predictions")
+    drive = drive_of(server.client, job_id)
+    again = server.client.post(f"{API}/jobs", json={"drive_id": drive["id"], "labels": "labels"}).raise_for_status()
+    check_results(server.client, again.json()["id"], SAMPLE, tmp_path / "by_hand", scored=False, labels="labels")
 
 
 def test_everything_can_be_sent_as_it_is(upload: Upload, server: ServerProcess, street: Path, tmp_path: Path) -> None:
