@@ -93,7 +93,7 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     assert f"{report['nodes_found']} of {report['nodes_in_zone']}" in text
     rows = page.locator("#panel-report tbody tr.can")
     assert rows.count() == len(report["nodes"])
-    page.get_by_role("button", name=re.compile("^Number of the node")).click()
+    page.get_by_role("button", name=re.compile("^OSM node")).click()
     ids = [int(each) for each in page.locator("#panel-report tbody tr.can td:nth-child(2)").all_inner_texts()]
     assert ids == sorted(node["osm_id"] for node in report["nodes"])
     rows.nth(1).focus()

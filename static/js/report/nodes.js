@@ -29,7 +29,7 @@ export function nodeTable(result) {
   let down = false;
   const body = el("tbody", {});
   const heads = COLUMNS.map(({ name, title }, i) =>
-    el("th", { scope: "col", title }, el("button", { type: "button", "aria-label": title, onClick: () => sort(i) }, name, el("span", { "aria-hidden": "true" }))),
+    el("th", { scope: "col", title }, el("button", { type: "button", "aria-label": name ? `${name}: ${title}` : title, onClick: () => sort(i) }, name, el("span", { "aria-hidden": "true" }))),
   );
   /** @param {number} next */
   const sort = (next) => {
