@@ -31,6 +31,10 @@ async function start() {
   setConfig(await loadConfig());
   mountHeader(/** @type {HTMLElement} */ (document.getElementById("header")));
   mountTabs(PANELS);
+  document.querySelector(".skip")?.addEventListener("click", (event) => {
+    event.preventDefault(); // what stands behind "#" is the state of the page
+    document.getElementById("panel")?.focus();
+  });
   await mountStage();
   subscribe(["drive", "job"], () => (document.title = getState().job ? "InterLoc – result" : "InterLoc"));
 }

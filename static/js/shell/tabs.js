@@ -34,6 +34,7 @@ export function mountTabs(panels) {
   const shown = () => (names.includes(getState().panel) ? getState().panel : names[0]);
   const update = () => {
     const current = shown();
+    const leaves = Object.entries(bodies).some(([name, body]) => name !== current && body.contains(document.activeElement));
     names.forEach((name, i) => {
       const needsJob = name === "job" || name === "report" || name === "export";
       tabs[i].disabled = needsJob && !getState().job && name !== current;
@@ -50,6 +51,7 @@ export function mountTabs(panels) {
         (error) => fill(body, problemNote(error)),
       );
     }
+    if (leaves) panel.focus(); // what had the focus is hidden now
     panel.scrollTop = 0;
   };
   subscribe(["panel", "job"], update);

@@ -1,0 +1,274 @@
+"""The page for everyone: axe-core finds nothing serious in any of its states, and the keyboard alone is enough."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.app.processes import API, archive_of, ended, half_way, started, submit
+from tests.page.browsers import Browser, Watch, needs_page
+from tests.page.results import Done, show
+
+AXE = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "axe-core" / "axe.min.js"
+
+pytestmark = [*needs_page, pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not installed: npm ci in static/")]
+
+TOKEN = "a-token-that-only-this-test-knows-0123456789"  # noqa: S105
+WIDTHS = (1280, 400)  # a desk, a telephone
+SCHEMES = ("light", "dark")
+LOOK = """async () => {
+  const { violations } = await axe.run(document, { resultTypes: ["violations"] });
+  return violations.map(({ id, impact, help, nodes }) => ({ id, impact, help, nodes:
+    nodes.map((node) => `${node.html.slice(0, 200)} | ${node.failureSummary.replace(/\\s+/g, " ")}`) }));
+}"""
+
+
+@pytest.fixture
+def tab(browser: Browser) -> Any:
+    """A tab with axe-core."""
+    context = browser.new_context(reduced_motion="reduce")
+    context.add_init_script(path=AXE)
+    return context.new_page()
+
+
+def check(tab: Any, where: str) -> None:
+    """Look for what keeps somebody out, in both colour schemes."""
+    for scheme in SCHEMES:
+        tab.emulate_media(color_scheme=scheme)
+        found = [each for each in tab.evaluate(LOOK) if each["impact"] in {"serious", "critical"}]
+        assert not found, f"{where}, {scheme}: " + "\n".join(str(each) for each in found)
+
+
+def see_start(page: Any, done: Done) -> None:
+    page.goto(done.server.address)
+    page.wait_for_selector("article.drive")
+
+
+def see_drive(page: Any, done: Done) -> None:
+    show(page, done, "panel=drives")
+    page.wait_for_selector("article.drive.is >> text=Georeference")
+
+
+def see_upload(page: Any, done: Done) -> None:
+    page.goto("about:blank")
+    page.goto(f"{done.server.address}/#panel=upload")
+    page.wait_for_selector(".drop")
+    page.locator("summary").first.click()
+
+
+def see_form(page: Any, done: Done) -> None:
+    see_upload(page, done)
+    page.set_input_files("input[name=folder]", done.street)
+    page.wait_for_selector(".upload-form >> text=read as semantickitti")
+    page.evaluate("document.querySelectorAll('.upload-form details').forEach((each) => (each.open = true))")
+
+
+def see_job(page: Any, done: Done) -> None:
+    show(page, done, "panel=job")
+    page.wait_for_selector("#panel-job .figure")
+
+
+def see_report(page: Any, done: Done) -> None:
+    show(page, done, "panel=report&frame=12")
+    page.wait_for_selector("#panel-report tbody tr")
+
+
+def see_unscored(page: Any, done: Done) -> None:
+    show(page, done, "panel=report", done.local_job)
+    page.wait_for_selector("#panel-report .note")
+
+
+def see_export(page: Any, done: Done) -> None:
+    show(page, done, "panel=export")
+    page.wait_for_selector("#panel-export .downloads")
+
+
+def see_keyframe(page: Any, done: Done) -> None:
+    show(page, done, "panel=job&frame=45&drawer=1")
+    page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
+
+
+def see_picture(page: Any, done: Done) -> None:
+    see_keyframe(page, done)
+    page.get_by_role("button", name="Enlarge Centerline").click()
+    page.wait_for_selector("dialog[open]")
+
+
+def see_popup(page: Any, done: Done) -> None:
+    see_report(page, done)
+    page.locator("#panel-report tbody tr").first.focus()
+    page.keyboard.press("Enter")
+    page.wait_for_selector(".leaflet-popup-content")
+
+
+def see_layers(page: Any, done: Done) -> None:
+    show(page, done, "panel=job&layers=keyframes,detections,outside,zone")
+    if not page.locator("#layer-roads").is_visible():
+        page.locator(".legend summary").click()
+
+
+def see_run_dialog(page: Any, done: Done) -> None:
+    see_drive(page, done)
+    page.get_by_role("button", name="Run street", exact=True).click()
+    page.wait_for_selector("dialog[open]")
+
+
+def see_question(page: Any, done: Done) -> None:
+    see_drive(page, done)
+    page.get_by_role("button", name="Delete street", exact=True).click()
+    page.wait_for_selector("dialog[open]")
+
+
+STATES = [
+    see_start,
+    see_drive,
+    see_upload,
+    see_form,
+    see_job,
+    see_report,
+    see_unscored,
+    see_export,
+    see_keyframe,
+    see_picture,
+    see_popup,
+    see_layers,
+    see_run_dialog,
+    see_question,
+]
+
+
+@pytest.mark.parametrize("see", STATES, ids=[each.__name__.removeprefix("see_") for each in STATES])
+def test_nothing_keeps_anyone_out(tab: Any, done: Done, see: Callable[[Any, Done], None]) -> None:
+    for width in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 800})
+        see(tab, done)
+        check(tab, f"{width} px")
+
+
+@pytest.fixture
+def halted_job(done: Done) -> Iterator[str]:
+    """A job that stands still half-way: its worker is stopped."""
+    drive = done.server.client.get(f"{API}/jobs/{done.job}").json()["drive_id"]
+    job = submit(done.server.client, drive, osm={"file": "map.osm"}, config={"bev": {"resolution_m": 0.08}})
+    half_way(done.server.client, job)
+    workers = done.server.workers()
+    for worker in workers:
+        worker.suspend()
+    yield job
+    for worker in workers:
+        worker.resume()
+    assert ended(done.server.client, job)["state"] == "successful"
+
+
+def test_a_running_job_is_told_to_everyone(tab: Any, done: Done, halted_job: str) -> None:
+    for width in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 800})
+        tab.goto("about:blank")
+        tab.goto(f"{done.server.address}/#panel=job&job={halted_job}")
+        progress = tab.get_by_role("progressbar", name="Progress")
+        progress.wait_for()
+        assert 0 < float(progress.get_attribute("value")) < 1
+        assert tab.locator("[aria-current=step]").inner_text() == "Finding intersections"
+        check(tab, f"{width} px")
+
+
+def test_the_question_for_a_token_is_for_everyone(tab: Any, watch: Watch, tmp_path: Path) -> None:
+    watch.expect("status of 401")
+    with started(tmp_path / "data", tmp_path / "log", workers=1, token=TOKEN) as server:
+        for width in WIDTHS:
+            tab.set_viewport_size({"width": width, "height": 800})
+            tab.goto("about:blank")
+            tab.goto(server.address)
+            field = tab.get_by_label("API token")
+            field.wait_for()
+            check(tab, f"{width} px")
+            field.fill("not this one")
+            field.press("Enter")
+            tab.locator("dialog .note.error").wait_for()
+            check(tab, f"{width} px, refused")
+
+
+class Keyboard:
+    """Somebody who has no mouse."""
+
+    STOP = """() => {
+      const at = document.activeElement;
+      const { outlineStyle, outlineWidth } = getComputedStyle(at);
+      const name = at.getAttribute("aria-label") || at.labels?.[0]?.innerText || at.innerText || "";
+      const marked = outlineStyle !== "none" && outlineWidth !== "0px";
+      const lost = at === document.body;
+      const hidden = !lost && !at.checkVisibility();
+      return { name: name.trim(), html: at.outerHTML.slice(0, 200), marked, lost, hidden };
+    }"""
+
+    def __init__(self, page: Any) -> None:
+        self.page = page
+
+    def tab_to(self, name: str, most: int = 60) -> None:
+        """Press Tab until something of this name has the focus; each stop on the way must be seen."""
+        stops = []
+        for _ in range(most):
+            self.page.keyboard.press("Tab")
+            stop = self.page.evaluate(self.STOP)
+            if not stop["lost"]:  # at the end the focus leaves the page once
+                assert stop["marked"], f"the focus is not seen: {stop['html']}"
+                assert not stop["hidden"], f"the focus is on what is hidden: {stop['html']}"
+            stops.append(stop["name"])
+            if re.search(name, stop["name"]):
+                return
+        pytest.fail(f"{name!r} is not reached; the stops: {stops}")
+
+    def press(self, key: str) -> None:
+        self.page.keyboard.press(key)
+
+    def focus(self) -> str:
+        return str(self.page.evaluate(self.STOP)["name"])
+
+
+def test_from_a_drive_to_its_report_by_keyboard(page: Any, done: Done, tmp_path: Path) -> None:
+    archive = tmp_path / "keys.tar"
+    archive.write_bytes(archive_of(done.street))
+    keys = Keyboard(page)
+    page.goto(done.server.address)
+    page.wait_for_selector("article.drive")
+    keys.tab_to("^Skip to the panel")
+    keys.press("Enter")
+    assert page.evaluate("document.activeElement.id") == "panel"
+    keys.tab_to("^Upload a drive", 4)
+    keys.press("Enter")
+    page.wait_for_selector(".drop")
+    keys.tab_to("^Choose an archive", 12)
+    with page.expect_file_chooser() as chooser:
+        keys.press("Enter")
+    chooser.value.set_files(archive)
+    page.wait_for_selector(".upload-form")
+    keys.tab_to("^Upload and run")
+    keys.press("Enter")
+    page.wait_for_selector("#panel-job .badge.good")
+    page.wait_for_selector(".legend:visible")
+    keys.tab_to("^Open the report")
+    keys.press("Enter")
+    rows = page.locator("#panel-report tbody tr.can")
+    rows.first.wait_for()
+    keys.tab_to("found|missed")
+    keys.press("Enter")
+    page.locator(".leaflet-popup-content").wait_for()
+    keys.tab_to("^Keyframe$")
+    keys.press("ArrowRight")
+    page.locator(".timeline-label", has_text="Scan 1").wait_for()
+    keys.tab_to("^Look inside")
+    keys.press("Enter")
+    page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
+    keys.tab_to("^Enlarge Road occupancy")
+    keys.press("Enter")
+    page.wait_for_selector("dialog[open]")
+    keys.press("Escape")
+    page.wait_for_selector("dialog", state="detached")
+    assert keys.focus() == "Enlarge Road occupancy"
+    keys.tab_to("^Close$")
+    keys.press("Enter")
+    page.locator("#drawer").wait_for(state="hidden")
