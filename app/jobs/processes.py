@@ -52,11 +52,17 @@ class ProcessExecutor(Executor):
         self._slots = [_Slot(self, number) for number in range(slots)]
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401, D102
-        work = _Work((fn, args, kwargs))
+        return self._take(_Work((fn, args, kwargs)), self._waiting.append)
+
+    def submit_urgent(self, fn: Callable[..., Result], /, *args: Any) -> Future[Result]:  # noqa: ANN401
+        """Do a short piece of work before all that waits."""
+        return self._take(_Work((fn, args, {})), self._waiting.appendleft)
+
+    def _take(self, work: _Work, enqueue: Callable[[_Work], None]) -> Future[Any]:
         with self._change:
             if self._stopping:
                 raise RuntimeError("the executor was stopped")
-            self._waiting.append(work)
+            enqueue(work)
             self._change.notify()
         return work.future
 
@@ -74,7 +80,8 @@ class ProcessExecutor(Executor):
         """End all workers at once; work that runs is lost, work that waits is cancelled."""
         with self._change:
             self._stopping = True
-            waiting, self._waiting = list(self._waiting), deque()
+            waiting = list(self._waiting)
+            self._waiting.clear()
             self._change.notify_all()
         for work in waiting:
             work.future.cancel()

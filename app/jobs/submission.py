@@ -46,7 +46,7 @@ def check_request(session: Session, service: Service, new: NewJob) -> dict[str, 
             "osm.overpass: this service does not ask Overpass servers. Upload the map as a file and name it: "
             '{"file": "map.osm.gz"}.',
         )
-    request = new.model_dump(mode="json", exclude={"drive_id"})
+    request = new.model_dump(mode="json", exclude={"drive_id", "config"})
     return request | {"config": _config_of(new).model_dump(mode="json")}
 
 
@@ -61,6 +61,6 @@ def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     for name, value in changes.items():
         before = base.get(name)
         merged[name] = value
-        if isinstance(before, dict) and isinstance(value, dict) and value.get("kind") in {None, before.get("kind")}:
+        if isinstance(before, dict) and isinstance(value, dict) and value.get("kind") in (None, before.get("kind")):
             merged[name] = _merged(before, value)
     return merged

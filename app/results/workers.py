@@ -22,11 +22,11 @@ async def in_worker(service: Service, function: Callable[..., Outcome], *args: A
         503 where two workers died of it.
     """
     try:
-        return await asyncio.wrap_future(service.runner.executor.submit(function, *args))
+        return await asyncio.wrap_future(service.runner.executor.submit_urgent(function, *args))
     except WorkerLostError:
         pass
     try:
-        return await asyncio.wrap_future(service.runner.executor.submit(function, *args))
+        return await asyncio.wrap_future(service.runner.executor.submit_urgent(function, *args))
     except WorkerLostError as error:
         detail = f"The work for this request could not be done: {error}. Usual cause: too little memory."
         raise Problem(503, "Worker lost", detail, headers={"Retry-After": "5"}) from error

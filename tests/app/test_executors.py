@@ -119,6 +119,22 @@ def test_errors_come_back_with_their_words(executor: ProcessExecutor) -> None:
     assert executor.submit(pid_of).result(60) in executor.pids
 
 
+def test_urgent_work_goes_before_what_waits(tmp_path: Path) -> None:
+    executor = ProcessExecutor(1)
+    try:
+        gate, patient = tmp_path / "gate", tmp_path / "patient"
+        running = executor.submit(wait_for_file, gate)
+        waiting = executor.submit(wait_for_file, patient)
+        urgent = executor.submit_urgent(begun, patient)
+        gate.touch()
+        running.result(60)
+        assert not urgent.result(60)
+        patient.touch()
+        waiting.result(60)
+    finally:
+        executor.stop()
+
+
 def test_cancelled_work_is_never_begun(tmp_path: Path) -> None:
     executor = ProcessExecutor(1)
     try:
