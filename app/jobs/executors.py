@@ -119,9 +119,9 @@ class DaskExecutor(Executor):
         return self._translated(self._executor.submit(fn, *args, **kwargs))
 
     def submit_urgent(self, fn: Callable[..., Result], /, *args: Any) -> Future[Result]:  # noqa: ANN401, D102
-        import dask  # noqa: PLC0415 - an extra
+        from dask.base import annotate  # noqa: PLC0415 - an extra
 
-        with dask.annotate(priority=1):
+        with annotate(priority=1):
             return self._translated(self._executor.submit(fn, *args))
 
     def _translated(self, theirs: Future[Result]) -> Future[Result]:
