@@ -7,6 +7,7 @@ import gzip
 import io
 import lzma
 import stat
+import struct
 import tarfile
 import zipfile
 import zlib
@@ -110,10 +111,12 @@ def members(path: Path, count: Callable[[int], None]) -> Iterator[Iterator[Membe
             zlib.error,
             lzma.LZMAError,
             zstandard.ZstdError,
+            struct.error,
             EOFError,
-            UnicodeError,
             OverflowError,
             ValueError,
+            LookupError,
+            RuntimeError,  # of thousands of headers in a row too, which tarfile reads by recursion
             OSError,
         ) as error:
             if isinstance(error, OSError) and error.errno not in {None, errno.EINVAL}:

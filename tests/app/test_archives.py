@@ -313,6 +313,25 @@ def test_damaged_archives(client: httpx.Client, home: Path, data: bytes) -> None
     refuse(client, home, data, "damaged or cut short")
 
 
+def headers_without_end() -> bytes:
+    """Thousands of long names, none of which belongs to a file."""
+    long = special(tarfile.GNUTYPE_LONGNAME, "long")
+    long.size = 1
+    return (long.tobuf(tarfile.GNU_FORMAT) + b"a".ljust(512, b"\0")) * 3000
+
+
+ODD = {
+    "tar of headers": gzip.compress(headers_without_end()),
+    "zip of a later version": zipped({"poses.txt": b"1"}).replace(b"PK\x01\x02\x14\x03\x14", b"PK\x01\x02\x14\x03\xa4"),
+    "zip with a name of zeros": zipped({"poses.txt": b"1"}).replace(b"poses.txt", bytes(9)),
+}
+
+
+@pytest.mark.parametrize("data", ODD.values(), ids=ODD.keys())
+def test_archives_that_the_readers_do_not_expect(client: httpx.Client, home: Path, data: bytes) -> None:
+    refuse(client, home, data, "damaged or cut short")
+
+
 def test_archives_without_files(client: httpx.Client, home: Path) -> None:
     refuse(client, home, zipped({}), "holds no files")
     refuse(client, home, tarred({}, special(tarfile.DIRTYPE, "07")), "holds no files")
