@@ -93,7 +93,8 @@ class Gate:
         site = headers.get("sec-fetch-site")
         if site is None:
             origin = headers.get("origin")
-            site = "same-origin" if origin is None or urlsplit(origin).netloc == headers.get("host") else "cross-site"
+            is_own = origin is None or origin.partition("://")[2] == headers.get("host")
+            site = "same-origin" if is_own else "cross-site"
         if site in {"same-origin", "none"}:
             return None
         return Problem(403, "Request of another site", "Pages of other sites may not change anything here.")

@@ -47,6 +47,7 @@ FOREIGN = [
     {"Sec-Fetch-Site": "same-site", "Origin": "http://localhost:3000"},
     {"Origin": "https://evil.example"},
     {"Origin": "null"},
+    {"Origin": "http://[::1"},
 ]
 OURS = [{}, {"Sec-Fetch-Site": "same-origin", "Origin": "https://shown.example"}, {"Sec-Fetch-Site": "none"}]
 
