@@ -16,6 +16,9 @@ from interloc.errors import ConfigError
 
 Preset = Literal["default", "paper"]
 
+_MOST_TOLD = 20  # faults in one message ...
+_MOST_SHOWN = 100  # ... and characters of each value
+
 
 class _Config(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -166,7 +169,7 @@ class CompoundConfig(_Config):
 class DetectorConfig(_Config):
     """All settings of the method, in the order of its steps."""
 
-    preset: str = Field("custom", description="Name of the preset that this started from.")
+    preset: str = Field("custom", max_length=100, description="Name of the preset that this started from.")
     keyframes: KeyframeConfig = KeyframeConfig()
     bev: BevConfig = BevConfig()
     occupancy: OccupancyConfig = OccupancyConfig()
@@ -281,7 +284,12 @@ def parse_config(values: object) -> DetectorConfig:
         lines = []
         for item in error.errors():
             where = ".".join(str(part) for part in item["loc"] if part not in {"harris", "crossing"}) or "configuration"
-            found = "" if isinstance(item["input"], dict) else f" (found {item['input']!r})"
+            found = "" if isinstance(item["input"], dict) else f" (found {_shown(repr(item['input']))})"
             what = "there is no such setting" if item["type"] == "extra_forbidden" else item["msg"]
-            lines.append(f"{where}: {what.removeprefix('Value error, ')}{found}")
-        raise ConfigError("; ".join(lines)) from None
+            lines.append(f"{_shown(where)}: {what.removeprefix('Value error, ')}{found}")
+        raise ConfigError("; ".join(lines[:_MOST_TOLD]) + ("; ..." if len(lines) > _MOST_TOLD else "")) from None
+
+
+def _shown(text: str) -> str:
+    """Shorten what somebody gave for a message."""
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."

@@ -118,6 +118,13 @@ def test_other_settings_of_a_job(client: httpx.Client, drive: str) -> None:
     assert job["request"]["name"] == "coarse"
 
 
+def nested(depth: int) -> dict[str, Any]:
+    inner: dict[str, Any] = {}
+    for _ in range(depth):
+        inner = {"a": inner}
+    return inner
+
+
 @pytest.mark.parametrize(
     ("request_", "status", "words"),
     [
@@ -125,6 +132,9 @@ def test_other_settings_of_a_job(client: httpx.Client, drive: str) -> None:
         ({"config": {"bev": {"resolution": 1}}}, 422, "bev.resolution: there is no such setting"),
         ({"config": {"bev": {"resolution_m": 0.001}}}, 422, "bev.resolution_m"),
         ({"config": {"keyframes": 3}}, 422, "keyframes"),
+        ({"config": {"candidates": {"kind": ["harris"]}}}, 422, "candidates"),
+        ({"config": {"bev": nested(400)}}, 422, "bev.a: there is no such setting"),
+        ({"config": {"preset": "x" * 200}}, 422, "preset"),
         ({"osm": {"file": "other.osm"}}, 422, "no 'other.osm' among the files"),
         ({"osm": {"file": "../../x.osm"}}, 422, "no '../../x.osm' among the files"),
         ({"osm": {"file": "poses.txt"}}, 422, "expected a name that ends in .osm"),
@@ -139,6 +149,7 @@ def test_a_request_that_cannot_be_done_is_refused_at_once(
 ) -> None:
     detail = problem(client.post(f"{API}/jobs", json={"drive_id": drive, **request_}), status)
     assert words in detail
+    assert len(detail) < 1000
 
 
 def test_a_drive_that_is_not_committed_has_no_jobs(client: httpx.Client) -> None:
