@@ -118,7 +118,7 @@ class _OsmStream:
             for each in filters:
                 processor = processor.with_filter(each)
             yield from processor
-        except (RuntimeError, ValueError) as error:
+        except (RuntimeError, ValueError, osmium.InvalidLocationError) as error:
             raise MapError(
                 f"{self.path}: is damaged ({error}). Usual cause: a download or copy that was cut off; fetch it again."
             ) from error

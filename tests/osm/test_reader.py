@@ -178,6 +178,13 @@ def test_a_truncated_file_is_refused_in_words(tmp_path: Path, crossing: str) -> 
         read(tmp_path, crossing[:-30])
 
 
+@pytest.mark.parametrize("latitude", ["4900.1", "nan", "north"])
+def test_a_node_that_is_nowhere_is_refused_in_words(tmp_path: Path, crossing: str, latitude: str) -> None:
+    assert 'lat="49.001"' in crossing
+    with pytest.raises(MapError, match=r"is damaged .*coordinate"):
+        read(tmp_path, crossing.replace('lat="49.001"', f'lat="{latitude}"'))
+
+
 def test_a_damaged_gzip_file_is_refused_in_words(tmp_path: Path, crossing: str) -> None:
     packed = bytearray(gzip.compress(crossing.encode()))
     packed[len(packed) // 2] ^= 0xFF
