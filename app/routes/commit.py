@@ -28,12 +28,14 @@ _CONFLICT: dict[int | str, dict[str, Any]] = {
 
 
 @router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive")
-def plan_reduction(drive_id: str, request: PlanRequest, service: ServiceDep, _client: ClientDep) -> ReductionPlanModel:
+async def plan_reduction(
+    drive_id: str, request: PlanRequest, service: ServiceDep, _client: ClientDep
+) -> ReductionPlanModel:
     """Tell which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
 
     For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
     """
-    return plan_upload(service, drive_id, request)
+    return await plan_upload(service, drive_id, request)
 
 
 @router.post(

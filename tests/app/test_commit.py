@@ -7,11 +7,13 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
+import psutil
 import pytest
 
 from interloc.cli.main import run
@@ -397,6 +399,25 @@ def test_a_client_that_reduces_asks_what_to_send(client: httpx.Client, street: P
     gaps = client.post(f"{drive}/plan", json={"scans": [0, 1, 2, 10]}).json()
     assert "7 scans are missing between 0 and 10" in gaps["problems"][0]["message"]
     assert gaps["problems"][0]["severity"] == "error"
+
+
+def test_a_plan_is_made_by_a_worker(client: httpx.Client, street: Path) -> None:
+    """It reads files of any size; the server goes on answering meanwhile, whatever becomes of the workers."""
+    drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
+    assert client.put(f"{drive}/files/poses.txt", content=(street / "poses.txt").read_bytes()).status_code == 201
+    workers = [child for child in psutil.Process().children(recursive=True) if "spawn_main" in str(child.cmdline())]
+    assert workers
+    with ThreadPoolExecutor(1) as pool:
+        try:
+            for worker in workers:
+                worker.suspend()
+            answer = pool.submit(client.post, f"{drive}/plan", json={"scans": {"first": 0, "last": 59}})
+            assert not wait([answer], timeout=1).done
+            assert client.get(drive).status_code == 200
+        finally:
+            for worker in workers:
+                worker.resume()
+        assert answer.result().json()["frames"] == list(range(60))
 
 
 @pytest.mark.parametrize(
