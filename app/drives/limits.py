@@ -18,15 +18,25 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
     Raises
     ------
     Problem
-        413: more than the limit. 415: the body is compressed.
+        400: it is a part of a file. 413: more than the limit. 415: the body is compressed.
     """
+    if "content-range" in request.headers:  # RFC 9110, section 14.5: what does not know it must not ignore it
+        raise Problem(
+            400,
+            "Part of a file",
+            "Content-Range: files are taken whole only. To resume an upload, send the files that "
+            "GET /api/v1/drives/{id}/files does not list.",
+            headers=CLOSE,
+        )
     coding = request.headers.get("content-encoding", "identity").strip().lower()
-    if coding not in {"", "identity"}:
+    transfer = request.headers.get("transfer-encoding", "chunked").strip().lower()
+    is_plain = coding in {"", "identity"}
+    if not is_plain or transfer != "chunked":
         raise Problem(
             415,
             "Compressed body",
-            f"Content-Encoding: {coding}. Send the file as it is; files that are compressed themselves (map.osm.gz) "
-            "need no Content-Encoding.",
+            f"{f'Transfer-Encoding: {transfer}' if is_plain else f'Content-Encoding: {coding}'}. Send the file as it "
+            "is; files that are compressed themselves (map.osm.gz) need no Content-Encoding.",
             headers={"Accept-Encoding": "identity", **CLOSE},
         )
     text = request.headers.get("content-length")
