@@ -14,7 +14,9 @@ from pathlib import Path
 
 from fastapi import Request
 from fastapi.responses import FileResponse, Response
+from starlette.responses import MalformedRangeHeader, RangeNotSatisfiable
 
+from app.problems import Problem
 from interloc.errors import OutputError
 from interloc.mapping.files import atomic_write
 
@@ -82,8 +84,25 @@ class _Bodies:
 _BODIES = _Bodies(64 * 1024 * 1024, 4 * 1024 * 1024)
 
 
-class _File(FileResponse):
+class WholeFile(FileResponse):
+    """A file that is not changed while it is sent, or ranges of it."""
+
     chunk_size = 1024 * 1024  # a thread switch each: large results go at the speed of the disk cache
+
+    @classmethod
+    def _parse_range_header(cls, http_range: str, file_size: int) -> list[tuple[int, int]]:
+        """Return the ranges that are asked for; the whole where they cannot be understood (RFC 9110, section 14.2)."""
+        try:
+            return super()._parse_range_header(http_range, file_size)
+        except MalformedRangeHeader:
+            return []
+        except RangeNotSatisfiable as error:
+            raise Problem(
+                416,
+                "No such range",
+                f"Range: {http_range[:80]!r} lies outside of the file, which has {file_size:,} bytes.",
+                headers={"Content-Range": f"bytes */{file_size}"},
+            ) from error
 
 
 def media_type_of(path: Path) -> str:
@@ -150,7 +169,7 @@ def deliver(
             headers["content-disposition"] = f'{"attachment" if download else "inline"}; filename="{name}"'
         headers["accept-ranges"] = "bytes"
         return Response(body, headers=headers, media_type=media_type)
-    return _File(
+    return WholeFile(
         path,
         headers=headers,
         media_type=media_type,

@@ -6,7 +6,6 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
-from fastapi.responses import FileResponse
 
 from app.drives.commits import begin_commit, committed
 from app.drives.plans import plan_upload
@@ -14,6 +13,7 @@ from app.drives.preferences import wait_of
 from app.drives.tracks import trajectory_file
 from app.jobs.waiting import wait_for_async
 from app.problems import ProblemDocument
+from app.results.delivery import WholeFile
 from app.routes.archive import PreferHeader
 from app.routes.drives import NOT_FOUND
 from app.schemas.drives import CommitRequest, DriveModel, PlanRequest, ReductionPlanModel
@@ -81,7 +81,7 @@ async def commit_drive(
 
 @router.get(
     "/trajectory",
-    response_class=FileResponse,
+    response_class=WholeFile,
     responses={
         200: {"content": {"application/geo+json": {}}, "description": "A FeatureCollection with one LineString."},
         **NOT_FOUND,
@@ -89,7 +89,7 @@ async def commit_drive(
     },
     summary="Show where a drive went",
 )
-def show_trajectory(drive_id: str, service: ServiceDep, _client: ClientDep) -> FileResponse:
+def show_trajectory(drive_id: str, service: ServiceDep, _client: ClientDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
     file = trajectory_file(service, drive_id)
-    return FileResponse(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})
+    return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

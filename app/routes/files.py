@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
-from fastapi.responses import FileResponse
 
 from app.drives import records
 from app.drives.digests import sha256_of
@@ -15,6 +14,7 @@ from app.drives.limits import check_free_space, declared_length
 from app.drives.names import check_path
 from app.drives.placement import check_upload, keep
 from app.problems import ProblemDocument
+from app.results.delivery import WholeFile
 from app.schemas.drives import FileList, UploadedFile
 from app.security import ClientDep
 from app.service import ServiceDep
@@ -33,7 +33,7 @@ CLOSED: dict[int | str, dict[str, Any]] = {
     409: {"model": ProblemDocument, "description": "The drive takes no such files in its state, or names conflict."}
 }
 UPLOAD: dict[int | str, dict[str, Any]] = {
-    400: {"model": ProblemDocument, "description": "The body ended too soon."},
+    400: {"model": ProblemDocument, "description": "The body ended too soon, or is a part of a file."},
     **NOT_FOUND,
     **CLOSED,
     413: {"model": ProblemDocument, "description": "The file, or the drive with it, would be too large."},
@@ -107,19 +107,20 @@ async def put_file(
 
 @router.get(
     "/{path:path}",
-    response_class=FileResponse,
+    response_class=WholeFile,
     responses={
         200: {"content": {"application/octet-stream": {}}, "description": "The bytes."},
         **NOT_FOUND,
         410: {"model": ProblemDocument, "description": "It was reduced to what the method needs."},
+        416: {"model": ProblemDocument, "description": "There is no such range."},
     },
     summary="Download a file",
 )
-def get_file(drive_id: str, path: FilePath, service: ServiceDep, _client: ClientDep) -> FileResponse:
+def get_file(drive_id: str, path: FilePath, service: ServiceDep, _client: ClientDep) -> WholeFile:
     """Return an uploaded file, as long as it is kept."""
     file, about = records.find_file(service, drive_id, check_path(path))
     headers = {"ETag": f'"{about.sha256}"', "X-Content-Type-Options": "nosniff"}
-    return FileResponse(file, media_type="application/octet-stream", filename=file.name, headers=headers)
+    return WholeFile(file, media_type="application/octet-stream", filename=file.name, headers=headers)
 
 
 @router.delete("/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")

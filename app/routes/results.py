@@ -26,7 +26,7 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
 _CACHED: dict[int | str, dict[str, Any]] = {
     206: {"description": "The range that was asked for."},
     304: {"description": "The client has it (If-None-Match, If-Modified-Since)."},
-    416: {"description": "There is no such range."},
+    416: {"model": ProblemDocument, "description": "There is no such range."},
 }
 
 

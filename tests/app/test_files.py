@@ -213,6 +213,46 @@ def test_compressed_bodies_are_refused(client: httpx.Client, drive: str, coding:
     assert (answer.status_code, answer.json()["title"]) == (415, "Compressed body")
 
 
+def test_a_part_of_a_file_is_not_taken_for_the_whole(client: httpx.Client, drive: str) -> None:
+    assert client.put(f"{drive}/files/a", content=b"data").status_code == 201
+    answer = client.put(f"{drive}/files/a", content=b"ta", headers={"Content-Range": "bytes 2-3/4"})
+    assert (answer.status_code, answer.json()["title"]) == (400, "Part of a file")
+    assert client.get(f"{drive}/files/a").content == b"data"
+
+
+def test_a_body_that_is_compressed_on_its_way_is_refused(client: httpx.Client, drive: str) -> None:
+    with connection(client) as link:
+        head = "Host: localhost\r\nTransfer-Encoding: gzip, chunked"
+        link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\n{head}\r\n\r\n1\r\nx\r\n0\r\n\r\n".encode())
+        status, _ = read_answer(link)
+    assert status == 415
+    assert client.get(f"{drive}/files").json()["files"] == []
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "found"),
+    [
+        ("bytes=1-2", 206, b"at"),
+        ("bytes=-2", 206, b"ta"),
+        ("bytes=3-1", 200, b"data"),
+        ("lines=1-2", 200, b"data"),
+        ("bytes=x", 200, b"data"),
+        ("bytes=" + ",".join(["0-0"] * 5000), 200, b"data"),
+    ],
+)
+def test_ranges_of_a_file(client: httpx.Client, drive: str, asked: str, status: int, found: bytes) -> None:
+    client.put(f"{drive}/files/a", content=b"data")
+    answer = client.get(f"{drive}/files/a", headers={"Range": asked})
+    assert (answer.status_code, answer.content) == (status, found)
+
+
+def test_a_range_beyond_the_end(client: httpx.Client, drive: str) -> None:
+    client.put(f"{drive}/files/a", content=b"data")
+    answer = client.get(f"{drive}/files/a", headers={"Range": "bytes=4-"})
+    assert (answer.status_code, answer.headers["content-range"]) == (416, "bytes */4")
+    assert answer.json()["title"] == "No such range"
+
+
 def test_ten_gigabytes_are_refused_before_they_are_sent(client: httpx.Client, drive: str) -> None:
     with connection(client) as link:
         link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000000000\r\n\r\n".encode())
