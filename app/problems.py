@@ -135,9 +135,17 @@ async def _handle(request: Request, error: Exception) -> JSONResponse:
     return respond(problem_of(error), request.url.path)
 
 
+_SAID_BY_FRAMEWORK = {
+    "Not Found": "There is nothing at this address. GET /docs shows what there is.",
+    "Method Not Allowed": "This address takes other methods; the header Allow names them.",
+    "There was an error parsing the body": "The body is not JSON in UTF-8, or is nested too deep.",
+}
+
+
 def _of_http_error(error: HTTPException) -> Problem:
     headers = dict(error.headers) if error.headers else None
-    return Problem(error.status_code, HTTPStatus(error.status_code).phrase, str(error.detail), headers=headers)
+    detail = _SAID_BY_FRAMEWORK.get(str(error.detail), str(error.detail))
+    return Problem(error.status_code, HTTPStatus(error.status_code).phrase, detail, headers=headers)
 
 
 def _of_validation_error(error: RequestValidationError) -> Problem:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
 
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+
+from app.problems import MEDIA_TYPE, Problem
 
 MAX_HEAD_BYTES = 64 * 1024
 HEAD_S = 20.0
@@ -50,6 +53,10 @@ class Protocol(HttpToolsProtocol):
         elif self._head_timer is None:
             self._head_timer = self._start_timer()
 
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP in the form of all other refusals."""
+        self._answer(Problem(400, "Request malformed", f"{msg.rstrip('.')}: it does not keep to HTTP/1.1."))
+
     def _start_timer(self) -> asyncio.TimerHandle:
         return self.loop.call_later(self.head_s, self.transport.close)
 
@@ -59,5 +66,11 @@ class Protocol(HttpToolsProtocol):
             self._head_timer = None
 
     def _refuse(self) -> None:
-        self.transport.write(STATUS_LINE[431] + b"content-length: 0\r\nconnection: close\r\n\r\n")
+        detail = f"The headers of a request may have {MAX_HEAD_BYTES // 1024} kB."
+        self._answer(Problem(431, "Head too large", detail))
+
+    def _answer(self, problem: Problem) -> None:
+        content = json.dumps(problem.document()).encode()
+        head = f"content-type: {MEDIA_TYPE}\r\ncontent-length: {len(content)}\r\nconnection: close\r\n\r\n"
+        self.transport.write(STATUS_LINE[problem.status] + head.encode() + content)
         self.transport.close()

@@ -123,7 +123,26 @@ def test_a_head_that_trickles_in_is_given_up(shared: httpx.Client, monkeypatch: 
 def test_what_is_no_http_is_refused(shared: httpx.Client, junk: bytes) -> None:
     with connection(shared) as link:
         link.sendall(junk)
-        assert read_all(link).startswith(b"HTTP/1.1 400 ")
+        head, _, body = read_all(link).partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 400 ")
+    assert b"application/problem+json" in head
+    assert json.loads(body)["title"] == "Request malformed"
+
+
+def test_what_the_framework_refuses_is_told_in_words(shared: httpx.Client) -> None:
+    as_json = {"Content-Type": "application/json"}
+    for answer, status, words in (
+        (shared.get("/api/v1/nothing"), 404, "/docs"),
+        (shared.delete("/api/v1/drives"), 405, "Allow"),
+        (shared.post("/api/v1/drives", content=b"{", headers=as_json), 422, "JSON"),
+        (
+            shared.post("/api/v1/drives", content=b"[" * 200_000, headers={"Content-Type": "application/json"}),
+            400,
+            "JSON",
+        ),
+    ):
+        assert answer.status_code == status
+        assert words in answer.json()["detail"]
 
 
 def test_two_lengths_of_one_body_are_refused(shared: httpx.Client) -> None:
