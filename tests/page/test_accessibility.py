@@ -26,6 +26,14 @@ LOOK = """async () => {
     nodes.map((node) => `${node.html.slice(0, 200)} | ${node.failureSummary.replace(/\\s+/g, " ")}`) }));
 }"""
 
+BESIDE = """() => [...document.querySelectorAll("#header *, #tabs *, #panel > :not([hidden]) *, #strip *, dialog *")]
+  .filter((each) => !each.closest(".scroll, pre, .unseen, svg, .skip") && each.checkVisibility())
+  .filter((each) => {
+    const { left, right, width } = each.getBoundingClientRect();
+    return width > 2 && (right > innerWidth + 1 || left < -1);
+  })
+  .map((each) => each.outerHTML.slice(0, 120))"""
+
 
 @pytest.fixture
 def tab(browser: Browser) -> Any:
@@ -36,7 +44,9 @@ def tab(browser: Browser) -> Any:
 
 
 def check(tab: Any, where: str) -> None:
-    """Look for what keeps somebody out, in both colour schemes."""
+    """Look for what keeps somebody out, in both colour schemes, and for what lies beside the screen."""
+    beside = tab.evaluate(BESIDE)
+    assert not beside, f"{where}: {beside}"
     for scheme in SCHEMES:
         tab.emulate_media(color_scheme=scheme)
         found = [each for each in tab.evaluate(LOOK) if each["impact"] in {"serious", "critical"}]

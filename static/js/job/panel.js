@@ -137,7 +137,6 @@ function outcome(job) {
       { class: "row" },
       job.request.osm && el("button", { class: "primary", onClick: () => setState({ panel: "report" }) }, "Open the report"),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
-      el("button", { onClick: () => rerun(job).catch(showError) }, "Run again…"),
     ),
     el(
       "dl",
@@ -151,7 +150,7 @@ function outcome(job) {
       fact("Finished", new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })),
       fact("Job", el("code", {}, job.id)),
     ),
-    removal(job),
+    el("div", { class: "row section" }, el("button", { onClick: () => rerun(job).catch(showError) }, "Run again…"), removal(job)),
   ];
 }
 
@@ -166,19 +165,18 @@ function failure(job) {
   return [
     problemNote(job.error ?? { title: "The job failed", detail: "The server told no reason; its log does." }),
     el("p", { class: "quiet" }, "Mend what it names, then run it again. The drive is still there."),
-    el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"), el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives")),
-    removal(job),
+    el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"), el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives"), removal(job)),
   ];
 }
 
 /** @param {any} job */
 function dismissed(job) {
-  return [el("p", { class: "quiet" }, "This job was cancelled; it has no result."), el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…")), removal(job)];
+  return [el("p", { class: "quiet" }, "This job was cancelled; it has no result."), el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"), removal(job))];
 }
 
 /** @param {any} job */
 function removal(job) {
-  return el("div", { class: "section" }, el("button", { class: "plain danger", onClick: () => remove(job).catch(showError) }, icon("trash"), "Delete this job"));
+  return el("button", { class: "plain danger", onClick: () => remove(job).catch(showError) }, icon("trash"), "Delete this job");
 }
 
 /** @param {any} job */

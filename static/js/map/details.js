@@ -74,6 +74,6 @@ export function openDetails(map, hit, local) {
     kind === "node" && el("button", { onClick: () => setState({ panel: "report", node: item.properties.osm_id }) }, "See it in the report"),
   );
   if (kind === "detection" && getState().frame !== frame) setState({ frame });
-  new Popup({ maxWidth: 320, minWidth: 240, autoPanPadding: [24, 24] }).setLatLng([item.lat, item.lng]).setContent(content).openOn(map);
+  new Popup({ maxWidth: 320, minWidth: 240, maxHeight: Math.max(140, map.getSize().y - 110), autoPanPadding: [24, 24] }).setLatLng([item.lat, item.lng]).setContent(content).openOn(map);
 }
 

@@ -280,8 +280,9 @@ function keepInView(place) {
 export function goTo(hit) {
   if (!map || !result) return;
   const zoom = Math.max(map.getZoom(), result.local ? 2.5 : 18.5);
+  const { local } = result;
+  map.once("moveend", () => openDetails(map, hit, local)); // on the way there the box would not find its room
   map.setView([hit.item.lat, hit.item.lng], zoom, { animate: true });
-  openDetails(map, hit, result.local);
 }
 
 /** @returns {string} */

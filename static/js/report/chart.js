@@ -40,7 +40,7 @@ export function lineChart(lines, { max, mark, onMark }) {
       el("strong", {}, `At D = ${d} m`),
       lines.map((line) => {
         const value = line.points.find(([each]) => each === d)?.[1];
-        return el("span", {}, el("i", { class: "key", style: { borderColor: line.colour, borderTopStyle: line.dash ? "dashed" : "solid" } }), `${line.name} ${value === null || value === undefined ? "–" : `${(100 * value).toFixed(1)} %`}`);
+        return el("span", {}, el("i", { class: "key", style: { borderColor: line.colour, borderTopStyle: !line.dash ? "solid" : line.dash.startsWith("2") ? "dotted" : "dashed" } }), `${line.name} ${value === null || value === undefined ? "–" : `${(100 * value).toFixed(1)} %`}`);
       }),
     );
   };

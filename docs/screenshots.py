@@ -1,0 +1,148 @@
+"""Take the pictures of the page for the README: `make screenshots`.
+
+Simulates the demo drive, has a real server of its own work on it, and opens the page in the Chromium of this machine.
+The pictures of 1280 by 800 pixels go to docs/figures; with --look FOLDER those of other sizes and colours go there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import tempfile
+from collections.abc import Callable, Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from interloc.cli.main import run
+from tests.app.processes import API, ServerProcess, ended, started, submit
+from tests.page.browsers import PATIENCE_MS, chromium
+
+FIGURES = Path(__file__).parent / "figures"
+Size = tuple[int, int]
+SIZE = (1280, 800)
+LARGE = (1920, 1080)
+PRESETS = ("paper", "default")
+
+
+class Studio:
+    """A server with the demo drive, worked on with both presets; the same drive as a folder."""
+
+    def __init__(self, server: ServerProcess, folder: Path) -> None:
+        self.address = server.address
+        self.folder = folder / "demo"
+        assert run(["simulate", "town", "--small", "-o", str(self.folder), "--quiet"]) == 0
+        drive = server.client.post(f"{API}/demo", headers={"Prefer": "wait=300"}, timeout=310).raise_for_status().json()
+        jobs = [submit(server.client, drive["id"], preset=preset, osm={"file": "map.osm"}) for preset in PRESETS]
+        done = [ended(server.client, job) for job in jobs]
+        assert all(job["state"] == "successful" for job in done), done
+        self.job = done[-1]["id"]
+        keyframes = server.client.get(f"{API}/jobs/{self.job}/keyframes").json()["features"]
+        self.frame = max((each["properties"] for each in keyframes), key=lambda each: each["detections"])["frame"]
+        self.now = datetime.fromisoformat(done[-1]["finished_at"]) + timedelta(seconds=9)
+
+    def show(self, page: Any, fields: str) -> None:
+        """Open a link to the result."""
+        page.goto(f"{self.address}/#job={self.job}&{fields}")
+        page.wait_for_selector(".legend")
+
+
+def show_map(page: Any, studio: Studio) -> None:
+    """Show the map, and the report beside it."""
+    studio.show(page, f"panel=report&frame={studio.frame}")
+    page.wait_for_selector("#panel-report tbody tr")
+
+
+def show_job(page: Any, studio: Studio) -> None:
+    """Show the figures of the job."""
+    studio.show(page, "panel=job")
+    page.wait_for_selector("#panel-job .figure")
+
+
+def show_report(page: Any, studio: Studio) -> None:
+    """Show the end of the report: a node on the map, both presets side by side."""
+    studio.show(page, "panel=report")
+    page.locator("#panel-report tbody tr.can").first.click()
+    page.locator(".leaflet-popup-content").wait_for()
+    page.locator("#panel-report select").last.select_option(index=1)
+    page.wait_for_selector("#panel-report td.better")
+    page.locator("#panel").evaluate("(panel) => panel.scrollTo(0, panel.scrollHeight)")
+
+
+def show_keyframe(page: Any, studio: Studio) -> None:
+    """Show what the method saw at a keyframe."""
+    studio.show(page, f"panel=job&frame={studio.frame}&drawer=1")
+    page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
+
+
+def show_upload(page: Any, studio: Studio) -> None:
+    """Show the form of an upload."""
+    page.goto(f"{studio.address}/#panel=upload")
+    page.set_input_files("input[name=folder]", studio.folder)
+    page.wait_for_selector(".upload-form >> text=read as")
+
+
+VIEWS: dict[str, Callable[[Any, Studio], None]] = {
+    "page_map": show_map,
+    "page_report": show_report,
+    "page_keyframe": show_keyframe,
+    "page_upload": show_upload,
+}
+
+
+def take(browser: Any, studio: Studio, show: Callable[[Any, Studio], None], size: Size, scheme: str) -> bytes:
+    """Open a view in a tab of its own; returns the picture as PNG."""
+    context = browser.new_context(
+        viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, reduced_motion="reduce"
+    )
+    context.set_default_timeout(PATIENCE_MS)
+    page = context.new_page()
+    page.clock.set_fixed_time(studio.now)  # so that "just now" does not move
+    show(page, studio)
+    page.wait_for_load_state("networkidle")
+    page.mouse.move(size[0] - 2, 2)
+    page.wait_for_timeout(400)  # the canvas is painted at the next frame
+    picture: bytes = page.screenshot(animations="disabled")
+    context.close()
+    return shrink(picture)
+
+
+def shrink(picture: bytes) -> bytes:
+    """Pack a PNG as well as it can be, without an alpha channel and with its colours untouched."""
+    buffer = io.BytesIO()
+    Image.open(io.BytesIO(picture)).convert("RGB").save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def take_all(look: Path | None) -> Iterator[Path]:
+    """Take all pictures; yields the files written."""
+    with tempfile.TemporaryDirectory() as temporary, chromium() as browser:
+        folder = Path(temporary)
+        with started(folder / "data", folder / "server.log") as server:
+            studio = Studio(server, folder)
+            for name, show in VIEWS.items():
+                path = FIGURES / f"{name}.png"
+                path.write_bytes(take(browser, studio, show, SIZE, "light"))
+                yield path
+            if look is None:
+                return
+            look.mkdir(parents=True, exist_ok=True)
+            for name, show in (VIEWS | {"page_job": show_job}).items():
+                for size, scheme in ((SIZE, "light"), (LARGE, "light"), (SIZE, "dark"), ((400, 800), "light")):
+                    path = look / f"{name}_{size[0]}_{scheme}.png"
+                    path.write_bytes(take(browser, studio, show, size, scheme))
+                    yield path
+
+
+def main(say: Callable[[str], object] = print) -> None:
+    """Take the pictures, and name them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--look", type=Path, metavar="FOLDER", help="further pictures, to look at")
+    for path in take_all(parser.parse_args().look):
+        say(f"{path}  {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
