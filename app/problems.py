@@ -13,7 +13,7 @@ from fastapi.encoders import jsonable_encoder
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
-from sqlalchemy.exc import OperationalError, SQLAlchemyError
+from sqlalchemy.exc import DataError, OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
@@ -175,6 +175,12 @@ def _of_database_error(error: SQLAlchemyError) -> Problem:
     return Problem(503, "Database busy", detail, headers={"Retry-After": "5"})
 
 
+def _of_data_error(error: DataError) -> Problem:
+    if "NUL" not in str(error.orig):
+        return _of_fault(error)
+    return Problem(422, "Request not valid", "An id or a name holds a zero character, which none of them has.")
+
+
 def _of_fault(error: Exception) -> Problem:
     _log.error("a fault of the service itself", exc_info=error)
     return Problem(500, "Fault of the service", "A fault of the service itself; its log tells more. Please report it.")
@@ -187,6 +193,7 @@ _TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {
     RequestValidationError: _of_validation_error,
     OSError: _of_os_error,
     ClientDisconnect: _of_disconnect,
+    DataError: _of_data_error,
     OperationalError: _of_database_error,
     PoolTimeout: _of_database_error,
 }
