@@ -79,9 +79,10 @@ def _settle_commit(session: Session, service: Service, job: Job, drive: Drive, o
     if not outcome.summary["ok"] or job.request.get("check_only"):
         return
     built = service.storage.folder(f"jobs/{job.id}/result")
-    service.storage.delete(reduced_key(drive.id))
     target = service.storage.folder(reduced_key(drive.id))
-    (built / REDUCED).replace(target)
+    if (built / REDUCED).is_dir():  # else it is there: the transaction did not come through, and is tried again
+        service.storage.delete(reduced_key(drive.id))
+        (built / REDUCED).replace(target)
     for name in TRAJECTORY:
         with suppress(FileNotFoundError):
             (built / name).replace(target.parent / name)
@@ -147,12 +148,18 @@ def tidy_drive(service: Service, drive_id: str, *, keep_raw: bool) -> None:
     if not service.storage.folder(reduced_key(drive_id)).is_dir():
         _log.error("drive %s is ready, but its reduced folder is not there", drive_id)
         return
-    for folder, folders, names in os.walk(root, topdown=False):
-        for name in names:
-            path = Path(folder, name)
-            if not is_map(path.relative_to(root).as_posix()):
-                with suppress(OSError):
-                    path.unlink()
+    raw = [
+        path
+        for folder, _, names in os.walk(root)
+        for path in (Path(folder, name) for name in names)
+        if not is_map(path.relative_to(root).as_posix())
+    ]
+    if raw:
+        os.sync()  # what replaces them, and the row that says so, must outlive a power cut that comes now
+    for path in raw:
+        with suppress(OSError):
+            path.unlink()
+    for folder, folders, _ in os.walk(root, topdown=False):
         for name in folders:
             with suppress(OSError):
                 Path(folder, name).rmdir()

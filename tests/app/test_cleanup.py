@@ -13,12 +13,14 @@ from sqlalchemy import update
 from app.drives.cleanup import LEFT_ALONE_S, sweep
 from app.drives.intake import Arrival
 from app.drives.placement import keep
-from app.drives.records import create_drive, delete_file, list_drives, list_files
+from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
+from app.drives.settle import settle
 from app.jobs.queue import submit
 from app.models import Drive
 from app.schemas.drives import NewDrive
 from app.service import Service
 from app.settings import Settings
+from app.work.task import Outcome
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 HOUR_S = 3600.0
@@ -142,6 +144,44 @@ def test_raw_scans_of_a_ready_drive_go_even_after_a_crash(service: Service, *, k
         files = service.storage.folder(f"drives/{drive}/files")
         left = sorted(path.relative_to(files).as_posix() for path in files.rglob("*") if path.is_file())
         assert left == (["map.osm", "velodyne/000000.bin"] if keep_raw else ["map.osm"])
+
+
+def test_raw_scans_go_once_all_else_is_on_disk(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a power cut could leave neither them nor what was made of them."""
+    drive = make_drive(service, state="ready")
+    service.storage.folder(f"drives/{drive}/reduced").mkdir()
+    scan = service.storage.folder(f"drives/{drive}/files/velodyne/000000.bin")
+    seen = []
+    monkeypatch.setattr(os, "sync", lambda: seen.append(scan.is_file()))
+    for _ in range(2):  # nothing is left to wait for the second time
+        sweep(service)
+    assert seen == [True]
+    assert not scan.exists()
+
+
+def test_the_end_of_a_commit_is_written_again_where_the_database_failed(service: Service) -> None:
+    drive = make_drive(service, state="checking")
+    with service.database.writing() as session:
+        work = {"options": {}, "keep_raw": False, "check_only": False}
+        job, _ = submit(session, service.database, kind="commit", drive_id=drive, owner="somebody", request=work)
+    built = service.storage.folder(f"jobs/{job.id}/result/reduced")
+    built.mkdir(parents=True)
+    (built / "reduced.json").write_bytes(b"{}")
+    outcome = Outcome({"ok": True, "reduced_bytes": 2}, {"path": "town", "name": "town"})
+
+    def end(*, fails: bool) -> None:
+        with service.database.writing() as session:
+            settle(session, service, session.merge(job), outcome)
+            if fails:
+                raise ConnectionError
+
+    with pytest.raises(ConnectionError):
+        end(fails=True)
+    end(fails=False)
+    with service.database.reading() as session:
+        assert find_drive(session, drive).state == "ready"
+    assert service.storage.folder(f"drives/{drive}/reduced/reduced.json").read_bytes() == b"{}"
+    assert not service.storage.folder(f"drives/{drive}/files/velodyne").exists()
 
 
 def test_raw_scans_stay_where_nothing_replaces_them(service: Service, caplog: pytest.LogCaptureFixture) -> None:
