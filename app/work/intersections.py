@@ -32,6 +32,11 @@ from interloc.results import DriveResult
 _RANGE = 240
 """Keyframes of a part with images of `_CELLS` a side: a second or two of work, of which the halo is a twentieth."""
 
+_MAP_RATIO = 60
+"""Real maps unpack to 10 to 30 times their size. What unpacks to more is made to keep a worker busy."""
+
+_MAP_FREE_BYTES = 64 * 1024**2  # for small ones, whatever they are
+
 _SHORTEST_RANGE = 40
 _CELLS = 750
 
@@ -157,12 +162,15 @@ def _bounds(drive: Drive, keyframes: _Positions) -> Bounds:
 
 
 def _read_map(task: Task, drive: Drive, keyframes: _Positions) -> RoadGraph:
+    from interloc.osm.container import MAX_UNPACKED_BYTES  # noqa: PLC0415
     from interloc.osm.overpass import download_roads  # noqa: PLC0415 - the network only where it is asked for
     from interloc.osm.reader import read_osm  # noqa: PLC0415
 
     osm: dict[str, Any] = task.request["osm"]
     if "file" in osm:
-        return read_osm(task.drive / "files" / osm["file"])
+        path = task.drive / "files" / osm["file"]
+        most_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
+        return read_osm(path, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, most_bytes))
     board = Board(task)
 
     def wait(reason: str, seconds: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import threading
 from collections.abc import Callable, Iterator
@@ -267,6 +268,15 @@ def test_a_damaged_map_is_told_before_the_long_work(client: httpx.Client, data_d
     assert "broken.osm: is damaged" in job["error"]["detail"]
     assert str(data_dir) not in job["error"]["detail"]
     assert job["progress"]["done"] == 0
+
+
+def test_a_map_that_is_a_bomb_is_not_unpacked(client: httpx.Client, drive: str) -> None:
+    head = b'<osm version="0.6"><node id="1" lat="49" lon="8"/>'
+    bomb = gzip.compress(head + b"<!-- nothing -->\n" * 8_000_000)
+    assert client.put(f"{API}/drives/{drive}/files/bomb.osm.gz", content=bomb).status_code in {200, 201}
+    job = ended(client, submit(client, drive, osm={"file": "bomb.osm.gz"}))
+    assert (job["state"], job["attempts"], job["error"]["status"]) == ("failed", 1, 422)
+    assert "bomb.osm.gz: unpacks to more than 0.1 GB" in job["error"]["detail"]
 
 
 def test_labels_that_are_not_there_are_told(client: httpx.Client, drive: str) -> None:
