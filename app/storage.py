@@ -10,20 +10,15 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Protocol
 
 from interloc.errors import InterLocError
 
 
 class Storage(Protocol):
     """Where drives and results lie."""
-
-    def writer(self, key: str) -> AbstractContextManager[BinaryIO]:
-        """Open a new file that takes its name when the block ends without error: whole, on disk, or not at all."""
-        ...
 
     def folder(self, key: str) -> Path:
         """Return the folder of a key, for code that works on folders; it need not exist."""
@@ -49,24 +44,6 @@ class LocalStorage:
         if not path.is_relative_to(self.root) or path == self.root:
             raise InterLocError(f"{key!r} leads out of the data folder")
         return path
-
-    @contextmanager
-    def writer(self, key: str) -> Iterator[BinaryIO]:  # noqa: D102 - see Storage
-        path = self.folder(key)
-        incoming = self.root / "incoming"
-        incoming.mkdir(parents=True, exist_ok=True)
-        temporary = incoming / secrets.token_hex(12)
-        try:
-            with temporary.open("xb") as file:
-                yield file
-                file.flush()
-                os.fsync(file.fileno())
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.replace(path)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
 
     def delete(self, key: str) -> None:  # noqa: D102 - see Storage
         path = self.folder(key)

@@ -14,6 +14,9 @@ MAX_SEGMENT_BYTES = 255
 
 MAX_DEPTH = 16
 
+MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
+"""In any case of letters."""
+
 _SHOWN = 80
 _CONTROLS = {"Cc", "Cs", "Zl", "Zp"}
 
@@ -45,7 +48,7 @@ def check_path(path: str) -> str:
 
 def is_map(path: str) -> bool:
     """Tell whether a file is an OpenStreetMap file; a drive takes those at any time."""
-    return path.lower().endswith((".osm", ".osm.gz", ".osm.bz2", ".osm.pbf"))
+    return path.lower().endswith(MAP_ENDINGS)
 
 
 def _complaint(path: str) -> str | None:

@@ -6,13 +6,12 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
+from app.drives.names import MAP_ENDINGS, is_map
 from app.models import DriveFile
 from app.problems import Problem, disk_full
 from app.schemas.jobs import NewJob, OsmFile
 from app.service import Service
 from interloc.config import DetectorConfig, parse_config, preset
-
-_OSM_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
 
 
 def check_request(session: Session, service: Service, new: NewJob) -> dict[str, Any]:
@@ -35,9 +34,9 @@ def check_request(session: Session, service: Service, new: NewJob) -> dict[str, 
                 f"osm.file: there is no {new.osm.file!r} among the files of drive {new.drive_id}. Upload it first: "
                 f"PUT /api/v1/drives/{new.drive_id}/files/{{path}}.",
             )
-        if not new.osm.file.endswith(_OSM_ENDINGS):
+        if not is_map(new.osm.file):
             raise Problem(
-                422, "Not a map", f"osm.file: {new.osm.file!r}; expected a name that ends in {', '.join(_OSM_ENDINGS)}."
+                422, "Not a map", f"osm.file: {new.osm.file!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}."
             )
     elif new.osm is not None and not service.settings.overpass:
         raise Problem(
