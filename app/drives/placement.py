@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from app.drives.intake import INCOMING, Arrival
 from app.drives.limits import check_drive, check_free_space
 from app.drives.names import is_map
-from app.drives.records import files_key, find_drive, no_drive
+from app.drives.records import files_key, find_drive, no_drive, remove_empty
 from app.models import Drive, DriveFile
 from app.problems import Problem
 from app.service import Service
@@ -193,6 +193,13 @@ class Placement:
         Problem
             409: a file has the name of a folder, or the other way round.
         """
+        try:
+            self._move(arrivals)
+        except BaseException:
+            self._restore()  # while the drive is still locked: nobody else has put a file there
+            raise
+
+    def _move(self, arrivals: Iterable[Arrival]) -> None:
         for arrival in arrivals:
             target = self._files / arrival.path
             try:
@@ -211,15 +218,23 @@ class Placement:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        for target, old in reversed(self._moved):
+        if kind is not None:
+            self._restore()
+        for _, old in self._moved:
+            if old is not None:
+                with suppress(OSError):
+                    old.unlink()
+
+    def _restore(self) -> None:
+        """Put everything back as it was, folders too: an empty one would hinder a file of its name."""
+        while self._moved:
+            target, old = self._moved.pop()
             with suppress(OSError):
-                if kind is None:
-                    if old is not None:
-                        old.unlink()
-                elif old is not None:
+                if old is not None:
                     old.replace(target)
                 else:
                     target.unlink(missing_ok=True)
+            remove_empty(target.parent, self._files)
 
     def _save(self, target: Path) -> Path | None:
         """Keep the file that is about to be replaced; readers find it under its name all the while."""

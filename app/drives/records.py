@@ -188,11 +188,15 @@ def delete_file(service: Service, drive_id: str, path: str) -> None:
         session.flush()
         root = service.storage.folder(files_key(drive_id))
         (root / path).unlink(missing_ok=True)
-        for folder in (root / path).parents:  # an empty folder would hinder a file of its name
-            if folder == root:
-                break
-            with suppress(OSError):
-                folder.rmdir()
+        remove_empty((root / path).parent, root)
+
+
+def remove_empty(folder: Path, root: Path) -> None:
+    """Remove a folder and those above it up to a root, as far as they are empty: a file may want their name."""
+    while folder != root:
+        with suppress(OSError):
+            folder.rmdir()
+        folder = folder.parent
 
 
 def delete_drive(service: Service, drive_id: str, *, only_if: Callable[[Session, Drive], bool] | None = None) -> bool:

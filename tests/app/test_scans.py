@@ -165,6 +165,13 @@ def test_names_in_conflict_leave_what_was_there(client: httpx.Client, drive: str
     assert sorted(left(tmp_path)) == ["b", "poses.txt"]
 
 
+def test_a_refused_batch_leaves_no_folder_in_the_way(client: httpx.Client, drive: str) -> None:
+    answer = send(client, drive, [("files", ("a/b/c", b"1")), ("files", ("a/b", b"2"))])
+    assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
+    assert listed(client, drive) == []
+    assert client.put(f"{drive}/files/a", content=b"3").status_code == 201
+
+
 def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
     client = serve(max_batch_files=3, max_batch_bytes=500_000, max_file_bytes=200_000)
     drive = str(client.post("/api/v1/drives", json={"name": "town"}).headers["location"])
