@@ -2,9 +2,11 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+PORT ?= 8000
+SERVE ?= yes
 READY := $(VENV)/.ready
 
-.PHONY: install serve demo test lint format types bench clean
+.PHONY: install serve demo test lint format types bench bench-page screenshots clean
 
 install: $(READY)
 
@@ -20,7 +22,8 @@ $(READY): pyproject.toml constraints.txt static/package-lock.json
 serve: $(READY)
 	$(BIN)/interloc serve
 
-# A drive through a made-up town, found, mapped and scored against the town's own map: all in demo/.
+# A drive through a made-up town, mapped and scored against the town's own map, all in demo/; then the same in the web
+# service, until Ctrl-C. `make demo SERVE=` leaves the service out, `make demo PORT=8001` has it elsewhere.
 demo: $(READY)
 	$(BIN)/interloc simulate town --small -o demo/drive
 	$(BIN)/interloc run demo/drive -o demo/result --osm demo/drive/map.osm
@@ -28,6 +31,14 @@ demo: $(READY)
 	@echo "The report:                            demo/result/report.html"
 	@echo "The map, for QGIS or any GIS:          demo/result/intersections.geojson"
 	@echo "The steps of the method at one scan:   $(BIN)/interloc explain demo/drive --frame 100 -o demo/steps"
+ifneq ($(SERVE),)
+	@echo
+	@trap : INT; { \
+	  until $(BIN)/python -c "from urllib.request import urlopen as ask; ask('http://127.0.0.1:$(PORT)/readyz')" 2>/dev/null; \
+	  do sleep 0.5; done; \
+	  exec $(BIN)/interloc push demo/drive --osm demo/drive/map.osm --run --server http://127.0.0.1:$(PORT); \
+	} & $(BIN)/interloc serve --port $(PORT) --data-dir demo/service --log-level error; kill $$! 2>/dev/null || true
+endif
 
 test: lint types
 	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered
@@ -45,6 +56,14 @@ types: $(READY)
 
 bench: $(READY)
 	$(BIN)/python tests/benchmarks/bench.py
+
+# How smoothly the map moves with ten thousand detections; needs Chromium.
+bench-page: $(READY)
+	$(BIN)/python -m tests.benchmarks.page
+
+# The pictures of the page in the README; needs Chromium.
+screenshots: $(READY)
+	$(BIN)/python -m docs.screenshots
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage

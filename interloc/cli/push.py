@@ -204,5 +204,7 @@ def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tupl
         return [*rows, ("next", f"the same command with --run -o OUT (nothing is sent twice), or {pushed.server}")]
     rows.append(("job", job.id))
     if out is None:
-        return [*rows, ("next", f"interloc fetch {job.id} -o OUT, or {pushed.server}")]
-    return [*rows, *result_facts(job, out)[1:]]
+        rows.append(("next", f"interloc fetch {job.id} -o OUT"))
+    else:
+        rows += result_facts(job, out)[1:]
+    return [*rows, ("page", f"{pushed.server}/#panel=report&job={job.id}")]

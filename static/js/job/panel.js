@@ -24,11 +24,13 @@ const FINAL = new Set(["successful", "failed", "dismissed"]);
 /** @param {HTMLElement} container */
 export function mount(container) {
   let stop = new AbortController();
+  const silence = el("p", { class: "note warning", role: "status", hidden: true }, el("strong", {}, "The server does not answer"), "This page tries again until it does. Jobs outlive a restart: they go on where they stopped.");
 
   const start = async () => {
     stop.abort();
     stop = new AbortController();
     const { signal } = stop;
+    silence.hidden = true;
     const id = getState().job;
     if (!id) return fill(container, el("p", { class: "quiet" }, "Choose a job, or run a drive."));
     try {
@@ -42,9 +44,10 @@ export function mount(container) {
       signal.addEventListener("abort", () => clearInterval(look));
       await follow(`jobs/${id}/events`, {
         signal,
-        onConnection: (connected) => container.classList.toggle("offline", !connected),
+        onConnection: (connected) => (silence.hidden = connected),
         onEvent: (next) => {
           if (signal.aborted) return true;
+          silence.hidden = true;
           update(next);
           if (FINAL.has(next.state)) clearInterval(look);
           return FINAL.has(next.state);
@@ -77,6 +80,7 @@ export function mount(container) {
         "div",
         { class: "stack" },
         el("div", {}, el("div", { class: "spread" }, el("h2", { class: "cut", title: job.drive_name }, job.drive_name), stateBadge(job.state)), el("p", { class: "small" }, `Preset ${job.request.preset ?? "default"}, submitted ${formatAgo(job.created_at)}`)),
+        silence,
         job.state === "successful" ? outcome(job) : job.state === "failed" ? failure(job) : job.state === "dismissed" ? dismissed(job) : progress(job),
       ),
     );
