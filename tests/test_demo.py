@@ -3,27 +3,92 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
+import signal
+import socket
+import subprocess
+import sys
 from pathlib import Path
 
+import httpx
 import pytest
 
 from interloc.cli.main import run
 
 MAKEFILE = Path(__file__).resolve().parents[1] / "Makefile"
+RECIPE = MAKEFILE.read_text().split("\ndemo:")[1].split("\nendif")[0]
+ON_THE_COMMAND_LINE, IN_THE_SERVICE = RECIPE.split("\nifneq ($(SERVE),)\n")
 
 
-def test_the_demo_makes_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recipe = MAKEFILE.read_text().split("\ndemo:")[1].split("\n\n")[0].splitlines()[1:]
-    commands = [line for line in recipe if line.startswith("\t$(BIN)/interloc ")]
-    promised = [name for line in recipe if line.startswith("\t@echo") for name in re.findall(r"demo/\S+\.\w+", line)]
-    assert len(commands) == len(promised) == 2
-    monkeypatch.chdir(tmp_path)
-    for line in commands:
-        assert run(shlex.split(line)[1:]) == 0
+def work(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the commands of the first part, in a folder."""
+    monkeypatch.chdir(folder)
+    for line in ON_THE_COMMAND_LINE.splitlines():
+        if line.startswith("\t$(BIN)/interloc "):
+            assert run(shlex.split(line)[1:]) == 0
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demo")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        work(folder, monkeypatch)
+    return folder
+
+
+def test_the_demo_makes_what_it_says(demo: Path) -> None:
+    promised = [
+        name
+        for line in ON_THE_COMMAND_LINE.splitlines()
+        if line.startswith("\t@echo")
+        for name in re.findall(r"demo/\S+\.\w+", line)
+    ]
+    assert len(promised) == 2
     for name in promised:
-        assert Path(name).is_file()
-    report = json.loads(Path("demo/result/report.json").read_text())
+        assert (demo / name).is_file()
+    report = json.loads((demo / "demo/result/report.json").read_text())
     assert report["nodes_found"] == report["nodes_in_zone"] == 5
     assert report["precision"]["5.0"] > 0.9
+
+
+def test_the_demo_ends_in_the_service(demo: Path, tmp_path: Path) -> None:
+    """Its last command, as make gives it to the shell: serve, send the drive, name the result, end by Ctrl-C."""
+    port = free_port()
+    makefile = tmp_path / "Makefile"
+    settings = f"BIN := {Path(sys.executable).parent}\nPORT := {port}\n"
+    makefile.write_text(f"{settings}.PHONY: demo\ndemo:\n{IN_THE_SERVICE}\n")
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(("INTERLOC_", "MAKE"))}
+    process = subprocess.Popen(
+        ["make", "-f", str(makefile), "demo"],
+        cwd=demo,
+        env=clean | {"INTERLOC_MIN_FREE_BYTES": "0"},
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    try:
+        lines = iter(process.stdout.readline, "")
+        address = next(line for line in lines if line.startswith("page ")).split()[1]
+        base, job = address.split("/#panel=report&job=")
+        assert base == f"http://127.0.0.1:{port}"
+        told = httpx.get(f"{base}/api/v1/jobs/{job}").json()
+        assert told["state"] == "successful"
+        assert told["summary"]["report"]["nodes_found"] == 5
+        os.killpg(process.pid, signal.SIGINT)
+        process.wait(60)
+        with pytest.raises(httpx.ConnectError):
+            httpx.get(base)
+    finally:
+        process.stdout.close()
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()

@@ -72,10 +72,11 @@ class Watch:
     def check(self) -> None:
         """Fail where something went wrong that no test asked for."""
         known = [*self._expected, *self._excused]
-        assert [fault for fault in self.faults if not any(each.search(fault) for each in known)] == []
+        unknown = [fault for fault in self.faults if not any(each.search(fault) for each in known)]
+        assert not unknown, "\n".join(unknown)
         missing = [each.pattern for each in self._expected if not any(each.search(fault) for fault in self.faults)]
-        assert missing == [], f"these faults did not happen; there were {self.faults}"
-        assert self.elsewhere == [], "asked other servers"
+        assert not missing, f"{missing} did not happen; there were {self.faults}"
+        assert not self.elsewhere, f"other servers were asked: {self.elsewhere}"
 
     def _note_message(self, message: Any) -> None:
         if message.type in {"error", "warning"}:
