@@ -14,22 +14,13 @@ import httpx
 import pytest
 
 from interloc import detect, evaluate, open_drive, read_osm, write_results
-from tests.app.processes import ServerProcess, ended, started
+from tests.app.processes import API, ServerProcess, ended, started
 from tests.app.street import write_street
-
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
+from tests.page.browsers import Browser, Watch, needs_page
 
 SAMPLE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti360_0009"
 
-pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
-    pytest.mark.skipif(not LEAFLET.is_dir(), reason="the page is not set up: npm ci in static/"),
-]
-
-API = "/api/v1"
-PATIENCE_MS = 90_000
+pytestmark = needs_page
 
 
 @pytest.fixture(scope="module")
@@ -44,29 +35,17 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_street(tmp_path_factory.mktemp("drives") / "street", 60)
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
-    with playwright.sync_playwright() as running:
-        chromium = running.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield chromium
-        chromium.close()
-
-
 class Upload:
     """The upload panel in a tab."""
 
     def __init__(self, page: Any, address: str) -> None:
         self.page = page
         self.sent: list[str] = []
-        page.set_default_timeout(PATIENCE_MS)
         self.under_way: set[Any] = set()
         self.held: list[Any] = []
         page.on("request", self._note)
         page.on("requestfinished", self._note_end)
         page.on("requestfailed", self._note_end)
-        self.faults: list[str] = []
-        page.on("pageerror", lambda error: self.faults.append(str(error)))
         page.goto(f"{address}/#panel=upload")
         page.wait_for_selector(".drop")
 
@@ -126,12 +105,8 @@ class Upload:
 
 
 @pytest.fixture
-def upload(browser: Any, server: ServerProcess) -> Iterator[Upload]:
-    context = browser.new_context(viewport={"width": 1280, "height": 800})
-    panel = Upload(context.new_page(), server.address)
-    yield panel
-    context.close()
-    assert not panel.faults
+def upload(browser: Browser, server: ServerProcess) -> Upload:
+    return Upload(browser.new_page(), server.address)
 
 
 def drive_of(client: httpx.Client, job_id: str) -> dict[str, Any]:
@@ -277,7 +252,8 @@ def test_a_paused_upload_stands_still_and_goes_on(upload: Upload, server: Server
     assert ended(server.client, upload.job())["state"] == "successful"
 
 
-def test_a_server_that_comes_back_is_waited_for(browser: Any, street: Path, tmp_path: Path) -> None:
+def test_a_server_that_comes_back_is_waited_for(browser: Browser, watch: Watch, street: Path, tmp_path: Path) -> None:
+    watch.expect("net::ERR_")
     with started(tmp_path / "data", tmp_path / "log", workers=1) as first:
         upload = Upload(browser.new_context().new_page(), first.address)
         upload.pick(street)
@@ -386,7 +362,7 @@ def test_settings_labels_and_maps_of_the_form_reach_the_job(
 
 
 @pytest.mark.parametrize("scheme", ["dark", "light"])
-def test_the_form_is_usable_by_keyboard(browser: Any, server: ServerProcess, street: Path, scheme: str) -> None:
+def test_the_form_is_usable_by_keyboard(browser: Browser, server: ServerProcess, street: Path, scheme: str) -> None:
     context = browser.new_context(color_scheme=scheme)
     upload = Upload(context.new_page(), server.address)
     upload.pick(street)

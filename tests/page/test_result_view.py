@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from interloc.config import DetectorConfig
@@ -64,6 +65,41 @@ def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> N
     for name, count in expected.items():
         shown = re.search(rf"^{name}\s+([\d,]+)$", legend, re.MULTILINE)
         assert int(shown[1].replace(",", "") if shown else 0) == count, name
+
+
+# Notes the middle of all discs of the surface, since it was last cleared.
+NOTE_DISCS = """(() => {
+  const { arc, clearRect } = CanvasRenderingContext2D.prototype;
+  CanvasRenderingContext2D.prototype.clearRect = function (...box) {
+    this.canvas.discs = [];
+    clearRect.apply(this, box);
+  };
+  CanvasRenderingContext2D.prototype.arc = function (x, y, ...rest) {
+    this.canvas.discs?.push([x, y]);
+    arc.call(this, x, y, ...rest);
+  };
+})()"""
+READ_DISCS = """() => [...document.querySelectorAll(".leaflet-pane canvas")].flatMap((canvas) => {
+  const { x, y } = canvas.getBoundingClientRect();
+  return (canvas.discs ?? []).map((disc) => [x + disc[0], y + disc[1]]);
+})"""
+
+
+@pytest.mark.parametrize(("layer", "file"), [("tp", "detections"), ("keyframes", "keyframes")])
+def test_each_place_of_a_file_is_drawn_and_nothing_else(page: Any, done: Done, layer: str, file: str) -> None:
+    page.add_init_script(NOTE_DISCS)
+    features = done.features(file)
+    if layer == "tp":
+        outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
+        assert outcomes == ["TP"] * len(features)  # no crosses to be looked for
+    lon, lat = np.mean([feature["geometry"]["coordinates"] for feature in features], axis=0)
+    show(page, done, f"layers={layer}&view=18/{lat}/{lon}")
+    page.wait_for_timeout(300)
+    discs = np.array(page.evaluate(READ_DISCS))
+    places = np.array([on_screen(page, *feature["geometry"]["coordinates"]) for feature in features])
+    away = np.hypot(*(discs[:, None] - places[None]).transpose(2, 0, 1))
+    assert away.min(axis=0).max() < 1.5  # signs on the same pixel are drawn once
+    assert away.min(axis=1).max() < 1.5
 
 
 def test_seen_area_and_picture_lie_where_the_server_says(page: Any, done: Done) -> None:

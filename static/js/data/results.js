@@ -60,7 +60,7 @@ async function load(job) {
   /** @param {string} name */
   const layer = (name) => getJson(local ? `${at}/files/${name}.local.json` : `${at}/${name}`);
   /** @param {string} name */
-  const evaluated = (name) => (local ? Promise.resolve(null) : orNull(getJson(`${at}/${name}`)));
+  const evaluated = (name) => (local || !job.request.osm ? Promise.resolve(null) : orNull(getJson(`${at}/${name}`)));
   const [keyframes, detections, intersections, trajectory, report, nodes, matches, roads] = await Promise.all([
     ...["keyframes", "detections", "intersections", "trajectory"].map(layer),
     ...["report", "osm-nodes", "matches", "osm-roads"].map(evaluated),
