@@ -34,6 +34,11 @@ def wait_until(condition: Callable[[], Any], what: str, patience_s: float = PATI
     raise AssertionError(f"waited {patience_s:.0f} s in vain for {what}")
 
 
+def files_below(folder: Path) -> list[Path]:
+    """All files below a folder that a server works in: what goes meanwhile is passed over."""
+    return [Path(root) / name for root, _, names in os.walk(folder) for name in names]
+
+
 class ServerProcess:
     """`interloc serve` in a process group of its own; `port` 0 is any free one."""
 

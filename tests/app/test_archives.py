@@ -18,6 +18,7 @@ import pytest
 import zstandard
 
 from tests.app.conftest import running_server
+from tests.app.processes import files_below
 
 FILES = {
     "poses.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n",
@@ -83,11 +84,7 @@ def digests(files: dict[str, bytes]) -> dict[str, str]:
 
 
 def left(home: Path, below: str = "data") -> list[str]:
-    return sorted(
-        path.relative_to(home).as_posix()
-        for path in (home / below).rglob("*")
-        if path.is_file() and "sqlite" not in path.name
-    )
+    return sorted(path.relative_to(home).as_posix() for path in files_below(home / below) if "sqlite" not in path.name)
 
 
 def refuse(client: httpx.Client, tmp_path: Path, data: bytes, *reasons: str, status: int = 422) -> None:

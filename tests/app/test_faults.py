@@ -22,6 +22,7 @@ from tests.app.processes import (
     ServerProcess,
     archive_of,
     ended,
+    files_below,
     half_way,
     job_of,
     started,
@@ -95,7 +96,7 @@ def test_a_job_goes_on_where_the_killed_server_left_it(
     scratch = tmp_path / "data" / "jobs" / job / "scratch"
 
     def checkpoints() -> dict[str, int]:
-        return {path.name: path.stat().st_mtime_ns for path in scratch.rglob("*.npz")} if scratch.exists() else {}
+        return {path.name: path.stat().st_mtime_ns for path in files_below(scratch) if path.suffix == ".npz"}
 
     wait_until(checkpoints, "the first finished range")
     half_way(server.client, job)

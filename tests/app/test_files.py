@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from app.drives.names import BadNameError, check_path
+from tests.app.processes import files_below
 
 BIG = os.urandom(3 * 1024 * 1024 + 17)  # more than a piece
 
@@ -41,9 +42,7 @@ def stored(tmp_path: Path) -> list[str]:
     """All files below the data folder but the database."""
     data = tmp_path / "data"
     return sorted(
-        path.relative_to(data).as_posix()
-        for path in data.rglob("*")
-        if path.is_file() and not path.name.startswith("interloc.sqlite3")
+        path.relative_to(data).as_posix() for path in files_below(data) if not path.name.startswith("interloc.sqlite3")
     )
 
 

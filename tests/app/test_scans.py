@@ -11,6 +11,8 @@ from typing import Any
 import httpx
 import pytest
 
+from tests.app.processes import files_below
+
 Parts = list[tuple[str, tuple[str | None, bytes]]]
 
 
@@ -36,7 +38,7 @@ def listed(client: httpx.Client, drive: str) -> list[str]:
 
 
 def left(tmp_path: Path) -> list[str]:
-    return [path.name for path in (tmp_path / "data").rglob("*") if path.is_file() and "sqlite" not in path.name]
+    return [path.name for path in files_below(tmp_path / "data") if "sqlite" not in path.name]
 
 
 def test_every_part_goes_to_its_place(client: httpx.Client, drive: str) -> None:
