@@ -41,6 +41,7 @@ ifneq ($(SERVE),)
 endif
 
 test: lint types
+	@if command -v npm >/dev/null && [ ! -d static/node_modules/axe-core ]; then npm ci --silent --prefix static; fi
 	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered
 
 lint: $(READY)
