@@ -6,7 +6,7 @@ PORT ?= 8000
 SERVE ?= yes
 READY := $(VENV)/.ready
 
-.PHONY: install serve demo test lint format types bench bench-page screenshots clean
+.PHONY: install serve demo test lint format types bench load bench-page screenshots clean
 
 install: $(READY)
 
@@ -57,6 +57,10 @@ types: $(READY)
 
 bench: $(READY)
 	$(BIN)/python tests/benchmarks/bench.py
+
+# What the service carries: uploads, reads, listeners, memory; needs 10 GB of disk and some minutes.
+load: $(READY)
+	$(BIN)/python -m tests.benchmarks.load
 
 # How smoothly the map moves with ten thousand detections; needs Chromium.
 bench-page: $(READY)
