@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 
-from app.work.places import LISTING, UNPACKED
+from app.work.places import LISTING, place_unpacked
 from app.work.task import Outcome, Part, Plan, Report, Task
 
 _SCANS = 281
@@ -44,12 +43,7 @@ def run(task: Task, part: Part, report: Report) -> None:
             content = path.read_bytes()
             digest = hashlib.sha256(content).hexdigest()
             listing.append({"path": path.relative_to(drive).as_posix(), "size_bytes": len(content), "sha256": digest})
-        os.sync()
-        listed = folder / "listing"
-        listed.write_text(json.dumps(listing))
-        shutil.rmtree(task.scratch / UNPACKED, ignore_errors=True)
-        drive.rename(task.scratch / UNPACKED)
-        listed.rename(task.scratch / LISTING)
+        place_unpacked(drive, listing, task.scratch)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
 from interloc.mapping.layout import file_names
 
 REDUCED = "reduced"
@@ -15,3 +21,16 @@ UNPACKED = "unpacked"
 
 LISTING = "unpacked.json"
 """Beside it: a list of their paths, sizes and SHA-256."""
+
+
+def place_unpacked(files: Path, listing: list[dict[str, Any]], scratch: Path) -> None:
+    """Give files and their list the places where the server looks for them; the list comes last, and says that all is.
+
+    Files without a list are those of an attempt that was killed in between.
+    """
+    listed = files.with_name("listing")
+    listed.write_text(json.dumps(listing))
+    os.sync()
+    shutil.rmtree(scratch / UNPACKED, ignore_errors=True)
+    files.rename(scratch / UNPACKED)
+    listed.rename(scratch / LISTING)

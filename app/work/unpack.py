@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import Any
 
 from app.drives.names import BadNameError, check_path
 from app.work.archive_files import ArchiveError, Member, members
-from app.work.places import LISTING, UNPACKED
+from app.work.places import LISTING, place_unpacked
 from app.work.roots import drive_paths
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.errors import OutputError
@@ -42,12 +41,7 @@ def run(task: Task, part: Part, report: Report) -> None:
         with members(_archive(task), unpacking.count) as found:
             for member in found:
                 unpacking.take(member)
-        listing = unpacking.sort()
-        os.sync()
-        listed = folder / "listing"
-        listed.write_text(json.dumps(listing))
-        (folder / "drive").rename(task.scratch / UNPACKED)
-        listed.rename(task.scratch / LISTING)
+        place_unpacked(folder / "drive", unpacking.sort(), task.scratch)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     report(part.stop - part.start)
