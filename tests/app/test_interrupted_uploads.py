@@ -152,7 +152,7 @@ def test_an_archive_is_whole_after_a_kill_while_its_files_take_their_places(
     drive = new_drive(server.client)
     job = send(server.client, drive, pack(many))
     placed = data / "drives" / drive / "files" / "velodyne"
-    wait_until(lambda: (placed / f"{100:06d}.bin").exists(), "the first files in their places")
+    wait_until((placed / f"{100:06d}.bin").exists, "the first files in their places")
     kill_all(server)
     assert 100 < count_files(placed) < MANY
     with sqlite3.connect(data / "interloc.sqlite3") as database:

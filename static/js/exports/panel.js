@@ -40,7 +40,7 @@ function sections(result, link) {
       "div",
       { class: "formats" },
       result.local ? get("JSON", `${at}/files/${file}.local.json`, `${slug}-${file}.local.json`) : get("GeoJSON", `${at}/${layer}`, `${slug}-${file}.geojson`),
-      !result.local && ["fgb", "kml"].map((format) => get(format.toUpperCase(), `${at}/export.${format}?layer=${file}`, `${slug}-${file}.${format}`)),
+      !result.local && ["fgb", "kml"].map((format) => get(format.toUpperCase(), `${at}/export.${format}?layer=${layer}`, `${slug}-${file}.${format}`)),
     ),
   ];
   const gpkg = address(`${at}/export.gpkg`);

@@ -1,0 +1,164 @@
+"""What the page gives to take along, with and without a token: each file by a click, each box by its copy button."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyogrio
+import pytest
+
+from tests.app.processes import API, ServerProcess, started
+from tests.app.street import write_street
+from tests.page.browsers import Browser, needs_page
+from tests.page.results import Done, run_street
+
+pytestmark = needs_page
+
+TOKEN = "a-token-that-only-these-tests-know-012345"  # noqa: S105
+LAYERS = ("intersections", "detections", "keyframes", "trajectory", "osm_nodes", "matches")
+TITLES = ("Intersections", "Detections", "Keyframes", "Trajectory", "OSM intersections", "Matches")
+
+
+@dataclass(frozen=True)
+class Open:
+    """A tab that shows the exports of a scored result, and the server behind it."""
+
+    page: Any
+    server: ServerProcess
+    job: str
+    token: str | None
+
+    def click(self, title: str, tmp_path: Path) -> Path:
+        """Click the button of this title, and return the file that comes."""
+        button = self.page.locator("#panel-export").get_by_title(title, exact=True)
+        with self.page.expect_download() as waiting:
+            button.click()
+        path = tmp_path / waiting.value.suggested_filename
+        waiting.value.save_as(path)
+        return path
+
+    def count(self, layer: str) -> int:
+        """The features that the server has."""
+        answer = self.server.client.get(f"{API}/jobs/{self.job}/{layer.replace('_', '-')}").raise_for_status()
+        return len(answer.json()["features"])
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ServerProcess, str]]:
+    """A server that wants a token, and a scored job."""
+    folder = tmp_path_factory.mktemp("guarded")
+    with started(folder / "data", folder / "log", workers=1, token=TOKEN) as server:
+        server.client.headers["Authorization"] = f"Bearer {TOKEN}"
+        yield server, run_street(server, write_street(folder / "street", 70), osm={"file": "map.osm"})
+
+
+@pytest.fixture(params=["open", "token"])
+def opened(request: pytest.FixtureRequest, browser: Browser) -> Open:
+    with_token = request.param == "token"
+    if with_token:
+        server, job = request.getfixturevalue("guarded")
+    else:
+        done: Done = request.getfixturevalue("done")
+        server, job = done.server, done.job
+    context = browser.new_context(accept_downloads=True)
+    context.grant_permissions(["clipboard-read", "clipboard-write"], origin=server.address)
+    if with_token:  # as a tab that was told the token before
+        context.add_init_script(f"if (origin !== 'null') sessionStorage.setItem('interloc.token', '{TOKEN}')")
+    page = context.new_page()
+    page.goto(f"{server.address}/#job={job}&panel=export")
+    page.wait_for_selector(".legend:visible")
+    page.locator("#panel-export h2").wait_for()
+    return Open(page, server, job, TOKEN if with_token else None)
+
+
+def test_each_layer_comes_in_each_format_with_all_its_features(opened: Open, tmp_path: Path) -> None:
+    for title, layer in zip(TITLES, LAYERS, strict=True):
+        expected = opened.count(layer)
+        assert expected > 0, layer
+        row = opened.page.locator("#panel-export .downloads > span", has_text=re.compile(f"^{title}$"))
+        assert row.count() == 1, title
+        for text, suffix in (("GeoJSON", "geojson"), ("FGB", "fgb"), ("KML", "kml")):
+            path = opened.click(f"{text}: street-{layer}.{suffix}", tmp_path)
+            assert path.suffix == f".{suffix}", path.name
+            info = pyogrio.read_info(path)
+            assert info["features"] == expected, path.name
+            frame = pyogrio.read_dataframe(path)
+            assert len(frame) == expected
+            assert frame.crs.to_epsg() == 4326
+            lon, lat, *_ = frame.total_bounds
+            assert (round(lon), round(lat)) == (8, 49), path.name  # of the street
+        assert json.loads((tmp_path / path.with_suffix(".geojson").name).read_text())["type"] == "FeatureCollection"
+
+
+def test_the_geopackage_and_the_archive_hold_everything(opened: Open, tmp_path: Path) -> None:
+    panel = opened.page.locator("#panel-export")
+    files = {}
+    for name in ("GeoPackage, all layers", "Everything (.zip)"):
+        with opened.page.expect_download() as waiting:
+            panel.get_by_role("button", name=name).click()
+        files[name] = tmp_path / waiting.value.suggested_filename
+        waiting.value.save_as(files[name])
+    geopackage, archive = files.values()
+    assert geopackage.suffix == ".gpkg"
+    found = {name: pyogrio.read_info(geopackage, layer=name)["features"] for name, _ in pyogrio.list_layers(geopackage)}
+    assert {layer: found[layer] for layer in LAYERS} == {layer: opened.count(layer) for layer in LAYERS}
+    with zipfile.ZipFile(archive) as packed:
+        assert packed.testzip() is None
+        members = {Path(name).name: name for name in packed.namelist()}
+        for layer in LAYERS:
+            content = json.loads(packed.read(members[f"{layer}.geojson"]))
+            assert len(content["features"]) == opened.count(layer), layer
+        report = json.loads(packed.read(members["report.json"]))
+    assert report == opened.server.client.get(f"{API}/jobs/{opened.job}/report").json()
+
+
+def test_the_report_and_the_settings_come_as_files(opened: Open, tmp_path: Path) -> None:
+    report = json.loads(opened.click("JSON: street-report.json", tmp_path).read_text())
+    assert report == opened.server.client.get(f"{API}/jobs/{opened.job}/report").json()
+    text = opened.click("HTML: street-report.html", tmp_path).read_text()
+    assert text.lstrip().lower().startswith("<!doctype html>")
+    assert text.rstrip().endswith("</html>")
+    assert all(str(node["osm_id"]) in text for node in report["nodes"])
+    run = json.loads(opened.click("JSON: street-run.json", tmp_path).read_text())
+    assert run == opened.server.client.get(f"{API}/jobs/{opened.job}/run").json()
+
+
+def test_copy_buttons_copy_what_their_boxes_show(opened: Open) -> None:
+    page, panel = opened.page, opened.page.locator("#panel-export")
+    link = panel.get_by_label("Link to this view")
+    shown = [link.input_value(), *panel.locator(".code-box pre").all_inner_texts()]
+    buttons = panel.get_by_role("button", name="Copy", exact=True)
+    assert buttons.count() == len(shown) == (2 if opened.token else 3)  # QGIS sends no token, so it has no box then
+    for number, text in enumerate(shown):
+        assert text
+        page.evaluate("navigator.clipboard.writeText('of before')")
+        row = panel.locator(".row:has(> .grow), .code-box").nth(number)
+        row.get_by_role("button").click()
+        row.get_by_role("button", name="Copied").wait_for()
+        assert page.evaluate("navigator.clipboard.readText()") == text
+        assert TOKEN not in text
+
+
+def test_the_commands_and_addresses_of_the_boxes_work(opened: Open, tmp_path: Path) -> None:
+    boxes = opened.page.locator("#panel-export .code-box pre").all_inner_texts()
+    command, *addresses = boxes
+    assert command.startswith("curl ")
+    variables = {**os.environ, **({"INTERLOC_TOKEN": opened.token} if opened.token else {})}
+    subprocess.run(["bash", "-c", command], cwd=tmp_path, env=variables, check=True, capture_output=True, timeout=60)
+    (file,) = tmp_path.iterdir()
+    assert file.suffix == ".gpkg"
+    assert set(LAYERS) <= {name for name, _ in pyogrio.list_layers(file)}
+    for address in addresses:  # as QGIS reads it: by GDAL
+        assert pyogrio.read_info(f"/vsicurl/{address}")["features"] == opened.count("intersections")
+    if opened.token:
+        del variables["INTERLOC_TOKEN"]
+        refused = subprocess.run(["bash", "-c", command], cwd=tmp_path, env=variables, check=False, capture_output=True)
+        assert refused.returncode == 22  # of -f: the server said 401
