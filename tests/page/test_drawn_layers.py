@@ -1,0 +1,311 @@
+"""Each layer of the map, counted at the canvas: as many lines and signs as the files have features, where they lie."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from app.database import Database
+from interloc import open_drive
+from interloc.config import preset
+from interloc.geometry import lonlat_from_enu
+from interloc.mapping.exports import write_results
+from interloc.pipeline import detect
+from interloc.results import DriveResult
+from tests.app.processes import API, ServerProcess, started
+from tests.app.results.conftest import add_drive, add_job
+from tests.app.street import LAT_DEG, LON_DEG, write_street
+from tests.page.browsers import Browser, needs_page
+from tests.page.canvas import NOTE_PATHS, Part, painted, pixels_per_metre, screen_of
+from tests.page.canvas import Path as Painted
+from tests.page.results import run_street
+
+pytestmark = needs_page
+
+SCANS = 90
+MANY = 10_500
+WIDE = {"width": 3000, "height": 1100}  # the whole street at a scale at which its features lie apart
+NEAR_PX = 1.5
+
+
+def write_other_map(street: Path) -> None:
+    """A map that differs from the street: one crossing is not in it, one is that is not there, roads of all kinds."""
+    root = ET.parse(street / "map.osm").getroot()  # noqa: S314 - written by the test itself
+    at = {node.get("id"): float(node.get("lon", 0)) for node in root.iter("node")}
+    gone = lonlat_from_enu(LAT_DEG, LON_DEG, np.array([[60.0, 0.0]]))[0, 0]
+    crossings = [way for way in root.iter("way") if len({round(at[nd.get("ref")], 6) for nd in way.iter("nd")}) == 1]
+    root.remove(next(way for way in crossings if abs(at[way.find("nd").get("ref")] - gone) < 1e-6))  # type: ignore[union-attr]
+    along = next(way for way in root.iter("way") if way not in crossings)
+    for number, kind in enumerate(("residential", "primary", "service", "footway")):
+        x = (90.0, -25.0, 75.0, 105.0)[number]
+        ends = [(x, -50.0), (x, 0.0), (x, 50.0)] if number == 0 else [(x, 20.0), (x, 50.0)]
+        refs = [str(5000 + 10 * number + i) for i in range(len(ends))]
+        for ref, (lon, lat) in zip(refs, lonlat_from_enu(LAT_DEG, LON_DEG, np.array(ends)), strict=True):
+            root.insert(0, ET.Element("node", id=ref, lat=f"{lat:.9f}", lon=f"{lon:.9f}"))
+        way = ET.SubElement(root, "way", id=str(7000 + number))
+        for ref in refs:
+            ET.SubElement(way, "nd", ref=ref)
+        ET.SubElement(way, "tag", k="highway", v=kind)
+        if number == 0:  # it meets the street between its nodes at 60 and 120 m
+            places = [at.get(nd.get("ref"), 0.0) for nd in along.iter("nd")]
+            middle = lonlat_from_enu(LAT_DEG, LON_DEG, np.array([[90.0, 0.0]]))[0, 0]
+            along.insert(sum(lon < middle for lon in places), ET.Element("nd", ref=refs[1]))
+    ET.ElementTree(root).write(street / "map.osm")
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A result that has features of every kind."""
+
+    server: ServerProcess
+    job: str
+
+    def features(self, layer: str) -> list[dict[str, Any]]:
+        return list(self.server.client.get(f"{API}/jobs/{self.job}/{layer}").raise_for_status().json()["features"])
+
+    def nodes(self, kind: str) -> list[dict[str, Any]]:
+        """Nodes of the map: found, missed, or outside of what the drive could see."""
+
+        def kind_of(properties: dict[str, Any]) -> str:
+            return "found" if properties["found"] else "missed" if properties["in_zone"] else "outside"
+
+        return [node for node in self.features("osm-nodes") if kind_of(node["properties"]) == kind]
+
+    def detections(self, outcome: str) -> list[dict[str, Any]]:
+        """Detections, by what the matches say of those at their places."""
+        found = self.features("matches")
+        true = {tuple(match["geometry"]["coordinates"][0]) for match in found if match["properties"]["outcome"] == "TP"}
+        every = self.features("detections")
+        return [each for each in every if (tuple(each["geometry"]["coordinates"]) in true) == (outcome == "TP")]
+
+
+@pytest.fixture(scope="module")
+def scored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scored]:
+    folder = tmp_path_factory.mktemp("layers")
+    street = write_street(folder / "street", SCANS)
+    write_other_map(street)
+    with started(folder / "data", folder / "log", workers=1) as server:
+        yield Scored(server, run_street(server, street, osm={"file": "map.osm"}))
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The map with some layers on."""
+
+    page: Any
+    paths: list[Painted]
+
+    @property
+    def parts(self) -> list[Part]:
+        return [part for path in self.paths for part in path.parts]
+
+    def screen(self, features: list[dict[str, Any]]) -> np.ndarray:
+        return screen_of(self.page, [feature["geometry"]["coordinates"] for feature in features])
+
+
+@pytest.fixture
+def sheet(browser: Browser, scored: Scored) -> Any:
+    """Open the map with these layers only, and take down what is drawn."""
+    page = browser.new_page(viewport=WIDE)
+    page.add_init_script(NOTE_PATHS)
+
+    def draw(layers: str, *, zoom: float = 20.5, job: Scored = scored) -> Sheet:
+        lon, lat = lonlat_from_enu(LAT_DEG, LON_DEG, np.array([[SCANS * 1.05, 0.0]]))[0]
+        page.goto("about:blank")
+        page.goto(f"{job.server.address}/#job={job.job}&layers={layers}&view={zoom}/{lat:.6f}/{lon:.6f}")
+        page.wait_for_selector(".legend:visible")
+        return Sheet(page, painted(page))
+
+    return draw
+
+
+def assert_one_sign_each(found: np.ndarray, places: np.ndarray) -> None:
+    """Signs and features are the same; those of features on one pixel of the canvas may be one."""
+    assert len(places) > 0
+    away = np.hypot(*(found[:, None] - places[None]).transpose(2, 0, 1))
+    assert away.min(axis=1).max() < NEAR_PX  # no sign without its feature
+    assert away.min(axis=0).max() < NEAR_PX  # no feature without its sign
+    exact, shift = fit(found, places)
+    own = exact.argmin(axis=1)
+    assert exact.min(axis=1).max() < 0.02
+    assert len({tuple(each) for each in np.round(found, 6).tolist()}) == len(found)  # none twice
+    hidden = np.delete(places, own, axis=0)
+    if len(hidden):  # only those that share their pixel with one that is drawn
+        gaps = np.abs(hidden[:, None] - (found - shift)[None]).max(axis=2)
+        assert gaps.min(axis=1).max() < 1.0
+
+
+def fit(found: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from each sign to each place, and the shift of the canvas against the pixels of the world."""
+    shifts = [found[0] - place for place in places if math.dist(found[0], place) < NEAR_PX]
+    every = [np.hypot(*(found[:, None] - shift - places[None]).transpose(2, 0, 1)) for shift in shifts]
+    best = min(range(len(every)), key=lambda row: float(every[row].min(axis=1).max()))
+    return every[best], shifts[best]
+
+
+def assert_ink(parts: list[Part]) -> None:
+    """What was traced is to be seen."""
+    inks = [part.ink for part in parts if part.ink is not None]
+    assert len(inks) > 0
+    assert min(inks) > 40
+
+
+def is_same(drawn: np.ndarray, expected: np.ndarray) -> bool:
+    return drawn.shape == expected.shape and bool(np.abs(drawn - expected).max() < NEAR_PX)
+
+
+def test_nothing_is_drawn_where_no_layer_is_on(sheet: Any) -> None:
+    assert sheet("zone").parts == []
+
+
+def test_the_trajectory_is_one_line_through_all_its_points(sheet: Any, scored: Scored) -> None:
+    (line,) = scored.features("trajectory")
+    drawn = sheet("track")
+    (part,) = drawn.parts
+    assert is_same(part.points, screen_of(drawn.page, line["geometry"]["coordinates"]))
+    assert_ink([part])
+
+
+@pytest.mark.parametrize("layer", ["keyframes", "intersections", "tp", "fp", "found", "missed", "outside"])
+def test_each_feature_has_its_sign(sheet: Any, scored: Scored, layer: str) -> None:
+    if layer in {"tp", "fp"}:
+        features = scored.detections(layer.upper())
+    elif layer in {"found", "missed", "outside"}:
+        features = scored.nodes(layer)
+    else:
+        features = scored.features(layer)
+    drawn = sheet(layer, zoom=19 if layer == "outside" else 20.5)
+    found = np.array([part.middle for part in drawn.parts])
+    if layer == "fp":  # a cross has two lines
+        assert np.abs(found[::2] - found[1::2]).max() < 1e-6
+        found = found[::2]
+    assert_one_sign_each(found, drawn.screen(features))
+    if layer in {"keyframes", "tp", "intersections"}:  # full ones; the others are outlines
+        assert {kind for path in drawn.paths for kind, _, _ in path.styles} >= {"fill"}
+    assert_ink(drawn.parts)
+
+
+def test_each_circle_is_as_wide_as_the_uncertainty(sheet: Any, scored: Scored) -> None:
+    features = scored.features("intersections")
+    drawn = sheet("uncertainty")
+    assert_one_sign_each(np.array([part.middle for part in drawn.parts]), drawn.screen(features))
+    for feature, place in zip(features, drawn.screen(features), strict=True):
+        radius = 2 * feature["properties"]["position_std_m"] * pixels_per_metre(drawn.page)
+        assert radius > 2, "too small to be drawn at this scale"
+        (part,) = [part for part in drawn.parts if math.dist(part.middle, place) < NEAR_PX]
+        assert part.radius == pytest.approx(radius, rel=0.01)
+    assert_ink(drawn.parts)
+
+
+def test_there_are_as_many_rays_as_branches(sheet: Any, scored: Scored) -> None:
+    features = scored.features("intersections")
+    drawn = sheet("branches")
+    assert len(drawn.parts) == sum(feature["properties"]["branch_count"] for feature in features) > 0
+    assert_ink(drawn.parts)
+    places = drawn.screen(features)
+    bearings: dict[int, list[float]] = {}
+    for part in drawn.parts:
+        start, end = part.points
+        angle = math.degrees(math.atan2(end[0] - start[0], start[1] - end[1])) % 360
+        own = int(np.hypot(*(places - start).T).argmin())
+        assert math.dist(places[own], start) < 12
+        bearings.setdefault(own, []).append(angle)
+    for row, feature in enumerate(features):
+        assert sorted(bearings[row]) == pytest.approx(
+            sorted(each % 360 for each in feature["properties"]["branch_bearings_deg"]), abs=0.1
+        )
+
+
+def test_each_road_is_drawn_along_all_its_points(sheet: Any, scored: Scored) -> None:
+    roads = scored.features("osm-roads")
+    assert len({road["properties"]["highway"] for road in roads}) >= 3
+    drawn = sheet("roads")
+    lines = [screen_of(drawn.page, road["geometry"]["coordinates"]) for road in roads]
+    for line in lines:
+        assert any(is_same(part.points, line) for part in drawn.parts)
+    for part in drawn.parts:
+        assert any(is_same(part.points, line) for line in lines)
+    # Roads of cars have a casing below: as many lines of its colour as of the roads'.
+    colours: dict[str, int] = {}
+    for path in drawn.paths:
+        ((_, colour, _),) = path.styles
+        colours[colour] = colours.get(colour, 0) + len(path.parts)
+    driven = sum(bool(road["properties"].get("is_drivable", True)) for road in roads)
+    others = [len(roads) - driven] if driven < len(roads) else []
+    assert sorted(colours.values()) == sorted([driven, driven, *others])
+    assert_ink(drawn.parts)
+
+
+@pytest.mark.parametrize("outcome", ["TP", "FP"])
+def test_each_error_line_goes_from_detection_to_node(sheet: Any, scored: Scored, outcome: str) -> None:
+    matches = [match for match in scored.features("matches") if match["properties"]["outcome"] == outcome]
+    drawn = sheet(f"errors,{outcome.lower()}")
+    lines = np.array([screen_of(drawn.page, match["geometry"]["coordinates"]).ravel() for match in matches])
+    (path,) = [
+        path for path in drawn.paths if [each[::2] for each in path.styles] == [("stroke", 1)]
+    ]  # thinner than any sign
+    found = np.array([part.points.ravel() for part in path.parts])
+    away = np.abs(found[:, None] - lines[None]).max(axis=2)
+    assert away.min(axis=1).max() < NEAR_PX
+    assert away.min(axis=0).max() < NEAR_PX
+    assert len({tuple(each) for each in np.round(found, 6).tolist()}) == len(found)  # none twice
+    assert_ink(path.parts)
+
+
+def many_detections(result: DriveResult) -> DriveResult:
+    """The result with a detection at every metre of a field beside the street."""
+    columns = MANY // 70
+    east, north = np.meshgrid(np.arange(columns) + 20.0, np.arange(70) - 35.0)
+    enu = np.stack([east.ravel(), north.ravel()], axis=1)
+    rows = np.arange(MANY)
+    detections = replace(
+        result.detections,
+        keyframe=rows % len(result.keyframes.frame),
+        lidar_xy=enu,
+        world_xy=enu,
+        lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, enu),
+        bearings_deg=[np.array([0.0, 90.0, 180.0])] * MANY,
+        score=np.ones(MANY),
+        intersection=np.full(MANY, -1),
+    )
+    order = np.argsort(detections.keyframe, kind="stable")
+    return replace(result, detections=replace(detections, keyframe=detections.keyframe[order]))
+
+
+def test_more_than_ten_thousand_detections_are_all_drawn(sheet: Any, tmp_path: Path) -> None:
+    street = write_street(tmp_path / "street", SCANS)
+    write_results(many_detections(detect(open_drive(street), preset("default"))), tmp_path / "result")
+    data = tmp_path / "data"
+    with started(data, tmp_path / "log", workers=1) as server:
+        database = Database(f"sqlite:///{data}/interloc.sqlite3")
+        add_drive(database, data, "street", street)
+        add_job(database, data, "many", "street", tmp_path / "result")
+        database.close()
+        job = Scored(server, "many")
+        features = job.features("detections")
+        assert len(features) == MANY > 10_000
+        drawn = sheet("detections", job=job)
+        found = np.array([part.middle for part in drawn.parts])
+        assert len(found) == MANY
+        places = drawn.screen(features)
+        assert_all_near(found, places)
+        assert_ink(drawn.parts)
+
+
+def assert_all_near(found: np.ndarray, places: np.ndarray) -> None:
+    """Each sign has a place of its own, by pieces: all distances at once would not fit into memory."""
+    own = np.concatenate(
+        [
+            np.hypot(*(piece[:, None] - places[None]).transpose(2, 0, 1)).argmin(axis=1)
+            for piece in np.array_split(found, 50)
+        ]
+    )
+    assert len(set(own.tolist())) == len(found)
+    assert np.hypot(*(found - places[own]).T).max() < NEAR_PX
