@@ -12,6 +12,15 @@ settings.register_profile("interloc", deadline=None, derandomize=bool(os.environ
 settings.load_profile("interloc")
 
 
+@pytest.fixture(autouse=True)
+def _pristine_log_of_the_library() -> None:
+    """Take back what a command of the test before set up: messages pass on to whoever listens."""
+    logger = logging.getLogger("interloc")
+    logger.handlers.clear()
+    logger.setLevel(logging.NOTSET)
+    logger.propagate = True
+
+
 @pytest.fixture
 def untouched_logging() -> Iterator[None]:
     """Give the loggers back as they were, for tests of what sets them up."""

@@ -232,7 +232,8 @@ def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> Non
 
 def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -> None:
     page.goto(f"{done.server.address}/")
-    card = page.locator("article.drive", has=page.get_by_role("button", name="street", exact=True))
+    cards = page.locator("article.drive", has=page.get_by_role("button", name="street", exact=True))
+    card = cards.last  # the newest are first, and other tests may have sent a drive of this name
     card.get_by_role("button", name="Run street").click()
     page.get_by_label("Preset").select_option("paper")
     page.get_by_role("button", name="Run", exact=True).click()
