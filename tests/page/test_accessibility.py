@@ -123,13 +123,13 @@ def see_layers(page: Any, done: Done) -> None:
 
 def see_run_dialog(page: Any, done: Done) -> None:
     see_drive(page, done)
-    page.get_by_role("button", name="Run street", exact=True).click()
+    page.get_by_role("button", name="Run street", exact=True).last.click()
     page.wait_for_selector("dialog[open]")
 
 
 def see_question(page: Any, done: Done) -> None:
     see_drive(page, done)
-    page.get_by_role("button", name="Delete street", exact=True).click()
+    page.get_by_role("button", name="Delete street", exact=True).last.click()
     page.wait_for_selector("dialog[open]")
 
 
