@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import API, ended, half_way, started, submit, upload
+from tests.app.processes import API, ended, half_way, started, submit, upload, with_suppressed_kill
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, needs_page
 from tests.page.results import SCANS, Done, show
@@ -170,9 +170,14 @@ def test_a_job_is_watched_through_a_restart_of_the_server(browser: Browser, watc
         drive = upload(first.client, street)
         job = submit(first.client, drive, osm={"file": "map.osm"}, config={"bev": {"resolution_m": 0.1}})
         half_way(first.client, job)
+        workers = first.workers()
+        for worker in workers:
+            worker.suspend()  # else the job may be done before the page is open
         page.goto(f"{first.address}/#panel=job&job={job}")
         page.get_by_role("progressbar", name="Progress").wait_for()
         first.kill()
+        for worker in workers:
+            with_suppressed_kill(worker)
         told = page.locator("#panel-job [role=status]", has_text="The server does not answer")
         told.wait_for()
         port = int(first.address.rsplit(":", 1)[1])
