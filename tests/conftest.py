@@ -2,7 +2,8 @@
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -31,3 +32,17 @@ def untouched_logging() -> Iterator[None]:
         logger.handlers[:] = handlers
         logger.setLevel(level)
     logging.captureWarnings(capture=False)
+
+
+@pytest.fixture
+def data() -> Callable[[str], Path]:
+    """Find a folder or file of the real data beside the project, or skip."""
+    root = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+    def find(name: str) -> Path:
+        path = root / name
+        if not path.exists():
+            pytest.skip(f"real data not here: {name}")
+        return path
+
+    return find

@@ -57,20 +57,6 @@ def drive(street: Path, tmp_path: Path) -> Path:
     return tmp_path / "07"
 
 
-@pytest.fixture
-def data() -> Callable[[str], Path]:
-    """Find a folder or file of the real data beside the project, or skip."""
-    root = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-
-    def find(name: str) -> Path:
-        path = root / name
-        if not path.exists():
-            pytest.skip(f"real data not here: {name}")
-        return path
-
-    return find
-
-
 def upload(client: httpx.Client, root: Path, **new: Any) -> str:
     """Make a drive and send all files of a folder."""
     drive = str(client.post("/api/v1/drives", json={"name": root.name, **new}).headers["location"])

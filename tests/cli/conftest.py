@@ -179,20 +179,6 @@ def short_drive(drive: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def data() -> Callable[[str], Path]:
-    """Find a folder or file of the real data beside the project, or skip."""
-    root = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-
-    def find(name: str) -> Path:
-        path = root / name
-        if not path.exists():
-            pytest.skip(f"real data not here: {name}")
-        return path
-
-    return find
-
-
-@pytest.fixture
 def strict_json() -> Callable[[Path], Any]:
     """Read JSON as the standard has it: no NaN, no infinity."""
 

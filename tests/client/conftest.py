@@ -163,17 +163,3 @@ def here(server: ServerProcess, tmp_path: Path) -> Here:
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A drive of 60 scans, all of them keyframes, with its map.osm. Shared: do not change it."""
     return write_street(tmp_path_factory.mktemp("drives") / "street", 60)
-
-
-@pytest.fixture
-def data() -> Callable[[str], Path]:
-    """Find a folder or file of the real data beside the project, or skip."""
-    root = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-
-    def find(name: str) -> Path:
-        path = root / name
-        if not path.exists():
-            pytest.skip(f"real data not here: {name}")
-        return path
-
-    return find

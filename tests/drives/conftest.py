@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -155,17 +154,3 @@ def make() -> ModuleType:
 def sequence(tmp_path: Path) -> Path:
     """A sound SemanticKITTI sequence of 12 scans."""
     return write_semantickitti(tmp_path / "07")
-
-
-@pytest.fixture
-def data() -> Callable[[str], Path]:
-    """Find a folder or file of the real data beside the project, or skip."""
-    root = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-
-    def find(name: str) -> Path:
-        path = root / name
-        if not path.exists():
-            pytest.skip(f"real data not here: {name}")
-        return path
-
-    return find

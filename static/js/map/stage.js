@@ -200,7 +200,6 @@ function makeMap(holder, local, current) {
   const attribution = control.attribution({ position: "bottomright", prefix: false }).addTo(made);
   const legend = addLegend(made);
   watchPointer(made, current);
-  if (new URLSearchParams(location.search).has("debug")) /** @type {any} */ (window).map = made;
   /** @type {any} */
   let tiles = null;
   /** @type {string|null} */
