@@ -4,6 +4,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PORT ?= 8000
 SERVE ?= yes
+# Waits for real servers and browsers can run out on a machine that is busy: once more, only those.
+AGAIN := --reruns 1 --only-rerun Timeout --only-rerun "in vain"
 READY := $(VENV)/.ready
 
 .PHONY: install serve demo test lint format types bench load bench-page screenshots clean
@@ -42,7 +44,7 @@ endif
 
 test: lint types
 	@if command -v npm >/dev/null && [ ! -d static/node_modules/axe-core ]; then npm ci --silent --prefix static; fi
-	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered
+	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered $(AGAIN)
 
 lint: $(READY)
 	$(BIN)/ruff check .
