@@ -6,7 +6,6 @@ import json
 import logging
 import os
 import secrets
-import shutil
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from app.drives.records import drive_key, files_key, reduced_key
 from app.models import Drive, DriveFile, Job
 from app.problems import Problem
 from app.service import Service
-from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED
+from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
 from app.work.task import Outcome
 
 _log = logging.getLogger(__name__)
@@ -115,7 +114,8 @@ def _settle_unpack(session: Session, service: Service, job: Job, drive: Drive, o
         with session.begin_nested(), Placement(service, drive.id) as placement:
             refuse_unless_open(drive, ["archive"])
             for arrival in arrivals:
-                _link(scratch / UNPACKED / arrival.path, arrival.temporary)
+                # A second name: where the server dies before the transaction is through, all is done once more.
+                link(scratch / UNPACKED / arrival.path, arrival.temporary)
             known = sizes_of(session, drive.id, [arrival.path for arrival in arrivals])
             register(service, session, lock_standing(session, drive.id), arrivals, known)
             placement.move(arrivals)
@@ -127,14 +127,6 @@ def _settle_unpack(session: Session, service: Service, job: Job, drive: Drive, o
         for arrival in arrivals:
             with suppress(OSError):
                 arrival.temporary.unlink(missing_ok=True)
-
-
-def _link(source: Path, target: Path) -> None:
-    """Give a file a second name: where the server dies before the transaction is through, all is done once more."""
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
 
 
 def tidy_drive(service: Service, drive_id: str, *, keep_raw: bool) -> None:

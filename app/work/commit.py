@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from app.drives.names import is_map
-from app.work.places import REDUCED, TRAJECTORY
+from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.drives.drive import GroundPoints
-from interloc.drives.faults import DriveFileError, Problem
+from interloc.drives.faults import DriveFileError, Findings, Problem
 from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
@@ -64,7 +64,7 @@ def prepare(task: Task) -> Plan:
     try:
         frames = _frames(task)
     except InterLocError as error:  # what the check does not look at: files that cannot be gathered
-        return Plan([], 0, {"report": _with_errors(report, [_problem(error)], task).to_dict()})
+        return Plan([], 0, {"report": _with_errors(report, _problems_of(error), task).to_dict()})
     edges = range(0, len(frames), PART_SCANS)
     parts = [Part(number, start, min(start + PART_SCANS, len(frames))) for number, start in enumerate(edges)]
     return Plan(parts, len(frames), {"report": report.to_dict(), "began": time.time()})
@@ -196,9 +196,10 @@ def _with_errors(report: DriveReport, problems: list[Problem], task: Task) -> Dr
     return report.model_copy(update={"problems": _tidied(every, task.drive / "files", task.drive_name)})
 
 
-def _problem(error: InterLocError) -> Problem:
-    path, message = (error.args[0], error.args[1]) if len(error.args) == 2 else ("", str(error))
-    return Problem("error", path, message)
+def _problems_of(error: InterLocError) -> list[Problem]:
+    findings = Findings(stop_at_first=False)
+    findings.error(error)
+    return findings.problems
 
 
 def _options(task: Task) -> Options:
@@ -262,11 +263,11 @@ def _take_over(files: Path, reduced: Path) -> None:
         (reduced / ground_path(labels.folder, 0)).parent.mkdir(parents=True)
         for frame in manifest.kept_frames:
             name = ground_path(labels.folder, int(frame))
-            _link(files / name, reduced / name)
+            link(files / name, reduced / name)
     for path in _small_files(files):
         target = reduced / path.relative_to(files)
         target.parent.mkdir(parents=True, exist_ok=True)
-        _link(path, target)
+        link(path, target)
 
 
 def _small_files(files: Path) -> list[Path]:
@@ -281,14 +282,4 @@ def _small_files(files: Path) -> list[Path]:
 def _link_tree(source: Path, target: Path) -> None:
     for folder in source.iterdir():
         for file in folder.iterdir():
-            _link(file, target / folder.name / file.name)
-
-
-def _link(source: Path, target: Path) -> None:
-    """Give a file a second name; where the file system cannot, a copy."""
-    try:
-        os.link(source, target)
-    except FileExistsError:
-        raise
-    except OSError:
-        shutil.copyfile(source, target)
+            link(file, target / folder.name / file.name)

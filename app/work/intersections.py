@@ -116,8 +116,7 @@ def _label_folder(task: Task, root: Path) -> LabelFolder:
     asked: LabelFolder | None = task.request.get("labels")
     if asked is not None:
         return asked
-    there = [name for name in folders if (root / name).is_dir() or (root / "ground" / name).is_dir()]
-    return there[0] if there else folders[0]
+    return next((name for name in folders if (root / "ground" / name).is_dir()), folders[0])
 
 
 def config_of(task: Task) -> DetectorConfig:

@@ -23,6 +23,16 @@ LISTING = "unpacked.json"
 """Beside it: a list of their paths, sizes and SHA-256."""
 
 
+def link(source: Path, target: Path) -> None:
+    """Give a file a second name; where the file system cannot, a copy."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:
+        shutil.copyfile(source, target)
+
+
 def place_unpacked(files: Path, listing: list[dict[str, Any]], scratch: Path) -> None:
     """Give files and their list the places where the server looks for them; the list comes last, and says that all is.
 

@@ -107,11 +107,6 @@ class Findings:
                 raise unreadable from error
             self.error(unreadable)
 
-    @property
-    def has_errors(self) -> bool:
-        """True where something makes the drive unusable."""
-        return any(problem.severity == "error" for problem in self.problems)
-
     def _add(self, problem: Problem) -> bool:
         if problem in self.problems:
             return False
