@@ -58,15 +58,15 @@ types: $(READY)
 	$(BIN)/mypy
 
 bench: $(READY)
-	$(BIN)/python tests/benchmarks/bench.py
+	$(BIN)/python tests/performance/bench.py
 
 # What the service carries: uploads, reads, listeners, memory; needs 10 GB of disk and some minutes.
 load: $(READY)
-	$(BIN)/python -m tests.benchmarks.load
+	$(BIN)/python -m tests.performance.load
 
 # How smoothly the map moves with ten thousand detections; needs Chromium.
 bench-page: $(READY)
-	$(BIN)/python -m tests.benchmarks.page
+	$(BIN)/python -m tests.performance.page
 
 # The pictures of the page in the README; needs Chromium.
 screenshots: $(READY)

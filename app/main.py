@@ -8,10 +8,11 @@ from contextlib import asynccontextmanager, contextmanager
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
+from app.context import Context
 from app.drives.cleanup import Sweeper
-from app.middleware import add_middleware
-from app.openapi import DESCRIPTION, TAGS, Description, operation_id
-from app.problems import ProblemDocument, add_handlers
+from app.http.middleware import add_middleware
+from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
+from app.http.problems import ProblemDocument, add_handlers
 from app.routes import (
     archive,
     commit,
@@ -29,7 +30,6 @@ from app.routes import (
     system,
 )
 from app.security import client_of
-from app.service import Service
 from app.settings import Settings
 from interloc.pipeline import versions
 
@@ -46,7 +46,7 @@ def _remembering_faults(app: FastAPI) -> Iterator[None]:
         raise
 
 
-def create_app(settings: Settings | None = None, service: Service | None = None) -> FastAPI:
+def create_app(settings: Settings | None = None, context: Context | None = None) -> FastAPI:
     """Make the application.
 
     Parameters
@@ -61,8 +61,8 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         with _remembering_faults(app):
-            opened = service or Service.open(settings)
-            app.state.service = opened
+            opened = context or Context.open(settings)
+            app.state.context = opened
             opened.runner.start(opened)
         sweeper = Sweeper()
         sweeper.start(opened)
@@ -78,7 +78,7 @@ def create_app(settings: Settings | None = None, service: Service | None = None)
         version=str(versions()["interloc"]),
         summary="Find road intersections in LiDAR drives, map them, and score them against OpenStreetMap.",
         lifespan=lifespan,
-        docs_url=None,  # the defaults ask other hosts for their scripts: see app/page/docs.py
+        docs_url=None,  # the defaults ask other hosts for their scripts: see app/http/docs.py
         redoc_url=None,
         description=DESCRIPTION,
         openapi_tags=TAGS,

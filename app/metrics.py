@@ -11,10 +11,10 @@ from prometheus_client.core import GaugeMetricFamily, Metric, SummaryMetricFamil
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from app.models import Drive, Job
+from app.store.models import Drive, Job
 
 if TYPE_CHECKING:
-    from app.service import Service
+    from app.context import Context
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -53,23 +53,23 @@ class Metrics:
             self._seconds.labels(known, route).observe(seconds)
         self._received.inc(received_bytes)
 
-    def render(self, service: Service) -> bytes:
+    def render(self, context: Context) -> bytes:
         """Return all of it in the text format of Prometheus."""
-        return generate_latest(self.registry) + generate_latest(_StateRegistry(service))
+        return generate_latest(self.registry) + generate_latest(_StateRegistry(context))
 
 
 class _StateRegistry(CollectorRegistry):
     """What the database and the disk say at this moment."""
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, context: Context) -> None:
         super().__init__()
-        self._service = service
+        self._context = context
 
     def collect(self) -> Iterable[Metric]:
         """Read it."""
-        yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._service.storage.free_bytes())
-        with self._service.database.reading() as session:
-            now = self._service.database.clock(session)
+        yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._context.storage.free_bytes())
+        with self._context.database.reading() as session:
+            now = self._context.database.clock(session)
             yield from _drives(session)
             yield from _jobs(session, now)
             yield from _stages(session)

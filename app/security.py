@@ -1,6 +1,6 @@
 """Who may use the service: anyone on this machine, holders of a token elsewhere.
 
-`app.middleware.gate` keeps everybody else out before a byte of a request's body is read; here is what endpoints see.
+`app.http.middleware.gate` keeps everybody else out before the body of a request is read; here is what endpoints see.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from typing import Annotated
 from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
-from app.service import Service
-from app.tokens import ANONYMOUS
+from app.context import Context
+from app.store.tokens import ANONYMOUS
 from interloc.errors import ConfigError
 
 _bearer = HTTPBearer(
@@ -31,7 +31,7 @@ ClientDep = Annotated[str, Depends(client_of)]
 """Name of the client (of its token): owner of what it makes."""
 
 
-def check_exposure(service: Service) -> None:
+def check_exposure(context: Context) -> None:
     """Refuse to listen where other machines can connect, unless tokens keep them out or it is wanted.
 
     Raises
@@ -39,8 +39,8 @@ def check_exposure(service: Service) -> None:
     ConfigError
         There is no token.
     """
-    settings = service.settings
-    if settings.is_loopback or settings.allow_anonymous or service.tokens.exist():
+    settings = context.settings
+    if settings.is_loopback or settings.allow_anonymous or context.tokens.exist():
         return
     raise ConfigError(
         f"--host {settings.host} lets other machines in, and there is no token. Make one with `interloc token add "

@@ -12,10 +12,10 @@ import uvicorn
 from fastapi import FastAPI
 
 from app import logs
+from app.context import Context
+from app.http.protocol import Protocol
 from app.main import create_app
-from app.protocol import Protocol
 from app.security import check_exposure
-from app.service import Service
 from app.settings import Settings
 from interloc.errors import ConfigError, InterLocError
 
@@ -84,7 +84,7 @@ class Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End the streams that would never end by themselves, wait for the rest, close the service."""
-        self._app.state.service.stopping.set()
+        self._app.state.context.stopping.set()
         await super().shutdown(sockets)
 
 
@@ -101,15 +101,15 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
         The address is taken.
     """
     logs.set_up(settings)
-    service = Service.open(settings)
+    context = Context.open(settings)
     try:
-        check_exposure(service)
+        check_exposure(context)
         listener = listen(settings.host, settings.port)
     except BaseException:
-        service.close()
+        context.close()
         raise
     _allow_open_files(2 * _CONNECTIONS)
-    server = Server(create_app(settings, service), settings, started)
+    server = Server(create_app(settings, context), settings, started)
     with listener:
         try:
             server.run(sockets=[listener])

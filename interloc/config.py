@@ -16,8 +16,8 @@ from interloc.errors import ConfigError
 
 Preset = Literal["default", "paper"]
 
-_MOST_TOLD = 20  # faults in one message ...
-_MOST_SHOWN = 100  # ... and characters of each value
+_MAX_FAULTS_SHOWN = 20  # faults in one message ...
+_MAX_VALUE_CHARS = 100  # ... and characters of each value
 
 
 class _Config(BaseModel):
@@ -287,9 +287,10 @@ def parse_config(values: object) -> DetectorConfig:
             found = "" if isinstance(item["input"], dict) else f" (found {_shown(repr(item['input']))})"
             what = "there is no such setting" if item["type"] == "extra_forbidden" else item["msg"]
             lines.append(f"{_shown(where)}: {what.removeprefix('Value error, ')}{found}")
-        raise ConfigError("; ".join(lines[:_MOST_TOLD]) + ("; ..." if len(lines) > _MOST_TOLD else "")) from None
+        more = "; ..." if len(lines) > _MAX_FAULTS_SHOWN else ""
+        raise ConfigError("; ".join(lines[:_MAX_FAULTS_SHOWN]) + more) from None
 
 
 def _shown(text: str) -> str:
     """Shorten what somebody gave for a message."""
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}..."
+    return text if len(text) <= _MAX_VALUE_CHARS else f"{text[:_MAX_VALUE_CHARS]}..."

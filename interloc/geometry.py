@@ -10,16 +10,16 @@ import math
 from typing import overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from interloc.arrays import FloatArray
 
 WGS84_A_M = 6378137.0
 WGS84_F = 1 / 298.257223563
 WGS84_E2 = WGS84_F * (2 - WGS84_F)
 
 
-def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
+def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
     """Return R = Rz(yaw) Ry(pitch) Rx(roll).
 
     Parameters
@@ -42,18 +42,18 @@ def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayL
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def yaw_of(rotation: Array) -> Array:
+def yaw_of(rotation: FloatArray) -> FloatArray:
     """Return the heading of the x axis, radians counter-clockwise, of (..., 3, 3) rotations as (...,) float64."""
     return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
 
 
-def rotation_angle(a: Array, b: Array) -> float:
+def rotation_angle(a: FloatArray, b: FloatArray) -> float:
     """Return the angle in radians of the rotation between two (3, 3) rotations."""
     cosine = (float(np.sum(a * b)) - 1.0) / 2.0
     return math.acos(min(1.0, max(-1.0, cosine)))
 
 
-def rotate_2d(xy: Array, angle_rad: ArrayLike) -> Array:
+def rotate_2d(xy: FloatArray, angle_rad: ArrayLike) -> FloatArray:
     """Turn (..., 2) points counter-clockwise by one angle, or by one angle a point."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = xy[..., 0], xy[..., 1]
@@ -63,24 +63,24 @@ def rotate_2d(xy: Array, angle_rad: ArrayLike) -> Array:
 @overload
 def wrap_angle(angle_rad: float) -> float: ...
 @overload
-def wrap_angle(angle_rad: Array) -> Array: ...
-def wrap_angle(angle_rad: float | Array) -> float | Array:
+def wrap_angle(angle_rad: FloatArray) -> FloatArray: ...
+def wrap_angle(angle_rad: float | FloatArray) -> float | FloatArray:
     """Bring angles into [-pi, pi)."""
     return (angle_rad + math.pi) % (2 * math.pi) - math.pi
 
 
-def bearing_deg(angle_rad: ArrayLike) -> Array:
+def bearing_deg(angle_rad: ArrayLike) -> FloatArray:
     """Turn mathematical angles (counter-clockwise from +x, east) into bearings (clockwise from +y, north), [0, 360)."""
     return wrap_bearing(90.0 - np.degrees(np.asarray(angle_rad, dtype=np.float64)))
 
 
-def wrap_bearing(degrees: ArrayLike) -> Array:
+def wrap_bearing(degrees: ArrayLike) -> FloatArray:
     """Bring bearings into [0, 360): a tiny negative number too, which the remainder alone would round to 360."""
     wrapped = np.asarray(degrees, dtype=np.float64) % 360.0
     return np.where(wrapped >= 360.0, 0.0, wrapped)
 
 
-def invert_transform(transform: Array) -> Array:
+def invert_transform(transform: FloatArray) -> FloatArray:
     """Invert rigid (..., 4, 4) transforms."""
     inverse = np.zeros_like(transform)
     rotation_t = np.swapaxes(transform[..., :3, :3], -1, -2)
@@ -90,7 +90,7 @@ def invert_transform(transform: Array) -> Array:
     return inverse
 
 
-def _metres_per_degree(lat_deg: ArrayLike) -> tuple[Array, Array]:
+def _metres_per_degree(lat_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return (north, east) metres a degree of latitude and of longitude at a latitude, from the radii of curvature."""
     lat = np.radians(np.asarray(lat_deg, dtype=np.float64))
     w2 = 1.0 - WGS84_E2 * np.sin(lat) ** 2
@@ -99,13 +99,13 @@ def _metres_per_degree(lat_deg: ArrayLike) -> tuple[Array, Array]:
     return np.radians(meridian), np.radians(prime_vertical * np.cos(lat))
 
 
-def _curvature(lat_deg: ArrayLike) -> Array:
+def _curvature(lat_deg: ArrayLike) -> FloatArray:
     """Return tan(latitude) / prime vertical radius, 1/m: how fast meridians turn towards each other going east."""
     lat = np.radians(np.asarray(lat_deg, dtype=np.float64))
     return np.tan(lat) * np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2) / WGS84_A_M
 
 
-def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: Array) -> Array:
+def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: FloatArray) -> FloatArray:
     """Place points given east and north of a fix on the ellipsoid.
 
     Parameters
@@ -134,7 +134,7 @@ def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: Array) -> Ar
     return np.stack([lon, lat], axis=-1)
 
 
-def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: Array) -> Array:
+def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: FloatArray) -> FloatArray:
     """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes: `lonlat_from_enu` undone."""
     north_scale, east_scale = _metres_per_degree(lat_deg)
     curvature = _curvature(lat_deg)

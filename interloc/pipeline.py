@@ -13,13 +13,11 @@ from itertools import pairwise
 from multiprocessing import get_context
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
-from interloc.detect.detector import Detector, KeyframeDetections
-from interloc.detect.keyframes import select_keyframes
-from interloc.drives.drive import Drive, scans_of
+from interloc.detection.detector import Detector, KeyframeDetections
+from interloc.detection.keyframes import select_keyframes
+from interloc.drive import Drive, scans_of
 from interloc.errors import DriveError, InterLocError
 from interloc.mapping.fusion import FusionConfig, fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
@@ -30,8 +28,8 @@ from interloc.stopwatch import Stopwatch
 Progress = Callable[[int, int], None]
 """Called with the keyframes done and the keyframes in all."""
 
-_LEAST_RANGE = 100  # keyframes: a shorter range would mostly read its halo
-_PAYS_OFF = 400  # keyframes for each process: fewer are done before it has started
+_MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range would mostly read its halo
+_MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done before it has started
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class RangeResult:
 
 def detect_range(
     drive: Drive,
-    keyframes: NDArray[np.int64],
+    keyframes: IntArray,
     start: int,
     stop: int,
     config: DetectorConfig,
@@ -140,7 +138,7 @@ def detect(
     if not len(keyframes):
         raise DriveError(f"{drive.name}: the drive holds no scans")
     if workers is None:
-        workers = min(cores(), max(1, len(keyframes) // _PAYS_OFF))
+        workers = min(cores(), max(1, len(keyframes) // _MIN_KEYFRAMES_PER_PROCESS))
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:
         results = [_detect_here(drive, keyframes, config, progress)]
@@ -159,7 +157,7 @@ def detect(
 
 def assemble(
     drive: Drive,
-    keyframes: NDArray[np.int64],
+    keyframes: IntArray,
     parts: Sequence[RangeResult],
     config: DetectorConfig,
     fusion: FusionConfig,
@@ -212,14 +210,12 @@ def assemble(
 
 def split(count: int, workers: int) -> list[tuple[int, int]]:
     """Cut the keyframes 0..count into ranges: several a process, so that they end together, but none too short."""
-    parts = 1 if workers <= 1 else max(1, min(4 * workers, count // _LEAST_RANGE))
+    parts = 1 if workers <= 1 else max(1, min(4 * workers, count // _MIN_RANGE_KEYFRAMES))
     edges = [round(i * count / parts) for i in range(parts + 1)]
     return list(pairwise(edges))
 
 
-def _detect_here(
-    drive: Drive, keyframes: NDArray[np.int64], config: DetectorConfig, progress: Progress | None
-) -> RangeResult:
+def _detect_here(drive: Drive, keyframes: IntArray, config: DetectorConfig, progress: Progress | None) -> RangeResult:
     done = 0
 
     def count() -> None:
@@ -233,7 +229,7 @@ def _detect_here(
 
 def _detect_in_processes(
     drive: Drive,
-    keyframes: NDArray[np.int64],
+    keyframes: IntArray,
     ranges: list[tuple[int, int]],
     config: DetectorConfig,
     workers: int,

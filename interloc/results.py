@@ -8,11 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from interloc.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -35,12 +31,12 @@ class KeyframeTable:
         Heading of the LiDAR, counter-clockwise from east; None without georeference.
     """
 
-    frame: Integers
-    time_s: Floats
-    world_xy: Floats
-    world_yaw_rad: Floats
-    lonlat: Floats | None = None
-    enu_yaw_rad: Floats | None = None
+    frame: IntArray
+    time_s: FloatArray
+    world_xy: FloatArray
+    world_yaw_rad: FloatArray
+    lonlat: FloatArray | None = None
+    enu_yaw_rad: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -68,13 +64,13 @@ class DetectionTable:
         Row of the fused intersection that the detection belongs to, -1 for none.
     """
 
-    keyframe: Integers
-    lidar_xy: Floats
-    world_xy: Floats
-    lonlat: Floats | None
-    bearings_deg: list[Floats]
-    score: Floats
-    intersection: Integers
+    keyframe: IntArray
+    lidar_xy: FloatArray
+    world_xy: FloatArray
+    lonlat: FloatArray | None
+    bearings_deg: list[FloatArray]
+    score: FloatArray
+    intersection: IntArray
 
     def __len__(self) -> int:
         return len(self.keyframe)
@@ -103,15 +99,15 @@ class IntersectionTable:
         Scan numbers of the first and the last keyframe that saw it.
     """
 
-    id: Integers
-    world_xy: Floats
-    lonlat: Floats | None
-    position_std_m: Floats
-    observations: Integers
-    confidence: Floats
-    bearings_deg: list[Floats]
-    first_frame: Integers
-    last_frame: Integers
+    id: IntArray
+    world_xy: FloatArray
+    lonlat: FloatArray | None
+    position_std_m: FloatArray
+    observations: IntArray
+    confidence: FloatArray
+    bearings_deg: list[FloatArray]
+    first_frame: IntArray
+    last_frame: IntArray
 
     def __len__(self) -> int:
         return len(self.id)
@@ -137,8 +133,8 @@ class DriveResult:
     keyframes: KeyframeTable
     detections: DetectionTable
     intersections: IntersectionTable
-    trajectory_world_xy: Floats
-    trajectory_lonlat: Floats | None
+    trajectory_world_xy: FloatArray
+    trajectory_lonlat: FloatArray | None
     run: dict[str, Any] = field(default_factory=dict)
 
     @property

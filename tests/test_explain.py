@@ -11,10 +11,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.config import PRESETS, DetectorConfig, with_settings
-from interloc.drives.drive import Drive, Georeference, GroundPoints
+from interloc.drive import Drive, Georeference, GroundPoints
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError, OutputError
 from interloc.explain import explain
@@ -46,11 +46,11 @@ class RoadDrive:
     name: str = "a drive worth $5 or $10"
 
     @property
-    def frames(self) -> NDArray[np.int64]:
+    def frames(self) -> IntArray:
         return 100 + 2 * np.arange(self.scans)
 
     @property
-    def T_world_lidar(self) -> NDArray[np.float64]:
+    def T_world_lidar(self) -> FloatArray:
         poses = np.tile(np.eye(4), (self.scans, 1, 1))
         poses[:, 0, 3] = STEP_M * np.arange(self.scans)
         return poses

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 from PIL import Image
 
+from interloc.arrays import FloatArray, UInt8Array
 from interloc.config import DetectorConfig, preset
-from interloc.drives.drive import Drive
+from interloc.drive import Drive
 from interloc.drives.open import open_drive
 from interloc.explain.evidence import Evidence, gather
 from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay
@@ -44,7 +44,7 @@ def evidence(drive: Drive, config: DetectorConfig) -> Evidence:
     return gather(drive, FRAME, config)
 
 
-def draw(evidence: Evidence, layer: str) -> NDArray[np.uint8]:
+def draw(evidence: Evidence, layer: str) -> UInt8Array:
     """Draw a layer and read it back: rows, columns, red green blue alpha."""
     picture = np.array(Image.open(io.BytesIO(draw_overlay(evidence, layer))).convert("RGBA"))
     assert picture.shape[0] == picture.shape[1]
@@ -108,7 +108,7 @@ def test_corners_and_detections_lie_where_the_result_has_them(
     assert_allclose(np.mean(told["corners_world_m"], axis=0), evidence.vehicle, atol=told["resolution_m"])
 
 
-def _turns_right(corners: NDArray[np.float64]) -> bool:
+def _turns_right(corners: FloatArray) -> bool:
     first, second = corners[1] - corners[0], corners[2] - corners[1]
     return bool(first[0] * second[1] - first[1] * second[0] < 0)
 

@@ -7,24 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, IntArray
 from interloc.config import DEFAULT, DetectorConfig
-from interloc.detect.detector import Detector, KeyframeDetections
-from interloc.detect.keyframes import select_keyframes
-from interloc.drives.drive import scans_of
+from interloc.detection.detector import Detector, KeyframeDetections
+from interloc.detection.keyframes import select_keyframes
+from interloc.drive import scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError
 from interloc.pipeline import detect, detect_range, split
 from interloc.results import DriveResult
 
-Array = NDArray[np.float64]
-
 JUNCTIONS = [(40.0 * i, 0.0) for i in range(12)]
 
 
-def ground() -> NDArray[np.float32]:
+def ground() -> Float32Array:
     """Cover the roads of a street with a side road every 40 m, to the left and to the right in turn, in W."""
     x, y = (a.ravel() for a in np.meshgrid(np.arange(-30, 500, 0.8), np.arange(-40, 40, 0.8)))
     nearest = np.round(x / 40)
@@ -84,7 +82,7 @@ def table_bits(result: DriveResult) -> list[bytes]:
     return [column.tobytes() for column in [*columns, map_.world_xy, map_.observations]]
 
 
-def keyframes_of(drive: FolderDrive, config: DetectorConfig) -> NDArray[np.int64]:
+def keyframes_of(drive: FolderDrive, config: DetectorConfig) -> IntArray:
     return select_keyframes(drive.T_world_lidar, config.keyframes)
 
 

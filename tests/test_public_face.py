@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -24,49 +21,6 @@ def test_every_name_resolves(name: str) -> None:
 def test_a_name_that_is_not_there() -> None:
     with pytest.raises(AttributeError, match="module 'interloc' has no attribute 'nothing'"):
         interloc.nothing  # noqa: B018
-
-
-IMPORTS = {
-    "nothing before": "",
-    "the modules before": "import interloc.detect.detector, interloc.evaluate.evaluate, interloc.pipeline",
-    "the packages before": "import interloc.detect, interloc.evaluate",
-    "the functions before": "from interloc import detect, evaluate; assert callable(detect) and callable(evaluate)",
-    "the functions themselves before": "from interloc.pipeline import detect; from interloc.evaluate.evaluate import "
-    "evaluate; import interloc.explain",
-}
-
-CALL = """
-import interloc
-from interloc.errors import DriveError
-class Empty:
-    name, times_s, georeference = "empty", None, None
-    import numpy as np
-    frames, T_world_lidar = np.empty(0, np.int64), np.empty((0, 4, 4))
-try:
-    interloc.detect(Empty())
-except DriveError as error:
-    assert "no scans" in str(error)
-else:
-    raise AssertionError
-try:
-    interloc.evaluate()
-except TypeError as error:
-    assert "evaluate() missing" in str(error), error
-else:
-    raise AssertionError
-from interloc.detect.detector import Detector
-from interloc.evaluate.evaluate import evaluate
-assert interloc.Detector is Detector
-"""
-
-
-@pytest.mark.parametrize("before", IMPORTS.values(), ids=IMPORTS)
-def test_detect_and_evaluate_can_be_called(before: str) -> None:
-    environment = {**os.environ, "PYTHONWARNINGS": "error"}
-    process = subprocess.run(
-        [sys.executable, "-c", before + CALL], capture_output=True, text=True, env=environment, check=False
-    )
-    assert process.stderr == ""
 
 
 def road_at(x_m: float) -> np.ndarray:

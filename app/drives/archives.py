@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import secrets
 
+from app.context import Context
 from app.drives.intake import Arrival
 from app.drives.placement import refuse_unless_open
 from app.drives.records import drive_key, lock_drive
+from app.http.problems import Problem
 from app.jobs.queue import submit
-from app.models import Job
-from app.problems import Problem
 from app.schemas.drives import UnpackedArchive
-from app.service import Service
+from app.store.models import Job
 from app.work.archive_files import MAGIC_BYTES, archive_kind
 
 
@@ -32,7 +32,7 @@ def check_magic(head: bytes) -> None:
         )
 
 
-def queue_archive(service: Service, drive_id: str, owner: str, arrival: Arrival) -> Job:
+def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival) -> Job:
     """Keep an archive, and have it unpacked.
 
     Raises
@@ -41,13 +41,13 @@ def queue_archive(service: Service, drive_id: str, owner: str, arrival: Arrival)
         404, 409: there is no such drive, or it takes no files now.
     """
     name = f"archives/{secrets.token_hex(8)}"
-    place = service.storage.folder(f"{drive_key(drive_id)}/{name}")
+    place = context.storage.folder(f"{drive_key(drive_id)}/{name}")
     try:
-        with service.database.writing() as session:
+        with context.database.writing() as session:
             drive = lock_drive(session, drive_id)
             refuse_unless_open(drive, ["archive"])
             job, _ = submit(
-                session, service.database, kind="unpack", drive_id=drive_id, owner=owner, request={"archive": name}
+                session, context.database, kind="unpack", drive_id=drive_id, owner=owner, request={"archive": name}
             )
             drive.touched_at = job.created_at
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -55,7 +55,7 @@ def queue_archive(service: Service, drive_id: str, owner: str, arrival: Arrival)
     except BaseException:
         place.unlink(missing_ok=True)
         raise
-    service.runner.wake()
+    context.runner.wake()
     return job
 
 

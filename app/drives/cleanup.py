@@ -14,13 +14,13 @@ from sqlalchemy import Exists, exists, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from app.context import Context
 from app.drives.intake import INCOMING
 from app.drives.records import delete_drive, drive_key
 from app.drives.settle import tidy_drive
+from app.http.problems import Problem
 from app.jobs.queue import FINAL
-from app.models import Base, Drive, Job
-from app.problems import Problem
-from app.service import Service
+from app.store.models import Base, Drive, Job
 
 PERIOD_S = 3600.0
 LEFT_ALONE_S = 24 * 3600.0
@@ -45,25 +45,25 @@ class SweepReport:
     leftovers: list[str]
 
 
-def sweep(service: Service) -> SweepReport:
+def sweep(context: Context) -> SweepReport:
     """Remove what nobody needs any more; doing it again, or by several servers at once, does no harm."""
-    report = SweepReport(_remove_expired(service), [])
-    for key in _leftovers(service):
-        service.storage.delete(key)
+    report = SweepReport(_remove_expired(context), [])
+    for key in _leftovers(context):
+        context.storage.delete(key)
         report.leftovers.append(key)
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         ready = session.execute(select(Drive.id, Drive.keep_raw).where(Drive.state == "ready")).all()
     for drive_id, keep_raw in ready:
-        tidy_drive(service, drive_id, keep_raw=keep_raw)
+        tidy_drive(context, drive_id, keep_raw=keep_raw)
     if report.drives or report.leftovers:
         _log.info("clean-up: %d expired uploads, %d leftovers", len(report.drives), len(report.leftovers))
     return report
 
 
-def _remove_expired(service: Service) -> list[str]:
+def _remove_expired(context: Context) -> list[str]:
     """Remove uploads that were left alone."""
-    with service.database.reading() as session:
-        oldest = service.database.clock(session) - 3600 * service.settings.upload_expires_h
+    with context.database.reading() as session:
+        oldest = context.database.clock(session) - 3600 * context.settings.upload_expires_h
         found = session.scalars(
             select(Drive.id).where(Drive.state == "uploading", Drive.touched_at < oldest, ~_is_worked_on())
         ).all()
@@ -75,7 +75,7 @@ def _remove_expired(service: Service) -> list[str]:
     removed = []
     for drive_id in found:
         with suppress(Problem):  # deleted meanwhile
-            if delete_drive(service, drive_id, only_if=is_expired):
+            if delete_drive(context, drive_id, only_if=is_expired):
                 removed.append(drive_id)
     return removed
 
@@ -84,25 +84,25 @@ def _is_worked_on() -> Exists:
     return exists().where(Job.drive_id == Drive.id, Job.state.not_in(FINAL)).correlate(Drive)
 
 
-def _leftovers(service: Service) -> Iterator[str]:
+def _leftovers(context: Context) -> Iterator[str]:
     """Find what is old and belongs to nothing."""
-    yield from (f"{INCOMING}/{path.name}" for path in _old(service.storage.folder(INCOMING)))
+    yield from (f"{INCOMING}/{path.name}" for path in _old(context.storage.folder(INCOMING)))
     tables: dict[str, type[Base]] = {"drives": Drive, "jobs": Job}
     for folder, table in tables.items():
-        for path in _old(service.storage.folder(folder)):
-            with service.database.reading() as session:
+        for path in _old(context.storage.folder(folder)):
+            with context.database.reading() as session:
                 is_known = session.get(table, path.name) is not None
             if not is_known:
                 yield f"{folder}/{path.name}"
-    drives = service.storage.folder("drives")
+    drives = context.storage.folder("drives")
     for archive in drives.glob("*/archives/*") if drives.is_dir() else ():
         drive_id = archive.parent.parent.name
-        if _is_old(archive) and not _is_waited_for(service, drive_id, archive.name):
+        if _is_old(archive) and not _is_waited_for(context, drive_id, archive.name):
             yield f"{drive_key(drive_id)}/archives/{archive.name}"
 
 
-def _is_waited_for(service: Service, drive_id: str, archive: str) -> bool:
-    with service.database.reading() as session:
+def _is_waited_for(context: Context, drive_id: str, archive: str) -> bool:
+    with context.database.reading() as session:
         jobs = session.scalars(
             select(Job).where(Job.drive_id == drive_id, Job.kind == "unpack", Job.state.not_in(FINAL))
         )
@@ -127,9 +127,9 @@ class Sweeper:
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def start(self, service: Service) -> None:
+    def start(self, context: Context) -> None:
         """Begin, in the background."""
-        self._thread = threading.Thread(target=self._run, args=(service,), name="sweeper", daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(context,), name="sweeper", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -138,10 +138,10 @@ class Sweeper:
         if self._thread is not None:
             self._thread.join(5)
 
-    def _run(self, service: Service) -> None:
+    def _run(self, context: Context) -> None:
         while True:
             try:
-                sweep(service)
+                sweep(context)
             except (SQLAlchemyError, OSError) as error:
                 _log.warning("clean-up: %s", error)
             if self._stopping.wait(PERIOD_S):

@@ -7,20 +7,20 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from app.context import Context
 from app.drives.archives import raise_failure
-from app.drives.limits import check_free_space
 from app.drives.records import drive_model, find_drive, lock_drive
+from app.http.limits import check_free_space
+from app.http.problems import Problem
 from app.jobs.queue import submit
-from app.models import Drive, Job
-from app.problems import Problem
 from app.schemas.drives import CommitRequest, DriveModel, DriveOptionsModel
-from app.service import Service
+from app.store.models import Drive, Job
 from interloc.drives.inspect import DriveReport
 
 _ACTIVE = ("accepted", "running")
 
 
-def begin_commit(service: Service, drive_id: str, owner: str, request: CommitRequest) -> Job | None:
+def begin_commit(context: Context, drive_id: str, owner: str, request: CommitRequest) -> Job | None:
     """Queue the check of a drive; join the one that runs already.
 
     Returns
@@ -33,8 +33,8 @@ def begin_commit(service: Service, drive_id: str, owner: str, request: CommitReq
     Problem
         404: no such drive. 409: an archive is still being unpacked. 507: the disk is full.
     """
-    check_free_space(service, 0)
-    with service.database.writing() as session:
+    check_free_space(context, 0)
+    with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state == "ready":
             return None
@@ -53,21 +53,21 @@ def begin_commit(service: Service, drive_id: str, owner: str, request: CommitReq
             drive.options = {**DriveOptionsModel.model_validate(drive.options).model_dump(mode="json"), **given}
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
-        job = queue_commit(session, service, drive, owner, check_only=request.check_only)
-    service.runner.wake()
+        job = queue_commit(session, context, drive, owner, check_only=request.check_only)
+    context.runner.wake()
     return job
 
 
-def queue_commit(session: Session, service: Service, drive: Drive, owner: str, *, check_only: bool = False) -> Job:
+def queue_commit(session: Session, context: Context, drive: Drive, owner: str, *, check_only: bool = False) -> Job:
     """Queue the check of a drive, within a transaction that has locked it."""
     work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
-    job, _ = submit(session, service.database, kind="commit", drive_id=drive.id, owner=owner, request=work)
+    job, _ = submit(session, context.database, kind="commit", drive_id=drive.id, owner=owner, request=work)
     drive.state = "checking"
     drive.touched_at = job.created_at
     return job
 
 
-def committed(service: Service, drive_id: str, job: Job | None) -> DriveModel:
+def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
     """Return the drive when its check has ended, or while it goes on.
 
     Raises
@@ -75,13 +75,13 @@ def committed(service: Service, drive_id: str, job: Job | None) -> DriveModel:
     Problem
         422: it has errors, which `problems` lists. Or the check itself failed.
     """
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     if job is not None:
         raise_failure(job)
         if job.state == "successful" and not (job.summary or {}).get("ok"):
             raise not_sound(drive)
-    return drive_model(drive, service.settings)
+    return drive_model(drive, context.settings)
 
 
 def not_sound(drive: Drive) -> Problem:

@@ -6,19 +6,19 @@ from contextlib import suppress
 
 from sqlalchemy import select, text
 
-from app.drives.limits import check_free_space
+from app.context import Context
 from app.drives.records import delete_drive
+from app.http.limits import check_free_space
+from app.http.problems import Problem
 from app.jobs.queue import submit
-from app.models import Drive, Job
-from app.problems import Problem
 from app.schemas.drives import DriveOptionsModel
-from app.service import Service
+from app.store.models import Drive, Job
 
 NAME = "Demo: a small made-up town"
 _NEEDED_BYTES = 400_000_000  # while it is made; most of it goes when it is committed
 
 
-def begin_demo(service: Service, owner: str) -> Job:
+def begin_demo(context: Context, owner: str) -> Job:
     """Return the job that makes, or has made, the demo drive of a client.
 
     Raises
@@ -26,8 +26,8 @@ def begin_demo(service: Service, owner: str) -> Job:
     Problem
         507: the disk is full.
     """
-    with service.database.writing() as session:
-        if not service.database.is_sqlite:  # one at a time, so that there is one drive
+    with context.database.writing() as session:
+        if not context.database.is_sqlite:  # one at a time, so that there is one drive
             session.execute(text("SELECT pg_advisory_xact_lock(hashtext(:owner))"), {"owner": f"demo {owner}"})
         job = session.scalars(
             select(Job)
@@ -42,15 +42,15 @@ def begin_demo(service: Service, owner: str) -> Job:
             .join(Job, Job.drive_id == Drive.id)
             .where(Job.kind == "demo", Job.owner == owner, Drive.state == "uploading", Drive.file_count == 0)
         ).all()
-        check_free_space(service, _NEEDED_BYTES)
-        now = service.database.clock(session)
+        check_free_space(context, _NEEDED_BYTES)
+        now = context.database.clock(session)
         options = DriveOptionsModel().model_dump(mode="json")
         drive = Drive(name=NAME, owner=owner, options=options, created_at=now, touched_at=now)
         session.add(drive)
         session.flush()
-        job, _ = submit(session, service.database, kind="demo", drive_id=drive.id, owner=owner, request={})
+        job, _ = submit(session, context.database, kind="demo", drive_id=drive.id, owner=owner, request={})
     for drive_id in dead:  # of demos that failed or were cancelled
         with suppress(Problem):
-            delete_drive(service, drive_id)
-    service.runner.wake()
+            delete_drive(context, drive_id)
+    context.runner.wake()
     return job

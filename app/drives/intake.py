@@ -15,9 +15,9 @@ from typing import TypeVar
 from fastapi.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
-from app.drives.limits import too_large
-from app.problems import Problem
-from app.service import Service
+from app.context import Context
+from app.http.limits import too_large
+from app.http.problems import Problem
 
 PIECE_BYTES = 1 << 20
 """Bodies are handed to the thread pool in pieces of about this size: a hop for every network packet costs more."""
@@ -60,12 +60,12 @@ class Intake:
         Bytes that it may have.
     """
 
-    def __init__(self, service: Service, path: str, limit: int) -> None:
+    def __init__(self, context: Context, path: str, limit: int) -> None:
         self.path = path
         self.size_bytes = 0
         self._limit = limit
         self._hash = hashlib.sha256()
-        self._temporary = service.storage.folder(INCOMING) / secrets.token_hex(12)
+        self._temporary = context.storage.folder(INCOMING) / secrets.token_hex(12)
         self._file: FileIO | None = None
 
     def write(self, data: bytes | memoryview) -> None:

@@ -14,13 +14,13 @@ from typing import Any, Self, cast
 from sqlalchemy import Table, bindparam, delete, insert, select, update
 from sqlalchemy.orm import Session
 
+from app.context import Context
 from app.drives.intake import INCOMING, Arrival
-from app.drives.limits import check_drive, check_free_space
-from app.drives.names import is_map
 from app.drives.records import files_key, find_drive, no_drive, remove_empty
-from app.models import Drive, DriveFile
-from app.problems import Problem
-from app.service import Service
+from app.http.limits import check_drive, check_free_space
+from app.http.problems import Problem
+from app.paths import is_map
+from app.store.models import Drive, DriveFile
 
 _AT_ONCE = 500  # paths in one query
 
@@ -41,7 +41,7 @@ _COUNT = (
 )
 
 
-def keep(service: Service, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
+def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
     """Give files their places in a drive.
 
     Parameters
@@ -62,11 +62,11 @@ def keep(service: Service, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
         404: there is no such drive (any more). 409: it takes no files now, or a name is that of a folder. 413: it
         would become too large. Nothing has changed then.
     """
-    with Placement(service, drive_id) as placement, service.database.writing() as session:
+    with Placement(context, drive_id) as placement, context.database.writing() as session:
         standing = lock_standing(session, drive_id)
         refuse_unless_open(standing, [arrival.path for arrival in arrivals])
         known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
-        register(service, session, standing, arrivals, known)
+        register(context, session, standing, arrivals, known)
         placement.move(arrivals)
     return not known
 
@@ -120,7 +120,7 @@ def refuse_unless_open(drive: Drive | Standing, paths: Iterable[str]) -> None:
         )
 
 
-def check_upload(service: Service, drive_id: str, path: str, length: int) -> None:
+def check_upload(context: Context, drive_id: str, path: str, length: int) -> None:
     """Refuse before a long body is read what would be refused after it.
 
     Raises
@@ -128,11 +128,11 @@ def check_upload(service: Service, drive_id: str, path: str, length: int) -> Non
     Problem
         404, 409, 413, 507: as of `keep`.
     """
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     refuse_unless_open(drive, [path])
-    check_drive(service, drive.file_count, drive.size_bytes + length)
-    check_free_space(service, length)
+    check_drive(context, drive.file_count, drive.size_bytes + length)
+    check_free_space(context, length)
 
 
 def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str, int]:
@@ -147,7 +147,7 @@ def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str,
 
 
 def register(
-    service: Service, session: Session, drive: Standing, arrivals: Sequence[Arrival], known: dict[str, int]
+    context: Context, session: Session, drive: Standing, arrivals: Sequence[Arrival], known: dict[str, int]
 ) -> None:
     """List files in the database, and count them.
 
@@ -158,7 +158,7 @@ def register(
     """
     more = sum(arrival.size_bytes for arrival in arrivals) - sum(known.values())
     fresh = len(arrivals) - len(known)
-    check_drive(service, drive.file_count + fresh, drive.size_bytes + more)
+    check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
     rows: list[dict[str, Any]] = [
         {"drive_id": drive.id, "path": each.path, "size_bytes": each.size_bytes, "sha256": each.sha256}
         for each in arrivals
@@ -170,16 +170,16 @@ def register(
     connection.execute(_INSERT, rows)
     connection.execute(
         _COUNT,
-        {"of": drive.id, "fresh": fresh, "more": more, "now": service.database.clock(session)},
+        {"of": drive.id, "fresh": fresh, "more": more, "now": context.database.clock(session)},
     )
 
 
 class Placement:
     """Moves files to their places; a block that fails, its transaction included, gets the old ones back."""
 
-    def __init__(self, service: Service, drive_id: str) -> None:
-        self._incoming = service.storage.folder(INCOMING)
-        self._files = service.storage.folder(files_key(drive_id))
+    def __init__(self, context: Context, drive_id: str) -> None:
+        self._incoming = context.storage.folder(INCOMING)
+        self._files = context.storage.folder(files_key(drive_id))
         self._moved: list[tuple[Path, Path | None]] = []
 
     def __enter__(self) -> Self:

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 from fastapi.concurrency import run_in_threadpool
 
+from app.context import Context
 from app.drives.records import files_key, find_drive
-from app.problems import FileProblem
+from app.http.problems import FileProblem
 from app.results.workers import in_worker
 from app.schemas.drives import DriveOptionsModel, PlanRequest, ReductionPlanModel
-from app.service import Service
 from app.work.plan import plan
 
 if TYPE_CHECKING:
     from interloc.drives.reduction.plan import ReductionPlan
 
 
-async def plan_upload(service: Service, drive_id: str, request: PlanRequest) -> ReductionPlanModel:
+async def plan_upload(context: Context, drive_id: str, request: PlanRequest) -> ReductionPlanModel:
     """Plan the reduction from the small files that were uploaded so far.
 
     Raises
@@ -26,16 +26,16 @@ async def plan_upload(service: Service, drive_id: str, request: PlanRequest) -> 
     Problem
         404: no such drive.
     """
-    name, root, options = await run_in_threadpool(_look_up, service, drive_id, request)
-    return _shown(await in_worker(service, plan, root, request.numbers(), options), str(root), name)
+    name, root, options = await run_in_threadpool(_look_up, context, drive_id, request)
+    return _shown(await in_worker(context, plan, root, request.numbers(), options), str(root), name)
 
 
-def _look_up(service: Service, drive_id: str, request: PlanRequest) -> tuple[str, Path, dict[str, Any]]:
+def _look_up(context: Context, drive_id: str, request: PlanRequest) -> tuple[str, Path, dict[str, Any]]:
     """Return the name and the folder of a drive, and how its plan is to be made."""
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     options = request.options or DriveOptionsModel.model_validate(drive.options)
-    root = service.storage.folder(files_key(drive_id))
+    root = context.storage.folder(files_key(drive_id))
     root.mkdir(parents=True, exist_ok=True)
     return (
         drive.name,

@@ -11,11 +11,11 @@ from pathlib import Path
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session, defer
 
-from app.models import Drive, DriveFile, Job
-from app.problems import Problem
+from app.context import Context
+from app.http.problems import Problem
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
-from app.service import Service
 from app.settings import Settings
+from app.store.models import Drive, DriveFile, Job
 from interloc.drives.inspect import DriveReport
 
 _CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
@@ -36,10 +36,10 @@ def reduced_key(drive_id: str) -> str:
     return f"drives/{drive_id}/reduced"
 
 
-def create_drive(service: Service, owner: str, new: NewDrive) -> DriveModel:
+def create_drive(context: Context, owner: str, new: NewDrive) -> DriveModel:
     """Make a drive without files."""
-    with service.database.writing() as session:
-        now = service.database.clock(session)
+    with context.database.writing() as session:
+        now = context.database.clock(session)
         drive = Drive(
             name=new.name,
             owner=owner,
@@ -54,7 +54,7 @@ def create_drive(service: Service, owner: str, new: NewDrive) -> DriveModel:
         )
         session.add(drive)
         session.flush()
-        return drive_model(drive, service.settings)
+        return drive_model(drive, context.settings)
 
 
 def find_drive(session: Session, drive_id: str) -> Drive:
@@ -95,7 +95,7 @@ def no_drive(drive_id: str) -> Problem:
     )
 
 
-def list_drives(service: Service, after: str | None, limit: int) -> DriveList:
+def list_drives(context: Context, after: str | None, limit: int) -> DriveList:
     """Return a page of drives, the newest first, without their reports."""
     query = select(Drive).options(defer(Drive.report)).order_by(Drive.created_at.desc(), Drive.id.desc())
     if after is not None:
@@ -103,11 +103,11 @@ def list_drives(service: Service, after: str | None, limit: int) -> DriveList:
         query = query.where(
             (Drive.created_at < created_at) | ((Drive.created_at == created_at) & (Drive.id < drive_id))
         )
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         drives = session.scalars(query.limit(limit + 1)).all()
     page = drives[:limit]
     return DriveList(
-        drives=[drive_model(drive, service.settings, report=False) for drive in page],
+        drives=[drive_model(drive, context.settings, report=False) for drive in page],
         next=f"{page[-1].created_at!r}_{page[-1].id}" if len(drives) > limit else None,
     )
 
@@ -121,20 +121,20 @@ def _cursor(text: str) -> tuple[float, str]:
     return float(match[1]), match[2]
 
 
-def list_files(service: Service, drive_id: str, after: str | None, limit: int) -> FileList:
+def list_files(context: Context, drive_id: str, after: str | None, limit: int) -> FileList:
     """Return a page of files in the order of the code points of their paths."""
-    path = DriveFile.path if service.database.is_sqlite else DriveFile.path.collate("C")
+    path = DriveFile.path if context.database.is_sqlite else DriveFile.path.collate("C")
     query = select(DriveFile).where(DriveFile.drive_id == drive_id).order_by(path)
     if after is not None:
         query = query.where(path > after)
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         find_drive(session, drive_id)
         files = session.scalars(query.limit(limit + 1)).all()
     page = files[:limit]
     return FileList(files=[file_model(file) for file in page], next=page[-1].path if len(files) > limit else None)
 
 
-def find_file(service: Service, drive_id: str, path: str) -> tuple[Path, UploadedFile]:
+def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, UploadedFile]:
     """Return an uploaded file.
 
     Raises
@@ -142,14 +142,14 @@ def find_file(service: Service, drive_id: str, path: str) -> tuple[Path, Uploade
     Problem
         404: it was never there. 410: it is not kept any more.
     """
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         find_drive(session, drive_id)
         row = session.get(DriveFile, (drive_id, path))
     if row is None:
         raise Problem(
             404, "File not found", f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
         )
-    folders = (service.storage.folder(key(drive_id)) for key in (files_key, reduced_key))
+    folders = (context.storage.folder(key(drive_id)) for key in (files_key, reduced_key))
     file = next((folder / path for folder in folders if (folder / path).is_file()), None)
     if file is None:
         raise Problem(
@@ -161,7 +161,7 @@ def find_file(service: Service, drive_id: str, path: str) -> tuple[Path, Uploade
     return file, file_model(row)
 
 
-def delete_file(service: Service, drive_id: str, path: str) -> None:
+def delete_file(context: Context, drive_id: str, path: str) -> None:
     """Remove a file of a drive that is not committed yet.
 
     Raises
@@ -169,7 +169,7 @@ def delete_file(service: Service, drive_id: str, path: str) -> None:
     Problem
         404: no such drive or file. 409: the drive is committed, or being checked.
     """
-    with service.database.writing() as session:
+    with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state != "uploading":
             raise Problem(
@@ -183,10 +183,10 @@ def delete_file(service: Service, drive_id: str, path: str) -> None:
         drive.file_count -= 1
         drive.size_bytes -= row.size_bytes
         drive.stored_bytes -= row.size_bytes
-        drive.touched_at = service.database.clock(session)
+        drive.touched_at = context.database.clock(session)
         session.delete(row)
         session.flush()
-        root = service.storage.folder(files_key(drive_id))
+        root = context.storage.folder(files_key(drive_id))
         (root / path).unlink(missing_ok=True)
         remove_empty((root / path).parent, root)
 
@@ -199,7 +199,7 @@ def remove_empty(folder: Path, root: Path) -> None:
         folder = folder.parent
 
 
-def delete_drive(service: Service, drive_id: str, *, only_if: Callable[[Session, Drive], bool] | None = None) -> bool:
+def delete_drive(context: Context, drive_id: str, *, only_if: Callable[[Session, Drive], bool] | None = None) -> bool:
     """Remove a drive with its files, jobs and results; jobs that run end when they find their rows gone.
 
     Parameters
@@ -219,15 +219,15 @@ def delete_drive(service: Service, drive_id: str, *, only_if: Callable[[Session,
     Problem
         404.
     """
-    with service.database.writing() as session:
+    with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if only_if is not None and not only_if(session, drive):
             return False
         jobs = session.scalars(select(Job.id).where(Job.drive_id == drive_id)).all()
         session.execute(delete(Drive).where(Drive.id == drive_id))
     for job in jobs:
-        service.storage.delete(f"jobs/{job}")
-    service.storage.delete(drive_key(drive_id))
+        context.storage.delete(f"jobs/{job}")
+    context.storage.delete(drive_key(drive_id))
     return True
 
 

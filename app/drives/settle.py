@@ -12,21 +12,21 @@ from pathlib import Path
 from sqlalchemy import event, select
 from sqlalchemy.orm import Session
 
+from app.context import Context
 from app.drives.commits import queue_commit
 from app.drives.intake import INCOMING, Arrival
-from app.drives.names import is_map
 from app.drives.placement import Placement, lock_standing, refuse_unless_open, register, sizes_of
 from app.drives.records import drive_key, files_key, reduced_key
-from app.models import Drive, DriveFile, Job
-from app.problems import Problem
-from app.service import Service
+from app.http.problems import Problem
+from app.paths import is_map
+from app.store.models import Drive, DriveFile, Job
 from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
 from app.work.task import Outcome
 
 _log = logging.getLogger(__name__)
 
 
-def settle(session: Session, service: Service, job: Job, outcome: Outcome | Problem) -> None:
+def settle(session: Session, context: Context, job: Job, outcome: Outcome | Problem) -> None:
     """Write what a job did to its drive.
 
     Parameters
@@ -46,30 +46,30 @@ def settle(session: Session, service: Service, job: Job, outcome: Outcome | Prob
     drive = session.get(Drive, job.drive_id, with_for_update=True, populate_existing=True)
     if drive is None:
         return
-    drive.touched_at = service.database.clock(session)
+    drive.touched_at = context.database.clock(session)
     if job.kind == "commit":
-        _settle_commit(session, service, job, drive, outcome)
+        _settle_commit(session, context, job, drive, outcome)
     elif job.kind in {"unpack", "demo"}:
-        _settle_unpack(session, service, job, drive, outcome)
+        _settle_unpack(session, context, job, drive, outcome)
         if job.kind == "demo" and job.state == "successful":  # nobody may wait for it any more
-            queue_commit(session, service, drive, job.owner)
+            queue_commit(session, context, drive, job.owner)
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
     archive = job.request.get("archive")
 
     def tidy(_session: Session) -> None:
         try:
-            service.storage.delete(f"jobs/{job_id}/result")  # its contents are the drive's now
+            context.storage.delete(f"jobs/{job_id}/result")  # its contents are the drive's now
             if archive is not None:
-                service.storage.delete(f"{drive_key(drive_id)}/{archive}")
+                context.storage.delete(f"{drive_key(drive_id)}/{archive}")
             if state == "ready":
-                tidy_drive(service, drive_id, keep_raw=keep_raw)
+                tidy_drive(context, drive_id, keep_raw=keep_raw)
         except OSError:  # the clean-up tries again
             _log.exception("drive %s: not all could be tidied up", drive_id)
 
     event.listen(session, "after_commit", tidy, once=True)
 
 
-def _settle_commit(session: Session, service: Service, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
+def _settle_commit(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
     """Make the drive ready, or open it again with the report of what is wrong."""
     drive.state = "uploading"
     if isinstance(outcome, Problem):
@@ -77,10 +77,10 @@ def _settle_commit(session: Session, service: Service, job: Job, drive: Drive, o
     drive.report = outcome.report
     if not outcome.summary["ok"] or job.request.get("check_only"):
         return
-    built = service.storage.folder(f"jobs/{job.id}/result")
-    target = service.storage.folder(reduced_key(drive.id))
+    built = context.storage.folder(f"jobs/{job.id}/result")
+    target = context.storage.folder(reduced_key(drive.id))
     if (built / REDUCED).is_dir():  # else it is there: the transaction did not come through, and is tried again
-        service.storage.delete(reduced_key(drive.id))
+        context.storage.delete(reduced_key(drive.id))
         (built / REDUCED).replace(target)
     for name in TRAJECTORY:
         with suppress(FileNotFoundError):
@@ -99,25 +99,25 @@ def _settle_commit(session: Session, service: Service, job: Job, drive: Drive, o
     drive.state = "ready"
 
 
-def _settle_unpack(session: Session, service: Service, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
+def _settle_unpack(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
     """Give the files of an archive their places: all or none."""
     if isinstance(outcome, Problem):
         return
-    scratch = service.storage.folder(f"jobs/{job.id}/scratch")
+    scratch = context.storage.folder(f"jobs/{job.id}/scratch")
     listing = json.loads((scratch / LISTING).read_text())
-    incoming = service.storage.folder(INCOMING)
+    incoming = context.storage.folder(INCOMING)
     incoming.mkdir(parents=True, exist_ok=True)
     arrivals = [
         Arrival(file["path"], incoming / secrets.token_hex(12), file["size_bytes"], file["sha256"]) for file in listing
     ]
     try:
-        with session.begin_nested(), Placement(service, drive.id) as placement:
+        with session.begin_nested(), Placement(context, drive.id) as placement:
             refuse_unless_open(drive, ["archive"])
             for arrival in arrivals:
                 # A second name: where the server dies before the transaction is through, all is done once more.
                 link(scratch / UNPACKED / arrival.path, arrival.temporary)
             known = sizes_of(session, drive.id, [arrival.path for arrival in arrivals])
-            register(service, session, lock_standing(session, drive.id), arrivals, known)
+            register(context, session, lock_standing(session, drive.id), arrivals, known)
             placement.move(arrivals)
     except Problem as problem:
         job.state = "failed"
@@ -129,15 +129,15 @@ def _settle_unpack(session: Session, service: Service, job: Job, drive: Drive, o
                 arrival.temporary.unlink(missing_ok=True)
 
 
-def tidy_drive(service: Service, drive_id: str, *, keep_raw: bool) -> None:
+def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
     """Remove what a ready drive need not keep: all that was uploaded but maps, which jobs read from there.
 
     Small files and reduced scans are kept in its reduced folder. Doing it again does nothing.
     """
     if keep_raw:
         return
-    root = service.storage.folder(files_key(drive_id))
-    if not service.storage.folder(reduced_key(drive_id)).is_dir():
+    root = context.storage.folder(files_key(drive_id))
+    if not context.storage.folder(reduced_key(drive_id)).is_dir():
         _log.error("drive %s is ready, but its reduced folder is not there", drive_id)
         return
     raw = [

@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from app.http.problems import Problem
 from app.jobs import failures
 from app.jobs.executors import WorkerLostError, WorkExecutor
 from app.jobs.folders import place_result, task_of, tidy, without_paths
 from app.jobs.queue import Claim, JobQueue, State, not_ready
-from app.models import Drive, Job
-from app.problems import Problem
+from app.store.models import Drive, Job
 from app.work import calls
 from app.work.kinds import KINDS
 from app.work.progress import Board
 from app.work.task import Cancelled, Outcome, Part, Plan
 
 if TYPE_CHECKING:
-    from app.service import Service
+    from app.context import Context
 
 Stop = Literal["cancelled", "lost", "shutdown"]
 
@@ -47,13 +47,13 @@ class Attempt:
     claim
     """
 
-    def __init__(self, service: Service, queue: JobQueue, executor: WorkExecutor, claim: Claim) -> None:
-        self._service = service
+    def __init__(self, context: Context, queue: JobQueue, executor: WorkExecutor, claim: Claim) -> None:
+        self._context = context
         self._queue = queue
         self._executor = executor
         self.claim = claim
         self._kind = KINDS[claim.job.kind]
-        self._task = task_of(service, claim, executor.slots)
+        self._task = task_of(context, claim, executor.slots)
         self._board = Board(self._task)
         self._stop: Stop | None = None
         self._stage = self._kind.stages[0]
@@ -96,7 +96,7 @@ class Attempt:
         if job.cancel_requested:
             self._stop = "cancelled"
             raise _StoppedError
-        if job.attempts > self._service.settings.max_attempts:
+        if job.attempts > self._context.settings.max_attempts:
             raise failures.lost_servers(job.attempts - 1)
         if not self._kind.is_quick and self.claim.drive_state == "uploading":
             raise not_ready(Drive(id=job.drive_id, name=self.claim.drive_name))
@@ -158,7 +158,7 @@ class Attempt:
         self._tries[what] += 1
         tries = self._tries[what]
         _log.warning("job %s: %s failed: %s", self.claim.job.id, what, error, exc_info=error)
-        if tries >= self._service.settings.max_attempts:
+        if tries >= self._context.settings.max_attempts:
             if isinstance(error, WorkerLostError):
                 raise failures.lost_workers(str(error), what, tries) from error
             raise failures.problem_of(error, what, tries) from error
@@ -197,7 +197,7 @@ class Attempt:
         state: State = "successful"
         if isinstance(outcome, Problem):
             state = "dismissed" if self._stop == "cancelled" else "failed"
-        job_id, storage = self.claim.job.id, self._service.storage
+        job_id, storage = self.claim.job.id, self._context.storage
         for wait_s in (0.5, 1, 2, 4, 8, 0):
             try:
                 if self._stop == "lost" or not self._settle(state, outcome):
@@ -217,21 +217,21 @@ class Attempt:
         job_id = self.claim.job.id
         error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
         summary = None if isinstance(outcome, Problem) else outcome.summary
-        with self._service.database.writing() as session:
+        with self._context.database.writing() as session:
             if not self._queue.finish(session, self.claim, state, error=error, summary=summary):
                 return False
             if state == "successful":
-                place_result(self._service.storage, self._task)
+                place_result(self._context.storage, self._task)
             if self._kind.is_quick:
                 job = session.get(Job, job_id)
                 assert job is not None
-                settle(session, self._service, job, outcome)
+                settle(session, self._context, job, outcome)
         return True
 
     def _leave(self) -> str:
         """Leave a job that another server has taken over, or that was deleted with its drive."""
-        with suppress(SQLAlchemyError), self._service.database.reading() as session:
+        with suppress(SQLAlchemyError), self._context.database.reading() as session:
             if session.get(Job, self.claim.job.id) is None:
-                tidy(self._service.storage, self.claim.job.id, keep_result=False)
+                tidy(self._context.storage, self.claim.job.id, keep_result=False)
                 return "deleted"
         return "taken over"

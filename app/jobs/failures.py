@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 
-from app.problems import Problem, disk_full, from_error
+from app.http.problems import Problem, disk_full, from_error
 from interloc.errors import InterLocError
 
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

@@ -5,20 +5,20 @@ from __future__ import annotations
 import shutil
 from typing import TYPE_CHECKING, Any
 
+from app.http.problems import Problem
 from app.jobs.queue import Claim
-from app.problems import Problem
-from app.storage import Storage
+from app.store.storage import Storage
 from app.work.task import Task
 
 if TYPE_CHECKING:
-    from app.service import Service
+    from app.context import Context
 
 _ATTEMPT = "result-"
 
 
-def task_of(service: Service, claim: Claim, slots: int) -> Task:
+def task_of(context: Context, claim: Claim, slots: int) -> Task:
     """Return the work of a claimed job as workers see it."""
-    job, storage = claim.job, service.storage
+    job, storage = claim.job, context.storage
     name = claim.lease.rpartition("-")[2]
     return Task(
         kind=job.kind,
@@ -28,16 +28,16 @@ def task_of(service: Service, claim: Claim, slots: int) -> Task:
         drive=storage.folder(f"drives/{job.drive_id}"),
         scratch=storage.folder(f"jobs/{job.id}/scratch"),
         result=storage.folder(f"jobs/{job.id}/{_ATTEMPT}{name}"),
-        limits=_limits(service, slots),
+        limits=_limits(context, slots),
         attempt=name,
     )
 
 
-def _limits(service: Service, slots: int) -> dict[str, Any]:
-    settings = service.settings
+def _limits(context: Context, slots: int) -> dict[str, Any]:
+    settings = context.settings
     by_name = settings.model_dump(mode="json", exclude={"token", "database_url"})
     limits = {name: value for name, value in by_name.items() if name.startswith(("max_", "min_"))}
-    cache = str(service.storage.folder("cache"))
+    cache = str(context.storage.folder("cache"))
     return {**limits, "workers": slots, "cache": cache, "overpass_url": settings.overpass_url}
 
 

@@ -17,9 +17,9 @@ from typing import Any, Literal
 from sqlalchemy import CursorResult, case, func, or_, select, text, update
 from sqlalchemy.orm import Session, aliased
 
-from app.database import Database
-from app.models import Drive, Job
-from app.problems import Problem
+from app.http.problems import Problem
+from app.store.database import Database
+from app.store.models import Drive, Job
 from app.work.kinds import QUICK
 
 FINAL = ("successful", "failed", "dismissed")

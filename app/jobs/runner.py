@@ -14,11 +14,11 @@ from app.jobs.attempt import Attempt
 from app.jobs.executors import WorkExecutor, open_executor
 from app.jobs.folders import jobs_with_scratch, tidy
 from app.jobs.queue import FINAL, JobQueue
-from app.models import Job
+from app.store.models import Job
 from app.work.kinds import QUICK
 
 if TYPE_CHECKING:
-    from app.service import Service
+    from app.context import Context
 
 _POLL_S = 0.5
 _JOBS_AT_ONCE = 2
@@ -59,7 +59,7 @@ class Runner:
             return "the runner does not run"
         return None if self._executor.alive else "there is no worker"
 
-    def start(self, service: Service) -> None:
+    def start(self, context: Context) -> None:
         """Begin; workers start in the background.
 
         Raises
@@ -67,10 +67,10 @@ class Runner:
         ConfigError
             The Dask cluster of the settings cannot be used.
         """
-        self._executor = open_executor(service.settings, service.metrics.worker_restarts.inc)
-        queue = JobQueue(service.database, service.settings.lease_s)
+        self._executor = open_executor(context.settings, context.metrics.worker_restarts.inc)
+        queue = JobQueue(context.database, context.settings.lease_s)
         for target in (self._claim_jobs, self._keep_leases):
-            thread = threading.Thread(target=target, args=(service, queue), name=target.__name__, daemon=True)
+            thread = threading.Thread(target=target, args=(context, queue), name=target.__name__, daemon=True)
             thread.start()
             self._threads.append(thread)
 
@@ -91,11 +91,11 @@ class Runner:
         for thread in [*self._threads, *(thread for _, thread in attempts)]:
             thread.join(5)
 
-    def _claim_jobs(self, service: Service, queue: JobQueue) -> None:
-        self._tidy_scratch(service)
+    def _claim_jobs(self, context: Context, queue: JobQueue) -> None:
+        self._tidy_scratch(context)
         while not self._stopping.is_set():
             try:
-                found = self._claim(service, queue)
+                found = self._claim(context, queue)
             except SQLAlchemyError as error:
                 _log.warning("no job could be claimed: %s", error)
                 found = False
@@ -103,18 +103,18 @@ class Runner:
                 self._wake.wait(_POLL_S)
                 self._wake.clear()
 
-    def _claim(self, service: Service, queue: JobQueue) -> bool:
+    def _claim(self, context: Context, queue: JobQueue) -> bool:
         """Take one job, where there is room for it; tell whether there was one."""
         with self._lock:
             kinds = [attempt.claim.job.kind for attempt, _ in self._attempts.values()]
         quick = sum(kind in QUICK for kind in kinds)
-        room = len(kinds) - quick < (service.settings.jobs_at_once or _JOBS_AT_ONCE)
+        room = len(kinds) - quick < (context.settings.jobs_at_once or _JOBS_AT_ONCE)
         if not room and quick >= _QUICK_AT_ONCE:
             return False
         claim = queue.claim(quick_only=not room)
         if claim is None:
             return False
-        attempt = Attempt(service, queue, self.executor, claim)
+        attempt = Attempt(context, queue, self.executor, claim)
         thread = threading.Thread(target=self._work, args=(attempt,), name=f"job-{claim.job.id}", daemon=True)
         with self._lock:
             self._attempts[claim.lease] = attempt, thread
@@ -133,9 +133,9 @@ class Runner:
                 del self._attempts[attempt.claim.lease]
             self.wake()
 
-    def _keep_leases(self, service: Service, queue: JobQueue) -> None:
+    def _keep_leases(self, context: Context, queue: JobQueue) -> None:
         """Say that this server lives, and hear what was cancelled or lost."""
-        lease_s = service.settings.lease_s
+        lease_s = context.settings.lease_s
         heard = said = time.monotonic()
         while not self._stopping.wait(_POLL_S):
             with self._lock:
@@ -161,14 +161,14 @@ class Runner:
                     attempts[lease].stop(state)
 
     @staticmethod
-    def _tidy_scratch(service: Service) -> None:
+    def _tidy_scratch(context: Context) -> None:
         """Remove what a server left behind that was killed between the end of a job and its tidying."""
         try:
-            found = jobs_with_scratch(service.storage)
-            with service.database.reading() as session:
+            found = jobs_with_scratch(context.storage)
+            with context.database.reading() as session:
                 ended = session.execute(select(Job.id, Job.state).where(Job.id.in_(found), Job.state.in_(FINAL))).all()
         except (SQLAlchemyError, OSError) as error:
             _log.warning("left-over scratch folders could not be looked for: %s", error)
             return
         for job_id, state in ended:
-            tidy(service.storage, job_id, keep_result=state == "successful")
+            tidy(context.storage, job_id, keep_result=state == "successful")

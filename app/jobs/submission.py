@@ -6,15 +6,15 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
-from app.drives.names import MAP_ENDINGS, is_map
-from app.models import DriveFile
-from app.problems import Problem, disk_full
+from app.context import Context
+from app.http.problems import Problem, disk_full
+from app.paths import MAP_ENDINGS, is_map
 from app.schemas.jobs import NewJob, OsmFile
-from app.service import Service
+from app.store.models import DriveFile
 from interloc.config import DetectorConfig, parse_config, preset
 
 
-def check_request(session: Session, service: Service, new: NewJob) -> dict[str, Any]:
+def check_request(session: Session, context: Context, new: NewJob) -> dict[str, Any]:
     """Return the request as it is kept and worked on, with all settings spelled out.
 
     Raises
@@ -24,7 +24,7 @@ def check_request(session: Session, service: Service, new: NewJob) -> dict[str, 
     Problem
         422 the map cannot be had; 507 the disk is full.
     """
-    if service.storage.free_bytes() < service.settings.min_free_bytes:
+    if context.storage.free_bytes() < context.settings.min_free_bytes:
         raise disk_full()
     if isinstance(new.osm, OsmFile):
         if session.get(DriveFile, (new.drive_id, new.osm.file)) is None:
@@ -38,7 +38,7 @@ def check_request(session: Session, service: Service, new: NewJob) -> dict[str, 
             raise Problem(
                 422, "Not a map", f"osm.file: {new.osm.file!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}."
             )
-    elif new.osm is not None and not service.settings.overpass:
+    elif new.osm is not None and not context.settings.overpass:
         raise Problem(
             422,
             "Overpass switched off",

@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from app.models import Drive, Job
-from app.problems import Problem, ProblemDocument
+from app.http.problems import Problem, ProblemDocument
 from app.schemas.jobs import JobModel, Progress
+from app.store.models import Drive, Job
 
 _CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
 

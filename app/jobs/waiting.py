@@ -10,15 +10,15 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.jobs.queue import FINAL
 from app.jobs.view import find_job
-from app.models import Job
+from app.store.models import Job
 
 if TYPE_CHECKING:
-    from app.service import Service
+    from app.context import Context
 
 _FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
 
 
-async def wait_for_async(service: Service, job_id: str, seconds: float) -> Job:
+async def wait_for_async(context: Context, job_id: str, seconds: float) -> Job:
     """Return a job when it has ended, or as it is after some seconds, or when the server is to stop.
 
     Raises
@@ -29,14 +29,14 @@ async def wait_for_async(service: Service, job_id: str, seconds: float) -> Job:
     end = time.monotonic() + seconds
     pause_s = _FIRST_LOOK_S
     while True:
-        job = await run_in_threadpool(_look, service, job_id)
+        job = await run_in_threadpool(_look, context, job_id)
         left_s = end - time.monotonic()
-        if job.state in FINAL or left_s <= 0 or service.stopping.is_set():
+        if job.state in FINAL or left_s <= 0 or context.stopping.is_set():
             return job
         await asyncio.sleep(min(pause_s, left_s))
         pause_s = min(1.3 * pause_s, _LAST_LOOK_S)
 
 
-def _look(service: Service, job_id: str) -> Job:
-    with service.database.reading() as session:
+def _look(context: Context, job_id: str) -> Job:
+    with context.database.reading() as session:
         return find_job(session, job_id)[0]

@@ -14,11 +14,11 @@ from sqlalchemy.exc import OperationalError
 
 from app.jobs.queue import FINAL
 from app.jobs.view import job_model
-from app.models import Drive, Job
 from app.schemas.jobs import JobModel
+from app.store.models import Drive, Job
 
 if TYPE_CHECKING:
-    from app.service import Service
+    from app.context import Context
 
 _POLL_S = 0.5
 _log = logging.getLogger(__name__)
@@ -55,13 +55,13 @@ class JobWatcher:
         self._versions: dict[str, int] = {}
         self._polling: asyncio.Task[None] | None = None
 
-    async def follow(self, service: Service, job_id: str, version: int) -> AsyncIterator[Change]:
+    async def follow(self, context: Context, job_id: str, version: int) -> AsyncIterator[Change]:
         """Yield the changes of a job after a version, until it has ended, is deleted, or the server stops."""
         queue: asyncio.Queue[Change | None] = asyncio.Queue()
         self._listeners.setdefault(job_id, set()).add(queue)
         self._versions[job_id] = min(version, self._versions.get(job_id, version))
         if self._polling is None or self._polling.done():
-            self._polling = asyncio.create_task(self._poll(service))
+            self._polling = asyncio.create_task(self._poll(context))
         try:
             while (change := await queue.get()) is not None:
                 if change.version > version:
@@ -74,9 +74,9 @@ class JobWatcher:
             if not self._listeners[job_id]:
                 del self._listeners[job_id], self._versions[job_id]
 
-    async def _poll(self, service: Service) -> None:
+    async def _poll(self, context: Context) -> None:
         try:
-            await self._tell_changes(service)
+            await self._tell_changes(context)
         except Exception:  # noqa: BLE001 - the listeners must hear of it
             _log.exception("changes of jobs could not be told")
         finally:  # whatever happened, nobody listens to silence
@@ -84,11 +84,11 @@ class JobWatcher:
                 for queue in queues:
                     queue.put_nowait(None)
 
-    async def _tell_changes(self, service: Service) -> None:
-        while self._listeners and not service.stopping.is_set():
+    async def _tell_changes(self, context: Context) -> None:
+        while self._listeners and not context.stopping.is_set():
             known = dict(self._versions)
             try:
-                changes = await run_in_threadpool(_changes, service, known)
+                changes = await run_in_threadpool(_changes, context, known)
             except OperationalError as error:
                 _log.warning("changes of jobs could not be read: %s", error)
                 changes = {}  # the next look says it all
@@ -100,9 +100,9 @@ class JobWatcher:
             await asyncio.sleep(_POLL_S)
 
 
-def _changes(service: Service, known: dict[str, int]) -> dict[str, Change | None]:
+def _changes(context: Context, known: dict[str, int]) -> dict[str, Change | None]:
     """Return the jobs whose version is not the known one; None for those that are gone."""
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         rows = session.execute(select(Job.id, Job.version).where(Job.id.in_(list(known))))
         versions = {row.id: row.version for row in rows}
         changed = [job_id for job_id, version in versions.items() if version != known[job_id]]
@@ -111,6 +111,6 @@ def _changes(service: Service, known: dict[str, int]) -> dict[str, Change | None
             return gone
         query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id.in_(changed))
         found = session.execute(query).all()
-        now = service.database.clock(session)
-    root_path = service.settings.root_path
+        now = context.database.clock(session)
+    root_path = context.settings.root_path
     return gone | {job.id: Change.of(job_model(job, name, root_path, now)) for job, name in found}

@@ -9,11 +9,11 @@ from typing import Any
 
 from sqlalchemy import select
 
-from app.models import Drive, Job
-from app.problems import Problem
-from app.service import Service
-from app.storage import Storage
-from interloc.mapping.layout import RUN_FILE, TABLES, file_names
+from app.context import Context
+from app.http.problems import Problem
+from app.store.models import Drive, Job
+from app.store.storage import Storage
+from interloc.output.layout import RUN_FILE, TABLES, file_names
 
 EVALUATION_FILES = {"osm-nodes": "osm_nodes.geojson", "matches": "matches.geojson", "osm-roads": "osm_roads.geojson"}
 LAYERS = (*TABLES, *EVALUATION_FILES)
@@ -22,7 +22,7 @@ LAYERS = (*TABLES, *EVALUATION_FILES)
 _KNOWN: dict[tuple[Storage, str], Result] = {}
 """Results found before. A job that was successful stays so until it is removed, and then its folder goes too."""
 
-_MOST_KNOWN = 1000
+_MAX_KNOWN = 1000
 
 _STATES = {
     "accepted": "It waits for its turn; follow GET {job}/events.",
@@ -135,7 +135,7 @@ class Result:
         return sorted(p.relative_to(self.folder) for p in self.folder.rglob("*") if p.is_file())
 
 
-def open_result(service: Service, job_id: str) -> Result:
+def open_result(context: Context, job_id: str) -> Result:
     """Find the result of a job.
 
     Raises
@@ -143,10 +143,10 @@ def open_result(service: Service, job_id: str) -> Result:
     Problem
         404: no such job, or one without results; 409: not successful (yet).
     """
-    known = _KNOWN.get((service.storage, job_id))
+    known = _KNOWN.get((context.storage, job_id))
     if known is not None and (known.folder / RUN_FILE).exists():
         return known
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         row = session.execute(
             select(Job.kind, Job.state, Job.request, Job.drive_id, Drive.name)
             .join(Drive, Drive.id == Job.drive_id)
@@ -161,7 +161,7 @@ def open_result(service: Service, job_id: str) -> Result:
     if state != "successful":
         detail = f"Job {job_id} is {state}. {_STATES[state].format(job=address)}"
         raise Problem(409, "Result not ready", detail, state=state)
-    storage = service.storage
+    storage = context.storage
     result = Result(
         job_id=job_id,
         drive_id=drive_id,
@@ -174,7 +174,7 @@ def open_result(service: Service, job_id: str) -> Result:
     )
     if not (result.folder / RUN_FILE).exists():
         raise Problem(410, "Result is gone", f"The result of job {job_id} is no longer on disk. Submit the job again.")
-    if len(_KNOWN) >= _MOST_KNOWN:
+    if len(_KNOWN) >= _MAX_KNOWN:
         _KNOWN.clear()
-    _KNOWN[service.storage, job_id] = result
+    _KNOWN[context.storage, job_id] = result
     return result

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from app.problems import Problem
+from app.context import Context
+from app.http.problems import Problem
 from app.results.folder import Result
 from app.results.workers import in_worker
-from app.service import Service
 from app.work.keyframe import VIEW, draw_keyframe
 from app.work.task import Task
 
@@ -23,7 +23,7 @@ class KeyframeViews:
         self._drawing: dict[Path, asyncio.Task[int]] = {}
         self._turn = asyncio.Semaphore(_AT_ONCE)
 
-    async def open(self, service: Service, result: Result, frame: int) -> Path:
+    async def open(self, context: Context, result: Result, frame: int) -> Path:
         """Return the folder of the pictures of a keyframe.
 
         Raises
@@ -38,7 +38,7 @@ class KeyframeViews:
         if drawing is None:
             if len(self._drawing) >= _WAITING:
                 raise Problem(503, "Busy", "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
-            drawing = asyncio.create_task(self._draw(service, _task_of(result), frame, folder))
+            drawing = asyncio.create_task(self._draw(context, _task_of(result), frame, folder))
             self._drawing[folder] = drawing
             drawing.add_done_callback(lambda _: self._drawing.pop(folder, None))
         nearest = await asyncio.shield(drawing)
@@ -52,9 +52,9 @@ class KeyframeViews:
             )
         return folder
 
-    async def _draw(self, service: Service, task: Task, frame: int, folder: Path) -> int:
+    async def _draw(self, context: Context, task: Task, frame: int, folder: Path) -> int:
         async with self._turn:
-            return await in_worker(service, draw_keyframe, task, frame, folder)
+            return await in_worker(context, draw_keyframe, task, frame, folder)
 
 
 def _task_of(result: Result) -> Task:

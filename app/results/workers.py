@@ -6,14 +6,14 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from app.context import Context
+from app.http.problems import Problem
 from app.jobs.executors import WorkerLostError
-from app.problems import Problem
-from app.service import Service
 
 Outcome = TypeVar("Outcome")
 
 
-async def in_worker(service: Service, function: Callable[..., Outcome], *args: Any) -> Outcome:  # noqa: ANN401
+async def in_worker(context: Context, function: Callable[..., Outcome], *args: Any) -> Outcome:  # noqa: ANN401
     """Call a function in a worker process; once more where the worker dies.
 
     Raises
@@ -22,11 +22,11 @@ async def in_worker(service: Service, function: Callable[..., Outcome], *args: A
         503 where two workers died of it.
     """
     try:
-        return await asyncio.wrap_future(service.runner.executor.submit_urgent(function, *args))
+        return await asyncio.wrap_future(context.runner.executor.submit_urgent(function, *args))
     except WorkerLostError:
         pass
     try:
-        return await asyncio.wrap_future(service.runner.executor.submit_urgent(function, *args))
+        return await asyncio.wrap_future(context.runner.executor.submit_urgent(function, *args))
     except WorkerLostError as error:
         detail = f"The work for this request could not be done: {error}. Usual cause: too little memory."
         raise Problem(503, "Worker lost", detail, headers={"Retry-After": "5"}) from error

@@ -8,19 +8,19 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
+from app.context import Context, ContextDep
 from app.drives.archives import check_magic, queue_archive, unpacked
-from app.drives.batches import BatchReader, boundary_of
 from app.drives.intake import Arrival, Intake, receive
-from app.drives.limits import check_free_space, declared_length
 from app.drives.placement import check_upload
-from app.drives.preferences import wait_of
+from app.http.limits import check_free_space, declared_length
+from app.http.multipart import BatchReader, boundary_of
+from app.http.prefer import wait_of
 from app.jobs.queue import FINAL
 from app.jobs.waiting import wait_for_async
-from app.models import Job
 from app.routes.files import UPLOAD
 from app.schemas.drives import UnpackedArchive
 from app.security import ClientDep
-from app.service import Service, ServiceDep
+from app.store.models import Job
 
 router = APIRouter(prefix="/drives/{drive_id}/archive", tags=["Uploads"])
 
@@ -49,7 +49,7 @@ async def post_archive(
     drive_id: str,
     request: Request,
     response: Response,
-    service: ServiceDep,
+    context: ContextDep,
     client: ClientDep,
     prefer: PreferHeader = None,
 ) -> UnpackedArchive:
@@ -58,25 +58,25 @@ async def post_archive(
     A leading folder is stripped. Links, devices, encrypted files, paths that lead out of the archive and archives of
     two drives are refused; nothing is kept of them.
     """
-    length = declared_length(request, service.settings.max_archive_bytes, "An archive")
-    await run_in_threadpool(check_upload, service, drive_id, "archive", 0)
-    await run_in_threadpool(check_free_space, service, length or 0)
+    length = declared_length(request, context.settings.max_archive_bytes, "An archive")
+    await run_in_threadpool(check_upload, context, drive_id, "archive", 0)
+    await run_in_threadpool(check_free_space, context, length or 0)
     is_form = request.headers.get("content-type", "").startswith("multipart/")
-    intake = _Form(service, request) if is_form else _Body(service)
+    intake = _Form(context, request) if is_form else _Body(context)
 
     def finish() -> Job:
-        check_free_space(service, 0)
-        return queue_archive(service, drive_id, client, intake.finish())
+        check_free_space(context, 0)
+        return queue_archive(context, drive_id, client, intake.finish())
 
     try:
         job = await receive(request, intake.take, finish)
     finally:
         await run_in_threadpool(intake.discard)
     wait_s = wait_of(prefer)
-    job = await wait_for_async(service, job.id, wait_s)
+    job = await wait_for_async(context, job.id, wait_s)
     if job.state not in FINAL:
         response.status_code = 202
-        response.headers["Location"] = f"{service.settings.root_path}/api/v1/jobs/{job.id}"
+        response.headers["Location"] = f"{context.settings.root_path}/api/v1/jobs/{job.id}"
     if prefer:
         response.headers["Preference-Applied"] = f"wait={wait_s}"
     return unpacked(job)
@@ -85,8 +85,8 @@ async def post_archive(
 class _Body:
     """An archive that is the body itself; what is none is refused by its first bytes."""
 
-    def __init__(self, service: Service) -> None:
-        self._intake = Intake(service, "archive", service.settings.max_archive_bytes)
+    def __init__(self, context: Context) -> None:
+        self._intake = Intake(context, "archive", context.settings.max_archive_bytes)
 
     def take(self, data: bytes) -> None:
         if not self._intake.size_bytes:
@@ -103,10 +103,10 @@ class _Body:
 class _Form:
     """An archive in the part `archive` of a form."""
 
-    def __init__(self, service: Service, request: Request) -> None:
-        limit = service.settings.max_archive_bytes
+    def __init__(self, context: Context, request: Request) -> None:
+        limit = context.settings.max_archive_bytes
         self._reader = BatchReader(
-            service,
+            context,
             boundary_of(request.headers.get("content-type")),
             {"archive": lambda _filename: "archive"},
             max_bytes=limit + (1 << 16),

@@ -7,18 +7,18 @@ from typing import Any
 from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
 
+from app.context import ContextDep
 from app.drives.commits import begin_commit, committed
 from app.drives.plans import plan_upload
-from app.drives.preferences import wait_of
 from app.drives.tracks import trajectory_file
+from app.http.delivery import WholeFile
+from app.http.prefer import wait_of
+from app.http.problems import ProblemDocument
 from app.jobs.waiting import wait_for_async
-from app.problems import ProblemDocument
-from app.results.delivery import WholeFile
 from app.routes.archive import PreferHeader
 from app.routes.drives import NOT_FOUND
 from app.schemas.drives import CommitRequest, DriveModel, PlanRequest, ReductionPlanModel
 from app.security import ClientDep
-from app.service import ServiceDep
 
 router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
 
@@ -29,13 +29,13 @@ _CONFLICT: dict[int | str, dict[str, Any]] = {
 
 @router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive")
 async def plan_reduction(
-    drive_id: str, request: PlanRequest, service: ServiceDep, _client: ClientDep
+    drive_id: str, request: PlanRequest, context: ContextDep, _client: ClientDep
 ) -> ReductionPlanModel:
     """Tell which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
 
     For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
     """
-    return await plan_upload(service, drive_id, request)
+    return await plan_upload(context, drive_id, request)
 
 
 @router.post(
@@ -55,7 +55,7 @@ async def plan_reduction(
 async def commit_drive(
     drive_id: str,
     response: Response,
-    service: ServiceDep,
+    context: ContextDep,
     client: ClientDep,
     request: CommitRequest | None = None,
     prefer: PreferHeader = None,
@@ -65,15 +65,15 @@ async def commit_drive(
     Waits for the end of it. A drive with errors is open again afterwards: mend its files and commit it once more.
     Commit of a drive that is being checked waits along; of one that is ready changes nothing.
     """
-    job = await run_in_threadpool(begin_commit, service, drive_id, client, request or CommitRequest())
+    job = await run_in_threadpool(begin_commit, context, drive_id, client, request or CommitRequest())
     wait_s = wait_of(prefer)
     if job is not None:
-        job = await wait_for_async(service, job.id, wait_s)
-    drive = await run_in_threadpool(committed, service, drive_id, job)
+        job = await wait_for_async(context, job.id, wait_s)
+    drive = await run_in_threadpool(committed, context, drive_id, job)
     if drive.state == "checking":
         response.status_code = 202
     if drive.state == "checking" or job is not None:
-        response.headers["Location"] = f"{service.settings.root_path}/api/v1/drives/{drive_id}"
+        response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive_id}"
     if prefer:
         response.headers["Preference-Applied"] = f"wait={wait_s}"
     return drive
@@ -89,7 +89,7 @@ async def commit_drive(
     },
     summary="Show where a drive went",
 )
-def show_trajectory(drive_id: str, service: ServiceDep, _client: ClientDep) -> WholeFile:
+def show_trajectory(drive_id: str, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
-    file = trajectory_file(service, drive_id)
+    file = trajectory_file(context, drive_id)
     return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

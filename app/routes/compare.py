@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
-from app.problems import Problem
+from app.context import ContextDep
+from app.http.problems import Problem
 from app.results.folder import open_result
 from app.routes.results import PROBLEMS
-from app.service import ServiceDep
 
 _MOST = 8
 
@@ -68,19 +68,19 @@ class Comparison(BaseModel):
     responses=PROBLEMS,
 )
 def compare_jobs(
-    service: ServiceDep,
+    context: ContextDep,
     jobs: Annotated[
         str,
         Query(description="Ids of two to eight jobs, with commas between.", max_length=1000, examples=["9b1e,44f0"]),
     ],
 ) -> dict[str, Any]:
     """Show which settings differ, the figures at D = 5 m, and which intersections only one of the jobs found."""
-    from interloc.evaluate.compare import compare_reports  # noqa: PLC0415 - numpy and more
+    from interloc.evaluation.compare import compare_reports  # noqa: PLC0415 - numpy and more
 
     ids = [each.strip() for each in jobs.split(",") if each.strip()]
     if not 2 <= len(set(ids)) == len(ids) <= _MOST:
         raise Problem(422, "Request not valid", f"jobs: {jobs!r}. Expected two to {_MOST} different job ids: a,b")
-    results = [open_result(service, job_id) for job_id in ids]
+    results = [open_result(context, job_id) for job_id in ids]
     drives = dict.fromkeys(result.drive_id for result in results)
     if len(drives) > 1:
         names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in results)

@@ -8,16 +8,16 @@ from typing import Any
 from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
 
+from app.context import ContextDep
 from app.drives.archives import raise_failure
 from app.drives.commits import begin_commit, committed
 from app.drives.demos import begin_demo
-from app.drives.preferences import wait_of
+from app.http.prefer import wait_of
+from app.http.problems import ProblemDocument
 from app.jobs.waiting import wait_for_async
-from app.problems import ProblemDocument
 from app.routes.archive import PreferHeader
 from app.schemas.drives import CommitRequest, DriveModel
 from app.security import ClientDep
-from app.service import ServiceDep
 
 router = APIRouter(tags=["Drives"])
 
@@ -29,7 +29,7 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
 
 @router.post("/demo", summary="Make a demo drive", operation_id="make_demo_drive", responses=_ANSWERS)
 async def make_demo(
-    response: Response, service: ServiceDep, client: ClientDep, prefer: PreferHeader = None
+    response: Response, context: ContextDep, client: ClientDep, prefer: PreferHeader = None
 ) -> DriveModel:
     """Simulate a drive through a small made-up town, and commit it; its map is `map.osm` among its files.
 
@@ -37,18 +37,18 @@ async def make_demo(
     """
     wait_s = wait_of(prefer)
     end = time.monotonic() + wait_s
-    job = await run_in_threadpool(begin_demo, service, client)
+    job = await run_in_threadpool(begin_demo, context, client)
     drive_id, check = job.drive_id, None
-    job = await wait_for_async(service, job.id, wait_s)
+    job = await wait_for_async(context, job.id, wait_s)
     raise_failure(job)
     if job.state == "successful":
-        check = await run_in_threadpool(begin_commit, service, drive_id, client, CommitRequest())
+        check = await run_in_threadpool(begin_commit, context, drive_id, client, CommitRequest())
         if check is not None:
-            check = await wait_for_async(service, check.id, max(0.0, end - time.monotonic()))
-    drive = await run_in_threadpool(committed, service, drive_id, check)
+            check = await wait_for_async(context, check.id, max(0.0, end - time.monotonic()))
+    drive = await run_in_threadpool(committed, context, drive_id, check)
     if drive.state != "ready":
         response.status_code = 202
-    response.headers["Location"] = f"{service.settings.root_path}/api/v1/drives/{drive_id}"
+    response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive_id}"
     if prefer:
         response.headers["Preference-Applied"] = f"wait={wait_s}"
     return drive

@@ -6,11 +6,11 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
 
+from app.context import ContextDep
 from app.drives import records
-from app.problems import ProblemDocument
+from app.http.problems import ProblemDocument
 from app.schemas.drives import DriveList, DriveModel, NewDrive
 from app.security import ClientDep
-from app.service import ServiceDep
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
 
@@ -18,32 +18,32 @@ NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "d
 
 
 @router.post("", status_code=201, summary="Make a drive")
-def create_drive(new: NewDrive, response: Response, service: ServiceDep, client: ClientDep) -> DriveModel:
+def create_drive(new: NewDrive, response: Response, context: ContextDep, client: ClientDep) -> DriveModel:
     """Make a drive without files. Send its files next, then commit it."""
-    drive = records.create_drive(service, client, new)
-    response.headers["Location"] = f"{service.settings.root_path}/api/v1/drives/{drive.id}"
+    drive = records.create_drive(context, client, new)
+    response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive.id}"
     return drive
 
 
 @router.get("", summary="List drives")
 def list_drives(
-    service: ServiceDep,
+    context: ContextDep,
     _client: ClientDep,
     after: Annotated[str | None, Query(max_length=100, description="`next` of the page before.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> DriveList:
     """List drives, the newest first, without their reports."""
-    return records.list_drives(service, after, limit)
+    return records.list_drives(context, after, limit)
 
 
 @router.get("/{drive_id}", responses=NOT_FOUND, summary="Show a drive")
-def show_drive(drive_id: str, service: ServiceDep, _client: ClientDep) -> DriveModel:
+def show_drive(drive_id: str, context: ContextDep, _client: ClientDep) -> DriveModel:
     """Show a drive, with the report of its last commit."""
-    with service.database.reading() as session:
-        return records.drive_model(records.find_drive(session, drive_id), service.settings)
+    with context.database.reading() as session:
+        return records.drive_model(records.find_drive(session, drive_id), context.settings)
 
 
 @router.delete("/{drive_id}", status_code=204, responses=NOT_FOUND, summary="Delete a drive")
-def delete_drive(drive_id: str, service: ServiceDep, _client: ClientDep) -> None:
+def delete_drive(drive_id: str, context: ContextDep, _client: ClientDep) -> None:
     """Remove a drive with its files, its jobs and their results. Jobs that run are dismissed."""
-    records.delete_drive(service, drive_id)
+    records.delete_drive(context, drive_id)

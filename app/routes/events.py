@@ -8,10 +8,10 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
+from app.context import ContextDep
 from app.jobs.watcher import Change
 from app.routes.jobs import NOT_FOUND, show_job
 from app.schemas.jobs import JobModel
-from app.service import ServiceDep
 
 router = APIRouter(tags=["Jobs"])
 
@@ -19,7 +19,7 @@ router = APIRouter(tags=["Jobs"])
 @router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=NOT_FOUND, summary="Follow a job")
 async def follow_job(
     job: Annotated[JobModel, Depends(show_job)],
-    service: ServiceDep,
+    context: ContextDep,
     last_event_id: Annotated[
         str | None, Header(max_length=40, description="Id of the last event that arrived; that state is not repeated.")
     ] = None,
@@ -30,12 +30,12 @@ async def follow_job(
     open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do by themselves.
     """
     current = Change.of(job)
-    with service.metrics.listeners.track_inprogress():
+    with context.metrics.listeners.track_inprogress():
         if current.is_final or last_event_id != str(current.version):
             yield _event(current)
         if current.is_final:
             return
-        async for change in service.watcher.follow(service, job.id, current.version):
+        async for change in context.watcher.follow(context, job.id, current.version):
             yield _event(change)
 
 

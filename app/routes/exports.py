@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from app.problems import ProblemDocument
-from app.results.delivery import MEDIA_TYPES, deliver
+from app.context import Context, ContextDep
+from app.http.delivery import MEDIA_TYPES, deliver
+from app.http.problems import ProblemDocument
 from app.results.folder import Result, open_result
 from app.results.workers import in_worker
 from app.routes.results import PROBLEMS, JobId, answers
-from app.service import Service, ServiceDep
-from interloc.mapping.vector_files import write_vector_file
+from interloc.output.vector_files import write_vector_file
 
 Layer = Literal["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]
 LayerQuery = Annotated[Layer, Query(description="Which layer.")]
@@ -55,7 +55,7 @@ def get(suffix: str, summary: str) -> Callable[[Callable[..., Any]], Callable[..
 async def export_gpkg(
     job_id: JobId,
     request: Request,
-    service: ServiceDep,
+    context: ContextDep,
     layer: Annotated[Layer | None, Query(description="Only this layer; all by default.")] = None,
 ) -> Response:
     """Give all layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches.
@@ -63,27 +63,27 @@ async def export_gpkg(
     EPSG:4326. Lists (bearings of branches) are JSON text. Layers with data of OpenStreetMap say so in their
     description: © OpenStreetMap contributors, ODbL 1.0.
     """
-    return await _export(request, service, job_id, ".gpkg", layer)
+    return await _export(request, context, job_id, ".gpkg", layer)
 
 
 @get(".fgb", "Download a layer as FlatGeobuf")
 async def export_fgb(
-    job_id: JobId, request: Request, service: ServiceDep, layer: LayerQuery = "intersections"
+    job_id: JobId, request: Request, context: ContextDep, layer: LayerQuery = "intersections"
 ) -> Response:
     """Give one layer as FlatGeobuf: compact, with a spatial index."""
-    return await _export(request, service, job_id, ".fgb", layer)
+    return await _export(request, context, job_id, ".fgb", layer)
 
 
 @get(".kml", "Download a layer as KML")
 async def export_kml(
-    job_id: JobId, request: Request, service: ServiceDep, layer: LayerQuery = "intersections"
+    job_id: JobId, request: Request, context: ContextDep, layer: LayerQuery = "intersections"
 ) -> Response:
     """Give one layer as KML, for Google Earth."""
-    return await _export(request, service, job_id, ".kml", layer)
+    return await _export(request, context, job_id, ".kml", layer)
 
 
-async def _export(request: Request, service: Service, job_id: str, suffix: str, layer: Layer | None) -> Response:
-    result = await run_in_threadpool(open_result, service, job_id)
+async def _export(request: Request, context: Context, job_id: str, suffix: str, layer: Layer | None) -> Response:
+    result = await run_in_threadpool(open_result, context, job_id)
     name = layer or "all"
     path = result.cache / "exports" / f"{name}{suffix}"
     if not path.exists():
@@ -91,19 +91,19 @@ async def _export(request: Request, service: Service, job_id: str, suffix: str, 
             result.require_georeference(f"Its files are in {result.address}/files")
         else:
             result.layer(layer)
-        await _build(request, service, result, path, layer)
+        await _build(request, context, result, path, layer)
     file_name = f"{result.slug}{suffix}" if layer is None else f"{result.slug}-{name}{suffix}"
     return await run_in_threadpool(deliver, request, path, name=file_name, download=True)
 
 
-async def _build(request: Request, service: Service, result: Result, path: Path, layer: Layer | None) -> None:
+async def _build(request: Request, context: Context, result: Result, path: Path, layer: Layer | None) -> None:
     """Write the file in a worker; once, however many ask for it at the same time."""
     state = request.app.state
     if not hasattr(state, "exports_being_built"):
         state.exports_being_built = {}
     running: dict[Path, asyncio.Task[None]] = state.exports_being_built
     if path not in running:
-        task = asyncio.create_task(in_worker(service, write_export, result.folder, path, layer))
+        task = asyncio.create_task(in_worker(context, write_export, result.folder, path, layer))
         running[path] = task
         task.add_done_callback(lambda _: running.pop(path, None))
     await asyncio.shield(running[path])

@@ -7,17 +7,17 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
+from app.context import ContextDep
 from app.drives import records
-from app.drives.digests import sha256_of
 from app.drives.intake import PIECE_BYTES, Intake, receive
-from app.drives.limits import check_free_space, declared_length
-from app.drives.names import check_path
 from app.drives.placement import check_upload, keep
-from app.problems import ProblemDocument
-from app.results.delivery import WholeFile
+from app.http.delivery import WholeFile
+from app.http.digest import sha256_of
+from app.http.limits import check_free_space, declared_length
+from app.http.problems import ProblemDocument
+from app.paths import check_path
 from app.schemas.drives import FileList, UploadedFile
 from app.security import ClientDep
-from app.service import ServiceDep
 
 router = APIRouter(prefix="/drives/{drive_id}/files", tags=["Uploads"])
 
@@ -45,13 +45,13 @@ UPLOAD: dict[int | str, dict[str, Any]] = {
 @router.get("", responses=NOT_FOUND, summary="List the files of a drive")
 def list_files(
     drive_id: str,
-    service: ServiceDep,
+    context: ContextDep,
     _client: ClientDep,
     after: Annotated[str | None, Query(max_length=512, description="`next` of the page before.")] = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
 ) -> FileList:
     """List what was uploaded, in the order of the paths. To resume an upload, send what is missing or differs."""
-    return records.list_files(service, drive_id, after, limit)
+    return records.list_files(context, drive_id, after, limit)
 
 
 @router.put(
@@ -77,7 +77,7 @@ def list_files(
     summary="Upload a file",
 )
 async def put_file(
-    drive_id: str, path: FilePath, request: Request, response: Response, service: ServiceDep, _client: ClientDep
+    drive_id: str, path: FilePath, request: Request, response: Response, context: ContextDep, _client: ClientDep
 ) -> UploadedFile:
     """Upload one file as it is: 201 where it is new, 200 where it replaced one of its name.
 
@@ -85,16 +85,16 @@ async def put_file(
     """
     check_path(path)
     sha256 = sha256_of(request.headers)
-    limit = service.settings.max_file_bytes
+    limit = context.settings.max_file_bytes
     length = declared_length(request, limit, path)
     if length is None or length > PIECE_BYTES:  # a small body is read sooner than the drive is looked up
-        await run_in_threadpool(check_upload, service, drive_id, path, length or 0)
-    intake = Intake(service, path, limit)
+        await run_in_threadpool(check_upload, context, drive_id, path, length or 0)
+    intake = Intake(context, path, limit)
 
     def finish() -> tuple[UploadedFile, bool]:
-        check_free_space(service, 0)
+        check_free_space(context, 0)
         arrival = intake.finish(sha256)
-        new = keep(service, drive_id, [arrival])
+        new = keep(context, drive_id, [arrival])
         return UploadedFile(path=path, size_bytes=arrival.size_bytes, sha256=arrival.sha256), new
 
     try:
@@ -116,14 +116,14 @@ async def put_file(
     },
     summary="Download a file",
 )
-def get_file(drive_id: str, path: FilePath, service: ServiceDep, _client: ClientDep) -> WholeFile:
+def get_file(drive_id: str, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return an uploaded file, as long as it is kept."""
-    file, about = records.find_file(service, drive_id, check_path(path))
+    file, about = records.find_file(context, drive_id, check_path(path))
     headers = {"ETag": f'"{about.sha256}"', "X-Content-Type-Options": "nosniff"}
     return WholeFile(file, media_type="application/octet-stream", filename=file.name, headers=headers)
 
 
 @router.delete("/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
-def delete_file(drive_id: str, path: FilePath, service: ServiceDep, _client: ClientDep) -> None:
+def delete_file(drive_id: str, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
     """Remove a file of a drive that is not committed yet."""
-    records.delete_file(service, drive_id, check_path(path))
+    records.delete_file(context, drive_id, check_path(path))

@@ -7,15 +7,15 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Header, Path, Query, Response
 from sqlalchemy import and_, or_, select
 
+from app.context import ContextDep
+from app.http.problems import Problem, ProblemDocument
 from app.jobs.folders import tidy
 from app.jobs.queue import FINAL, cancel, submit
 from app.jobs.submission import check_request
 from app.jobs.view import cursor_of, find_job, job_model, read_cursor
-from app.models import Drive, Job
-from app.problems import Problem, ProblemDocument
 from app.schemas.jobs import JobKind, JobList, JobModel, JobState, NewJob, PresetList, PresetModel
 from app.security import ClientDep
-from app.service import ServiceDep
+from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
 
 router = APIRouter(tags=["Jobs"])
@@ -44,7 +44,7 @@ def _problem(description: str) -> dict[str, Any]:
 def create_job(
     new: NewJob,
     response: Response,
-    service: ServiceDep,
+    context: ContextDep,
     client: ClientDep,
     idempotency_key: Annotated[
         str | None,
@@ -60,9 +60,9 @@ def create_job(
     The job waits in a queue; it survives restarts of the service. Follow it by its events or ask for it now and then.
     A job of a drive whose check still runs waits for it.
     """
-    database, settings = service.database, service.settings
+    database, settings = context.database, context.settings
     with database.writing() as session:
-        request = check_request(session, service, new)
+        request = check_request(session, context, new)
         job, is_new = submit(
             session,
             database,
@@ -75,7 +75,7 @@ def create_job(
         )
         _, drive_name = find_job(session, job.id)
         model = job_model(job, drive_name, settings.root_path, database.clock(session))
-    service.runner.wake()
+    context.runner.wake()
     response.status_code = 202 if is_new else 200
     response.headers["Location"] = model.links["self"]
     return model
@@ -83,7 +83,7 @@ def create_job(
 
 @router.get("/jobs", summary="List jobs", responses={422: _problem("A parameter is refused.")})
 def list_jobs(
-    service: ServiceDep,
+    context: ContextDep,
     _client: ClientDep,
     drive: Annotated[str | None, Query(max_length=64, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
@@ -109,19 +109,19 @@ def list_jobs(
     if after is not None:
         created_at, job_id = read_cursor(after)
         query = query.where(or_(Job.created_at < created_at, and_(Job.created_at == created_at, Job.id < job_id)))
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         rows = session.execute(query).all()
-        now = service.database.clock(session)
-    jobs = [job_model(job, name, service.settings.root_path, now) for job, name in rows[:limit]]
+        now = context.database.clock(session)
+    jobs = [job_model(job, name, context.settings.root_path, now) for job, name in rows[:limit]]
     return JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
 
 
 @router.get("/jobs/{job_id}", responses=NOT_FOUND, summary="Show a job")
-def show_job(job_id: JobId, service: ServiceDep, _client: ClientDep) -> JobModel:
+def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
     """Show how far a job is, why it failed, or what it found and where that is."""
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         job, name = find_job(session, job_id)
-        return job_model(job, name, service.settings.root_path, service.database.clock(session))
+        return job_model(job, name, context.settings.root_path, context.database.clock(session))
 
 
 @router.delete(
@@ -139,12 +139,12 @@ def show_job(job_id: JobId, service: ServiceDep, _client: ClientDep) -> JobModel
 def delete_job(
     job_id: JobId,
     response: Response,
-    service: ServiceDep,
+    context: ContextDep,
     _client: ClientDep,
     purge: Annotated[bool, Query(description="Remove a job that has ended, with its results.")] = False,
 ) -> JobModel | Response:
     """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed."""
-    database = service.database
+    database = context.database
     with database.writing() as session:
         job, name = find_job(session, job_id)
         if purge:
@@ -152,11 +152,11 @@ def delete_job(
             session.delete(job)
         else:
             cancel(session, database, job)
-            model = job_model(job, name, service.settings.root_path, database.clock(session))
+            model = job_model(job, name, context.settings.root_path, database.clock(session))
     if purge:
-        tidy(service.storage, job_id, keep_result=False)
+        tidy(context.storage, job_id, keep_result=False)
         return Response(status_code=204)
-    service.runner.wake()
+    context.runner.wake()
     response.status_code = 200 if model.state in FINAL else 202
     return model
 

@@ -8,12 +8,12 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.problems import ProblemDocument
-from app.results.delivery import deliver
+from app.context import ContextDep
+from app.http.delivery import deliver
+from app.http.problems import ProblemDocument
 from app.results.folder import open_result
 from app.results.keyframes import KeyframeViews
 from app.routes.results import PROBLEMS, JobId, answers
-from app.service import ServiceDep
 from app.work.keyframe import VIEW
 
 _KEEP = "private, max-age=86400"  # the same request to the same job always gives the same picture
@@ -87,10 +87,10 @@ def _views(request: Request) -> KeyframeViews:
     return views
 
 
-async def _answer(request: Request, service: ServiceDep, job_id: str, frame: int, file: str) -> Response:
+async def _answer(request: Request, context: ContextDep, job_id: str, frame: int, file: str) -> Response:
     for attempt in (1, 2):
-        result = await run_in_threadpool(open_result, service, job_id)
-        folder = await _views(request).open(service, result, frame)
+        result = await run_in_threadpool(open_result, context, job_id)
+        folder = await _views(request).open(context, result, frame)
         try:
             return await run_in_threadpool(
                 deliver, request, folder / file, name=f"{result.slug}-{frame}-{file}", cache_control=_KEEP
@@ -113,7 +113,7 @@ async def read_keyframe_picture(
     job_id: JobId,
     frame: Frame,
     request: Request,
-    service: ServiceDep,
+    context: ContextDep,
     layer: Annotated[Layer, Query(description="Which step; `all` is several in one, opaque.")] = "bev",
 ) -> Response:
     """Show the region of interest, aligned with W: +x to the right, +y up. Transparent where there is nothing.
@@ -121,7 +121,7 @@ async def read_keyframe_picture(
     `GET .../keyframes/{frame}/bev` tells where the corners lie, to put it on a map. It is drawn when first asked for,
     which takes some tenths of a second.
     """
-    return await _answer(request, service, job_id, frame, f"{layer}.png")
+    return await _answer(request, context, job_id, frame, f"{layer}.png")
 
 
 @router.get(
@@ -132,6 +132,6 @@ async def read_keyframe_picture(
     responses=_PROBLEMS,
 )
 @router.head("/jobs/{job_id}/keyframes/{frame}/bev", include_in_schema=False, response_class=Response)
-async def read_keyframe_view(job_id: JobId, frame: Frame, request: Request, service: ServiceDep) -> Response:
+async def read_keyframe_view(job_id: JobId, frame: Frame, request: Request, context: ContextDep) -> Response:
     """Give corners, candidates with what became of them and why, detections, the window, the counts of points."""
-    return await _answer(request, service, job_id, frame, VIEW)
+    return await _answer(request, context, job_id, frame, VIEW)

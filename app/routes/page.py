@@ -8,11 +8,11 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from pydantic import BaseModel, Field
 
-from app.page import docs
-from app.page.assets import INDEX, Assets
-from app.problems import Problem
-from app.results.delivery import deliver
-from app.service import Service, ServiceDep
+from app.context import Context, ContextDep
+from app.http import docs
+from app.http.assets import INDEX, Assets
+from app.http.delivery import deliver
+from app.http.problems import Problem
 
 router = APIRouter(tags=["System"])
 
@@ -55,16 +55,16 @@ def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint
         router.add_api_route(path, endpoint, methods=[method], include_in_schema=False, response_class=Response)
 
 
-def read_index(request: Request, assets: AssetsDep, service: ServiceDep) -> Response:
+def read_index(request: Request, assets: AssetsDep, context: ContextDep) -> Response:
     """Give the page, or lead to the documentation where it is not installed."""
     if not assets.is_complete:
         return RedirectResponse(f"{request.scope.get('root_path', '')}/docs")
-    return _give(request, assets, service, INDEX)
+    return _give(request, assets, context, INDEX)
 
 
-def read_asset(path: str, request: Request, assets: AssetsDep, service: ServiceDep) -> Response:
+def read_asset(path: str, request: Request, assets: AssetsDep, context: ContextDep) -> Response:
     """Give a file of the page."""
-    return _give(request, assets, service, path)
+    return _give(request, assets, context, path)
 
 
 def read_docs(request: Request, assets: AssetsDep) -> Response:
@@ -81,24 +81,24 @@ def read_docs_start() -> Response:
 
 
 @router.get("/config.json", summary="What the page needs to know", operation_id="read_page_config")
-def read_config(request: Request, service: ServiceDep) -> PageConfig:
+def read_config(request: Request, context: ContextDep) -> PageConfig:
     """Give version, tiles, limits, and whether a token is needed. Open to all: it holds no secrets."""
-    settings = service.settings
+    settings = context.settings
     return PageConfig(
         version=request.app.version,
         tile_url=settings.tile_url or None,
         tile_attribution=settings.tile_attribution,
         overpass=settings.overpass,
-        needs_token=service.tokens.exist(),
+        needs_token=context.tokens.exist(),
         limits={name: getattr(settings, name) for name in _SHARED_LIMITS},
     )
 
 
-def _give(request: Request, assets: Assets, service: Service, name: str) -> Response:
+def _give(request: Request, assets: Assets, context: Context, name: str) -> Response:
     path = assets.find_file(name)
     if path is None:
         raise Problem(404, "Not found", f"The page has no file {name!r}.")
-    twins = service.storage.folder("cache/page")
+    twins = context.storage.folder("cache/page")
     return deliver(request, path, twins=twins, cache_control="no-cache", policy=None)
 
 

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
-from app.problems import ProblemDocument
+from app.context import ContextDep
+from app.http.delivery import REVALIDATE, deliver, is_known, media_type_of, prefers_html
+from app.http.problems import ProblemDocument
 from app.results.archive import pack
-from app.results.delivery import REVALIDATE, deliver, is_known, media_type_of, prefers_html
 from app.results.folder import open_result
 from app.schemas.results import ResultFile, ResultFileList
-from app.service import ServiceDep
 
 JobId = Annotated[str, Path(description="Of a successful job of kind intersections.", max_length=64)]
 
@@ -100,8 +100,8 @@ def get(path: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..
 
 
 def _add_layer(layer: str, summary: str, description: str) -> None:
-    def read_layer(job_id: JobId, request: Request, service: ServiceDep) -> Response:
-        result = open_result(service, job_id)
+    def read_layer(job_id: JobId, request: Request, context: ContextDep) -> Response:
+        result = open_result(context, job_id)
         name = f"{result.slug}-{layer}.geojson"
         return deliver(request, result.layer(layer), twins=result.cache, name=name)
 
@@ -138,7 +138,7 @@ for _layer, (_summary, _description) in _DESCRIPTIONS.items():
 def read_report(
     job_id: JobId,
     request: Request,
-    service: ServiceDep,
+    context: ContextDep,
     format: Annotated[  # noqa: A002 - the name in the address
         Literal["html", "json"] | None, Query(description="Wins over the Accept header.")
     ] = None,
@@ -147,7 +147,7 @@ def read_report(
 
     Answers with JSON, or with HTML where the `Accept` header prefers `text/html` (as a browser's does).
     """
-    result = open_result(service, job_id)
+    result = open_result(context, job_id)
     html = format == "html" or (format is None and prefers_html(request.headers.get("accept", "")))
     path = result.evaluation_file("report.html" if html else "report.json")
     name = f"{result.slug}-{path.name}"
@@ -161,9 +161,9 @@ def read_report(
     response_class=Response,
     responses=answers("application/json", {"type": "object"}, "`run.json`."),
 )
-def read_run(job_id: JobId, request: Request, service: ServiceDep) -> Response:
+def read_run(job_id: JobId, request: Request, context: ContextDep) -> Response:
     """Give the full configuration, versions, timings a stage and peak memory."""
-    result = open_result(service, job_id)
+    result = open_result(context, job_id)
     return deliver(request, result.file("run.json"), twins=result.cache, name=f"{result.slug}-run.json")
 
 
@@ -174,9 +174,9 @@ def read_run(job_id: JobId, request: Request, service: ServiceDep) -> Response:
     response_model=ResultFileList,
     responses=PROBLEMS,
 )
-def list_result_files(job_id: JobId, service: ServiceDep) -> ResultFileList:
+def list_result_files(job_id: JobId, context: ContextDep) -> ResultFileList:
     """List the result folder, exactly as the command line writes it."""
-    result = open_result(service, job_id)
+    result = open_result(context, job_id)
     return ResultFileList(
         files=[
             ResultFile(
@@ -201,10 +201,10 @@ def read_result_file(
     job_id: JobId,
     name: Annotated[str, Path(description="As listed.", examples=["figures/map.svg"], max_length=512)],
     request: Request,
-    service: ServiceDep,
+    context: ContextDep,
 ) -> Response:
     """Give any file of the result; without georeference these are the way to the `*.local.json` layers."""
-    result = open_result(service, job_id)
+    result = open_result(context, job_id)
     path = result.file(name)
     return deliver(request, path, twins=result.cache, name=f"{result.slug}-{path.name}")
 
@@ -216,9 +216,9 @@ def read_result_file(
     response_class=Response,
     responses=answers("application/zip", {"type": "string", "format": "binary"}, "The result folder, packed."),
 )
-def download_archive(job_id: JobId, request: Request, service: ServiceDep) -> Response:
+def download_archive(job_id: JobId, request: Request, context: ContextDep) -> Response:
     """Give the whole result folder as a .zip, packed while it is sent."""
-    result = open_result(service, job_id)
+    result = open_result(context, job_id)
     names = result.files()
     stats = [(name.as_posix(), (stat := (result.folder / name).stat()).st_mtime_ns, stat.st_size) for name in names]
     etag = f'"{hashlib.sha256(repr(stats).encode()).hexdigest()[:24]}"'

@@ -5,14 +5,14 @@ from __future__ import annotations
 from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
 
-from app.drives.batches import FIELDS, BatchReader, boundary_of
+from app.context import ContextDep
 from app.drives.intake import receive
-from app.drives.limits import check_free_space, declared_length
 from app.drives.placement import check_upload, keep
+from app.http.limits import check_free_space, declared_length
+from app.http.multipart import FIELDS, BatchReader, boundary_of
 from app.routes.files import UPLOAD
 from app.schemas.drives import UploadedBatch, UploadedFile
 from app.security import ClientDep
-from app.service import ServiceDep
 
 router = APIRouter(prefix="/drives/{drive_id}/scans", tags=["Uploads"])
 
@@ -42,14 +42,14 @@ _ABOUT = {
     },
     summary="Upload a batch of scans",
 )
-async def post_scans(drive_id: str, request: Request, service: ServiceDep, _client: ClientDep) -> UploadedBatch:
+async def post_scans(drive_id: str, request: Request, context: ContextDep, _client: ClientDep) -> UploadedBatch:
     """Upload several files at once, all or none of them. It may be done again, and replaces files of the same names."""
-    limits = service.settings
+    limits = context.settings
     length = declared_length(request, limits.max_batch_bytes, "A request with several files")
     boundary = boundary_of(request.headers.get("content-type"))
-    await run_in_threadpool(check_upload, service, drive_id, "batch", length or 0)
+    await run_in_threadpool(check_upload, context, drive_id, "batch", length or 0)
     reader = BatchReader(
-        service,
+        context,
         boundary,
         FIELDS,
         max_bytes=limits.max_batch_bytes,
@@ -58,9 +58,9 @@ async def post_scans(drive_id: str, request: Request, service: ServiceDep, _clie
     )
 
     def finish() -> list[UploadedFile]:
-        check_free_space(service, 0)
+        check_free_space(context, 0)
         arrivals = reader.finish()
-        keep(service, drive_id, arrivals)
+        keep(context, drive_id, arrivals)
         return [UploadedFile(path=each.path, size_bytes=each.size_bytes, sha256=each.sha256) for each in arrivals]
 
     try:

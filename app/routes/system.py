@@ -9,11 +9,11 @@ from pydantic import BaseModel, Field
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
+from app.context import Context, ContextDep
+from app.http.problems import ProblemDocument
 from app.metrics import CONTENT_TYPE
-from app.models import Drive
-from app.problems import ProblemDocument
 from app.security import ClientDep
-from app.service import Service, ServiceDep
+from app.store.models import Drive
 
 router = APIRouter(tags=["System"])
 
@@ -45,9 +45,9 @@ async def show_health() -> Health:
     summary="Tell whether the service can work",
     responses={503: {"model": Readiness, "description": "It cannot; the reasons are named."}},
 )
-def show_readiness(service: ServiceDep, response: Response) -> Readiness:
+def show_readiness(context: ContextDep, response: Response) -> Readiness:
     """Ask the database, the disk and the workers. For load balancers: no request comes while it says 503."""
-    reasons = {part: reason for part, reason in _ailments(service).items() if reason is not None}
+    reasons = {part: reason for part, reason in _ailments(context).items() if reason is not None}
     if reasons:
         response.status_code = 503
     return Readiness(ready=not reasons, reasons=reasons)
@@ -62,33 +62,33 @@ def show_readiness(service: ServiceDep, response: Response) -> Readiness:
         401: {"model": ProblemDocument, "description": "The service needs an API token."},
     },
 )
-def show_metrics(service: ServiceDep, _client: ClientDep) -> Response:
+def show_metrics(context: ContextDep, _client: ClientDep) -> Response:
     """Show requests, uploads, jobs by state, queue wait, time of the stages, worker restarts, free disk."""
-    return Response(service.metrics.render(service), media_type=CONTENT_TYPE)
+    return Response(context.metrics.render(context), media_type=CONTENT_TYPE)
 
 
-def _ailments(service: Service) -> dict[str, str | None]:
+def _ailments(context: Context) -> dict[str, str | None]:
     return {
-        "server": "it is being stopped" if service.stopping.is_set() else None,
-        "database": _ailment_of_database(service),
-        "disk": _ailment_of_disk(service),
-        "workers": service.runner.ailment(),
+        "server": "it is being stopped" if context.stopping.is_set() else None,
+        "database": _ailment_of_database(context),
+        "disk": _ailment_of_disk(context),
+        "workers": context.runner.ailment(),
     }
 
 
-def _ailment_of_database(service: Service) -> str | None:
+def _ailment_of_database(context: Context) -> str | None:
     try:
-        with service.database.reading() as session:
+        with context.database.reading() as session:
             session.execute(select(Drive.id).limit(1))
     except SQLAlchemyError as error:
         return f"it does not answer ({type(error).__name__})"
     return None
 
 
-def _ailment_of_disk(service: Service) -> str | None:
-    floor = service.settings.min_free_bytes
+def _ailment_of_disk(context: Context) -> str | None:
+    floor = context.settings.min_free_bytes
     try:
-        free = service.storage.free_bytes()
+        free = context.storage.free_bytes()
     except OSError as error:
         return f"the data folder cannot be reached ({error.strerror})"
     if free >= floor:

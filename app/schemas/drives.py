@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
-from app.drives.names import BadNameError, check_path
-from app.problems import FileProblem
+from app.http.problems import FileProblem
+from app.paths import BadNameError, check_path
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.labels import named_scheme

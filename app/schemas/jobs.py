@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.problems import ProblemDocument
+from app.http.problems import ProblemDocument
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
 from interloc.osm.policies import Policy

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from interloc.detect.detector import KeyframeDetections
-from interloc.detect.keyframes import Keyframe
-from interloc.mapping.files import atomic_write
+from interloc.detection.detector import KeyframeDetections
+from interloc.detection.keyframes import Keyframe
+from interloc.files import atomic_write
 from interloc.pipeline import RangeResult, versions
 
 Array = NDArray[Any]

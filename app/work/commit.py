@@ -16,10 +16,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from app.drives.names import is_map
+from app.paths import is_map
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Outcome, Part, Plan, Report, Task
-from interloc.drives.drive import GroundPoints
+from interloc.drive import GroundPoints
 from interloc.drives.faults import DriveFileError, Findings, Problem
 from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.drives.open import open_drive
@@ -28,12 +28,12 @@ from interloc.drives.reduction.contents import GroundFiles
 from interloc.drives.reduction.manifest import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.drives.reduction.reduce import Reduction, label_folders_in, prepare_reduction
 from interloc.errors import InterLocError
-from interloc.mapping.exports import trajectory_feature
-from interloc.mapping.geojson import write_collection
 from interloc.mapping.georeferencing import trajectory
+from interloc.output.geojson import write_collection
+from interloc.output.write import trajectory_feature
 
 PART_SCANS = 200
-MOST_PROBLEMS = 500
+MAX_PROBLEMS = 500
 """In a report: a drive of 9,000 bad scans is told from some of them."""
 
 _PROBLEMS = "problems.json"
@@ -90,7 +90,7 @@ def run(task: Task, part: Part, report: Report) -> None:
             else:
                 raise
         report(done)
-    (folder / _PROBLEMS).write_text(json.dumps(problems[:MOST_PROBLEMS]))
+    (folder / _PROBLEMS).write_text(json.dumps(problems[:MAX_PROBLEMS]))
     os.sync()  # the scans themselves will be removed: better one wait a part than one a file
     with suppress(OSError):  # another attempt was faster
         folder.rename(target)
@@ -185,9 +185,9 @@ def _tidied(problems: list[Problem], root: Path, name: str) -> list[Problem]:
 
     order = ("error", "warning", "note")
     problems = sorted(problems, key=lambda problem: order.index(problem.severity))
-    kept = [Problem(each.severity, named(each.path), named(each.message)) for each in problems[:MOST_PROBLEMS]]
-    if len(problems) > MOST_PROBLEMS:
-        kept.append(Problem("note", "", f"And {len(problems) - MOST_PROBLEMS:,} more problems."))
+    kept = [Problem(each.severity, named(each.path), named(each.message)) for each in problems[:MAX_PROBLEMS]]
+    if len(problems) > MAX_PROBLEMS:
+        kept.append(Problem("note", "", f"And {len(problems) - MAX_PROBLEMS:,} more problems."))
     return kept
 
 

@@ -9,23 +9,23 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work.places import REDUCED
 from app.work.progress import Board
 from app.work.task import Outcome, Part, Plan, Report, Task
+from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
-from interloc.detect.keyframes import select_keyframes
-from interloc.drives.drive import Drive
+from interloc.detection.keyframes import select_keyframes
+from interloc.drive import Drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
 from interloc.errors import DriveError, GeoreferenceError
-from interloc.evaluate.coverage import track_bounds
-from interloc.mapping.exports import write_results
-from interloc.mapping.files import atomic_folder
+from interloc.evaluation.coverage import track_bounds
+from interloc.files import atomic_folder
 from interloc.mapping.fusion import FusionConfig
 from interloc.osm.graph import Bounds, RoadGraph
+from interloc.output.write import write_results
 from interloc.pipeline import RangeResult, assemble, detect_range
 from interloc.results import DriveResult
 
@@ -39,8 +39,6 @@ _MAP_FREE_BYTES = 64 * 1024**2  # for small ones, whatever they are
 
 _SHORTEST_RANGE = 40
 _CELLS = 750
-
-_Positions = NDArray[np.int64]
 
 
 def prepare(task: Task) -> Plan:
@@ -98,7 +96,7 @@ def finish(task: Task, plan: Plan) -> Outcome:
     return Outcome(_summary(result, report))
 
 
-def open_input(task: Task) -> tuple[Drive, _Positions]:
+def open_input(task: Task) -> tuple[Drive, IntArray]:
     """Return the drive of a task, and the positions of its keyframes."""
     config = config_of(task)
     root = task.drive / REDUCED
@@ -106,7 +104,7 @@ def open_input(task: Task) -> tuple[Drive, _Positions]:
 
 
 @lru_cache(maxsize=4)  # a worker does many parts of few drives; their files do not change any more
-def _open_once(root: Path, name: str, labels: LabelFolder, config: DetectorConfig) -> tuple[Drive, _Positions]:
+def _open_once(root: Path, name: str, labels: LabelFolder, config: DetectorConfig) -> tuple[Drive, IntArray]:
     drive = open_drive(root, name=name, labels=labels, check=False)  # the commit has checked it
     return drive, select_keyframes(drive.T_world_lidar, config.keyframes)
 
@@ -154,13 +152,13 @@ def _require_georeference(task: Task, drive: Drive) -> None:
         )
 
 
-def _bounds(drive: Drive, keyframes: _Positions) -> Bounds:
+def _bounds(drive: Drive, keyframes: IntArray) -> Bounds:
     assert drive.georeference is not None
     fixes = drive.georeference
     return track_bounds(np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1))
 
 
-def _read_map(task: Task, drive: Drive, keyframes: _Positions) -> RoadGraph:
+def _read_map(task: Task, drive: Drive, keyframes: IntArray) -> RoadGraph:
     from interloc.osm.container import MAX_UNPACKED_BYTES  # noqa: PLC0415
     from interloc.osm.overpass import download_roads  # noqa: PLC0415 - the network only where it is asked for
     from interloc.osm.reader import read_osm  # noqa: PLC0415
@@ -183,11 +181,11 @@ def _read_map(task: Task, drive: Drive, keyframes: _Positions) -> RoadGraph:
     )
 
 
-def _evaluate(task: Task, drive: Drive, keyframes: _Positions, result: DriveResult, folder: Path) -> dict[str, Any]:
-    from interloc.evaluate.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once a job
-    from interloc.evaluate.record import report_record  # noqa: PLC0415
-    from interloc.evaluate.report import write_report  # noqa: PLC0415
-    from interloc.osm.roads import write_roads  # noqa: PLC0415
+def _evaluate(task: Task, drive: Drive, keyframes: IntArray, result: DriveResult, folder: Path) -> dict[str, Any]:
+    from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once a job
+    from interloc.evaluation.record import report_record  # noqa: PLC0415
+    from interloc.evaluation.report import write_report  # noqa: PLC0415
+    from interloc.output.osm_roads import write_roads  # noqa: PLC0415
 
     graph = _read_map(task, drive, keyframes)
     evaluation = evaluate(

@@ -11,7 +11,7 @@ import numpy as np
 
 from app.work.intersections import config_of, open_input
 from app.work.task import Task
-from interloc.mapping.files import atomic_folder, atomic_write
+from interloc.files import atomic_folder, atomic_write
 
 VIEW = "view.json"
 """Where the pictures of a keyframe lie, and the numbers behind them; the file that makes the folder complete."""

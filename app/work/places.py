@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from interloc.mapping.layout import file_names
+from interloc.output.layout import file_names
 
 REDUCED = "reduced"
 """Folder of a reduced drive in the folder of the result of a commit."""

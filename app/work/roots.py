@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection
 from pathlib import PurePosixPath
 
-from app.drives.names import is_map
+from app.paths import is_map
 from app.work.archive_files import ArchiveError
 
 _SIGNS = re.compile(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.drives.names import BadNameError, check_path
+from app.paths import BadNameError, check_path
 from app.work.archive_files import ArchiveError, Member, members
 from app.work.places import LISTING, place_unpacked
 from app.work.roots import drive_paths

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from interloc.benchmark.fingerprint import SIMULATING, code_fingerprint, file_facts, fingerprint
-from interloc.drives.drive import Drive
+from interloc.drive import Drive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError, GeoreferenceError
-from interloc.mapping.files import atomic_write
+from interloc.files import atomic_write
 
 Progress = Callable[[int, int], None]
 Poses = Literal["suma", "gt"]

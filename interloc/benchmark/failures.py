@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from interloc.evaluate.evaluate import Evaluation
-from interloc.evaluate.matching import Floats, Integers
-from interloc.evaluate.metrics import STANDARD_THRESHOLD_M
+from interloc.arrays import FloatArray, IntArray
+from interloc.evaluation.evaluate import Evaluation
+from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.geometry import enu_from_lonlat
-from interloc.mapping.geojson import DEGREE_DECIMALS, rounded
 from interloc.osm.policies import Policy, intersection_nodes
+from interloc.output.geojson import DEGREE_DECIMALS, rounded
 
 GROUP_M = 6.0
 """False detections nearer than this to each other are one group."""
@@ -139,7 +139,7 @@ def _missed_nodes(evaluation: Evaluation, explain: Explain) -> list[dict[str, An
     return sorted(missed, key=lambda entry: (entry["found"], -entry["keyframes_missed"]))
 
 
-def _junctions(evaluation: Evaluation, policy: Policy) -> Floats:
+def _junctions(evaluation: Evaluation, policy: Policy) -> FloatArray:
     return intersection_nodes(evaluation.graph, policy).lonlat
 
 
@@ -147,7 +147,7 @@ def _node(evaluation: Evaluation, node: int) -> dict[str, Any]:
     return {"osm_id": int(evaluation.nodes.osm_id[node]), "degree": int(evaluation.nodes.degree[node])}
 
 
-def _nearest(places: Floats, place: Floats) -> tuple[int, float]:
+def _nearest(places: FloatArray, place: FloatArray) -> tuple[int, float]:
     if len(places) == 0:
         return -1, np.inf
     distance = np.hypot(*(places - place).T)
@@ -155,11 +155,11 @@ def _nearest(places: Floats, place: Floats) -> tuple[int, float]:
     return nearest, float(distance[nearest])
 
 
-def _middle(frames: Integers) -> int:
+def _middle(frames: IntArray) -> int:
     return int(np.sort(frames)[len(frames) // 2])
 
 
-def _groups(xy: Floats) -> list[Integers]:
+def _groups(xy: FloatArray) -> list[IntArray]:
     """Return the rows of each group of (N, 2) points that steps of at most `GROUP_M` join."""
     from scipy.sparse import coo_array  # noqa: PLC0415 - slow to import
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from interloc.arrays import FloatArray
 from interloc.benchmark.row import MapPicture, Point, Row
 from interloc.benchmark.score import errors_m, estimate, f1
 from interloc.benchmark.tables import Measured, ours
-from interloc.evaluate.drawing import BLUE, FAINT, GREEN, INK, MUTED, PURPLE, SKY, VERMILION, new_figure, quiet
-from interloc.evaluate.figures import PERCENTILES
-from interloc.evaluate.matching import Floats
-from interloc.evaluate.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.drawing import BLUE, FAINT, GREEN, INK, MUTED, PURPLE, SKY, VERMILION, new_figure, quiet
+from interloc.evaluation.figures import PERCENTILES
+from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -99,7 +99,7 @@ def _joined(pieces: list[tuple[Point, Point]]) -> list[list[Point]]:
     return lines
 
 
-def _draw_scale_bar(axes: Axes, low: Floats, high: Floats) -> None:
+def _draw_scale_bar(axes: Axes, low: FloatArray, high: FloatArray) -> None:
     width = high[0] - low[0]
     length = max(step * 10.0**power for power in range(1, 5) for step in (1, 2, 5) if step * 10.0**power <= width / 3)
     x, y = low + 0.05 * (high - low)
@@ -157,7 +157,7 @@ def noise_figure(measured: Measured) -> Figure:
     return figure
 
 
-def _draw_boxes(axes: Axes, samples: dict[str, list[Floats]]) -> None:
+def _draw_boxes(axes: Axes, samples: dict[str, list[FloatArray]]) -> None:
     """Draw groups of boxes: the n-th of each series stand side by side at x = n."""
     width = 0.8 / len(samples)
     for series, (name, values) in enumerate(samples.items()):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 MEASURING = (
-    *("detect", "drives", "evaluate", "kernels", "mapping", "osm", "pipeline.py", "geometry.py"),
+    *("detection", "drives", "evaluation", "kernels", "mapping", "osm", "pipeline.py", "geometry.py"),
     *("benchmark/measure.py", "benchmark/failures.py", "benchmark/row.py"),
 )
 """Parts of this package that figures depend on, beside the settings."""

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from interloc.arrays import FloatArray
 from interloc.benchmark.failures import Explain, find_failures
 from interloc.benchmark.row import Cell, MapPicture, Point, Row
 from interloc.config import DetectorConfig
-from interloc.detect.keyframes import select_keyframes
-from interloc.drives.drive import Drive
+from interloc.detection.keyframes import select_keyframes
+from interloc.drive import Drive
 from interloc.drives.noise import NoisyDrive
-from interloc.evaluate.evaluate import Evaluation, evaluate
-from interloc.evaluate.matching import Floats
-from interloc.evaluate.metrics import STANDARD_THRESHOLD_M
-from interloc.evaluate.robustness import parse_level
+from interloc.evaluation.evaluate import Evaluation, evaluate
+from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
+from interloc.evaluation.robustness import parse_level
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy, road_ways
@@ -143,17 +143,17 @@ def map_picture(evaluation: Evaluation, result: DriveResult) -> MapPicture:
     )
 
 
-def _thin(track: Floats) -> Floats:
+def _thin(track: FloatArray) -> FloatArray:
     """Leave out points of a track that are nearer than a few metres to the one before; the last stays."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track, axis=0).T))])
     _, first = np.unique((along / _TRACK_STEP_M).astype(np.int64), return_index=True)
-    thinned: Floats = track[np.unique([*first, len(track) - 1])]
+    thinned: FloatArray = track[np.unique([*first, len(track) - 1])]
     return thinned
 
 
-def _points(xy: Floats) -> tuple[Point, ...]:
+def _points(xy: FloatArray) -> tuple[Point, ...]:
     return tuple((x, y) for x, y in np.round(xy, 1).tolist())
 
 
-def _rounded(values: Floats) -> tuple[float, ...]:
+def _rounded(values: FloatArray) -> tuple[float, ...]:
     return tuple(np.round(values, 4).tolist())

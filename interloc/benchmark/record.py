@@ -10,7 +10,7 @@ from interloc.benchmark.row import Row
 from interloc.benchmark.score import METRICS, Estimate
 from interloc.benchmark.tables import ALL, Measured
 from interloc.config import DetectorConfig
-from interloc.mapping.geojson import rounded
+from interloc.output.geojson import rounded
 from interloc.pipeline import versions
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from interloc.errors import OutputError
-from interloc.mapping.files import atomic_write, reason_of
+from interloc.files import atomic_write, reason_of
 
 Point = tuple[float, float]
 Segment = tuple[float, float, float, float]

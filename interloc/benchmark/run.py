@@ -19,7 +19,7 @@ from interloc.benchmark.score import ace_m, precision, recall
 from interloc.benchmark.workers import Report, Say, run_in_processes
 from interloc.config import DetectorConfig
 from interloc.errors import InterLocError, OutputError
-from interloc.mapping.files import reason_of
+from interloc.files import reason_of
 from interloc.osm.reader import read_osm
 from interloc.pipeline import versions
 

@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
+from interloc.arrays import FloatArray
 from interloc.benchmark.row import Row
-from interloc.evaluate.matching import Floats
-from interloc.evaluate.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 
 PRECISION_THRESHOLD_M, RECALL_THRESHOLD_M = 6.9, 13.3
 """Of the comparison with MMInsectDet (paper, section V-C)."""
@@ -39,7 +39,7 @@ class Estimate:
     seeds: int = 1
 
 
-def errors_m(rows: Sequence[Row]) -> Floats:
+def errors_m(rows: Sequence[Row]) -> FloatArray:
     """Return the center errors of all matched detections, metres."""
     return np.concatenate([np.asarray(row.errors_m, dtype=np.float64) for row in rows] or [np.empty(0)])
 
@@ -156,5 +156,5 @@ def _ratio(part: int, whole: int) -> float | None:
     return part / whole if whole else None
 
 
-def _mean(values: Floats) -> float | None:
+def _mean(values: FloatArray) -> float | None:
     return float(values.mean()) if len(values) else None

@@ -13,10 +13,10 @@ from interloc.benchmark.row import Row
 from interloc.benchmark.run import NO_NOISE
 from interloc.benchmark.tables import Measured, Table, ours, performance_table, tables, text
 from interloc.config import DetectorConfig
-from interloc.evaluate.drawing import image, metres, percent, write_image
-from interloc.evaluate.report import data_address, make_folder
-from interloc.mapping.files import atomic_write
-from interloc.mapping.geojson import encode
+from interloc.drawing import image, metres, percent, write_image
+from interloc.evaluation.report import data_address, make_folder
+from interloc.files import atomic_write
+from interloc.output.geojson import encode
 
 PAGE = "benchmark.html"
 
@@ -171,7 +171,7 @@ def _template() -> Any:  # noqa: ANN401 - jinja2 is imported late
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
 
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader("interloc.benchmark"), PackageLoader("interloc.evaluate")]),
+        loader=ChoiceLoader([PackageLoader("interloc.benchmark"), PackageLoader("interloc.evaluation")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -23,8 +23,8 @@ def command(results: tuple[Path, ...], as_json: bool) -> None:
       interloc compare out_default out_paper
     """
     from interloc.errors import ConfigError
-    from interloc.evaluate.compare import compare_reports
-    from interloc.mapping.geojson import read_json
+    from interloc.evaluation.compare import compare_reports
+    from interloc.output.geojson import read_json
 
     names = [str(result) for result in results]
     for result in results:

@@ -34,8 +34,8 @@ def command(
     Example:
       interloc detect sequences/07 -o out --labels predictions --oxts 2011_09_30_drive_0027_sync
     """
-    from interloc.mapping.exports import write_results
-    from interloc.mapping.files import atomic_folder
+    from interloc.files import atomic_folder
+    from interloc.output.write import write_results
     from interloc.pipeline import detect
 
     console.set_up_log(quiet=quiet)

@@ -27,12 +27,12 @@ def command(
     Example:
       interloc evaluate out --osm map.osm.gz
     """
-    from interloc.evaluate.evaluate import evaluate
-    from interloc.evaluate.record import report_record
-    from interloc.evaluate.report import write_report
-    from interloc.mapping.exports import read_results
-    from interloc.mapping.files import atomic_folder, atomic_write
-    from interloc.mapping.layout import RUN_FILE, file_names
+    from interloc.evaluation.evaluate import evaluate
+    from interloc.evaluation.record import report_record
+    from interloc.evaluation.report import write_report
+    from interloc.files import atomic_folder, atomic_write
+    from interloc.output.layout import RUN_FILE, file_names
+    from interloc.output.write import read_results
 
     options.check_map_choice(osm, overpass=overpass)
     console.set_up_log(quiet=quiet)

@@ -33,7 +33,7 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
       interloc export out -o out.gpkg
       interloc export out -o matches.kml --layer matches
     """
-    from interloc.mapping.vector_files import write_vector_file
+    from interloc.output.vector_files import write_vector_file
 
     console.set_up_log(quiet=quiet)
     layers = write_vector_file(result, out, layer=layer)

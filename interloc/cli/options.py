@@ -173,7 +173,7 @@ def read_map(osm: Path | None) -> RoadGraph | None:
 
 def fetch_map(result: DriveResult, *, quiet: bool) -> RoadGraph:
     """Fetch the map around a run from Overpass."""
-    from interloc.evaluate.coverage import drive_bounds
+    from interloc.evaluation.coverage import drive_bounds
     from interloc.osm.overpass import download_roads
 
     def wait(reason: str, seconds: float) -> None:

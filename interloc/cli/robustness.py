@@ -51,13 +51,13 @@ def command(
       interloc robustness sequences/07 -o out --osm map.osm.gz
     """
     from interloc.drives import NoisyDrive
-    from interloc.evaluate.evaluate import Evaluation, evaluate
-    from interloc.evaluate.robustness import (
+    from interloc.evaluation.evaluate import Evaluation, evaluate
+    from interloc.evaluation.robustness import (
         parse_level,
         robustness_table,
         write_robustness,
     )
-    from interloc.mapping.files import atomic_folder
+    from interloc.files import atomic_folder
     from interloc.pipeline import detect
 
     options.check_map_choice(osm, overpass=overpass)

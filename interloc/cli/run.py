@@ -42,11 +42,11 @@ def command(
     Example:
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --oxts 2011_09_30_drive_0027_sync
     """
-    from interloc.evaluate.evaluate import evaluate
-    from interloc.evaluate.record import report_record
-    from interloc.evaluate.report import write_report
-    from interloc.mapping.exports import write_results
-    from interloc.mapping.files import atomic_folder
+    from interloc.evaluation.evaluate import evaluate
+    from interloc.evaluation.record import report_record
+    from interloc.evaluation.report import write_report
+    from interloc.files import atomic_folder
+    from interloc.output.write import write_results
     from interloc.pipeline import detect
 
     options.check_map_choice(osm, overpass=overpass)

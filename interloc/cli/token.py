@@ -13,7 +13,7 @@ import click
 from interloc.cli import service
 
 if TYPE_CHECKING:
-    from app.database import Database
+    from app.store.database import Database
 
 
 @click.group(short_help="Tokens of the web service: add, list, revoke.")
@@ -31,7 +31,7 @@ def command() -> None:
 @service.DATA_DIR
 def add(name: str, data_dir: Path | None) -> None:
     """Make a token for NAME and print it: it is kept as a hash only, and cannot be shown again."""
-    from app.tokens import add_token
+    from app.store.tokens import add_token
 
     with _database(data_dir) as database:
         token = add_token(database, name)
@@ -43,7 +43,7 @@ def add(name: str, data_dir: Path | None) -> None:
 @service.DATA_DIR
 def list_(data_dir: Path | None) -> None:
     """List who has a token, and since when."""
-    from app.tokens import list_tokens
+    from app.store.tokens import list_tokens
 
     with _database(data_dir) as database:
         tokens = list_tokens(database)
@@ -58,7 +58,7 @@ def list_(data_dir: Path | None) -> None:
 @service.DATA_DIR
 def revoke(name: str, data_dir: Path | None) -> None:
     """Refuse the token of NAME from now on."""
-    from app.tokens import revoke_token
+    from app.store.tokens import revoke_token
 
     with _database(data_dir) as database:
         revoke_token(database, name)
@@ -68,7 +68,7 @@ def revoke(name: str, data_dir: Path | None) -> None:
 @contextmanager
 def _database(data_dir: Path | None) -> Iterator[Database]:
     settings = service.read_settings({"data_dir": data_dir})
-    from app.service import open_database
+    from app.context import open_database
 
     database = open_database(settings)
     try:

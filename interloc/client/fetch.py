@@ -10,8 +10,8 @@ from urllib.parse import quote
 from interloc.client.answers import Refusal, ResultFileAnswer, ResultFilesAnswer
 from interloc.client.connection import Connection
 from interloc.errors import NetworkError
-from interloc.mapping.files import atomic_folder
-from interloc.mapping.layout import RUN_FILE
+from interloc.files import atomic_folder
+from interloc.output.layout import RUN_FILE
 
 OnBytes = Callable[[int, int], None]
 """Told how many bytes of how many are there; may raise to give up."""

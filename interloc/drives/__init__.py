@@ -1,6 +1,6 @@
 """Reading of drives: layouts, poses, labels, georeference, and the checks of all of them; and their reduction."""
 
-from interloc.drives.drive import Drive, DriveScan, Georeference, GroundPoints, scans_of
+from interloc.drive import Drive, DriveScan, Georeference, GroundPoints, scans_of
 from interloc.drives.faults import Problem
 from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.drives.noise import NoisyDrive

@@ -5,21 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.drives.faults import DriveFileError
 from interloc.drives.files import MAX_NUMBER, numbers_of, read_text, shown
 from interloc.drives.parts import DriveParts
 from interloc.drives.poses import orthonormalised, rotation_complaint
 from interloc.geometry import invert_transform
 
-Array = NDArray[np.float64]
-
 IMU_CALIBRATION = "calib_imu_to_velo.txt"
 
 _TR_KEYS = ("Tr", "Tr_velo_to_cam", "Tr_velo_cam")
 
-KITTI_T_VELO_IMU: Array = np.array(
+KITTI_T_VELO_IMU: FloatArray = np.array(
     [
         [9.999976e-01, 7.553071e-04, -2.035826e-03, -8.086759e-01],
         [-7.854027e-04, 9.998898e-01, -1.482298e-02, 3.195559e-01],
@@ -55,7 +53,7 @@ def _locate(parts: DriveParts, *names: str) -> Path | None:
     return None
 
 
-def find_camera_calibration(parts: DriveParts) -> tuple[Path, Array] | None:
+def find_camera_calibration(parts: DriveParts) -> tuple[Path, FloatArray] | None:
     """Return the file and T_cam_lidar of a drive, or None where it has none.
 
     Raises
@@ -73,12 +71,12 @@ def find_camera_calibration(parts: DriveParts) -> tuple[Path, Array] | None:
     return path, invert_transform(_read_plain(path, parts.root))
 
 
-def read_imu_calibration(path: Path, root: Path) -> Array:
+def read_imu_calibration(path: Path, root: Path) -> FloatArray:
     """Read T_lidar_imu from a calib_imu_to_velo.txt."""
     return _read_rt(path, root)
 
 
-def find_camera_to_pose(parts: DriveParts) -> tuple[Path, Array] | None:
+def find_camera_to_pose(parts: DriveParts) -> tuple[Path, FloatArray] | None:
     """Return the file and T_imu_cam of KITTI-360's calib_cam_to_pose.txt, or None where it has none."""
     path = locate_camera_to_pose(parts)
     return None if path is None else (path, _read_keyed(path, parts.root, ("image_00",)))
@@ -94,7 +92,7 @@ def _keyed_lines(path: Path, root: Path) -> dict[str, tuple[int, list[str]]]:
     return lines
 
 
-def _read_keyed(path: Path, root: Path, keys: tuple[str, ...]) -> Array:
+def _read_keyed(path: Path, root: Path, keys: tuple[str, ...]) -> FloatArray:
     """Read the 12 numbers after one of some keys."""
     lines = _keyed_lines(path, root)
     key = next((key for key in keys if key in lines), None)
@@ -108,7 +106,7 @@ def _read_keyed(path: Path, root: Path, keys: tuple[str, ...]) -> Array:
     return _transform(fields, path, root, number)
 
 
-def _read_rt(path: Path, root: Path) -> Array:
+def _read_rt(path: Path, root: Path) -> FloatArray:
     """Read the lines "R: 9 numbers" and "T: 3 numbers" of a KITTI raw calibration."""
     lines = _keyed_lines(path, root)
     missing = [key for key in ("R", "T") if key not in lines]
@@ -124,12 +122,12 @@ def _read_rt(path: Path, root: Path) -> Array:
     return _transform([field for row in rows for field in row], path, root, r_line)
 
 
-def _read_plain(path: Path, root: Path) -> Array:
+def _read_plain(path: Path, root: Path) -> FloatArray:
     """Read a file that holds nothing but 12 numbers."""
     return _transform(read_text(path, root).split(), path, root, 1)
 
 
-def _transform(fields: list[str], path: Path, root: Path, line: int) -> Array:
+def _transform(fields: list[str], path: Path, root: Path, line: int) -> FloatArray:
     """Make a rigid transform of 12 fields."""
     if len(fields) != 12:
         raise DriveFileError(shown(path, root), f"line {line}: {len(fields)} numbers; expected 12 (a 3x4 matrix).")
@@ -140,5 +138,5 @@ def _transform(fields: list[str], path: Path, root: Path, line: int) -> Array:
     proper, bad = orthonormalised(transform[None])
     if bad is not None:
         raise DriveFileError(shown(path, root), f"line {line}: {rotation_complaint(transform[:3, :3])}")
-    calibrated: Array = proper[0]
+    calibrated: FloatArray = proper[0]
     return calibrated

@@ -10,17 +10,16 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.drives.calibration import find_camera_calibration, find_camera_to_pose
 from interloc.drives.faults import DriveFileError, Findings
 from interloc.drives.files import shown
-from interloc.drives.motion import LEAST_MOTION_M, TURNED_RAD, body_motion
+from interloc.drives.motion import MIN_MOTION_M, TURNED_RAD, body_motion
 from interloc.drives.options import PoseFrame
 from interloc.drives.parts import DriveParts, PoseOwner
 from interloc.geometry import invert_transform
 
-Array = NDArray[np.float64]
 Frame = Literal["camera", "lidar", "imu"]
 
 _CLEAR = 0.65
@@ -28,7 +27,7 @@ _STEADY = 0.8
 _ENOUGH_M = 20.0
 
 
-def guess_frame(poses: Array) -> tuple[Frame | None, str]:
+def guess_frame(poses: FloatArray) -> tuple[Frame | None, str]:
     """Guess whose poses these are.
 
     Parameters
@@ -45,7 +44,7 @@ def guess_frame(poses: Array) -> tuple[Frame | None, str]:
     """
     motion = body_motion(poses)
     if motion is None:
-        return None, f"the vehicle moves less than {LEAST_MOTION_M:g} m, which does not tell camera from LiDAR"
+        return None, f"the vehicle moves less than {MIN_MOTION_M:g} m, which does not tell camera from LiDAR"
     if motion.along[2] > _CLEAR:
         return "camera", f"{motion.describe()}, as a camera that looks ahead (z forward, y down)"
     if motion.along[2] < 1 - _CLEAR:
@@ -60,8 +59,8 @@ def guess_frame(poses: Array) -> tuple[Frame | None, str]:
 
 
 def to_lidar(
-    poses: Array, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
-) -> tuple[Array, PoseOwner, str]:
+    poses: FloatArray, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
+) -> tuple[FloatArray, PoseOwner, str]:
     """Turn the poses of a file into those of the LiDAR.
 
     Parameters
@@ -107,7 +106,7 @@ def to_lidar(
 
 
 def _decide(
-    poses: Array, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
+    poses: FloatArray, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
 ) -> tuple[Frame, str]:
     """Return whose poses these are, and why."""
     guess, why = guess_frame(poses)
@@ -126,7 +125,7 @@ def _decide(
     return guess, why
 
 
-def _look_for_inverted(poses: Array, pose_file: str, findings: Findings) -> None:
+def _look_for_inverted(poses: FloatArray, pose_file: str, findings: Findings) -> None:
     """Refuse poses of the world in the vehicle: they move in ever other directions, and their inverses do not."""
     motion = body_motion(poses)
     if motion is None or motion.distance_m < _ENOUGH_M:
@@ -174,7 +173,7 @@ def _device(frame: str) -> str:
     return {"camera": "camera", "lidar": "LiDAR", "imu": "IMU"}[frame]
 
 
-def _from_camera(poses: Array, parts: DriveParts, pose_file: str, why: str) -> Array:
+def _from_camera(poses: FloatArray, parts: DriveParts, pose_file: str, why: str) -> FloatArray:
     """Return the LiDAR poses of camera poses: T_world_lidar = P Tr."""
     found = find_camera_calibration(parts)
     if found is None:
@@ -197,7 +196,7 @@ def _from_camera(poses: Array, parts: DriveParts, pose_file: str, why: str) -> A
     return lidar
 
 
-def _from_imu(poses: Array, parts: DriveParts, pose_file: str) -> Array:
+def _from_imu(poses: FloatArray, parts: DriveParts, pose_file: str) -> FloatArray:
     """Return the LiDAR poses of KITTI-360's IMU poses: T_world_lidar = P T_imu_cam T_cam_lidar."""
     camera, to_pose = find_camera_calibration(parts), find_camera_to_pose(parts)
     if camera is None or to_pose is None:
@@ -209,6 +208,6 @@ def _from_imu(poses: Array, parts: DriveParts, pose_file: str) -> Array:
     return poses @ to_pose[1] @ camera[1]
 
 
-def _points_down(poses: Array) -> bool:
+def _points_down(poses: FloatArray) -> bool:
     """Say whether the z axis of the body points down in the world of the file."""
     return float(np.median(poses[:, 2, 2])) < -0.7

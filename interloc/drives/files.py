@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import IntArray
 from interloc.drives.faults import DriveFileError
 
 MAX_TEXT_BYTES = 512 * 1024 * 1024
@@ -136,8 +136,8 @@ class NumberedFiles:
     folder: Path
     suffix: str
     digits: int
-    numbers: NDArray[np.int64]
-    sizes: NDArray[np.int64]
+    numbers: IntArray
+    sizes: IntArray
 
     def name(self, number: int) -> str:
         """Return the file name of a number."""
@@ -192,12 +192,12 @@ def list_numbered(folder: Path, suffix: str, root: Path) -> NumberedFiles:
     return NumberedFiles(folder, suffix, digits, numbers[order], np.array(sizes, dtype=np.int64)[order])
 
 
-def missing_numbers(numbers: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+def missing_numbers(numbers: IntArray, wanted: IntArray) -> IntArray:
     """Return the wanted numbers that are not there."""
     return np.setdiff1d(wanted, numbers)
 
 
-def listed(numbers: NDArray[np.int64], most: int = 5) -> str:
+def listed(numbers: IntArray, most: int = 5) -> str:
     """Write some of many numbers: "3, 4, 5 and 12 more"."""
     head = ", ".join(str(int(number)) for number in numbers[:most])
     rest = len(numbers) - most

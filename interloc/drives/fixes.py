@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.drives.drive import Georeference
+from interloc.arrays import FloatArray, IntArray
+from interloc.drive import Georeference
 from interloc.drives.faults import GeoreferenceFileError
 from interloc.geometry import WGS84_A_M, WGS84_E2, invert_transform
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
-
-def checked_fixes(rows: Array, name: str, frames: Integers) -> Array:
+def checked_fixes(rows: FloatArray, name: str, frames: IntArray) -> FloatArray:
     """Refuse positions that are none on Earth, and angles in degrees.
 
     Parameters
@@ -52,14 +49,14 @@ def checked_fixes(rows: Array, name: str, frames: Integers) -> Array:
     return rows
 
 
-def poses_of(georeference: Georeference) -> Array:
+def poses_of(georeference: Georeference) -> FloatArray:
     """Return (N, 4, 4) T_world_lidar of a georeference, exact on the ellipsoid; W is the LiDAR at the first fix."""
     T_ecef_lidar = ecef_poses(georeference)
-    relative: Array = invert_transform(T_ecef_lidar[0]) @ T_ecef_lidar
+    relative: FloatArray = invert_transform(T_ecef_lidar[0]) @ T_ecef_lidar
     return relative
 
 
-def ecef_poses(georeference: Georeference) -> Array:
+def ecef_poses(georeference: Georeference) -> FloatArray:
     """Return (N, 4, 4) poses of the LiDAR in the earth-centred, earth-fixed frame of WGS84, metres."""
     lat, lon = np.radians(georeference.lat_deg), np.radians(georeference.lon_deg)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)

@@ -6,14 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from interloc.drives.drive import Georeference, GroundPoints
+from interloc.arrays import FloatArray, IntArray
+from interloc.drive import Georeference, GroundPoints
 from interloc.drives.labels import LabelScheme
 from interloc.drives.parts import LayoutName
-
-Array = NDArray[np.float64]
 
 
 class GroundSource(Protocol):
@@ -65,9 +61,9 @@ class FolderDrive:
     root: Path
     name: str
     layout: LayoutName
-    frames: NDArray[np.int64]
-    T_world_lidar: Array
-    times_s: Array | None
+    frames: IntArray
+    T_world_lidar: FloatArray
+    times_s: FloatArray | None
     georeference: Georeference | None
     ground: GroundSource
     scheme: LabelScheme

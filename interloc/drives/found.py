@@ -6,17 +6,14 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.drives.drive import Georeference
+from interloc.arrays import FloatArray, IntArray
+from interloc.drive import Georeference
 from interloc.drives.faults import Findings
 from interloc.drives.folder import FolderDrive, GroundSource
 from interloc.drives.labels import LabelScheme
 from interloc.drives.options import DriveOptions
 from interloc.drives.parts import DriveParts
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class Contents(Protocol):
@@ -88,14 +85,14 @@ class Survey:
 
     contents: Contents | None = None
     parts: DriveParts | None = None
-    frames: NDArray[np.int64] | None = None
-    usable: Indices = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    frames: IntArray | None = None
+    usable: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     sample: list[int] = field(default_factory=list)
     pose_count: int = 0
-    T_world_lidar: Array | None = None
+    T_world_lidar: FloatArray | None = None
     pose_frame: str = ""
     pose_frame_reason: str = ""
-    times_s: Array | None = None
+    times_s: FloatArray | None = None
     georeference: Georeference | None = None
     georeference_reason: str = "the drive has neither oxts/ nor geo.csv"
     drive: FolderDrive | None = None

@@ -5,20 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.drives.drive import Georeference
+from interloc.arrays import IntArray
+from interloc.drive import Georeference
 from interloc.drives.faults import GeoreferenceFileError
 from interloc.drives.files import listed, missing_numbers, numbers_of, read_text, shown
 from interloc.drives.fixes import checked_fixes
 from interloc.geometry import rotation_from_rpy
 
-Integers = NDArray[np.int64]
-
 GEO_COLUMNS = ("frame", "lat_deg", "lon_deg", "alt_m", "roll_rad", "pitch_rad", "yaw_rad")
 
 
-def read_geo_csv(path: Path, root: Path, frames: Integers) -> Georeference:
+def read_geo_csv(path: Path, root: Path, frames: IntArray) -> Georeference:
     """Read a geo.csv: frame, position and attitude of the LiDAR itself.
 
     Raises

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from interloc.arrays import FloatArray, IntArray
+from interloc.drive import Georeference
 from interloc.drives.calibration import (
     IMU_CALIBRATION,
     KITTI_T_VELO_IMU,
     locate_imu_calibration,
     read_imu_calibration,
 )
-from interloc.drives.drive import Georeference
 from interloc.drives.faults import GeoreferenceFileError
 from interloc.drives.files import shown
 from interloc.drives.geo_csv import read_geo_csv
@@ -24,9 +22,6 @@ from interloc.drives.oxts import raw_offset, read_oxts_folder, read_oxts_rows
 from interloc.drives.parts import DriveParts
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_rpy
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _log = logging.getLogger(__name__)
 
@@ -52,7 +47,7 @@ class GeoreferenceFiles:
     imu_calibration: Path | None = None
 
 
-def locate_georeference(parts: DriveParts, frames: Integers, given: Path | None) -> GeoreferenceFiles | None:
+def locate_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -> GeoreferenceFiles | None:
     """Find the files of the georeference of a drive, without reading them.
 
     Parameters
@@ -85,7 +80,7 @@ def locate_georeference(parts: DriveParts, frames: Integers, given: Path | None)
     return GeoreferenceFiles("folder", _data_folder(parts.oxts), imu_calibration=imu)
 
 
-def read_georeference(parts: DriveParts, frames: Integers, given: Path | None) -> Georeference | None:
+def read_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -> Georeference | None:
     """Read the georeference of a drive; parameters as of `locate_georeference`.
 
     Raises
@@ -112,7 +107,7 @@ def read_georeference(parts: DriveParts, frames: Integers, given: Path | None) -
         raise GeoreferenceFileError(path, message) from error
 
 
-def _locate_given(given: Path, parts: DriveParts, frames: Integers) -> GeoreferenceFiles:
+def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> GeoreferenceFiles:
     """Find the files of a georeference that was named by the user."""
     if not given.exists():
         raise GeoreferenceFileError(
@@ -141,7 +136,7 @@ def _data_folder(folder: Path) -> Path:
     return folder / "data" if (folder / "data").is_dir() else folder
 
 
-def _lever_arm(parts: DriveParts, path: Path | None) -> tuple[Array, str]:
+def _lever_arm(parts: DriveParts, path: Path | None) -> tuple[FloatArray, str]:
     """Return T_lidar_imu and where it came from."""
     if path is not None:
         return read_imu_calibration(path, parts.root), f"lever arm of {shown(path, parts.root)}"
@@ -149,7 +144,7 @@ def _lever_arm(parts: DriveParts, path: Path | None) -> tuple[Array, str]:
     return KITTI_T_VELO_IMU, "lever arm as published by KITTI"
 
 
-def georeference_of_lidar(rows: Array, lever_arm: tuple[Array, str], name: str) -> Georeference:
+def georeference_of_lidar(rows: FloatArray, lever_arm: tuple[FloatArray, str], name: str) -> Georeference:
     """Move fixes of the IMU to the LiDAR.
 
     Parameters

@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import IntArray
 from interloc.drives.faults import DriveFileError, Findings
 from interloc.drives.files import NumberedFiles, list_numbered, listed, missing_numbers, shown
 from interloc.drives.parts import DriveParts
 from interloc.drives.scans import LABEL_BYTES, POINT_BYTES, label_count_complaint, scan_size_complaint
-
-Indices = NDArray[np.int64]
 
 
 def list_labels(parts: DriveParts) -> NumberedFiles:
@@ -31,7 +29,9 @@ def list_labels(parts: DriveParts) -> NumberedFiles:
     return list_numbered(folder, ".label", parts.root)
 
 
-def check_files(scans: NumberedFiles, labels: NumberedFiles, root: Path, findings: Findings, *, sizes: bool) -> Indices:
+def check_files(
+    scans: NumberedFiles, labels: NumberedFiles, root: Path, findings: Findings, *, sizes: bool
+) -> IntArray:
     """Check that every scan has its labels, and that their sizes fit, by names and sizes only.
 
     Returns
@@ -68,5 +68,5 @@ def check_files(scans: NumberedFiles, labels: NumberedFiles, root: Path, finding
         else:
             message = label_count_complaint(count, int(scan_sizes[row]) // POINT_BYTES, scan)
         findings.error(DriveFileError(label, message))
-    usable: Indices = at_scan[sound & fits]
+    usable: IntArray = at_scan[sound & fits]
     return usable

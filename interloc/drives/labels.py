@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import IntArray, UInt8Array
 from interloc.drives.options import LabelSchemeChoice
 from interloc.errors import ConfigError
 
@@ -40,7 +40,7 @@ class LabelScheme:
         """Say whether the same ids are road, and the same are confused with it."""
         return (self.road, self.confusable) == (other.road, other.confusable)
 
-    def groups(self) -> NDArray[np.uint8]:
+    def groups(self) -> UInt8Array:
         """Return the (65536,) uint8 table from id to group: 1 road, 2 confusable, 0 neither."""
         table = np.zeros(_LABEL_COUNT, dtype=np.uint8)
         table[sorted(self.confusable)] = CONFUSABLE
@@ -97,7 +97,7 @@ def named_scheme(choice: LabelSchemeChoice) -> LabelScheme | None:
     return LabelScheme(name="custom", road=frozenset(int(label) for label in choice))
 
 
-def guess_scheme(ids: NDArray[np.int64], *, kitti360: bool) -> LabelScheme:
+def guess_scheme(ids: IntArray, *, kitti360: bool) -> LabelScheme:
     """Tell the scheme from the ids that occur.
 
     Parameters
@@ -120,6 +120,6 @@ def guess_scheme(ids: NDArray[np.int64], *, kitti360: bool) -> LabelScheme:
     return SEMANTICKITTI
 
 
-def looks_like_learning(ids: NDArray[np.int64]) -> bool:
+def looks_like_learning(ids: IntArray) -> bool:
     """Say whether the ids fit the 20 classes of the learning scheme (its road, 9, is no raw id of SemanticKITTI)."""
     return len(ids) > 0 and int(ids.max()) <= 19 and 9 in ids

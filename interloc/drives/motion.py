@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from interloc.arrays import FloatArray
 
-LEAST_MOTION_M = 1.0
+MIN_MOTION_M = 1.0
 TURNED_RAD = 0.15
 """Turning over a drive that is worth mentioning."""
 
@@ -38,9 +37,9 @@ class Motion:
     """
 
     distance_m: float
-    along: Array
+    along: FloatArray
     forward: float
-    about: Array
+    about: FloatArray
     turned_rad: float
     steadiness: float
 
@@ -62,7 +61,7 @@ class Motion:
         return text
 
 
-def body_motion(poses: Array) -> Motion | None:
+def body_motion(poses: FloatArray) -> Motion | None:
     """Measure how a body moves in its own frame.
 
     Parameters
@@ -77,7 +76,7 @@ def body_motion(poses: Array) -> Motion | None:
     """
     position = poses[:, :3, 3]
     extent = float(np.linalg.norm(position - position[0], axis=1).max())
-    if extent < LEAST_MOTION_M:
+    if extent < MIN_MOTION_M:
         return None
     steps = _spaced(position, min(_STEP_M, extent / 2))
     rotation = poses[steps, :3, :3]
@@ -98,7 +97,7 @@ def body_motion(poses: Array) -> Motion | None:
     )
 
 
-def _spaced(position: Array, step_m: float) -> list[int]:
+def _spaced(position: FloatArray, step_m: float) -> list[int]:
     """Return rows that lie at least a step apart, one after the other."""
     rows = [0]
     x0, y0, z0 = position[0]
@@ -110,7 +109,7 @@ def _spaced(position: Array, step_m: float) -> list[int]:
     return rows
 
 
-def _rotation_vectors(rotation: Array) -> Array:
+def _rotation_vectors(rotation: FloatArray) -> FloatArray:
     """Return axis times angle of (N, 3, 3) rotations as (N, 3), radians."""
     skew = np.stack(
         [
@@ -122,5 +121,5 @@ def _rotation_vectors(rotation: Array) -> Array:
     )
     sine = np.linalg.norm(skew, axis=1) / 2
     angle = np.arctan2(sine, (np.trace(rotation, axis1=1, axis2=2) - 1) / 2)
-    vectors: Array = skew * (angle / np.maximum(2 * sine, 1e-12))[:, None]
+    vectors: FloatArray = skew * (angle / np.maximum(2 * sine, 1e-12))[:, None]
     return vectors

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.drives.drive import Drive, Georeference, GroundPoints
+from interloc.arrays import FloatArray, IntArray
+from interloc.drive import Drive, Georeference, GroundPoints
 from interloc.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -52,17 +50,17 @@ class NoisyDrive:
         return self.drive.name
 
     @property
-    def frames(self) -> NDArray[np.int64]:
+    def frames(self) -> IntArray:
         """(N,) int64 scan numbers."""
         return self.drive.frames
 
     @property
-    def T_world_lidar(self) -> Array:
+    def T_world_lidar(self) -> FloatArray:
         """(N, 4, 4) float64 pose of the LiDAR at each scan."""
         return self.drive.T_world_lidar
 
     @property
-    def times_s(self) -> Array | None:
+    def times_s(self) -> FloatArray | None:
         """(N,) float64 seconds, or None."""
         return self.drive.times_s
 

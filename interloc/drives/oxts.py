@@ -6,15 +6,12 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.drives.faults import GeoreferenceFileError
 from interloc.drives.files import list_numbered, listed, missing_numbers, numbers_of, read_text, shown
 from interloc.drives.fixes import checked_fixes
 from interloc.drives.rows import rows_by_frame
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 OXTS_VALUES = 30
 
@@ -33,7 +30,7 @@ ODOMETRY_OF_RAW = {
 """KITTI raw drive -> odometry sequence, first and last raw frame (devkit of the odometry benchmark; 03: none)."""
 
 
-def raw_offset(raw_drive: Path, sequence: str, frames: Integers) -> int:
+def raw_offset(raw_drive: Path, sequence: str, frames: IntArray) -> int:
     """Return the raw frame of frame 0 of an odometry sequence, from KITTI's published table.
 
     Raises
@@ -65,7 +62,7 @@ def raw_offset(raw_drive: Path, sequence: str, frames: Integers) -> int:
     return first
 
 
-def read_oxts_folder(folder: Path, root: Path, frames: Integers) -> Array:
+def read_oxts_folder(folder: Path, root: Path, frames: IntArray) -> FloatArray:
     """Read one OXTS file a frame.
 
     Returns
@@ -92,7 +89,7 @@ def read_oxts_folder(folder: Path, root: Path, frames: Integers) -> Array:
     return checked_fixes(rows, shown(folder, root), frames)
 
 
-def read_oxts_rows(path: Path, root: Path, frames: Integers) -> Array:
+def read_oxts_rows(path: Path, root: Path, frames: IntArray) -> FloatArray:
     """Read a file with one OXTS row a frame, plain or .gz.
 
     Returns

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.drives.drive import Georeference
+from interloc.arrays import Float32Array, FloatArray, IntArray
+from interloc.drive import Georeference
 from interloc.drives.faults import DriveFileError, Findings, GeoreferenceFileError
 from interloc.drives.files import listed
 from interloc.drives.fixes import ecef_poses
@@ -16,19 +16,16 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.labels import LabelScheme, looks_like_learning
 from interloc.geometry import invert_transform, rotation_angle
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
+MIN_ROAD_SHARE = 0.005
+MAX_UNKNOWN_SHARE = 0.05
 
-LEAST_ROAD_SHARE = 0.005
-MOST_UNKNOWN_SHARE = 0.05
-
-MOST_STEP_M, MOST_STEP_SLOPE = 0.6, 0.02
+MAX_STEP_M, MAX_STEP_SLOPE = 0.6, 0.02
 """Allowed difference in height at no distance, and more for every metre between the scans. Real drives stay under 0.3 m
 (scans 20 m apart); with the poses of the camera the road climbs one metre with every metre driven."""
 
-MOST_TILT_RAD = np.radians(40.0)
+MAX_TILT_RAD = np.radians(40.0)
 
-MOST_GEOREFERENCE_ERROR = 0.1
+MAX_GEOREFERENCE_ERROR = 0.1
 """Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
 
 _CELL_M = 1.0
@@ -38,7 +35,7 @@ _FAR_M = 30.0
 _PLACES = 3
 
 
-def sample_indices(usable: Integers, count: int) -> list[int]:
+def sample_indices(usable: IntArray, count: int) -> list[int]:
     """Return some of many positions, evenly spread from the first to the last."""
     if len(usable) <= count:
         return [int(index) for index in usable]
@@ -78,7 +75,7 @@ def check_labels(folder: str, scheme: LabelScheme, counts: dict[int, int], findi
             f"{sum(unknown.values()) / total:.1%} of the points have ids that {scheme.name} does not know "
             f"({listed(np.array(sorted(unknown)), 12)})."
         )
-        if sum(unknown.values()) > MOST_UNKNOWN_SHARE * total:
+        if sum(unknown.values()) > MAX_UNKNOWN_SHARE * total:
             findings.warning(folder, f"{message} Usual cause: another label scheme; name it, or give the ids of road.")
         else:
             findings.note(folder, message)
@@ -91,7 +88,7 @@ def check_labels(folder: str, scheme: LabelScheme, counts: dict[int, int], findi
                 f"(scheme {scheme.name}). Usual cause: another label scheme; name it, or give the ids of road.",
             )
         )
-    elif road < LEAST_ROAD_SHARE * total:
+    elif road < MIN_ROAD_SHARE * total:
         findings.warning(
             folder,
             f"only {road / total:.2%} of the points are road (ids {wanted}); 10 to 40 % are usual. "
@@ -100,7 +97,7 @@ def check_labels(folder: str, scheme: LabelScheme, counts: dict[int, int], findi
 
 
 def check_flat_road(
-    drive: FolderDrive, usable: Sequence[int] | Integers, pose_file: str, findings: Findings
+    drive: FolderDrive, usable: Sequence[int] | IntArray, pose_file: str, findings: Findings
 ) -> float | None:
     """Check that the road of neighbouring scans is one level surface: it is not if the poses are in another frame.
 
@@ -130,7 +127,7 @@ def check_flat_road(
             step = _height_step(here, there @ relative[:3, :3].T + relative[:3, 3])
             if step is not None:
                 distance = float(np.linalg.norm(position[j] - position[i]))
-                steps.append((step, step / (MOST_STEP_M + MOST_STEP_SLOPE * distance), i, j))
+                steps.append((step, step / (MAX_STEP_M + MAX_STEP_SLOPE * distance), i, j))
     if steps:
         step, share, i, j = max(steps, key=lambda pair: pair[1])
         text = (
@@ -141,7 +138,7 @@ def check_flat_road(
             findings.error(DriveFileError(pose_file, f"the road is not flat: {text}{_dialect(drive)}"))
         elif share > 1:
             findings.warning(pose_file, f"the poses jump: {text}Usual cause: an outage of GNSS or odometry there.")
-    if tilts and min(tilts)[0] > MOST_TILT_RAD:
+    if tilts and min(tilts)[0] > MAX_TILT_RAD:
         tilt, i = min(tilts)
         findings.error(
             DriveFileError(
@@ -165,7 +162,7 @@ def _dialect(drive: FolderDrive) -> str:
     )
 
 
-def _pairs(poses: Array, usable: Integers) -> list[tuple[int, int]]:
+def _pairs(poses: FloatArray, usable: IntArray) -> list[tuple[int, int]]:
     """Choose pairs of scans some metres apart: at places spread over the drive, and where it turns most."""
     if len(usable) < 2:
         return []
@@ -188,12 +185,12 @@ def _pairs(poses: Array, usable: Integers) -> list[tuple[int, int]]:
     return sorted({*spread, turned})
 
 
-def _near(road: NDArray[np.float32]) -> Array:
+def _near(road: Float32Array) -> FloatArray:
     """Return the road points around the sensor, where heights are sure."""
     return road[np.hypot(road[:, 0], road[:, 1]) < _RANGE_M].astype(np.float64)
 
 
-def _height_step(a: Array, b: Array) -> float | None:
+def _height_step(a: FloatArray, b: FloatArray) -> float | None:
     """Return the median difference in height of two (N, 3) sets of points in the cells that both cover, or None."""
     if not len(a) or not len(b):
         return None
@@ -204,7 +201,7 @@ def _height_step(a: Array, b: Array) -> float | None:
     return float(np.median(np.abs(heights_a[at_a] - heights_b[at_b])))
 
 
-def _cell_heights(points: Array) -> tuple[Integers, Array]:
+def _cell_heights(points: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the cells that hold at least three of (N, 3) points, and the mean height of each."""
     column, row = np.floor(points[:, :2] / _CELL_M).astype(np.int64).T
     cells, member, count = np.unique(column * (1 << 32) + row, return_inverse=True, return_counts=True)
@@ -212,7 +209,7 @@ def _cell_heights(points: Array) -> tuple[Integers, Array]:
     return cells[enough], (np.bincount(member, weights=points[:, 2]) / count)[enough]
 
 
-def _tilt(points: Array) -> float | None:
+def _tilt(points: FloatArray) -> float | None:
     """Return the angle between the plane of (N, 3) points and the x-y plane, radians; None for too few or a line."""
     if len(points) < 50:
         return None
@@ -223,7 +220,7 @@ def _tilt(points: Array) -> float | None:
     return float(np.arccos(min(1.0, abs(vectors[2, 0]))))
 
 
-def check_georeference(poses: Array, georeference: Georeference, findings: Findings) -> float | None:
+def check_georeference(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:
     """Check that the georeference tells the same motion as the poses, piece by piece (drift does not matter).
 
     Parameters
@@ -249,7 +246,7 @@ def check_georeference(poses: Array, georeference: Georeference, findings: Findi
         theirs = (ecef_b[:3, 3] - ecef_a[:3, 3]) @ ecef_a[:3, :3]
         errors.append(float(np.linalg.norm(theirs - ours) / np.linalg.norm(ours)))
     error = float(np.median(errors))
-    if error > MOST_GEOREFERENCE_ERROR:
+    if error > MAX_GEOREFERENCE_ERROR:
         findings.error(
             GeoreferenceFileError(
                 georeference.source,

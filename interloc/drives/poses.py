@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.drives.faults import DriveFileError
 from interloc.drives.files import MAX_NUMBER, numbers_of, read_text, shown
-
-Array = NDArray[np.float64]
 
 INDEXED_LENGTHS = (13, 17)
 """Numbers a line that starts with a frame number."""
@@ -33,8 +31,8 @@ class PoseLines:
         Frame number of each, ascending, where the lines carry it; else line i belongs to frame i.
     """
 
-    poses: Array
-    frames: NDArray[np.int64] | None
+    poses: FloatArray
+    frames: IntArray | None
 
 
 def read_poses(path: Path, root: Path) -> PoseLines:
@@ -83,7 +81,7 @@ def read_poses(path: Path, root: Path) -> PoseLines:
     return PoseLines(proper, None)
 
 
-def orthonormalised(poses: Array) -> tuple[Array, int | None]:
+def orthonormalised(poses: FloatArray) -> tuple[FloatArray, int | None]:
     """Bring nearly proper rotations to SO(3).
 
     Parameters
@@ -108,7 +106,7 @@ def orthonormalised(poses: Array) -> tuple[Array, int | None]:
     return proper, None
 
 
-def rotation_complaint(rotation: Array) -> str:
+def rotation_complaint(rotation: FloatArray) -> str:
     """Say what is wrong with a (3, 3) rotation."""
     off = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if off <= _ORTHONORMAL:
@@ -155,7 +153,7 @@ def _length_complaint(fields: list[str], rows: list[list[float]]) -> str:
     return f"{len(fields)} numbers; expected {expected}. Usual cause: {usual}."
 
 
-def _split_frames(values: Array, lines: list[int], path: Path, root: Path) -> NDArray[np.int64]:
+def _split_frames(values: FloatArray, lines: list[int], path: Path, root: Path) -> IntArray:
     """Return the frame numbers in front of the lines."""
     first = values[:, 0]
     wrong = (first != np.floor(first)) | (first < 0) | (first > _MAX_FRAME)

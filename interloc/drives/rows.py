@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Integers = NDArray[np.int64]
+from interloc.arrays import IntArray
 
 
-def rows_by_frame(frames: Integers, rows: int) -> Integers | None:
+def rows_by_frame(frames: IntArray, rows: int) -> IntArray | None:
     """Map scans to rows by the frame number, or one to one where a drive starts later and has a row a scan.
 
     Parameters
@@ -30,7 +29,7 @@ def rows_by_frame(frames: Integers, rows: int) -> Integers | None:
     return None
 
 
-def gaps(frames: Integers) -> Integers:
+def gaps(frames: IntArray) -> IntArray:
     """Return the numbers missing between the first and the last scan (of the first thousand gaps, to be shown)."""
     breaks = np.flatnonzero(np.diff(frames) > 1)[:1000]
     missing = [np.arange(frames[i] + 1, min(frames[i + 1], frames[i] + 1001)) for i in breaks]

@@ -7,9 +7,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.drives.drive import GroundPoints
+from interloc.arrays import Float32Array, UInt8Array, UInt32Array
+from interloc.drive import GroundPoints
 from interloc.drives.faults import DriveFileError
 from interloc.drives.files import NumberedFiles, os_reason, shown
 from interloc.drives.labels import LabelScheme
@@ -45,7 +45,7 @@ class RawScans:
         return {name: value for name, value in self.__dict__.items() if name != "_groups"}
 
     @cached_property
-    def _groups(self) -> NDArray[np.uint8]:
+    def _groups(self) -> UInt8Array:
         return self.scheme.groups()
 
     def name(self, frame: int) -> str:
@@ -57,7 +57,7 @@ class RawScans:
         return select_ground(self.scan_files.path(frame), self.label_files.path(frame), self.root, self._groups)
 
 
-def select_ground(scan: Path, label: Path, root: Path, groups: NDArray[np.uint8]) -> GroundPoints:
+def select_ground(scan: Path, label: Path, root: Path, groups: UInt8Array) -> GroundPoints:
     """Read the ground points of a scan with its labels.
 
     Parameters
@@ -89,7 +89,7 @@ def select_ground(scan: Path, label: Path, root: Path, groups: NDArray[np.uint8]
     return GroundPoints(xyz, road_count)
 
 
-def read_points(path: Path, root: Path) -> NDArray[np.float32]:
+def read_points(path: Path, root: Path) -> Float32Array:
     """Read the (N, 4) float32 points of a file: x y z in L, metres, and remission.
 
     Raises
@@ -104,11 +104,11 @@ def read_points(path: Path, root: Path) -> NDArray[np.float32]:
         raise DriveFileError(shown(path, root), f"cannot be read: {os_reason(error)}.") from error
     if size % POINT_BYTES or not size:
         raise DriveFileError(shown(path, root), scan_size_complaint(size))
-    points: NDArray[np.float32] = values.reshape(-1, 4)
+    points: Float32Array = values.reshape(-1, 4)
     return points
 
 
-def read_labels(path: Path, root: Path) -> NDArray[np.uint32]:
+def read_labels(path: Path, root: Path) -> UInt32Array:
     """Read the (N,) uint32 labels of a file.
 
     Raises

@@ -5,17 +5,15 @@ from __future__ import annotations
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.drives.faults import Findings
 from interloc.drives.files import is_number, read_text, shown
 from interloc.drives.parts import DriveParts
 from interloc.drives.rows import rows_by_frame
 
-Array = NDArray[np.float64]
 
-
-def read_times(parts: DriveParts, frames: NDArray[np.int64], findings: Findings) -> Array | None:
+def read_times(parts: DriveParts, frames: IntArray, findings: Findings) -> FloatArray | None:
     """Read the time of every scan, seconds; None where there is none that fits."""
     if parts.times is None:
         return None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.drives.dialect import to_lidar
 from interloc.drives.faults import DriveFileError, Findings
 from interloc.drives.files import listed, missing_numbers, shown
@@ -17,8 +17,6 @@ from interloc.drives.rows import gaps, rows_by_frame
 from interloc.drives.times import read_times
 from interloc.errors import InterLocError
 from interloc.geometry import invert_transform
-
-Array = NDArray[np.float64]
 
 
 def read_track(found: Survey, options: DriveOptions, findings: Findings) -> None:
@@ -83,7 +81,7 @@ def _read_poses(found: Survey, options: DriveOptions, findings: Findings) -> Non
     found.T_world_lidar = _from_first(lidar[rows])
 
 
-def _rows_of(numbers: NDArray[np.int64], frames: NDArray[np.int64], name: str) -> NDArray[np.int64]:
+def _rows_of(numbers: IntArray, frames: IntArray, name: str) -> IntArray:
     """Return the row of every scan among numbered pose lines."""
     missing = missing_numbers(numbers, frames)
     if len(missing):
@@ -112,8 +110,8 @@ def _poses_from_georeference(found: Survey, findings: Findings) -> None:
     findings.note("oxts", found.pose_frame_reason)
 
 
-def _from_first(poses: Array) -> Array:
+def _from_first(poses: FloatArray) -> FloatArray:
     """Express poses in the LiDAR at the first scan."""
-    relative: Array = invert_transform(poses[0]) @ poses
+    relative: FloatArray = invert_transform(poses[0]) @ poses
     relative[0] = np.eye(4)
     return relative

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from interloc.arrays import FloatArray
 from interloc.config import HarrisCandidates
-from interloc.detect.candidates import harris_corners
-from interloc.evaluate.drawing import BLUE, GREEN, INK, MUTED, PAPER, VERMILION, YELLOW
+from interloc.detection.candidates import harris_corners
+from interloc.drawing import BLUE, GREEN, INK, MUTED, PAPER, VERMILION, YELLOW
 from interloc.explain.evidence import Evidence
 from interloc.explain.panels import backdrop, draw_lines, segments
-from interloc.explain.sheet import Floats, extent
+from interloc.explain.sheet import extent
 from interloc.explain.verdicts import Verdict
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def _draw_corners(axes: Axes, evidence: Evidence, config: HarrisCandidates) -> N
         )
 
 
-def _circles(axes: Axes, place: Floats, radii: Floats, colour: str) -> None:
+def _circles(axes: Axes, place: FloatArray, radii: FloatArray, colour: str) -> None:
     from matplotlib.collections import EllipseCollection  # noqa: PLC0415 - slow to import
 
     sizes = np.maximum(2 * radii, 0.8)

@@ -7,10 +7,10 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import BoolArray, FloatArray, Int32Array
 from interloc.explain.evidence import Evidence
-from interloc.explain.sheet import Floats, extent
+from interloc.explain.sheet import extent
 
 Marker = Literal["disc", "cross", "square", "star"]
 
@@ -42,30 +42,30 @@ class Canvas:
         self._is_opaque = background is not None
         self._colours = [background or "#ffffff"]
 
-    def fill(self, mask: NDArray[np.bool_], colour: str) -> None:
+    def fill(self, mask: BoolArray, colour: str) -> None:
         """Paint the cells of a (H, W) mask."""
         enlarged = mask.repeat(self._cell_px, axis=0).repeat(self._cell_px, axis=1) if self._cell_px > 1 else mask
         self.pixels[enlarged] = self._number(colour)
 
-    def lines(self, ends: Floats, colour: str, width_m: float) -> None:
+    def lines(self, ends: FloatArray, colour: str, width_m: float) -> None:
         """Draw (N, 2, 2) straight pieces."""
         width = max(1, round(width_m * self._px_per_m))
         for start, stop in self._place(ends):
             cv2.line(self.pixels, _point(start), _point(stop), self._number(colour), width, cv2.LINE_8, _SHIFT)
 
-    def circle(self, centre: Floats, radius_m: float, colour: str, width_m: float) -> None:
+    def circle(self, centre: FloatArray, radius_m: float, colour: str, width_m: float) -> None:
         """Draw a circle."""
         radius = round(radius_m * self._px_per_m * 2**_SHIFT)
         width = max(1, round(width_m * self._px_per_m))
         cv2.circle(self.pixels, _point(self._place(centre)), radius, self._number(colour), width, cv2.LINE_8, _SHIFT)
 
-    def mark(self, marker: Marker, places: Floats, colour: str, radius_m: float, *, edge: str) -> None:
+    def mark(self, marker: Marker, places: FloatArray, colour: str, radius_m: float, *, edge: str) -> None:
         """Draw a mark at each of (N, 2) places, with an edge that sets it off."""
         for place in places.reshape(-1, 2):
             for extra_m, each in ((0.25, edge), (0.0, colour)):
                 self._draw(marker, place, radius_m + extra_m, each)
 
-    def polygon(self, outline: Floats, colour: str) -> None:
+    def polygon(self, outline: FloatArray, colour: str) -> None:
         """Fill a (N, 2) outline."""
         cv2.fillPoly(self.pixels, [self._place(outline)], self._number(colour), cv2.LINE_8, _SHIFT)
 
@@ -85,7 +85,7 @@ class Canvas:
             self._colours.append(colour)
         return self._colours.index(colour, 1)
 
-    def _draw(self, marker: Marker, place: Floats, radius_m: float, colour: str) -> None:
+    def _draw(self, marker: Marker, place: FloatArray, radius_m: float, colour: str) -> None:
         if marker == "disc":
             cv2.circle(
                 self.pixels,
@@ -104,13 +104,13 @@ class Canvas:
         else:
             self.polygon(place + _STAR * radius_m, colour)
 
-    def _place(self, xy: Floats) -> NDArray[np.int32]:
+    def _place(self, xy: FloatArray) -> Int32Array:
         """Return the fixed point column, row of points around the vehicle; whole numbers are middles of pixels."""
         column = (xy[..., 0] - self._left_m) * self._px_per_m - 0.5
         row = (self._top_m - xy[..., 1]) * self._px_per_m - 0.5
-        place: NDArray[np.int32] = np.round(np.stack([column, row], axis=-1) * 2**_SHIFT).astype(np.int32)
+        place: Int32Array = np.round(np.stack([column, row], axis=-1) * 2**_SHIFT).astype(np.int32)
         return place
 
 
-def _point(place: NDArray[np.int32]) -> tuple[int, int]:
+def _point(place: Int32Array) -> tuple[int, int]:
     return int(place[0]), int(place[1])

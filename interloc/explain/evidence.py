@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray, Int32Array
 from interloc.config import DetectorConfig
-from interloc.detect.detector import Detector, KeyframeDetections, Steps, locate
-from interloc.detect.image import Roi
-from interloc.detect.keyframes import Keyframe, select_keyframes
-from interloc.drives.drive import Drive, DriveScan, GroundPoints, scans_of
+from interloc.detection.detector import Detector, KeyframeDetections, Steps, locate
+from interloc.detection.image import Roi
+from interloc.detection.keyframes import Keyframe, select_keyframes
+from interloc.drive import Drive, DriveScan, GroundPoints, scans_of
 from interloc.errors import ConfigError, DriveError
 from interloc.explain.verdicts import Verdict, judge
 from interloc.geometry import yaw_of
 from interloc.kernels import grid
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,8 +36,8 @@ class WindowScan:
 
     frame: int
     age: int
-    world_xy: Floats
-    cells: NDArray[np.int32]
+    world_xy: FloatArray
+    cells: Int32Array
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class Evidence:
         return self.steps.roi
 
     @property
-    def vehicle(self) -> Floats:
+    def vehicle(self) -> FloatArray:
         """(2,) float64: position of the LiDAR in W, metres."""
         return self.keyframe.T_world_lidar[:2, 3]
 
@@ -98,7 +96,7 @@ class Evidence:
         """Heading in W, counter-clockwise from +x."""
         return float(yaw_of(self.keyframe.T_world_lidar[:3, :3]))
 
-    def around(self, rows: Floats, cols: Floats) -> Floats:
+    def around(self, rows: FloatArray, cols: FloatArray) -> FloatArray:
         """Return x, y along the axes of W from the vehicle, metres, (..., 2), of image positions."""
         return self.roi.world(rows, cols) - self.vehicle
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from interloc.evaluate.drawing import INK, MUTED
+from interloc.drawing import INK, MUTED
 from interloc.explain import panels, sheet
 from interloc.explain.candidate_panel import candidates
 from interloc.explain.evidence import Evidence

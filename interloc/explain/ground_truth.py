@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.drives.drive import Georeference
+from interloc.arrays import FloatArray, IntArray
+from interloc.drive import Georeference
 from interloc.explain.evidence import Evidence
 from interloc.geometry import enu_from_lonlat, rotate_2d, yaw_of
 from interloc.osm.graph import RoadGraph
@@ -31,9 +31,9 @@ class GroundTruth:
     """
 
     policy: Policy
-    roads: NDArray[np.float64]
-    nodes: NDArray[np.float64]
-    osm_id: NDArray[np.int64]
+    roads: FloatArray
+    nodes: FloatArray
+    osm_id: IntArray
 
 
 def ground_truth(evidence: Evidence, georeference: Georeference, graph: RoadGraph, policy: Policy) -> GroundTruth:
@@ -48,7 +48,7 @@ def ground_truth(evidence: Evidence, georeference: Georeference, graph: RoadGrap
     lat_deg, lon_deg = georeference.lat_deg[i], georeference.lon_deg[i]
     turn = evidence.yaw_rad - yaw_of(georeference.R_enu_lidar[i])
 
-    def place(lonlat: NDArray[np.float64]) -> NDArray[np.float64]:
+    def place(lonlat: FloatArray) -> FloatArray:
         return rotate_2d(enu_from_lonlat(lat_deg, lon_deg, lonlat), turn)
 
     half_m = evidence.roi.size * evidence.roi.resolution_m / 2

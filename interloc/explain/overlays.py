@@ -6,18 +6,19 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from interloc.arrays import FloatArray
 from interloc.config import CenterlineConfig, HarrisCandidates
-from interloc.detect.centerline import extract_centerline
-from interloc.drives.drive import Georeference
-from interloc.evaluate.drawing import BLUE, GREEN, INK, MUTED, PAPER, PURPLE, SKY, VERMILION, YELLOW
+from interloc.detection.centerline import extract_centerline
+from interloc.drawing import BLUE, GREEN, INK, MUTED, PAPER, PURPLE, SKY, VERMILION, YELLOW
+from interloc.drive import Georeference
 from interloc.explain.canvas import Canvas
 from interloc.explain.evidence import Evidence
 from interloc.explain.panels import CLOSED, ROAD, segments
 from interloc.explain.record import record
 from interloc.explain.refinement_panel import BRANCH_COLOURS, branch_lines
-from interloc.explain.sheet import Floats, extent, is_set, vehicle_outline
+from interloc.explain.sheet import extent, is_set, vehicle_outline
 from interloc.geometry import lonlat_from_enu, rotate_2d, yaw_of
-from interloc.mapping.geojson import positions
+from interloc.output.geojson import positions
 
 OverlayLayer = Literal["bev", "occupancy", "centerline", "candidates", "branches", "all"]
 OVERLAYS: tuple[OverlayLayer, ...] = get_args(OverlayLayer)
@@ -77,7 +78,7 @@ def describe_overlays(evidence: Evidence, drive_name: str, georeference: Georefe
     }
 
 
-def lonlat_of(evidence: Evidence, georeference: Georeference, around: Floats) -> list[list[float]]:
+def lonlat_of(evidence: Evidence, georeference: Georeference, around: FloatArray) -> list[list[float]]:
     """Return longitude, latitude of (N, 2) points given from the vehicle along the axes of W."""
     fix = evidence.index
     turn = float(yaw_of(georeference.R_enu_lidar[fix])) - evidence.yaw_rad
@@ -146,7 +147,7 @@ def _all(canvas: Canvas, evidence: Evidence) -> None:
     canvas.polygon(vehicle_outline(evidence), VERMILION)
 
 
-def _whole_line(evidence: Evidence) -> Floats:
+def _whole_line(evidence: Evidence) -> FloatArray:
     return segments(evidence, np.ones(len(evidence.steps.centerline.rows), np.bool_))
 
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import BoolArray, FloatArray, Int32Array
 from interloc.config import CenterlineConfig
-from interloc.detect.centerline import extract_centerline
-from interloc.detect.image import Roi
-from interloc.evaluate.drawing import BLUE, INK, MUTED, PAPER, VERMILION
+from interloc.detection.centerline import extract_centerline
+from interloc.detection.image import Roi
+from interloc.drawing import BLUE, INK, MUTED, PAPER, VERMILION
 from interloc.explain.evidence import Evidence, WindowScan
 from interloc.explain.record import pixels
-from interloc.explain.sheet import Floats, extent, is_set, paint, swatch
+from interloc.explain.sheet import extent, is_set, paint, swatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,7 +81,7 @@ def panoramic_scan(axes: Axes, evidence: Evidence) -> list[str]:
     ]
 
 
-def _in_roi(scan: WindowScan, roi: Roi) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _in_roi(scan: WindowScan, roi: Roi) -> tuple[Int32Array, Int32Array]:
     """Return rows and columns of the road points of a scan that lie in the region of interest."""
     cols, rows = scan.cells[:, 0] - roi.left, roi.top - scan.cells[:, 1]
     shown = (cols >= 0) & (cols < roi.size) & (rows >= 0) & (rows < roi.size)
@@ -142,18 +142,20 @@ def backdrop(axes: Axes, evidence: Evidence) -> None:
     draw_lines(axes, line, color=MUTED, linewidth=1.0, label="centerline")
 
 
-def segments(evidence: Evidence, mask: NDArray[np.bool_]) -> Floats:
+def segments(evidence: Evidence, mask: BoolArray) -> FloatArray:
     """Return the joints, (S, 2, 2), between pixels of the centerline that are all in a (P,) mask."""
     line = evidence.steps.centerline
     place = evidence.around(line.rows.astype(np.float64), line.cols.astype(np.float64))
     here, which = np.nonzero((line.neighbours >= 0) & mask[:, None])
     there = line.neighbours[here, which]
     wanted = (there > here) & mask[there]
-    joints: Floats = np.stack([place[here[wanted]], place[there[wanted]]], axis=1)
+    joints: FloatArray = np.stack([place[here[wanted]], place[there[wanted]]], axis=1)
     return joints
 
 
-def draw_lines(axes: Axes, lines: Floats, *, color: str, linewidth: float, label: str = "", zorder: int = 3) -> None:
+def draw_lines(
+    axes: Axes, lines: FloatArray, *, color: str, linewidth: float, label: str = "", zorder: int = 3
+) -> None:
     """Draw (S, 2, 2) straight pieces, with one entry in the key."""
     from matplotlib.collections import LineCollection  # noqa: PLC0415 - slow to import
 

@@ -7,14 +7,14 @@ import logging
 from pathlib import Path
 
 from interloc.config import DetectorConfig
-from interloc.drives.drive import Drive
-from interloc.evaluate.drawing import image, write_image
+from interloc.drawing import image, write_image
+from interloc.drive import Drive
 from interloc.explain.evidence import gather
 from interloc.explain.figures import STEPS, overview, refinement_figure, step_figure
 from interloc.explain.ground_truth import ground_truth
 from interloc.explain.record import record
 from interloc.explain.sheet import DPI
-from interloc.mapping.files import atomic_folder, atomic_write
+from interloc.files import atomic_folder, atomic_write
 from interloc.osm.graph import RoadGraph
 from interloc.osm.policies import Policy
 

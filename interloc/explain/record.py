@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.detect.image import BinaryImage
+from interloc.arrays import FloatArray
+from interloc.detection.image import BinaryImage
 from interloc.explain.evidence import Evidence
 from interloc.explain.ground_truth import GroundTruth
 from interloc.explain.verdicts import Verdict
@@ -91,7 +91,7 @@ def _ground_truth(evidence: Evidence, truth: GroundTruth) -> dict[str, Any]:
     return {"policy": truth.policy, "nodes": nodes}
 
 
-def _place(evidence: Evidence, around: NDArray[np.float64]) -> dict[str, float]:
+def _place(evidence: Evidence, around: FloatArray) -> dict[str, float]:
     """Return a point given from the vehicle along the axes of W, in L and in W."""
     x, y = rotate_2d(around, -evidence.yaw_rad).tolist()
     world_x, world_y = (evidence.vehicle + around).tolist()

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from interloc.evaluate.drawing import BLUE, GREEN, INK, MUTED, PURPLE, SKY, VERMILION
+from interloc.arrays import FloatArray
+from interloc.drawing import BLUE, GREEN, INK, MUTED, PURPLE, SKY, VERMILION
 from interloc.explain.candidate_panel import label_points
 from interloc.explain.evidence import Evidence
 from interloc.explain.panels import backdrop, draw_lines, segments
-from interloc.explain.sheet import Floats
 from interloc.explain.verdicts import Verdict
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale
         )
 
 
-def branch_lines(evidence: Evidence, verdict: Verdict) -> list[Floats]:
+def branch_lines(evidence: Evidence, verdict: Verdict) -> list[FloatArray]:
     """Return the ends, (2, 2), of the lines: from a little behind the refined point to the end of the branch."""
     branches = verdict.branches
     reaches = [piece.reach for piece in verdict.pieces if piece.is_branch]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.detect.image import BinaryImage
-from interloc.evaluate.drawing import INK, MUTED, PAPER, VERMILION, new_figure
+from interloc.arrays import BoolArray, FloatArray
+from interloc.detection.image import BinaryImage
+from interloc.drawing import INK, MUTED, PAPER, VERMILION, new_figure
 from interloc.explain.evidence import Evidence
 from interloc.geometry import rotate_2d
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 
 DPI = 100
 WIDTH, HEIGHT = 1120, 860  # pixels: a picture fits a laptop screen at 100 %
@@ -78,7 +77,7 @@ def extent(evidence: Evidence) -> tuple[float, float, float, float]:
     return left, left + side, top - side, top
 
 
-def paint(axes: Axes, evidence: Evidence, layers: Sequence[tuple[NDArray[np.bool_], str]]) -> None:
+def paint(axes: Axes, evidence: Evidence, layers: Sequence[tuple[BoolArray, str]]) -> None:
     """Draw (H, W) masks in a colour each, later ones on top."""
     from matplotlib.colors import to_rgb  # noqa: PLC0415 - slow to import
 
@@ -88,7 +87,7 @@ def paint(axes: Axes, evidence: Evidence, layers: Sequence[tuple[NDArray[np.bool
     axes.imshow(picture, extent=extent(evidence), origin="upper", zorder=0)
 
 
-def is_set(image: BinaryImage) -> NDArray[np.bool_]:
+def is_set(image: BinaryImage) -> BoolArray:
     """Return the set pixels of an image as (H, W) bool."""
     return image.to_array().astype(np.bool_)
 
@@ -98,7 +97,7 @@ def swatch(axes: Axes, colour: str, text: str) -> None:
     axes.plot([], [], linestyle="none", marker="s", markersize=9, color=colour, label=text)
 
 
-def vehicle_outline(evidence: Evidence) -> Floats:
+def vehicle_outline(evidence: Evidence) -> FloatArray:
     """Return the outline of the vehicle's mark, (4, 2), from the vehicle along the axes of W."""
     return rotate_2d(_CAR_M, evidence.yaw_rad)
 

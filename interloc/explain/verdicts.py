@@ -7,16 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from interloc.config import BranchConfig, DetectorConfig, HarrisCandidates
-from interloc.detect.branches import Branches, inner_radius, segment_branches
-from interloc.detect.candidates import Candidates, harris_corners, merge_until_stable
-from interloc.detect.centerline import Centerline
-from interloc.detect.detector import Steps
-from interloc.detect.image import Roi
+from interloc.detection.branches import Branches, inner_radius, segment_branches
+from interloc.detection.candidates import Candidates, harris_corners, merge_until_stable
+from interloc.detection.centerline import Centerline
+from interloc.detection.detector import Steps
+from interloc.detection.image import Roi
 from interloc.kernels import skeleton as sk
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Piece:
         It counts; otherwise it is too short.
     """
 
-    pixels: NDArray[np.int64]
+    pixels: IntArray
     reach: float
     at_candidate: bool
     is_branch: bool
@@ -65,9 +63,9 @@ class Verdict:
     """
 
     number: int
-    position: Floats
+    position: FloatArray
     width: float
-    merged: Floats
+    merged: FloatArray
     branches: Branches
     pieces: list[Piece]
     detections: list[int]
@@ -79,7 +77,7 @@ class Verdict:
         return bool(self.detections)
 
 
-def judge(steps: Steps, vehicle: Floats, config: DetectorConfig) -> list[Verdict]:
+def judge(steps: Steps, vehicle: FloatArray, config: DetectorConfig) -> list[Verdict]:
     """Explain all candidates of a keyframe, the nearest to the vehicle (x, y in W, metres) first."""
     candidates, centerline, resolution_m = steps.candidates, steps.centerline, steps.roi.resolution_m
     merged = merged_points(centerline, candidates, resolution_m, config)
@@ -109,7 +107,7 @@ def judge(steps: Steps, vehicle: Floats, config: DetectorConfig) -> list[Verdict
 
 def merged_points(
     centerline: Centerline, candidates: Candidates, resolution_m: float, config: DetectorConfig
-) -> list[Floats]:
+) -> list[FloatArray]:
     """Return the points, (M, 2) row and column, that each candidate stands for."""
     if not isinstance(config.candidates, HarrisCandidates):
         return candidates.cores
@@ -122,7 +120,7 @@ def merged_points(
 def pieces_around(
     candidates: Candidates,
     which: int,
-    enders: NDArray[np.int64],
+    enders: IntArray,
     centerline: Centerline,
     resolution_m: float,
     config: BranchConfig,
@@ -164,12 +162,12 @@ def _why_not(branches: Branches, pieces: list[Piece], roi: Roi, config: BranchCo
     return why
 
 
-def _points(centerline: Centerline, pixels: NDArray[np.integer]) -> Floats:
+def _points(centerline: Centerline, pixels: NDArray[np.integer]) -> FloatArray:
     return np.column_stack([centerline.rows[pixels], centerline.cols[pixels]]).astype(np.float64)
 
 
-def _beside(mask: Flags, neighbours: NDArray[np.int32]) -> Flags:
+def _beside(mask: BoolArray, neighbours: Int32Array) -> BoolArray:
     """Return the pixels that are joined to one of a mask, (P,) bool."""
-    known: Flags = np.append(mask, False)[neighbours]  # -1, no neighbour, takes what is appended
-    beside: Flags = np.logical_or.reduce(known, axis=1)
+    known: BoolArray = np.append(mask, False)[neighbours]  # -1, no neighbour, takes what is appended
+    beside: BoolArray = np.logical_or.reduce(known, axis=1)
     return beside

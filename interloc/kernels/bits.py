@@ -10,11 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import Int32Array, UInt8Array, UInt64Array
 from interloc.kernels._compile import compiled
-
-Words = NDArray[np.uint64]
 
 
 def words_for(width: int) -> int:
@@ -38,7 +36,7 @@ def lowest_bit(x: np.uint64) -> int:
 
 
 @compiled
-def pack(image: NDArray[np.uint8], words: Words) -> None:
+def pack(image: UInt8Array, words: UInt64Array) -> None:
     """Write a (H, W) uint8 image, non-zero is set, into empty (H + 2, words) words."""
     height, width = image.shape
     for r in range(height):
@@ -53,7 +51,7 @@ def pack(image: NDArray[np.uint8], words: Words) -> None:
 
 
 @compiled
-def unpack(words: Words, image: NDArray[np.uint8]) -> None:
+def unpack(words: UInt64Array, image: UInt8Array) -> None:
     """Write packed words into an empty (H, W) uint8 image of 0 and 1."""
     height, width = image.shape
     for r in range(height):
@@ -67,7 +65,7 @@ def unpack(words: Words, image: NDArray[np.uint8]) -> None:
 
 
 @compiled
-def set_pixels(words: Words) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def set_pixels(words: UInt64Array) -> tuple[Int32Array, Int32Array]:
     """Return rows and columns of the set pixels, (P,) int32 each, in row-major order."""
     count = 0
     for r in range(1, words.shape[0] - 1):
@@ -89,7 +87,7 @@ def set_pixels(words: Words) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 @compiled
-def nearest_clear(words: Words, row: int, col: int, height: int, width: int, limit: int) -> float:
+def nearest_clear(words: UInt64Array, row: int, col: int, height: int, width: int, limit: int) -> float:
     """Return the distance in pixels from a set pixel to the nearest clear one, at most ``limit``.
 
     The distance transform at one pixel. Outside of the image nothing is clear: a road that leaves the window

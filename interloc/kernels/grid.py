@@ -7,10 +7,9 @@ W. Cell (ix, iy) covers x in [ix r, (ix + 1) r) and y in [iy r, (iy + 1) r).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, FloatArray, Int32Array, IntArray, UInt64Array
 from interloc.kernels._compile import compiled
-from interloc.kernels.bits import Words
 
 TILE = 256
 _SHIFT = 8
@@ -19,8 +18,8 @@ _MASK = TILE - 1
 
 @compiled
 def cells_of(
-    points: NDArray[np.float32], transform: NDArray[np.float64], resolution_m: float, max_range_m: float
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    points: Float32Array, transform: FloatArray, resolution_m: float, max_range_m: float
+) -> tuple[Int32Array, IntArray]:
     """Return the cells of points given in L, and the range of tiles that they fall into.
 
     Parameters
@@ -74,8 +73,8 @@ def cells_of(
 
 @compiled
 def add_cells(
-    pool: NDArray[np.int32], table: NDArray[np.int32], first_x: int, first_y: int, cells: NDArray[np.int32], vote: int
-) -> NDArray[np.int32]:
+    pool: Int32Array, table: Int32Array, first_x: int, first_y: int, cells: Int32Array, vote: int
+) -> Int32Array:
     """Add a vote to the pool for each cell; return where, for `remove_cells`.
 
     Parameters
@@ -105,7 +104,7 @@ def add_cells(
 
 
 @compiled
-def remove_cells(pool: NDArray[np.int32], where: NDArray[np.int32], vote: int) -> None:
+def remove_cells(pool: Int32Array, where: Int32Array, vote: int) -> None:
     """Take back the votes that `add_cells` gave."""
     flat = pool.reshape(-1)
     for i in range(where.size):
@@ -114,7 +113,7 @@ def remove_cells(pool: NDArray[np.int32], where: NDArray[np.int32], vote: int) -
 
 @compiled
 def threshold_window(
-    pool: NDArray[np.int32], table: NDArray[np.int32], left: int, top: int, size: int, min_points: int, words: Words
+    pool: Int32Array, table: Int32Array, left: int, top: int, size: int, min_points: int, words: UInt64Array
 ) -> None:
     """Write a square of the grid as a packed image: set where a cell has at least ``min_points``.
 

@@ -8,16 +8,13 @@ near the border, where we take what lies outside as empty.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray, Int32Array, UInt64Array
 from interloc.kernels._compile import compiled
-from interloc.kernels.bits import Words
-
-Index = NDArray[np.int32]
 
 
 @compiled
-def harris_scores(words: Words, rows: Index, cols: Index, block: int, k: float) -> NDArray[np.float64]:
+def harris_scores(words: UInt64Array, rows: Int32Array, cols: Int32Array, block: int, k: float) -> FloatArray:
     """Return the score det(M) - k trace(M)^2 of each line pixel, (P,) float64.
 
     Parameters
@@ -71,7 +68,7 @@ def harris_scores(words: Words, rows: Index, cols: Index, block: int, k: float) 
 
 
 @compiled
-def local_maxima(rows: Index, cols: Index, scores: NDArray[np.float64], window: int, least: float) -> Index:
+def local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window: int, least: float) -> Int32Array:
     """Return the pixels whose score is the best in a square window around them and at least ``least``, best first.
 
     Of equal neighbours the first in the list wins.

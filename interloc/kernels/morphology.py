@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import IntArray, UInt64Array
 from interloc.kernels._compile import compiled
-from interloc.kernels.bits import Words
 
 
-def disc_half_widths(diameter_px: int) -> NDArray[np.int64]:
+def disc_half_widths(diameter_px: int) -> IntArray:
     """Return the half-widths of the rows 0..R of a disc, R = (d - 1) / 2, for an odd diameter in pixels.
 
     The disc is the set of pixels whose centres lie within d / 2 of its centre: dx^2 + dy^2 <= (d / 2)^2.
@@ -27,7 +26,7 @@ def disc_half_widths(diameter_px: int) -> NDArray[np.int64]:
 
 
 @compiled
-def _column_masks(n_words: int, width: int) -> Words:
+def _column_masks(n_words: int, width: int) -> UInt64Array:
     """Return the words of a row whose pixels inside of the image are all set."""
     masks = np.zeros(n_words, np.uint64)
     for c in range(width):
@@ -36,7 +35,7 @@ def _column_masks(n_words: int, width: int) -> Words:
 
 
 @compiled
-def _combine(source: Words, half_widths: NDArray[np.int64], width: int, invert: bool) -> Words:
+def _combine(source: UInt64Array, half_widths: IntArray, width: int, invert: bool) -> UInt64Array:
     """Dilate by the disc; with ``invert``, dilate the complement and complement the result: an erosion."""
     n_rows, n_words = source.shape
     radius = half_widths.size - 1
@@ -88,12 +87,12 @@ def _combine(source: Words, half_widths: NDArray[np.int64], width: int, invert: 
 
 
 @compiled
-def dilate(source: Words, half_widths: NDArray[np.int64], width: int) -> Words:
+def dilate(source: UInt64Array, half_widths: IntArray, width: int) -> UInt64Array:
     """Dilate a packed image of ``width`` columns by a disc (see `disc_half_widths`)."""
     return _combine(source, half_widths, width, False)
 
 
 @compiled
-def erode(source: Words, half_widths: NDArray[np.int64], width: int) -> Words:
+def erode(source: UInt64Array, half_widths: IntArray, width: int) -> UInt64Array:
     """Erode a packed image of ``width`` columns by a disc (see `disc_half_widths`)."""
     return _combine(source, half_widths, width, True)

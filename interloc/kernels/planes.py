@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import UInt8Array, UInt32Array
 from interloc.kernels._compile import compiled
 
 
 @compiled
-def split_planes(bits: NDArray[np.uint32]) -> NDArray[np.uint8]:
+def split_planes(bits: UInt32Array) -> UInt8Array:
     """Sort the bytes of differences along the rows by their weight.
 
     Parameters
@@ -41,7 +41,7 @@ def split_planes(bits: NDArray[np.uint32]) -> NDArray[np.uint8]:
 
 
 @compiled
-def join_planes(planes: NDArray[np.uint8]) -> tuple[NDArray[np.uint32], int]:
+def join_planes(planes: UInt8Array) -> tuple[UInt32Array, int]:
     """Undo `split_planes`, and look for coordinates that are not finite.
 
     Parameters

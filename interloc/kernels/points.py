@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, UInt8Array, UInt32Array
 from interloc.kernels._compile import compiled
 
 
 @compiled
-def select_points(
-    points: NDArray[np.float32], labels: NDArray[np.uint32], group_of: NDArray[np.uint8]
-) -> tuple[NDArray[np.float32], int, int]:
+def select_points(points: Float32Array, labels: UInt32Array, group_of: UInt8Array) -> tuple[Float32Array, int, int]:
     """Pick the points of two groups of labels, those of the first group in front.
 
     Parameters

@@ -5,14 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, FloatArray, Int32Array, UInt8Array
 from interloc.kernels._compile import compiled
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
-Ints = NDArray[np.int32]
 
 PROFILE_STEPS = 96
 BUCKETS = 2048
@@ -21,7 +16,7 @@ STEP_M = 0.06
 
 
 @compiled
-def height_at(grid: Floats, x0: float, y0: float, cell: float, x: float, y: float) -> float:
+def height_at(grid: Float32Array, x0: float, y0: float, cell: float, x: float, y: float) -> float:
     """Interpolate a height grid bilinearly; outside, the nearest edge counts. Samples lie at x0 + column * cell."""
     gx = min(max((x - x0) / cell, 0.0), grid.shape[1] - 1.001)
     gy = min(max((y - y0) / cell, 0.0), grid.shape[0] - 1.001)
@@ -35,7 +30,7 @@ def height_at(grid: Floats, x0: float, y0: float, cell: float, x: float, y: floa
 
 
 @compiled
-def surface_at(tiles: Bytes, index: Ints, x0: float, y0: float, tile_m: float, x: float, y: float) -> int:
+def surface_at(tiles: UInt8Array, index: Int32Array, x0: float, y0: float, tile_m: float, x: float, y: float) -> int:
     """Return the surface code of a place; 0 (terrain) where no tile is loaded."""
     tx = math.floor((x - x0) / tile_m)
     ty = math.floor((y - y0) / tile_m)
@@ -52,7 +47,7 @@ def surface_at(tiles: Bytes, index: Ints, x0: float, y0: float, tile_m: float, x
 
 
 @compiled
-def bucket_walls(walls: Array, x: float, y: float, reach: float) -> tuple[Ints, Ints, Array]:
+def bucket_walls(walls: FloatArray, x: float, y: float, reach: float) -> tuple[Int32Array, Int32Array, FloatArray]:
     """Sort walls into buckets of azimuth as seen from (x, y), the nearest first in each.
 
     Parameters
@@ -116,22 +111,22 @@ def bucket_walls(walls: Array, x: float, y: float, reach: float) -> tuple[Ints, 
 
 @compiled
 def cast_rays(
-    origin: Array,
-    rotation: Array,
-    elevations: Array,
-    azimuths: Array,
-    tiles: Bytes,
-    index: Ints,
-    raster: Array,
-    heights: Floats,
-    height_frame: Array,
-    walls: Array,
-    wall_surfaces: Bytes,
-    materials: Array,
-    limits: Array,
-    normal: Floats,
-    uniform: Floats,
-) -> tuple[Floats, Bytes, Bytes]:
+    origin: FloatArray,
+    rotation: FloatArray,
+    elevations: FloatArray,
+    azimuths: FloatArray,
+    tiles: UInt8Array,
+    index: Int32Array,
+    raster: FloatArray,
+    heights: Float32Array,
+    height_frame: FloatArray,
+    walls: FloatArray,
+    wall_surfaces: UInt8Array,
+    materials: FloatArray,
+    limits: FloatArray,
+    normal: Float32Array,
+    uniform: Float32Array,
+) -> tuple[Float32Array, UInt8Array, UInt8Array]:
     """Measure one turn of the LiDAR.
 
     Parameters

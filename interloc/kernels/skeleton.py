@@ -8,16 +8,14 @@ neighbours takes corners for junctions; the crossing number misses a junction of
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import BoolArray, FloatArray, Int32Array, UInt64Array
 from interloc.kernels._compile import compiled
-from interloc.kernels.bits import Words, nearest_clear, popcount
-
-Index = NDArray[np.int32]
+from interloc.kernels.bits import nearest_clear, popcount
 
 
 @compiled
-def neighbours_of(words: Words, rows: Index, cols: Index) -> Index:
+def neighbours_of(words: UInt64Array, rows: Int32Array, cols: Int32Array) -> Int32Array:
     """Return the joined pixels of each pixel of a packed centerline.
 
     Parameters
@@ -63,7 +61,7 @@ def neighbours_of(words: Words, rows: Index, cols: Index) -> Index:
 
 
 @compiled
-def degrees_of(neighbours: Index) -> Index:
+def degrees_of(neighbours: Int32Array) -> Int32Array:
     """Return how many pixels each one is joined to, (P,) int32."""
     degree = np.zeros(neighbours.shape[0], np.int32)
     for i in range(neighbours.shape[0]):
@@ -75,8 +73,14 @@ def degrees_of(neighbours: Index) -> Index:
 
 @compiled
 def prune_spurs(
-    rows: Index, cols: Index, neighbours: Index, occupancy: Words, size: int, widths: float, border: int
-) -> NDArray[np.bool_]:
+    rows: Int32Array,
+    cols: Int32Array,
+    neighbours: Int32Array,
+    occupancy: UInt64Array,
+    size: int,
+    widths: float,
+    border: int,
+) -> BoolArray:
     """Find the dead ends that are shorter than a multiple of the road width where they leave the road.
 
     Parameters
@@ -145,14 +149,14 @@ def prune_spurs(
 
 
 @compiled
-def clear_pixels(words: Words, rows: Index, cols: Index) -> None:
+def clear_pixels(words: UInt64Array, rows: Int32Array, cols: Int32Array) -> None:
     """Clear some pixels of a packed image in place."""
     for i in range(rows.size):
         words[rows[i] + 1, cols[i] >> 6] &= ~(np.uint64(1) << np.uint64(cols[i] & 63))
 
 
 @compiled
-def widths_at(occupancy: Words, rows: Index, cols: Index, size: int, limit: int) -> NDArray[np.float64]:
+def widths_at(occupancy: UInt64Array, rows: Int32Array, cols: Int32Array, size: int, limit: int) -> FloatArray:
     """Return the local road width in pixels at some pixels of the centerline, (N,) float64."""
     widths = np.empty(rows.size)
     for i in range(rows.size):
@@ -161,7 +165,7 @@ def widths_at(occupancy: Words, rows: Index, cols: Index, size: int, limit: int)
 
 
 @compiled
-def label_pieces(neighbours: Index, allowed: NDArray[np.bool_], starts: Index) -> tuple[Index, int]:
+def label_pieces(neighbours: Int32Array, allowed: BoolArray, starts: Int32Array) -> tuple[Int32Array, int]:
     """Label the connected pieces of allowed pixels that hold one of some starts.
 
     Returns
@@ -196,8 +200,8 @@ def label_pieces(neighbours: Index, allowed: NDArray[np.bool_], starts: Index) -
 
 @compiled
 def grow_from(
-    rows: Index, cols: Index, neighbours: Index, sources: Index, reach: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+    rows: Int32Array, cols: Int32Array, neighbours: Int32Array, sources: Int32Array, reach: FloatArray
+) -> BoolArray:
     """Return which pixels lie within the reach of a source along the centerline, (P,) bool.
 
     Parameters
@@ -242,11 +246,11 @@ PIXEL_PX = 0.1  # how well its line is known
 
 @compiled
 def follow_branches(
-    rows: Index,
-    cols: Index,
-    neighbours: Index,
-    candidate: NDArray[np.float64],
-    others: NDArray[np.float64],
+    rows: Int32Array,
+    cols: Int32Array,
+    neighbours: Int32Array,
+    candidate: FloatArray,
+    others: FloatArray,
     width: float,
     inner: float,
     outer: float,
@@ -258,7 +262,7 @@ def follow_branches(
     trim: float,
     size: int,
     border: int,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Find the pieces of centerline that leave the inner circle around a candidate, and measure each.
 
     Parameters
@@ -432,7 +436,7 @@ def _spread(start: float, length: float) -> float:
 
 
 @compiled
-def _wedge(branches: NDArray[np.float64], which: int, count: int, r0: float, c0: float, width: float) -> float:
+def _wedge(branches: FloatArray, which: int, count: int, r0: float, c0: float, width: float) -> float:
     """Return how far from the candidate the surface of a branch parts from that of its nearest neighbour, pixels.
 
     Two roads of width w at an angle t part at (w / 2) / sin(t / 2); the centerline is bent until there.

@@ -11,13 +11,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import Int32Array, IntArray, UInt8Array, UInt64Array
 from interloc.kernels._compile import compiled
-from interloc.kernels.bits import Words, lowest_bit, popcount
+from interloc.kernels.bits import lowest_bit, popcount
 
 
-def _deletable() -> NDArray[np.uint8]:
+def _deletable() -> UInt8Array:
     """Return for each neighbour code whether sub-iteration 1 (bit 0) and 2 (bit 1) delete the pixel.
 
     Bit i of a code is the neighbour P(i + 2) of the definition: P2 above, then clockwise.
@@ -39,7 +39,7 @@ DELETABLE = _deletable()
 
 
 @compiled
-def _neighbour_codes(words: Words, offsets: NDArray[np.int64]) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+def _neighbour_codes(words: UInt64Array, offsets: IntArray) -> tuple[UInt8Array, Int32Array]:
     """Return the code of every pixel, 0 for clear ones, and the flat indices of the pixels on a border."""
     n_rows, n_words = words.shape
     stride = n_words * 64
@@ -85,7 +85,7 @@ def _neighbour_codes(words: Words, offsets: NDArray[np.int64]) -> tuple[NDArray[
 
 
 @compiled
-def thin(words: Words, deletable: NDArray[np.uint8]) -> None:
+def thin(words: UInt64Array, deletable: UInt8Array) -> None:
     """Thin a packed image to its centerline, in place; ``deletable`` is `DELETABLE`."""
     stride = words.shape[1] * 64
     flat = words.reshape(-1)

@@ -1,1 +1,1 @@
-"""From detections to a map: georeferencing, fusion, result files."""
+"""Fusion of the detections of a drive into a map of intersections."""

@@ -9,17 +9,14 @@ one of a keyframe to each.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.geometry import Array
-
-Labels = NDArray[np.int64]
+from interloc.arrays import FloatArray, IntArray
 
 _CELLS_PER_BANDWIDTH = 4
 _CHOICES = 4  # nearest centres that a detection may go to: more never lie within reach of one
 
 
-def find_peaks(xy: Array, weight: Array, *, bandwidth_m: float) -> Labels:
+def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float) -> IntArray:
     """Group points by the peak of their density that they climb to.
 
     Parameters
@@ -72,13 +69,13 @@ def find_peaks(xy: Array, weight: Array, *, bandwidth_m: float) -> Labels:
             break
         parent = grandparent
     _, peak = np.unique(parent, return_inverse=True)
-    labels: Labels = peak.reshape(-1)[cell].astype(np.int64)
+    labels: IntArray = peak.reshape(-1)[cell].astype(np.int64)
     return labels
 
 
 def join_peaks(
-    labels: Labels, xy: Array, weight: Array, keyframe: NDArray[np.int64], *, radius_m: float, together: float
-) -> Labels:
+    labels: IntArray, xy: FloatArray, weight: FloatArray, keyframe: IntArray, *, radius_m: float, together: float
+) -> IntArray:
     """Join groups that lie close together and were not seen side by side.
 
     Parameters
@@ -136,11 +133,11 @@ def join_peaks(
         seen[a] |= seen[b]
         group[b] = a
     _, joined = np.unique([root(member) for member in range(len(group))], return_inverse=True)
-    new: Labels = joined.reshape(-1)[labels].astype(np.int64)
+    new: IntArray = joined.reshape(-1)[labels].astype(np.int64)
     return new
 
 
-def assign(xy: Array, keyframe: NDArray[np.int64], centres: Array, *, radius_m: float) -> Labels:
+def assign(xy: FloatArray, keyframe: IntArray, centres: FloatArray, *, radius_m: float) -> IntArray:
     """Give each detection to a centre: nearest pairs first, a centre takes at most one detection of a keyframe.
 
     Parameters

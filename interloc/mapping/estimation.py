@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.geometry import Array, wrap_bearing
-
-Labels = NDArray[np.int64]
+from interloc.arrays import FloatArray, IntArray
+from interloc.geometry import wrap_bearing
 
 _ROUNDS = 30
 _SETTLED_M = 1e-4
 
 
-def robust_centres(xy: Array, weight: Array, labels: Labels, start: Array, *, scale_m: float) -> Array:
+def robust_centres(
+    xy: FloatArray, weight: FloatArray, labels: IntArray, start: FloatArray, *, scale_m: float
+) -> FloatArray:
     """Move each centre to the middle of the bulk of its members.
 
     Parameters
@@ -55,7 +55,7 @@ def robust_centres(xy: Array, weight: Array, labels: Labels, start: Array, *, sc
     return centres
 
 
-def heaviest_member(xy: Array, weight: Array, labels: Labels, count: int, *, scale_m: float) -> Array:
+def heaviest_member(xy: FloatArray, weight: FloatArray, labels: IntArray, count: int, *, scale_m: float) -> FloatArray:
     """Return for each of `count` groups the mean of its densest part: (count, 2), where `robust_centres` starts.
 
     The densest part is the cell of a grid of 1 `scale_m` with the greatest weight in its 3 x 3 neighbourhood.
@@ -78,9 +78,9 @@ def heaviest_member(xy: Array, weight: Array, labels: Labels, count: int, *, sca
 
 
 def position_std(
-    xy: Array, weight: Array, labels: Labels, travelled_m: Array, centres: Array, *,
+    xy: FloatArray, weight: FloatArray, labels: IntArray, travelled_m: FloatArray, centres: FloatArray, *,
     correlation_m: float, prior_std_m: float, clip_m: float
-) -> Array:  # fmt: skip
+) -> FloatArray:  # fmt: skip
     """Estimate the one-sigma uncertainty of each centre.
 
     Parameters
@@ -123,7 +123,7 @@ def position_std(
     return result
 
 
-def _shared(place: Array, w: Array, length: float) -> Array:
+def _shared(place: FloatArray, w: FloatArray, length: float) -> FloatArray:
     """Return sum_j w_j max(0, 1 - |place_i - place_j| / length) for ascending places, in O(n log n)."""
     sum_w = np.concatenate([[0.0], np.cumsum(w)])
     sum_wp = np.concatenate([[0.0], np.cumsum(w * place)])
@@ -132,13 +132,13 @@ def _shared(place: Array, w: Array, length: float) -> Array:
     last = np.searchsorted(place, place + length, side="right")
     before = (sum_w[here] - sum_w[first]) * (1.0 - place / length) + (sum_wp[here] - sum_wp[first]) / length
     after = (sum_w[last] - sum_w[here]) * (1.0 + place / length) - (sum_wp[last] - sum_wp[here]) / length
-    result: Array = before + after
+    result: FloatArray = before + after
     return result
 
 
 def visibility(
-    centres: Array, keyframe_xy: Array, *, certain_m: float, limit_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    centres: FloatArray, keyframe_xy: FloatArray, *, certain_m: float, limit_m: float
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Say which keyframes could have seen which centres, and how surely.
 
     Parameters
@@ -166,8 +166,8 @@ def visibility(
 
 
 def fuse_bearings(
-    bearings_deg: Sequence[Array], weight: Array, *, spread_deg: float, separation_deg: float, support: float
-) -> Array:
+    bearings_deg: Sequence[FloatArray], weight: FloatArray, *, spread_deg: float, separation_deg: float, support: float
+) -> FloatArray:
     """Find the branches that the sightings of an intersection agree on.
 
     Parameters
@@ -222,7 +222,7 @@ def fuse_bearings(
     return np.sort([bearing for rank, (share, bearing) in enumerate(found) if share >= support or rank < 3])
 
 
-def members_of(labels: Labels, count: int) -> list[tuple[int, NDArray[np.int64]]]:
+def members_of(labels: IntArray, count: int) -> list[tuple[int, IntArray]]:
     """Return (label, rows) of each label of 0..count-1 that has any, rows ascending."""
     order = np.argsort(labels, kind="stable")
     bounds = np.searchsorted(labels[order], np.arange(count + 1))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from interloc.geometry import Array, enu_from_lonlat, lonlat_from_enu, rotate_2d
-from interloc.mapping.clustering import Labels, assign, find_peaks, join_peaks
+from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
+from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import (
     fuse_bearings,
     heaviest_member,
@@ -18,7 +18,7 @@ from interloc.mapping.estimation import (
     robust_centres,
     visibility,
 )
-from interloc.results import DetectionTable, Floats, IntersectionTable, KeyframeTable
+from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
 
 
 class FusionConfig(BaseModel):
@@ -92,7 +92,7 @@ class FusionConfig(BaseModel):
 
 def fuse(
     keyframes: KeyframeTable, detections: DetectionTable, config: FusionConfig | None = None
-) -> tuple[IntersectionTable, NDArray[np.int64]]:
+) -> tuple[IntersectionTable, IntArray]:
     """Fuse the detections of a run into physical intersections.
 
     Parameters
@@ -157,13 +157,13 @@ class _Scene:
         Origin of the plane, degrees; None in W.
     """
 
-    xy: Array
-    weight: Array
-    score: Array
-    keyframe: NDArray[np.int64]
-    keyframe_xy: Array
-    travelled_m: Array
-    origin_lonlat: Array | None
+    xy: FloatArray
+    weight: FloatArray
+    score: FloatArray
+    keyframe: IntArray
+    keyframe_xy: FloatArray
+    travelled_m: FloatArray
+    origin_lonlat: FloatArray | None
 
     @classmethod
     def of(cls, keyframes: KeyframeTable, detections: DetectionTable, config: FusionConfig) -> _Scene:
@@ -185,20 +185,22 @@ class _Scene:
         )
 
 
-def _middle(lonlat: Array) -> Array:
+def _middle(lonlat: FloatArray) -> FloatArray:
     """Return the mean place of a drive, (2,) degrees, also of one across the date line."""
     first = lonlat[0]
     turned = (lonlat[:, 0] - first[0] + 180.0) % 360.0 - 180.0
     return np.array([first[0] + turned.mean(), lonlat[:, 1].mean()])
 
 
-def _unrolled(lonlat: Array, origin: Array) -> Array:
+def _unrolled(lonlat: FloatArray, origin: FloatArray) -> FloatArray:
     """Return east and north of the origin, (N, 2) metres."""
     turned = (lonlat[:, 0] - origin[0] + 180.0) % 360.0 - 180.0
     return enu_from_lonlat(origin[1], 0.0, np.stack([turned, lonlat[:, 1]], axis=-1))
 
 
-def _settle(scene: _Scene, centres: Array, labels: Labels | None, config: FusionConfig) -> tuple[Array, Labels]:
+def _settle(
+    scene: _Scene, centres: FloatArray, labels: IntArray | None, config: FusionConfig
+) -> tuple[FloatArray, IntArray]:
     """Move the centres to their members, then hand out the detections anew; centres left without any go."""
     if labels is None:
         labels = assign(scene.xy, scene.keyframe, centres, radius_m=config.merge_radius_m)
@@ -209,7 +211,9 @@ def _settle(scene: _Scene, centres: Array, labels: Labels | None, config: Fusion
     return centres[used], labels
 
 
-def _confidence(scene: _Scene, centres: Array, labels: Labels, config: FusionConfig) -> tuple[Array, NDArray[np.int64]]:
+def _confidence(
+    scene: _Scene, centres: FloatArray, labels: IntArray, config: FusionConfig
+) -> tuple[FloatArray, IntArray]:
     """Return the confidence of each centre and the number of keyframes in reach of it (see `fuse`), (M,) each."""
     count, keyframes = len(centres), len(scene.keyframe_xy)
     centre, keyframe, chance = visibility(
@@ -225,15 +229,15 @@ def _confidence(scene: _Scene, centres: Array, labels: Labels, config: FusionCon
     return rate * (1.0 - config.score_influence * (1.0 - score)), np.bincount(centre[chance > 0], minlength=count)
 
 
-def _worth_keeping(scene: _Scene, centres: Array, labels: Labels, config: FusionConfig) -> NDArray[np.bool_]:
+def _worth_keeping(scene: _Scene, centres: FloatArray, labels: IntArray, config: FusionConfig) -> BoolArray:
     confidence, in_reach = _confidence(scene, centres, labels, config)
     observations = np.bincount(labels[labels >= 0], minlength=len(centres))
     enough = observations >= np.minimum(config.min_observations, np.maximum(in_reach, 1))
-    kept: NDArray[np.bool_] = enough & (confidence >= config.min_confidence)
+    kept: BoolArray = enough & (confidence >= config.min_confidence)
     return kept
 
 
-def _in_order_of_sight(scene: _Scene, centres: Array, labels: Labels) -> tuple[Array, Labels]:
+def _in_order_of_sight(scene: _Scene, centres: FloatArray, labels: IntArray) -> tuple[FloatArray, IntArray]:
     """Sort centres by the first keyframe that saw them; in one keyframe, by their detections."""
     first = [(int(scene.keyframe[rows].min()), int(rows[0])) for _, rows in members_of(labels, len(centres))]
     order = np.array(sorted(range(len(centres)), key=first.__getitem__), dtype=np.int64)
@@ -247,8 +251,8 @@ def _table(
     keyframes: KeyframeTable,
     detections: DetectionTable,
     scene: _Scene,
-    centres: Array,
-    labels: Labels,
+    centres: FloatArray,
+    labels: IntArray,
     config: FusionConfig,
 ) -> IntersectionTable:
     groups = [rows for _, rows in members_of(labels, len(centres))]
@@ -286,7 +290,7 @@ def _table(
     )
 
 
-def _in_world(keyframes: KeyframeTable, scene: _Scene, centres: Array, first: NDArray[np.int64]) -> Floats:
+def _in_world(keyframes: KeyframeTable, scene: _Scene, centres: FloatArray, first: IntArray) -> FloatArray:
     """Return the centres in W; with georeference as seen from the keyframe that saw them first (W drifts)."""
     if scene.origin_lonlat is None or keyframes.enu_yaw_rad is None:
         return centres.copy()
@@ -294,7 +298,7 @@ def _in_world(keyframes: KeyframeTable, scene: _Scene, centres: Array, first: ND
     return keyframes.world_xy[first] + rotate_2d(centres - scene.keyframe_xy[first], turn)
 
 
-def _on_globe(scene: _Scene, centres: Array) -> Floats:
+def _on_globe(scene: _Scene, centres: FloatArray) -> FloatArray:
     if scene.origin_lonlat is None:  # a run without keyframes
         return np.zeros((0, 2))
     lonlat = lonlat_from_enu(scene.origin_lonlat[1], scene.origin_lonlat[0], centres)

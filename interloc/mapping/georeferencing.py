@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.detect.detector import KeyframeDetections
-from interloc.drives.drive import Georeference
+from interloc.arrays import FloatArray, IntArray
+from interloc.detection.detector import KeyframeDetections
+from interloc.drive import Georeference
 from interloc.errors import GeoreferenceError
-from interloc.geometry import Array, bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
+from interloc.geometry import bearing_deg, lonlat_from_enu, rotate_2d, yaw_of
 from interloc.results import DetectionTable, KeyframeTable
 
 
 def build_tables(
-    found: Sequence[KeyframeDetections], scans: NDArray[np.int64], georeference: Georeference | None
+    found: Sequence[KeyframeDetections], scans: IntArray, georeference: Georeference | None
 ) -> tuple[KeyframeTable, DetectionTable]:
     """Bring the detections of a run into columns, each placed on the ellipsoid by the fix of its own keyframe.
 
@@ -81,7 +81,7 @@ def build_tables(
     return keyframe_table, detection_table
 
 
-def trajectory(T_world_lidar: Array, georeference: Georeference | None) -> tuple[Array, Array | None]:
+def trajectory(T_world_lidar: FloatArray, georeference: Georeference | None) -> tuple[FloatArray, FloatArray | None]:
     """Return the track of the LiDAR over all N scans: (N, 2) in W, metres, and (N, 2) longitude, latitude or None."""
     world_xy = np.asarray(T_world_lidar, dtype=np.float64)[:, :2, 3].copy()
     if georeference is None:
@@ -90,8 +90,8 @@ def trajectory(T_world_lidar: Array, georeference: Georeference | None) -> tuple
 
 
 def _fixes(
-    found: Sequence[KeyframeDetections], scans: NDArray[np.int64], georeference: Georeference
-) -> tuple[Array, Array, Array]:
+    found: Sequence[KeyframeDetections], scans: IntArray, georeference: Georeference
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return latitude and longitude in degrees and heading from east of each keyframe, (K,) each."""
     fixes = len(georeference.lat_deg)
     if scans.size and scans.max() >= fixes:
@@ -104,6 +104,6 @@ def _fixes(
     return georeference.lat_deg[scans], georeference.lon_deg[scans], yaw_of(georeference.R_enu_lidar[scans])
 
 
-def _stack(columns: Sequence[Array]) -> Array:
+def _stack(columns: Sequence[FloatArray]) -> FloatArray:
     """Concatenate (n, 2) arrays, none of them too."""
     return np.concatenate([np.zeros((0, 2)), *(np.asarray(c, dtype=np.float64).reshape(-1, 2) for c in columns)])

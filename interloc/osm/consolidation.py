@@ -9,12 +9,13 @@ from pyproj import Transformer
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from interloc.osm.graph import MIN_DEGREE, Flags, Floats, Integers, RoadGraph, distinct_edges
+from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.osm.graph import MIN_DEGREE, RoadGraph, distinct_edges
 
 
 def consolidate(
-    graph: RoadGraph, edges: Integers, rows: Integers, tolerance_m: float
-) -> tuple[Integers, Floats, Integers]:
+    graph: RoadGraph, edges: IntArray, rows: IntArray, tolerance_m: float
+) -> tuple[IntArray, FloatArray, IntArray]:
     """Merge intersections that are close and connected with each other by `osmnx.consolidate_intersections`.
 
     Parameters
@@ -66,7 +67,7 @@ def consolidate(
     return ids, np.stack([lon, lat], axis=-1), np.array(degree, dtype=np.int64)[order]
 
 
-def _links(edges: Integers, is_intersection: Flags) -> Integers:
+def _links(edges: IntArray, is_intersection: BoolArray) -> IntArray:
     """Return (L, 2) int64 pairs of intersections that a road joins without another one between; loops left out.
 
     The nodes between intersections have at most two neighbours, so what remains of the graph without the
@@ -87,12 +88,12 @@ def _links(edges: Integers, is_intersection: Flags) -> Integers:
     end, chain_of_end = end[order], chain_of_end[order]
     joined = chain_of_end[:-1] == chain_of_end[1:]
     through = np.stack([end[:-1], end[1:]], axis=-1)[joined]
-    links: Integers = np.concatenate([direct, through])
-    proper: Integers = links[links[:, 0] != links[:, 1]]
+    links: IntArray = np.concatenate([direct, through])
+    proper: IntArray = links[links[:, 0] != links[:, 1]]
     return proper
 
 
-def _utm_epsg(lonlat: Floats) -> str:
+def _utm_epsg(lonlat: FloatArray) -> str:
     lon, lat = np.median(lonlat, axis=0)
     zone = int((lon + 180.0) // 6.0) % 60 + 1
     return f"EPSG:{(32600 if lat >= 0 else 32700) + zone}"

@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+from interloc.arrays import BoolArray, FloatArray, IntArray
 
 Bounds = tuple[float, float, float, float]
 """West, south, east, north in degrees."""
@@ -35,10 +32,10 @@ class Ways:
         True where the way outlines a square (area=yes), not a line to drive along.
     """
 
-    id: Integers
+    id: IntArray
     highway: tuple[str, ...]
     name: tuple[str, ...]
-    is_area: Flags
+    is_area: BoolArray
 
     def __len__(self) -> int:
         return len(self.id)
@@ -70,10 +67,10 @@ class RoadGraph:
         Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist.
     """
 
-    node_id: Integers
-    lonlat: Floats
-    edges: Integers
-    edge_way: Integers
+    node_id: IntArray
+    lonlat: FloatArray
+    edges: IntArray
+    edge_way: IntArray
     ways: Ways
     source: str
     date: str | None = None
@@ -88,15 +85,15 @@ class RoadGraph:
         return float(west), float(south), float(east), float(north)
 
     @cached_property
-    def inside_bounds(self) -> Flags:
+    def inside_bounds(self) -> BoolArray:
         """(N,) bool: nodes within the bounds; all of them where the file declares none."""
         return within(self.bounds, self.lonlat)
 
-    def edges_of(self, way_mask: Flags) -> Integers:
+    def edges_of(self, way_mask: BoolArray) -> IntArray:
         """Return the edges, (M, 2) int64, of the ways under a (W,) mask."""
         return self.edges[way_mask[self.edge_way]]
 
-    def degree(self, edges: Integers | None = None) -> Integers:
+    def degree(self, edges: IntArray | None = None) -> IntArray:
         """Return how many distinct neighbours each node has, (N,) int64, over some edges or all.
 
         Two ways between the same two nodes count once, a way from a node to itself does not count.
@@ -105,18 +102,18 @@ class RoadGraph:
         return np.bincount(pairs.ravel(), minlength=len(self.node_id)).astype(np.int64)
 
 
-def distinct_edges(edges: Integers) -> Integers:
+def distinct_edges(edges: IntArray) -> IntArray:
     """Return (M, 2) int64 edges without direction, repetition and loops, each with its smaller node first."""
     pairs = np.sort(edges, axis=1)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     return np.unique(pairs, axis=0)
 
 
-def within(bounds: Bounds | None, lonlat: Floats) -> Flags:
+def within(bounds: Bounds | None, lonlat: FloatArray) -> BoolArray:
     """Return which (N, 2) longitudes, latitudes lie in the bounds, edges included; all where there are none."""
     if bounds is None:
         return np.ones(len(lonlat), dtype=np.bool_)
     west, south, east, north = bounds
     lon, lat = lonlat[:, 0], lonlat[:, 1]
-    inside: Flags = (lon >= west) & (lon <= east) & (lat >= south) & (lat <= north)
+    inside: BoolArray = (lon >= west) & (lon <= east) & (lat >= south) & (lat <= north)
     return inside

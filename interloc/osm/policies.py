@@ -10,8 +10,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import ConfigError
-from interloc.osm.graph import MIN_DEGREE, Flags, Floats, Integers, RoadGraph
+from interloc.osm.graph import MIN_DEGREE, RoadGraph
 
 Policy = Literal["drive", "drive+service", "all", "consolidated"]
 POLICIES: tuple[Policy, ...] = get_args(Policy)
@@ -41,22 +42,22 @@ class IntersectionNodes:
     """
 
     policy: Policy
-    osm_id: Integers
-    lonlat: Floats
-    degree: Integers
+    osm_id: IntArray
+    lonlat: FloatArray
+    degree: IntArray
     tolerance_m: float | None = None
 
     def __len__(self) -> int:
         return len(self.osm_id)
 
 
-def road_ways(graph: RoadGraph, policy: Policy) -> Flags:
+def road_ways(graph: RoadGraph, policy: Policy) -> BoolArray:
     """Return the ways, (W,) bool, that are roads under a policy."""
     if policy == "all":
         return np.ones(len(graph.ways), dtype=np.bool_)
     classes = DRIVABLE | {"service"} if policy == "drive+service" else DRIVABLE
     drivable = np.array([highway in classes for highway in graph.ways.highway], dtype=np.bool_)
-    road: Flags = drivable & ~graph.ways.is_area
+    road: BoolArray = drivable & ~graph.ways.is_area
     return road
 
 

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.errors import MapError
 from interloc.osm.container import MAX_UNPACKED_BYTES, read_prolog
-from interloc.osm.graph import Bounds, Floats, Integers, RoadGraph, Ways
+from interloc.osm.graph import Bounds, RoadGraph, Ways
 
 logger = logging.getLogger(__name__)
 
@@ -98,7 +99,7 @@ class _FoundWays:
     highway: list[str] = field(default_factory=list)
     name: list[str] = field(default_factory=list)
     is_area: list[bool] = field(default_factory=list)
-    refs: list[Integers] = field(default_factory=list)
+    refs: list[IntArray] = field(default_factory=list)
     latest_edit: str | None = None
 
 
@@ -136,7 +137,7 @@ class _OsmStream:
             if node.location.valid() and west <= node.location.lon <= east and south <= node.location.lat <= north
         }
 
-    def nodes(self, wanted: Integers) -> tuple[Integers, Floats]:
+    def nodes(self, wanted: IntArray) -> tuple[IntArray, FloatArray]:
         """Return ids, ascending, and lon/lat of those of the wanted nodes that the file holds."""
         import osmium  # noqa: PLC0415
 
@@ -170,7 +171,7 @@ def _collect_ways(stream: _OsmStream, inside: set[int] | None) -> _FoundWays:
     return found
 
 
-def _edges(refs: list[Integers], flat: Integers, node_id: Integers) -> tuple[Integers, Integers, int]:
+def _edges(refs: list[IntArray], flat: IntArray, node_id: IntArray) -> tuple[IntArray, IntArray, int]:
     """Link consecutive nodes of each way where both exist; also count the ways that miss some."""
     if len(node_id) == 0:
         return np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), len(refs)

@@ -8,16 +8,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.mapping.files import atomic_folder
+from interloc.files import atomic_folder
 from interloc.simulate.config import LidarConfig
 from interloc.simulate.lidar import Lidar
 from interloc.simulate.oxts import IMU_TO_VELO_TEXT, format_oxts, parse_tr
 from interloc.simulate.scene import Scene
 from interloc.simulate.tracks import Track, camera_poses, keyframe_indices, lidar_poses
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 MARKER = "simulation.json"

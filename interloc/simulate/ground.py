@@ -10,17 +10,15 @@ from typing import Literal
 import cv2
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
+from interloc.arrays import UInt8Array
 from interloc.simulate.config import StreetConfig
 from interloc.simulate.osm_map import StreetMap
 from interloc.simulate.profiles import Profile
 from interloc.simulate.surfaces import Surface
-
-Array = NDArray[np.float64]
 
 ARM_M = 32.0
 JUNCTION_REACH_M = 24.0
@@ -111,7 +109,7 @@ def _aside(profile: Profile, config: StreetConfig) -> Literal["drive", "aisle", 
     return "alley" if profile.is_service and config.service_roads == "other_ground" else None
 
 
-def paint(layers: Iterable[Layer], x0: float, y0: float, side_m: float, cells: int) -> NDArray[np.uint8]:
+def paint(layers: Iterable[Layer], x0: float, y0: float, side_m: float, cells: int) -> UInt8Array:
     """Paint a square of ground.
 
     Parameters

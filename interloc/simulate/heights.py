@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, FloatArray
 from interloc.kernels.raycast import height_at
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,13 +22,13 @@ class HeightField:
     x0_m, y0_m, cell_m : float
     """
 
-    grid: NDArray[np.float32]
+    grid: Float32Array
     x0_m: float
     y0_m: float
     cell_m: float
 
     @property
-    def frame(self) -> Array:
+    def frame(self) -> FloatArray:
         """(3,) float64: x0, y0, cell, as the kernel takes them."""
         return np.array([self.x0_m, self.y0_m, self.cell_m])
 
@@ -44,7 +42,7 @@ def flat_field(z_m: float = 0.0) -> HeightField:
     return HeightField(np.full((2, 2), z_m, np.float32), 0.0, 0.0, 1.0)
 
 
-def fit_heights(xyz: Array, *, margin_m: float, cell_m: float = 4.0, smooth_m: float = 6.0) -> HeightField:
+def fit_heights(xyz: FloatArray, *, margin_m: float, cell_m: float = 4.0, smooth_m: float = 6.0) -> HeightField:
     """Spread heights known along a track over its neighbourhood.
 
     Parameters
@@ -78,7 +76,7 @@ def fit_heights(xyz: Array, *, margin_m: float, cell_m: float = 4.0, smooth_m: f
     return HeightField((blurred + base).astype(np.float32), float(low[0]), float(low[1]), cell_m)
 
 
-def _push_pull(mean: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
+def _push_pull(mean: Float32Array, weight: Float32Array) -> Float32Array:
     if weight.all() or max(weight.shape) == 1:
         return mean
     rows, columns = mean.shape

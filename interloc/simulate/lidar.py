@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.kernels.raycast import cast_rays
 from interloc.simulate.config import LidarConfig
 from interloc.simulate.scene import Scene
 from interloc.simulate.surfaces import MATERIAL_TABLE
-
-Array = NDArray[np.float64]
 
 _LABELS = MATERIAL_TABLE[:, 0].astype(np.uint32)
 
@@ -29,8 +27,8 @@ class SimulatedScan:
         SemanticKITTI ids.
     """
 
-    points: NDArray[np.float32]
-    labels: NDArray[np.uint32]
+    points: Float32Array
+    labels: UInt32Array
 
 
 class Lidar:
@@ -69,7 +67,7 @@ class Lidar:
             ]
         )
 
-    def scan(self, scene: Scene, T_map_lidar: Array, rng: np.random.Generator, *, level: int = 0) -> SimulatedScan:
+    def scan(self, scene: Scene, T_map_lidar: FloatArray, rng: np.random.Generator, *, level: int = 0) -> SimulatedScan:
         """Measure one turn.
 
         Parameters

@@ -10,13 +10,11 @@ from typing import NoReturn
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.errors import DriveError
 from interloc.simulate.config import TrackConfig
 from interloc.simulate.tracks import Track, read_oxts, track_from_line, track_from_oxts
-
-Array = NDArray[np.float64]
 
 MAX_POINTS = 2_000_000
 _POINT_TAGS = {"trkpt", "rtept"}
@@ -43,7 +41,7 @@ def open_track(path: Path, config: TrackConfig | None = None) -> Track:
     return track_from_oxts(read_oxts(path), rate_hz=rate)
 
 
-def read_gpx(path: Path) -> tuple[Array, Array | None]:
+def read_gpx(path: Path) -> tuple[FloatArray, FloatArray | None]:
     """Read the points of the tracks of a GPX file, of its routes if it has no track.
 
     Returns
@@ -83,7 +81,7 @@ def read_gpx(path: Path) -> tuple[Array, Array | None]:
     return _checked(path, np.array(points))
 
 
-def read_csv(path: Path) -> tuple[Array, Array | None]:
+def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
     """Read a track from a CSV file whose header names `lat`, `lon` and, if known, `alt`; other columns are skipped.
 
     Returns
@@ -178,7 +176,7 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def _checked(path: Path, points: Array) -> tuple[Array, Array | None]:
+def _checked(path: Path, points: FloatArray) -> tuple[FloatArray, FloatArray | None]:
     lat, lon, alt = points.T
     bad = ~(np.isfinite(lat) & np.isfinite(lon) & (np.abs(lat) <= 90) & (np.abs(lon) <= 180))
     if bad.any():

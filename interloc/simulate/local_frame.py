@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import Proj
 
+from interloc.arrays import FloatArray
 from interloc.geometry import rotation_from_rpy
-
-Array = NDArray[np.float64]
 
 
 class LocalFrame:
@@ -25,21 +24,21 @@ class LocalFrame:
         self.lon_deg = float(lon_deg)
         self._projection = Proj(proj="tmerc", lat_0=self.lat_deg, lon_0=self.lon_deg, k=1, ellps="WGS84")
 
-    def xy(self, lonlat: Array) -> Array:
+    def xy(self, lonlat: FloatArray) -> FloatArray:
         """Project (..., 2) longitudes, latitudes in degrees to (..., 2) metres."""
         lonlat = np.asarray(lonlat, dtype=np.float64)
         if lonlat.size == 0:
             return np.zeros(lonlat.shape)
         return np.stack(self._projection(lonlat[..., 0], lonlat[..., 1]), axis=-1)
 
-    def lonlat(self, xy: Array) -> Array:
+    def lonlat(self, xy: FloatArray) -> FloatArray:
         """Return (..., 2) longitudes, latitudes in degrees of (..., 2) metres."""
         xy = np.asarray(xy, dtype=np.float64)
         if xy.size == 0:
             return np.zeros(xy.shape)
         return np.stack(self._projection(xy[..., 0], xy[..., 1], inverse=True), axis=-1)
 
-    def R_map_enu(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> Array:
+    def R_map_enu(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> FloatArray:
         """Return (..., 3, 3) rotations from the east-north-up frame at fixes to M: the meridian convergence."""
         lon, lat = np.asarray(lon_deg, dtype=np.float64), np.asarray(lat_deg, dtype=np.float64)
         here = self.xy(np.stack([lon, lat], axis=-1))

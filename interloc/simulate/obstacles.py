@@ -6,12 +6,10 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray, UInt8Array
 from interloc.simulate.heights import HeightField
 from interloc.simulate.surfaces import Surface
-
-Array = NDArray[np.float64]
 
 MAX_WALL_M = 24.0
 _CELL_M = 24.0
@@ -24,7 +22,7 @@ class WallList:
     walls: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
     surfaces: list[int] = field(default_factory=list)
 
-    def add_line(self, xy: Array, bottom_m: float, top_m: float, surface: Surface) -> None:
+    def add_line(self, xy: FloatArray, bottom_m: float, top_m: float, surface: Surface) -> None:
         """Add a wall along (N, 2) points; long pieces are divided, so that each follows the ground."""
         for a, b in pairwise(xy):
             pieces = max(int(np.ceil(float(np.hypot(*(b - a))) / MAX_WALL_M)), 1)
@@ -35,7 +33,7 @@ class WallList:
 
     def add_box(
         self,
-        centre: Array,
+        centre: FloatArray,
         heading_rad: float,
         size: tuple[float, float],
         bottom_m: float,
@@ -74,7 +72,7 @@ class Obstacles:
     def __len__(self) -> int:
         return len(self._surfaces)
 
-    def near(self, x: float, y: float, reach_m: float, *, level: int = 0) -> tuple[Array, NDArray[np.uint8]]:
+    def near(self, x: float, y: float, reach_m: float, *, level: int = 0) -> tuple[FloatArray, UInt8Array]:
         """Return the (S, 6) float64 walls (ends, bottom, top in M) and (S,) uint8 surfaces around a place."""
         span = int(np.ceil((reach_m + MAX_WALL_M / 2) / _CELL_M))
         column, row = int(np.floor(x / _CELL_M)), int(np.floor(y / _CELL_M))

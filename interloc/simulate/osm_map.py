@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.errors import MapError
 from interloc.osm.container import read_prolog
 from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.street_classes import STREET_CLASSES, level_of
-
-Array = NDArray[np.float64]
 
 FOOTWAYS = {"footway", "cycleway", "pedestrian", "path"}
 
@@ -42,7 +40,7 @@ class Street:
     way_id: int
     part: int
     nodes: tuple[int, ...]
-    xy: Array
+    xy: FloatArray
     tags: dict[str, str]
 
     @property
@@ -71,11 +69,11 @@ class StreetMap:
 
     frame: LocalFrame
     streets: list[Street] = field(default_factory=list)
-    footways: list[tuple[dict[str, str], Array]] = field(default_factory=list)
-    parking: list[tuple[dict[str, str], Array]] = field(default_factory=list)
-    buildings: list[tuple[dict[str, str], Array]] = field(default_factory=list)
+    footways: list[tuple[dict[str, str], FloatArray]] = field(default_factory=list)
+    parking: list[tuple[dict[str, str], FloatArray]] = field(default_factory=list)
+    buildings: list[tuple[dict[str, str], FloatArray]] = field(default_factory=list)
     turning_circles: list[int] = field(default_factory=list)
-    node_xy: dict[int, Array] = field(default_factory=dict)
+    node_xy: dict[int, FloatArray] = field(default_factory=dict)
 
     def arms(self) -> dict[int, list[tuple[Street, bool]]]:
         """Return for every end of a street the streets there, with True where the street starts at it."""
@@ -92,7 +90,7 @@ class MapWay:
 
     way_id: int
     nodes: list[int]
-    lonlat: Array
+    lonlat: FloatArray
     tags: dict[str, str]
 
 
@@ -162,7 +160,7 @@ def street_map_of(
 
 def _inside(
     ways: Iterable[MapWay], frame: LocalFrame, box: tuple[float, float, float, float] | None
-) -> Iterator[tuple[MapWay, Array]]:
+) -> Iterator[tuple[MapWay, FloatArray]]:
     """Yield ways with their points in M, unless they lie wholly outside a box."""
     for way in ways:
         xy = frame.xy(way.lonlat)
@@ -203,7 +201,7 @@ def _read_ways(path: Path, keys: set[str]) -> tuple[list[MapWay], list[int]]:
     return result, circles
 
 
-def _split(driven: Iterable[tuple[MapWay, Array]]) -> list[Street]:
+def _split(driven: Iterable[tuple[MapWay, FloatArray]]) -> list[Street]:
     """Cut ways at every node that they share with another one, or visit twice."""
     driven = list(driven)
     uses = Counter(node for way, _ in driven for node in way.nodes)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.geometry import enu_from_lonlat, invert_transform, lonlat_from_enu, rotation_from_rpy
-
-Array = NDArray[np.float64]
 
 IMU_TO_VELO_TEXT = (
     "R: 9.999976e-01 7.553071e-04 -2.035826e-03 -7.854027e-04 9.998898e-01 -1.482298e-02 "
@@ -28,7 +26,7 @@ CALIB_TEXT = "".join(
 """A `calib.txt` for drives that have none: a camera that looks ahead, 0.27 m before and 0.08 m below the LiDAR."""
 
 
-def parse_imu_to_velo(text: str) -> Array:
+def parse_imu_to_velo(text: str) -> FloatArray:
     """Return T_velo_imu (4, 4) float64 of the text of a `calib_imu_to_velo.txt`."""
     fields = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
     transform = np.eye(4)
@@ -37,7 +35,7 @@ def parse_imu_to_velo(text: str) -> Array:
     return transform
 
 
-def parse_tr(text: str) -> Array:
+def parse_tr(text: str) -> FloatArray:
     """Return Tr = T_camera_velo (4, 4) float64 of the text of a `calib.txt`."""
     transform = np.eye(4)
     line = next(line for line in text.splitlines() if line.startswith("Tr:"))
@@ -45,7 +43,7 @@ def parse_tr(text: str) -> Array:
     return transform
 
 
-def lidar_fixes(rows: Array) -> tuple[Array, Array, Array, Array]:
+def lidar_fixes(rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the geodetic poses of the LiDAR.
 
     Parameters
@@ -65,7 +63,9 @@ def lidar_fixes(rows: Array) -> tuple[Array, Array, Array, Array]:
     return lonlat[:, 1], lonlat[:, 0], rows[:, 2] + offset[:, 2], R_enu_imu @ T_imu_velo[:3, :3]
 
 
-def oxts_rows(lat_deg: Array, lon_deg: Array, alt_m: Array, R_enu_lidar: Array, times_s: Array) -> Array:
+def oxts_rows(
+    lat_deg: FloatArray, lon_deg: FloatArray, alt_m: FloatArray, R_enu_lidar: FloatArray, times_s: FloatArray
+) -> FloatArray:
     """Return (N, 30) OXTS values of an IMU that is mounted as in KITTI: `lidar_fixes` undone.
 
     Velocities are differences; accelerations and rates that nothing here reads are zero.
@@ -90,6 +90,6 @@ def oxts_rows(lat_deg: Array, lon_deg: Array, alt_m: Array, R_enu_lidar: Array, 
     return rows
 
 
-def format_oxts(row: Array) -> str:
+def format_oxts(row: FloatArray) -> str:
     """Write 30 values as one OXTS file: 25 numbers and 5 counts."""
     return " ".join([*(f"{v:.13g}" for v in row[:25]), *(str(int(v)) for v in row[25:30])]) + "\n"

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
+from interloc.arrays import FloatArray
 from interloc.simulate.config import StreetConfig
 from interloc.simulate.osm_map import Street, StreetMap
 from interloc.simulate.street_classes import (
@@ -136,7 +136,7 @@ def _profile(
     *,
     urban: bool,
     median_left: bool,
-    draw: NDArray[np.float64],
+    draw: FloatArray,
 ) -> Profile:
     kind = STREET_CLASSES[street.tags["highway"]]
     half = road_width_m(street.tags, config) / 2

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from interloc.arrays import FloatArray, Int32Array, UInt8Array
 from interloc.simulate.ground import Layer, paint
 
 
@@ -46,13 +46,13 @@ class GroundRaster:
         self._cells = max(round(tile_m / cell_m), 1)
         self._x0, self._y0 = float(box[0]), float(box[1])
         columns, rows = (int(np.ceil((box[i + 2] - box[i]) / tile_m)) + 1 for i in (0, 1))
-        self.index: NDArray[np.int32] = np.full((rows, columns), -1, np.int32)
-        self.tiles: NDArray[np.uint8] = np.zeros((capacity, self._cells, self._cells), np.uint8)
+        self.index: Int32Array = np.full((rows, columns), -1, np.int32)
+        self.tiles: UInt8Array = np.zeros((capacity, self._cells, self._cells), np.uint8)
         self._slots: OrderedDict[tuple[int, int, int], int] = OrderedDict()
         self._shown: list[tuple[int, int]] = []
 
     @property
-    def frame(self) -> NDArray[np.float64]:
+    def frame(self) -> FloatArray:
         """(3,) float64: x0, y0, side of a tile, as the kernel takes them."""
         return np.array([self._x0, self._y0, self._tile_m])
 

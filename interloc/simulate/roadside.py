@@ -7,19 +7,17 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
+from interloc.arrays import FloatArray
 from interloc.simulate.config import RoadsideConfig
 from interloc.simulate.ground import polygon_parts
 from interloc.simulate.obstacles import WallList
 from interloc.simulate.osm_map import StreetMap
 from interloc.simulate.profiles import Profile
 from interloc.simulate.surfaces import Surface
-
-Array = NDArray[np.float64]
 
 CAR_SLOT_M = 6.0
 VEHICLE_CLEARANCE_M = 2.5
@@ -33,7 +31,7 @@ def furnish(
     lines: Sequence[BaseGeometry],
     config: RoadsideConfig,
     *,
-    driven_xy: Array,
+    driven_xy: FloatArray,
     seed: int,
 ) -> WallList:
     """Put up everything that stands beside the road.
@@ -67,7 +65,11 @@ class Yard:
     """Tells what is free: neither road nor car park nor the way of the vehicle."""
 
     def __init__(
-        self, profiles: Sequence[Profile], lines: Sequence[BaseGeometry], driven_xy: Array, lots: Sequence[Array]
+        self,
+        profiles: Sequence[Profile],
+        lines: Sequence[BaseGeometry],
+        driven_xy: FloatArray,
+        lots: Sequence[FloatArray],
     ) -> None:
         self._roads = [line.buffer(p.half_m) for p, line in zip(profiles, lines, strict=True)]
         self._tree = shapely.STRtree(self._roads)
@@ -83,7 +85,7 @@ class Yard:
         """Tell whether a geometry touches no car park."""
         return not any(lot.intersects(geometry) for lot in self._lots)
 
-    def clear(self, places: Array, distance_m: float) -> bool:
+    def clear(self, places: FloatArray, distance_m: float) -> bool:
         """Tell whether the vehicle never came nearer to any of (N, 2) places."""
         return bool(np.min(self._driven.query(places)[0]) > distance_m)
 
@@ -105,7 +107,7 @@ def _buildings(
     config: RoadsideConfig,
     yard: Yard,
     seed: int,
-) -> Iterator[tuple[Array, float]]:
+) -> Iterator[tuple[FloatArray, float]]:
     """Yield outlines and heights."""
     if config.buildings == "none":
         return
@@ -124,7 +126,7 @@ def _buildings(
 
 def made_up_houses(
     profiles: Sequence[Profile], lines: Sequence[BaseGeometry], config: RoadsideConfig, yard: Yard, seed: int
-) -> Iterator[tuple[Array, float]]:
+) -> Iterator[tuple[FloatArray, float]]:
     """Yield outlines (N, 2) in M and heights of a row of houses on both sides of every street of a town."""
     taken: list[Polygon] = []
     tree = shapely.STRtree([])
@@ -193,7 +195,7 @@ def _park_cars(
             _add_car(walls, centre, heading_car + 0.04 * (jitter - 0.5), van > 0.9)
 
 
-def _add_car(walls: WallList, centre: Array, heading: float, van: bool) -> None:
+def _add_car(walls: WallList, centre: FloatArray, heading: float, van: bool) -> None:
     if van:
         walls.add_box(centre, heading, (4.9, 1.9), 0.0, 2.0, Surface.CAR)
         return
@@ -228,19 +230,19 @@ def _grow_hedges(
             along = stop + 3.0 + 3.0 * away
 
 
-def _at(line: LineString, along_m: float) -> tuple[Array, float]:
+def _at(line: LineString, along_m: float) -> tuple[FloatArray, float]:
     """Return the place and the heading at a distance along a line."""
     a = shapely.get_coordinates(line.interpolate(max(along_m - 0.5, 0.0)))[0]
     b = shapely.get_coordinates(line.interpolate(along_m + 0.5))[0]
     return shapely.get_coordinates(line.interpolate(along_m))[0], float(np.arctan2(*(b - a)[::-1]))
 
 
-def _corners(outline: Polygon) -> Array:
-    corners: Array = shapely.get_coordinates(outline)
+def _corners(outline: Polygon) -> FloatArray:
+    corners: FloatArray = shapely.get_coordinates(outline)
     return corners
 
 
-def _rectangle(centre: Array, heading: float, length: float, width: float) -> Polygon:
+def _rectangle(centre: FloatArray, heading: float, length: float, width: float) -> Polygon:
     c, s = np.cos(heading), np.sin(heading)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array([length, width]) / 2
     return Polygon(corners @ np.array([[c, s], [-s, c]]) + centre)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry import GeometryCollection, LineString, MultiPoint, Point
 from shapely.geometry.base import BaseGeometry
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.errors import MapError
 from interloc.simulate.config import SceneConfig
 from interloc.simulate.ground import plan_ground
@@ -22,8 +22,6 @@ from interloc.simulate.profiles import CLEARANCE_M, Crossing, Profile, find_cros
 from interloc.simulate.raster import GroundRaster
 from interloc.simulate.roadside import furnish
 from interloc.simulate.tracks import Track
-
-Array = NDArray[np.float64]
 
 LEVEL_REACH_M = 45.0
 
@@ -55,8 +53,8 @@ class Scene:
         ground: GroundRaster,
         heights: list[HeightField],
         obstacles: Obstacles,
-        T_map_lidar: Array,
-        level: NDArray[np.int64],
+        T_map_lidar: FloatArray,
+        level: IntArray,
     ) -> None:
         self.frame = street_map.frame
         self.street_map = street_map
@@ -67,7 +65,7 @@ class Scene:
         self.T_map_lidar = T_map_lidar
         self.level = level
 
-    def distances_to_centrelines(self) -> Array:
+    def distances_to_centrelines(self) -> FloatArray:
         """Return (N,) float64: how far each pose lies from the nearest centre line of a street, metres."""
         return _distances(self.profiles, self.T_map_lidar[:, :2, 3])
 
@@ -143,7 +141,7 @@ def _read(
         ) from error
 
 
-def _distances(profiles: list[Profile], xy: Array) -> Array:
+def _distances(profiles: list[Profile], xy: FloatArray) -> FloatArray:
     tree = shapely.STRtree([p.line for p in profiles])
     pairs, distance = tree.query_nearest(shapely.points(xy), return_distance=True, all_matches=False)
     result = np.zeros(len(xy))
@@ -151,7 +149,7 @@ def _distances(profiles: list[Profile], xy: Array) -> Array:
     return result
 
 
-def _refuse_elsewhere(roads: Path, profiles: list[Profile], xy: Array, limit_m: float) -> None:
+def _refuse_elsewhere(roads: Path, profiles: list[Profile], xy: FloatArray, limit_m: float) -> None:
     median = float(np.median(_distances(profiles, xy)))
     if median > limit_m:
         raise MapError(
@@ -160,7 +158,7 @@ def _refuse_elsewhere(roads: Path, profiles: list[Profile], xy: Array, limit_m: 
         )
 
 
-def _levels(profiles: list[Profile], crossings: list[Crossing], xy: Array) -> NDArray[np.int64]:
+def _levels(profiles: list[Profile], crossings: list[Crossing], xy: FloatArray) -> IntArray:
     """Tell for each pose whether it is on, or just before or behind, a street that is hidden from the usual level."""
     level = np.zeros(len(xy), dtype=np.int64)
     for crossing in crossings:
@@ -177,7 +175,7 @@ def _levels(profiles: list[Profile], crossings: list[Crossing], xy: Array) -> ND
     return level
 
 
-def _driven(xy: Array, half_width_m: float, level: NDArray[np.int64], crossings: list[Crossing]) -> list[BaseGeometry]:
+def _driven(xy: FloatArray, half_width_m: float, level: IntArray, crossings: list[Crossing]) -> list[BaseGeometry]:
     """Return what the vehicle drove over, as seen from each level."""
     strips: tuple[list[BaseGeometry], list[BaseGeometry]] = ([], [])
     for run in np.split(np.arange(len(xy)), np.flatnonzero(np.diff(level)) + 1):
@@ -190,7 +188,7 @@ def _driven(xy: Array, half_width_m: float, level: NDArray[np.int64], crossings:
 
 
 def _heights(
-    poses: Array, level: NDArray[np.int64], sensor_height_m: float, config: SceneConfig, *, flat: bool
+    poses: FloatArray, level: IntArray, sensor_height_m: float, config: SceneConfig, *, flat: bool
 ) -> list[HeightField]:
     if flat:
         return [flat_field() for _ in range(int(level.max()) + 1)]
@@ -205,7 +203,7 @@ def _heights(
     return fields
 
 
-def _every_metre(xy: Array) -> Array:
+def _every_metre(xy: FloatArray) -> FloatArray:
     """Fill the gaps between poses, so that nothing stands between two of them."""
     pieces = [xy[:1]]
     for a, b in pairwise(xy):

@@ -11,11 +11,11 @@ from typing import Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.errors import ConfigError
+from interloc.files import atomic_write
 from interloc.geometry import bearing_deg
-from interloc.mapping.files import atomic_write
 from interloc.simulate.config import LidarConfig, SceneConfig, TrackConfig
 from interloc.simulate.drive import Progress
 from interloc.simulate.local_frame import LocalFrame
@@ -39,7 +39,6 @@ from interloc.simulate.town_plan import (
 )
 from interloc.simulate.tracks import Track, track_from_line
 
-Array = NDArray[np.float64]
 Part = Literal["plain", "full"]
 
 MAP_FILE = "map.osm"
@@ -163,7 +162,7 @@ class Town:
         config = config or TrackConfig()
         if not config.offset_m:
             config = config.model_copy(update={"offset_m": DRIVING_OFFSET_M})
-        points: list[Array] = []
+        points: list[FloatArray] = []
         names = self.route_names()
         for i, name in enumerate(names):
             if 0 < i < len(names) - 1 and names[i - 1] == names[i + 1]:
@@ -213,7 +212,7 @@ class Town:
             )
         return result
 
-    def _build(self, seed: int) -> list[Array]:
+    def _build(self, seed: int) -> list[FloatArray]:
         """Return the outlines of made-up houses in the frame of the town."""
         street_map: StreetMap = street_map_of(self._ways(), self.frame)
         config = SceneConfig()
@@ -223,7 +222,7 @@ class Town:
         yard = Yard(profiles, lines, np.concatenate(list(self._xy.values())).reshape(-1, 2), lots)
         return [xy[:-1] for xy, _ in made_up_houses(profiles, lines, config.roadside, yard, seed)]
 
-    def _turn(self, before: str, name: str) -> list[Array]:
+    def _turn(self, before: str, name: str) -> list[FloatArray]:
         """Return a round about the end of a cul-de-sac, counter-clockwise."""
         centre = self._xy[name]
         back = self._xy[before] - centre
@@ -254,7 +253,7 @@ class Town:
         raise ConfigError(f"The town has no way from {start} to {goal}.")
 
 
-def hills_m(xy: Array) -> Array:
+def hills_m(xy: FloatArray) -> FloatArray:
     """Return the height of the ground of the town at (N, 2) places: slopes of up to 3 per cent."""
     return 2.0 * np.sin(xy[..., 0] / 90.0) + 1.5 * np.cos(xy[..., 1] / 110.0)
 

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform, rotation_angle, rotation_from_rpy
 from interloc.simulate.config import TrackConfig
 from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.oxts import CALIB_TEXT, lidar_fixes, oxts_rows
-
-Array = NDArray[np.float64]
 
 _STEP_M = 0.25
 
@@ -42,13 +40,13 @@ class Track:
         False where `alt_m` says nothing about the ground.
     """
 
-    lat_deg: Array
-    lon_deg: Array
-    alt_m: Array
-    R_enu_lidar: Array
-    times_s: Array
-    oxts: Array
-    poses_camera: Array | None = None
+    lat_deg: FloatArray
+    lon_deg: FloatArray
+    alt_m: FloatArray
+    R_enu_lidar: FloatArray
+    times_s: FloatArray
+    oxts: FloatArray
+    poses_camera: FloatArray | None = None
     calib_text: str = CALIB_TEXT
     altitude_known: bool = True
 
@@ -59,7 +57,7 @@ class Track:
         """Return a plane about the middle of the track."""
         return LocalFrame((self.lat_deg.min() + self.lat_deg.max()) / 2, (self.lon_deg.min() + self.lon_deg.max()) / 2)
 
-    def T_map_lidar(self, frame: LocalFrame) -> Array:
+    def T_map_lidar(self, frame: LocalFrame) -> FloatArray:
         """Return (N, 4, 4) poses in the plane of a scene, with the altitude as height."""
         poses = np.tile(np.eye(4), (len(self), 1, 1))
         poses[:, :3, :3] = frame.R_map_enu(self.lat_deg, self.lon_deg) @ self.R_enu_lidar
@@ -67,7 +65,7 @@ class Track:
         poses[:, 2, 3] = self.alt_m
         return poses
 
-    def select(self, indices: NDArray[np.int64]) -> Track:
+    def select(self, indices: IntArray) -> Track:
         """Return the track of some of the scans."""
         chosen = {
             name: getattr(self, name)[indices]
@@ -77,7 +75,7 @@ class Track:
         return replace(self, **chosen, poses_camera=poses)
 
 
-def track_from_oxts(rows: Array, times_s: Array | None = None, *, rate_hz: float = 10.0) -> Track:
+def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate_hz: float = 10.0) -> Track:
     """Take the track of a GNSS/INS.
 
     Parameters
@@ -106,7 +104,7 @@ def track_from_oxts(rows: Array, times_s: Array | None = None, *, rate_hz: float
     return Track(*lidar_fixes(rows), times_s=times, oxts=rows[:, :30])
 
 
-def read_oxts(path: Path) -> Array:
+def read_oxts(path: Path) -> FloatArray:
     """Read OXTS rows: a text file (may be .gz) of one row a scan, or a folder of one file a scan (`oxts/data`).
 
     Raises
@@ -130,7 +128,7 @@ def read_oxts(path: Path) -> Array:
         raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
 
 
-def track_from_line(lonlat: Array, alt_m: Array | None = None, config: TrackConfig | None = None) -> Track:
+def track_from_line(lonlat: FloatArray, alt_m: FloatArray | None = None, config: TrackConfig | None = None) -> Track:
     """Drive along a line at a constant speed, looking ahead.
 
     Parameters
@@ -186,7 +184,7 @@ def track_from_line(lonlat: Array, alt_m: Array | None = None, config: TrackConf
     return Track(lat, lon, places[:, 2], R_enu_lidar, times, rows, altitude_known=alt_m is not None)
 
 
-def smooth_path(xyz: Array, smoothing_m: float, offset_m: float = 0.0) -> Array:
+def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> FloatArray:
     """Resample a line finely, move it to the right by an offset, and round its corners by a Gaussian along its length.
 
     Parameters
@@ -218,7 +216,7 @@ def smooth_path(xyz: Array, smoothing_m: float, offset_m: float = 0.0) -> Array:
     return path
 
 
-def keyframe_indices(T_world_lidar: Array, *, distance_m: float = 2.0, angle_deg: float = 5.0) -> NDArray[np.int64]:
+def keyframe_indices(T_world_lidar: FloatArray, *, distance_m: float = 2.0, angle_deg: float = 5.0) -> IntArray:
     """Return the scans that the method would use: the first, then each that moved or turned enough (paper, III-B.2)."""
     keep = [0]
     limit = np.radians(angle_deg)
@@ -230,16 +228,16 @@ def keyframe_indices(T_world_lidar: Array, *, distance_m: float = 2.0, angle_deg
     return np.array(keep, dtype=np.int64)
 
 
-def camera_poses(T_map_lidar: Array, tr: Array) -> Array:
+def camera_poses(T_map_lidar: FloatArray, tr: FloatArray) -> FloatArray:
     """Return (N, 3, 4) KITTI poses: camera at each scan in the frame of the first camera."""
     T_world_lidar = invert_transform(T_map_lidar[:1]) @ T_map_lidar
-    poses: Array = (tr @ T_world_lidar @ invert_transform(tr))[:, :3]
+    poses: FloatArray = (tr @ T_world_lidar @ invert_transform(tr))[:, :3]
     return poses
 
 
-def lidar_poses(poses_camera: Array, tr: Array) -> Array:
+def lidar_poses(poses_camera: FloatArray, tr: FloatArray) -> FloatArray:
     """Return (N, 4, 4) T_world_lidar of (N, 3, 4) KITTI poses."""
     full = np.tile(np.eye(4), (len(poses_camera), 1, 1))
     full[:, :3] = poses_camera
-    result: Array = invert_transform(tr) @ full @ tr
+    result: FloatArray = invert_transform(tr) @ full @ tr
     return result

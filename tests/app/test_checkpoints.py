@@ -19,8 +19,8 @@ from app.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work.progress import Board
 from app.work.task import Cancelled, Part, Task
 from interloc.config import preset
-from interloc.detect.detector import KeyframeDetections
-from interloc.detect.keyframes import Keyframe
+from interloc.detection.detector import KeyframeDetections
+from interloc.detection.keyframes import Keyframe
 from interloc.drives.reduction.reduce import reduce_drive
 from interloc.errors import InterLocError, OutputError
 from interloc.pipeline import RangeResult

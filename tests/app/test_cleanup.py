@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 from sqlalchemy import update
 
+from app.context import Context
 from app.drives.cleanup import LEFT_ALONE_S, sweep
 from app.drives.intake import Arrival
 from app.drives.placement import keep
 from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
 from app.drives.settle import settle
 from app.jobs.queue import submit
-from app.models import Drive
 from app.schemas.drives import NewDrive
-from app.service import Service
 from app.settings import Settings
+from app.store.models import Drive
 from app.work.task import Outcome
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
@@ -27,28 +27,28 @@ HOUR_S = 3600.0
 
 
 @pytest.fixture(params=["sqlite", "postgres"])
-def service(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Service]:
+def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]:
     """A service that is not running, whose uploads expire after 2 hours."""
     address = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    opened = Service.open(
+    opened = Context.open(
         Settings(data_dir=tmp_path / "data", database_url=address, min_free_bytes=0, upload_expires_h=2)
     )
     yield opened
     opened.close()
 
 
-def make_drive(service: Service, *, age_h: float = 0, state: str = "uploading", keep_raw: bool = False) -> str:
+def make_drive(context: Context, *, age_h: float = 0, state: str = "uploading", keep_raw: bool = False) -> str:
     """Make a drive of one scan and a map that was touched some hours ago."""
-    drive = create_drive(service, "somebody", NewDrive(name="town", keep_raw=keep_raw))
-    incoming = service.storage.folder("incoming")
+    drive = create_drive(context, "somebody", NewDrive(name="town", keep_raw=keep_raw))
+    incoming = context.storage.folder("incoming")
     incoming.mkdir(exist_ok=True)
     arrivals = []
     for path in ("velodyne/000000.bin", "map.osm"):
         (incoming / path.replace("/", "-")).write_bytes(b"1")
         arrivals.append(Arrival(path, incoming / path.replace("/", "-"), 1, "0" * 64))
-    keep(service, drive.id, arrivals)
-    with service.database.writing() as session:
-        touched = service.database.clock(session) - age_h * HOUR_S
+    keep(context, drive.id, arrivals)
+    with context.database.writing() as session:
+        touched = context.database.clock(session) - age_h * HOUR_S
         session.execute(update(Drive).where(Drive.id == drive.id).values(touched_at=touched, state=state))
     return drive.id
 
@@ -66,142 +66,142 @@ def make_old(path: Path, *, folder: bool = False) -> Path:
     return path
 
 
-def drives(service: Service) -> set[str]:
-    return {drive.id for drive in list_drives(service, None, 100).drives}
+def drives(context: Context) -> set[str]:
+    return {drive.id for drive in list_drives(context, None, 100).drives}
 
 
-def test_uploads_that_were_left_alone_expire(service: Service) -> None:
-    fresh, old = make_drive(service, age_h=1.9), make_drive(service, age_h=2.1)
-    report = sweep(service)
+def test_uploads_that_were_left_alone_expire(context: Context) -> None:
+    fresh, old = make_drive(context, age_h=1.9), make_drive(context, age_h=2.1)
+    report = sweep(context)
     assert report.drives == [old]
-    assert drives(service) == {fresh}
-    assert not service.storage.folder(f"drives/{old}").exists()
-    assert service.storage.folder(f"drives/{fresh}/files/velodyne/000000.bin").is_file()
+    assert drives(context) == {fresh}
+    assert not context.storage.folder(f"drives/{old}").exists()
+    assert context.storage.folder(f"drives/{fresh}/files/velodyne/000000.bin").is_file()
 
 
-def test_drives_in_use_do_not_expire(service: Service) -> None:
-    ready, checking = make_drive(service, age_h=99, state="ready"), make_drive(service, age_h=99, state="checking")
-    unpacking = make_drive(service, age_h=99)
-    with service.database.writing() as session:
+def test_drives_in_use_do_not_expire(context: Context) -> None:
+    ready, checking = make_drive(context, age_h=99, state="ready"), make_drive(context, age_h=99, state="checking")
+    unpacking = make_drive(context, age_h=99)
+    with context.database.writing() as session:
         submit(
             session,
-            service.database,
+            context.database,
             kind="unpack",
             drive_id=unpacking,
             owner="somebody",
             request={"archive": "archives/1"},
         )
-    assert sweep(service).drives == []
-    assert drives(service) == {ready, checking, unpacking}
+    assert sweep(context).drives == []
+    assert drives(context) == {ready, checking, unpacking}
 
 
-def test_stale_pieces_of_uploads_go(service: Service) -> None:
-    incoming = service.storage.folder("incoming")
+def test_stale_pieces_of_uploads_go(context: Context) -> None:
+    incoming = context.storage.folder("incoming")
     old, trash = make_old(incoming / "old"), make_old(incoming / "trash", folder=True)
     (incoming / "new").write_bytes(b"1")
-    assert sorted(sweep(service).leftovers) == ["incoming/old", "incoming/trash"]
+    assert sorted(sweep(context).leftovers) == ["incoming/old", "incoming/trash"]
     assert not old.exists()
     assert not trash.exists()
     assert [path.name for path in incoming.iterdir()] == ["new"]
 
 
-def test_folders_that_no_row_knows_go(service: Service) -> None:
-    known = make_drive(service)
-    folder = service.storage.folder(f"drives/{known}")
+def test_folders_that_no_row_knows_go(context: Context) -> None:
+    known = make_drive(context)
+    folder = context.storage.folder(f"drives/{known}")
     os.utime(folder, (0, 0))
-    make_old(service.storage.folder("drives/0123456789abcdef"), folder=True)
-    make_old(service.storage.folder("jobs/0123456789abcdef"), folder=True)
-    service.storage.folder("drives/fedcba9876543210").mkdir()  # of an upload that just begins
-    assert sorted(sweep(service).leftovers) == ["drives/0123456789abcdef", "jobs/0123456789abcdef"]
+    make_old(context.storage.folder("drives/0123456789abcdef"), folder=True)
+    make_old(context.storage.folder("jobs/0123456789abcdef"), folder=True)
+    context.storage.folder("drives/fedcba9876543210").mkdir()  # of an upload that just begins
+    assert sorted(sweep(context).leftovers) == ["drives/0123456789abcdef", "jobs/0123456789abcdef"]
     assert {path.name for path in folder.parent.iterdir()} == {known, "fedcba9876543210"}
 
 
-def test_archives_that_nobody_unpacks_go(service: Service) -> None:
-    drive = make_drive(service)
-    with service.database.writing() as session:
+def test_archives_that_nobody_unpacks_go(context: Context) -> None:
+    drive = make_drive(context)
+    with context.database.writing() as session:
         submit(
             session,
-            service.database,
+            context.database,
             kind="unpack",
             drive_id=drive,
             owner="somebody",
             request={"archive": "archives/waits"},
         )
-    archives = service.storage.folder(f"drives/{drive}/archives")
+    archives = context.storage.folder(f"drives/{drive}/archives")
     make_old(archives / "waits")
     make_old(archives / "forgotten")
     (archives / "new").write_bytes(b"1")
-    assert sweep(service).leftovers == [f"drives/{drive}/archives/forgotten"]
+    assert sweep(context).leftovers == [f"drives/{drive}/archives/forgotten"]
     assert sorted(path.name for path in archives.iterdir()) == ["new", "waits"]
 
 
 @pytest.mark.parametrize("keep_raw", [False, True])
-def test_raw_scans_of_a_ready_drive_go_even_after_a_crash(service: Service, *, keep_raw: bool) -> None:
-    drive = make_drive(service, state="ready", keep_raw=keep_raw)
-    service.storage.folder(f"drives/{drive}/reduced").mkdir()
+def test_raw_scans_of_a_ready_drive_go_even_after_a_crash(context: Context, *, keep_raw: bool) -> None:
+    drive = make_drive(context, state="ready", keep_raw=keep_raw)
+    context.storage.folder(f"drives/{drive}/reduced").mkdir()
     for _ in range(2):
-        sweep(service)
-        files = service.storage.folder(f"drives/{drive}/files")
+        sweep(context)
+        files = context.storage.folder(f"drives/{drive}/files")
         left = sorted(path.relative_to(files).as_posix() for path in files.rglob("*") if path.is_file())
         assert left == (["map.osm", "velodyne/000000.bin"] if keep_raw else ["map.osm"])
 
 
-def test_raw_scans_go_once_all_else_is_on_disk(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_raw_scans_go_once_all_else_is_on_disk(context: Context, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a power cut could leave neither them nor what was made of them."""
-    drive = make_drive(service, state="ready")
-    service.storage.folder(f"drives/{drive}/reduced").mkdir()
-    scan = service.storage.folder(f"drives/{drive}/files/velodyne/000000.bin")
+    drive = make_drive(context, state="ready")
+    context.storage.folder(f"drives/{drive}/reduced").mkdir()
+    scan = context.storage.folder(f"drives/{drive}/files/velodyne/000000.bin")
     seen = []
     monkeypatch.setattr(os, "sync", lambda: seen.append(scan.is_file()))
     for _ in range(2):  # nothing is left to wait for the second time
-        sweep(service)
+        sweep(context)
     assert seen == [True]
     assert not scan.exists()
 
 
-def test_the_end_of_a_commit_is_written_again_where_the_database_failed(service: Service) -> None:
-    drive = make_drive(service, state="checking")
-    with service.database.writing() as session:
+def test_the_end_of_a_commit_is_written_again_where_the_database_failed(context: Context) -> None:
+    drive = make_drive(context, state="checking")
+    with context.database.writing() as session:
         work = {"options": {}, "keep_raw": False, "check_only": False}
-        job, _ = submit(session, service.database, kind="commit", drive_id=drive, owner="somebody", request=work)
-    built = service.storage.folder(f"jobs/{job.id}/result/reduced")
+        job, _ = submit(session, context.database, kind="commit", drive_id=drive, owner="somebody", request=work)
+    built = context.storage.folder(f"jobs/{job.id}/result/reduced")
     built.mkdir(parents=True)
     (built / "reduced.json").write_bytes(b"{}")
     outcome = Outcome({"ok": True, "reduced_bytes": 2}, {"path": "town", "name": "town"})
 
     def end(*, fails: bool) -> None:
-        with service.database.writing() as session:
-            settle(session, service, session.merge(job), outcome)
+        with context.database.writing() as session:
+            settle(session, context, session.merge(job), outcome)
             if fails:
                 raise ConnectionError
 
     with pytest.raises(ConnectionError):
         end(fails=True)
     end(fails=False)
-    with service.database.reading() as session:
+    with context.database.reading() as session:
         assert find_drive(session, drive).state == "ready"
-    assert service.storage.folder(f"drives/{drive}/reduced/reduced.json").read_bytes() == b"{}"
-    assert not service.storage.folder(f"drives/{drive}/files/velodyne").exists()
+    assert context.storage.folder(f"drives/{drive}/reduced/reduced.json").read_bytes() == b"{}"
+    assert not context.storage.folder(f"drives/{drive}/files/velodyne").exists()
 
 
-def test_raw_scans_stay_where_nothing_replaces_them(service: Service, caplog: pytest.LogCaptureFixture) -> None:
-    drive = make_drive(service, state="ready")
-    sweep(service)
-    assert service.storage.folder(f"drives/{drive}/files/velodyne/000000.bin").is_file()
+def test_raw_scans_stay_where_nothing_replaces_them(context: Context, caplog: pytest.LogCaptureFixture) -> None:
+    drive = make_drive(context, state="ready")
+    sweep(context)
+    assert context.storage.folder(f"drives/{drive}/files/velodyne/000000.bin").is_file()
     assert "its reduced folder is not there" in caplog.text
 
 
-def test_files_replaced_counted_and_listed_in_order(service: Service) -> None:
-    drive = make_drive(service)
+def test_files_replaced_counted_and_listed_in_order(context: Context) -> None:
+    drive = make_drive(context)
     for path, size in (("b.txt", 5), ("B.txt", 6), ("\u00e4.txt", 7), ("b.txt", 2)):
-        temporary = service.storage.folder("incoming") / "file"
+        temporary = context.storage.folder("incoming") / "file"
         temporary.write_bytes(bytes(size))
-        keep(service, drive, [Arrival(path, temporary, size, "0" * 64)])
-    paths = [file.path for file in list_files(service, drive, None, 100).files]
+        keep(context, drive, [Arrival(path, temporary, size, "0" * 64)])
+    paths = [file.path for file in list_files(context, drive, None, 100).files]
     assert paths == ["B.txt", "b.txt", "map.osm", "velodyne/000000.bin", "\u00e4.txt"]
-    assert [file.path for file in list_files(service, drive, "b.txt", 1).files] == ["map.osm"]
-    (shown,) = list_drives(service, None, 100).drives
+    assert [file.path for file in list_files(context, drive, "b.txt", 1).files] == ["map.osm"]
+    (shown,) = list_drives(context, None, 100).drives
     assert (shown.files, shown.size_bytes) == (5, 1 + 1 + 2 + 6 + 7)
-    delete_file(service, drive, "b.txt")
-    (shown,) = list_drives(service, None, 100).drives
+    delete_file(context, drive, "b.txt")
+    (shown,) = list_drives(context, None, 100).drives
     assert (shown.files, shown.size_bytes) == (4, 1 + 1 + 6 + 7)

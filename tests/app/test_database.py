@@ -10,9 +10,9 @@ import pytest
 from sqlalchemy import Connection, event, text
 from sqlalchemy.exc import OperationalError
 
-from app.database import Database
-from app.models import Drive
-from app.problems import problem_of
+from app.http.problems import problem_of
+from app.store.database import Database
+from app.store.models import Drive
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 

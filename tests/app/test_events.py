@@ -13,10 +13,10 @@ import httpx
 import pytest
 from sqlalchemy import Engine, event
 
-from app.database import Database
 from app.jobs.queue import submit
-from app.models import Drive, Job
 from app.settings import Settings
+from app.store.database import Database
+from app.store.models import Drive, Job
 from tests.app.conftest import running_server
 from tests.app.processes import API, wait_until
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from app.drives.names import BadNameError, check_path
+from app.paths import BadNameError, check_path
 from tests.app.processes import files_below
 
 BIG = os.urandom(3 * 1024 * 1024 + 17)  # more than a piece

@@ -13,9 +13,9 @@ from typing import Any
 import httpx
 import pytest
 
-from app.database import Database
-from app.models import Drive
 from app.settings import Settings
+from app.store.database import Database
+from app.store.models import Drive
 from interloc.cli.main import run
 from tests.app.conftest import running_server
 from tests.app.processes import API, ended, half_way, job_of, submit, upload, wait_until

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import httpx
 import pytest
 
-from app.protocol import MAX_HEAD_BYTES, Protocol
+from app.http.protocol import MAX_HEAD_BYTES, Protocol
 
 Serve = Callable[..., httpx.Client]
 MB = 1024**2

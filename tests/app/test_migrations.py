@@ -14,9 +14,9 @@ from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import inspect, text
 
-from app import database as module
-from app.database import Database
-from app.models import Base, Drive
+from app.store import database as module
+from app.store.database import Database
+from app.store.models import Base, Drive
 from interloc.errors import ConfigError, InterLocError
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from app.database import Database
+from app.http.problems import Problem
 from app.jobs.queue import Claim, JobQueue, cancel, submit
-from app.models import Drive, Job
-from app.problems import Problem
+from app.store.database import Database
+from app.store.models import Drive, Job
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 

@@ -10,12 +10,12 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from app.context import Context, open_database
 from app.metrics import Metrics
-from app.models import Drive, Job
-from app.service import Service, open_database
 from app.settings import Settings
-from app.storage import LocalStorage
-from app.tokens import TokenBook
+from app.store.models import Drive, Job
+from app.store.storage import LocalStorage
+from app.store.tokens import TokenBook
 
 Serve = Callable[..., httpx.Client]
 
@@ -79,7 +79,7 @@ def test_requests_are_counted_by_route(client: httpx.Client) -> None:
 def test_jobs_are_counted_in_the_database(tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path)
     database = open_database(settings)
-    service = Service(settings, database, LocalStorage(tmp_path), TokenBook(database, settings), Metrics())
+    context = Context(settings, database, LocalStorage(tmp_path), TokenBook(database, settings), Metrics())
     with database.writing() as session:
         now = database.clock(session)
         session.add(Drive(id="d", name="d", owner="a", state="ready", created_at=now, touched_at=now, stored_bytes=50))
@@ -90,7 +90,7 @@ def test_jobs_are_counted_in_the_database(tmp_path: Path) -> None:
             outcome = {"seconds": seconds, "keyframes": keyframes, "stage_seconds": {"detecting": seconds / 2}}
             times = {"created_at": now - 20, "started_at": now - 18, "finished_at": now - 18 + seconds}
             session.add(Job(**common, **times, state="successful", summary=outcome))
-    found = figures(service.metrics.render(service).decode())
+    found = figures(context.metrics.render(context).decode())
     database.close()
     assert found["interloc_jobs", "kind=intersections", "state=successful"] == 2
     assert found["interloc_jobs", "kind=intersections", "state=accepted"] == 1

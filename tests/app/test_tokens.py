@@ -10,10 +10,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.database import Database
-from app.service import open_database
+from app.context import open_database
 from app.settings import Settings
-from app.tokens import TokenBook, add_token, list_tokens, revoke_token
+from app.store.database import Database
+from app.store.tokens import TokenBook, add_token, list_tokens, revoke_token
 from interloc.errors import ConfigError
 
 OWN = "the-token-of-the-operator"
@@ -127,7 +127,7 @@ def test_a_token_that_is_added_closes_a_running_server(
     serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = tmp_path / "data"
-    monkeypatch.setattr("app.tokens._BELIEVED_S", 0.0)
+    monkeypatch.setattr("app.store.tokens._BELIEVED_S", 0.0)
     client = serve(data)
     assert client.get("/api/v1/drives").status_code == 200
     database = open_database(Settings(data_dir=data))

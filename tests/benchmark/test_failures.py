@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from interloc.benchmark.failures import find_failures
-from interloc.evaluate.evaluate import evaluate
+from interloc.evaluation.evaluate import evaluate
 from interloc.geometry import lonlat_from_enu
 from interloc.osm.graph import RoadGraph, Ways
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable

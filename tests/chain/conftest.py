@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.drives.open import open_drive
 from interloc.geometry import enu_from_lonlat
 from interloc.pipeline import detect
@@ -20,7 +20,6 @@ from interloc.simulate.maps import simulate_map
 from interloc.simulate.town import simulate_town
 from interloc.simulate.tracks import track_from_line
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 FRAME = LocalFrame(49.0, 8.4)
@@ -74,7 +73,7 @@ def one_junction(shape: str, angle_deg: float) -> str:
     return f'<?xml version="1.0"?><osm version="0.6">{text}{"".join(ways)}</osm>'
 
 
-def route_line(shape: str, angle_deg: float, route: str) -> Array:
+def route_line(shape: str, angle_deg: float, route: str) -> FloatArray:
     """Return the longitudes and latitudes of 60 m in and 60 m out, a point every metre or so."""
     start, end = (arm(bearing(angle_deg), 60.0) for bearing in ROUTES[shape, route])
     way_in, way_out = np.linspace(start, (0.0, 0.0), 50, endpoint=False), np.linspace((0.0, 0.0), end, 51)
@@ -91,9 +90,9 @@ def write_junction_drive(out: Path, shape: str, angle_deg: float, route: str, *,
     return out
 
 
-def errors_from_origin(lonlat: Array) -> Array:
+def errors_from_origin(lonlat: FloatArray) -> FloatArray:
     """Return the distances in metres of places from the intersection of a one-junction world."""
-    distances: Array = np.hypot(*enu_from_lonlat(FRAME.lat_deg, FRAME.lon_deg, lonlat).T)
+    distances: FloatArray = np.hypot(*enu_from_lonlat(FRAME.lat_deg, FRAME.lon_deg, lonlat).T)
     return distances
 
 
@@ -104,7 +103,7 @@ def junction_drive() -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def from_origin() -> Callable[[Array], Array]:
+def from_origin() -> Callable[[FloatArray], FloatArray]:
     """See `errors_from_origin`."""
     return errors_from_origin
 

@@ -6,15 +6,13 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.drives.open import open_drive
 from interloc.pipeline import detect
 from interloc.results import DriveResult
 
-Array = NDArray[np.float64]
 Find = Callable[[str, str, float], DriveResult]
 
 BRANCHES = {"X": 4, "T": 3, "Y": 3}
@@ -50,7 +48,7 @@ def test_there_is_one_intersection_with_all_its_arms(find: Find, shape: str, rou
 @pytest.mark.parametrize("shape", ["X", "T", "Y"])
 def test_it_is_where_the_streets_meet(
     find: Find,
-    from_origin: Callable[[Array], Array],
+    from_origin: Callable[[FloatArray], FloatArray],
     request: pytest.FixtureRequest,
     shape: str,
     route: str,

@@ -9,7 +9,7 @@ import pytest
 
 from interloc.drives.noise import NoisyDrive
 from interloc.drives.open import open_drive
-from interloc.evaluate.evaluate import Evaluation, evaluate
+from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.osm.reader import read_osm
 from interloc.pipeline import detect
 from interloc.results import DriveResult

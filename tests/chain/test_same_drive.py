@@ -9,15 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
 from interloc.drives.fixes import poses_of
 from interloc.drives.open import open_drive
 from interloc.geometry import rotation_from_rpy
 from interloc.pipeline import detect
 from interloc.results import DriveResult
-
-Array = NDArray[np.float64]
 
 SAME_DEG = 1e-9  # 0.1 mm
 MOVED_DEG = 1e-7  # 1 cm: the last digit of a moved pose may put a point into the next cell
@@ -46,7 +44,7 @@ def drive(original: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(original, tmp_path / "drive"))
 
 
-def write_poses(path: Path, poses: Array, frames: list[int] | None = None) -> None:
+def write_poses(path: Path, poses: FloatArray, frames: list[int] | None = None) -> None:
     """Write pose lines to the last digit, 4 x 4 behind a frame number where there is one, else 3 x 4."""
     rows = poses[:, :3].reshape(len(poses), 12) if frames is None else poses.reshape(len(poses), 16)
     lines = [" ".join(f"{value:.17g}" for value in row) for row in rows]
@@ -55,7 +53,7 @@ def write_poses(path: Path, poses: Array, frames: list[int] | None = None) -> No
     path.write_text("\n".join(lines) + "\n")
 
 
-def read_camera_poses(path: Path) -> Array:
+def read_camera_poses(path: Path) -> FloatArray:
     poses = np.tile(np.eye(4), (len(path.read_text().splitlines()), 1, 1))
     poses[:, :3] = np.loadtxt(path).reshape(-1, 3, 4)
     return poses

@@ -6,15 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from interloc.evaluate.evaluate import Evaluation, evaluate
+from interloc.arrays import FloatArray
+from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.reader import read_osm
 from interloc.results import DriveResult
 from interloc.simulate.town import MAP_FILE, Town
-
-Array = NDArray[np.float64]
 
 JUNCTIONS = {junction.name: junction for junction in Town("plain", houses=False).junctions}
 RANGE_M = 20.0  # half of the relevant zone
@@ -25,10 +23,10 @@ def evaluation(town_drive: Path, town_result: DriveResult) -> Evaluation:
     return evaluate(town_result, read_osm(town_drive / MAP_FILE))
 
 
-def errors_m(name: str, lonlat: Array | None) -> Array:
+def errors_m(name: str, lonlat: FloatArray | None) -> FloatArray:
     """Return the distances of places from where the plan has a junction."""
     assert lonlat is not None
-    errors: Array = np.hypot(*enu_from_lonlat(JUNCTIONS[name].lat_deg, JUNCTIONS[name].lon_deg, lonlat).T)
+    errors: FloatArray = np.hypot(*enu_from_lonlat(JUNCTIONS[name].lat_deg, JUNCTIONS[name].lon_deg, lonlat).T)
     return errors
 
 

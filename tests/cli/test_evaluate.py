@@ -104,7 +104,7 @@ def test_an_older_report_survives_a_failure(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("interloc.evaluate.report.render_html", interrupt)  # the figures are written by then
+    monkeypatch.setattr("interloc.evaluation.report.render_html", interrupt)  # the figures are written by then
     outcome = interloc("evaluate", out, "--osm", osm, "--policy", "all")
     assert outcome.code == 1
     assert outcome.err.strip() == "interloc: interrupted; nothing was written"

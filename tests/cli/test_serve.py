@@ -17,9 +17,9 @@ from typing import Any
 import httpx
 import pytest
 
-from app.models import Drive, Job
-from app.service import open_database
+from app.context import open_database
 from app.settings import Settings
+from app.store.models import Drive, Job
 
 pytestmark = pytest.mark.usefixtures("untouched_logging")
 Interloc = Callable[..., Any]

@@ -8,11 +8,9 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.geometry import invert_transform
-
-Array = NDArray[np.float64]
 
 SENSOR_HEIGHT_M = 1.73
 
@@ -29,7 +27,7 @@ IDS = {
 """Road, sidewalk, vegetation."""
 
 
-def lidar_poses(count: int = 12, step_m: float = 2.0, turn_rad: float = 0.03) -> Array:
+def lidar_poses(count: int = 12, step_m: float = 2.0, turn_rad: float = 0.03) -> FloatArray:
     """Return (N, 4, 4) poses of a vehicle that drives ahead and turns left a little at every step."""
     poses = np.tile(np.eye(4), (count, 1, 1))
     yaw, x, y = 0.0, 0.0, 0.0
@@ -41,13 +39,13 @@ def lidar_poses(count: int = 12, step_m: float = 2.0, turn_rad: float = 0.03) ->
     return poses
 
 
-def camera_poses(lidar: Array) -> Array:
+def camera_poses(lidar: FloatArray) -> FloatArray:
     """Return the poses of the camera, in the frame of the first camera, as KITTI's poses.txt has them."""
-    poses: Array = T_CAM_LIDAR @ lidar @ invert_transform(T_CAM_LIDAR)
+    poses: FloatArray = T_CAM_LIDAR @ lidar @ invert_transform(T_CAM_LIDAR)
     return poses
 
 
-def pose_text(poses: Array, *, frames: list[int] | None = None, rows: int = 3) -> str:
+def pose_text(poses: FloatArray, *, frames: list[int] | None = None, rows: int = 3) -> str:
     """Write pose lines: 12 numbers (rows=3) or 16 (rows=4), with frame numbers in front where given."""
     lines = []
     for index, pose in enumerate(poses):
@@ -62,7 +60,7 @@ def calib_text() -> str:
     return f"P0: {' '.join(['0.0'] * 12)}\nTr: {numbers}\n"
 
 
-def scan_at(pose: Array, ids: tuple[int, int, int]) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+def scan_at(pose: FloatArray, ids: tuple[int, int, int]) -> tuple[Float32Array, UInt32Array]:
     """See the plane of W: a road around the vehicle, a sidewalk beside it, and vegetation above."""
     x, y = np.meshgrid(np.arange(-15, 15.1, 0.5), np.arange(-6, 6.1, 0.5))
     local = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -SENSOR_HEIGHT_M)])
@@ -75,7 +73,7 @@ def scan_at(pose: Array, ids: tuple[int, int, int]) -> tuple[NDArray[np.float32]
 
 
 def write_scans(
-    folder: Path, labels: Path, poses: Array, ids: tuple[int, int, int], frames: list[int], digits: int
+    folder: Path, labels: Path, poses: FloatArray, ids: tuple[int, int, int], frames: list[int], digits: int
 ) -> None:
     """Write .bin and .label files."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -89,7 +87,7 @@ def write_scans(
 def write_semantickitti(
     path: Path,
     *,
-    poses: Array | None = None,
+    poses: FloatArray | None = None,
     pose_frame: str = "camera",
     scheme: str = "semantickitti",
     labels: str = "labels",
@@ -107,7 +105,7 @@ def write_semantickitti(
     return path
 
 
-def oxts_lines(poses: Array, *, T_lidar_imu: Array, lat_deg: float = 49.0, lon_deg: float = 8.4) -> list[str]:
+def oxts_lines(poses: FloatArray, *, T_lidar_imu: FloatArray, lat_deg: float = 49.0, lon_deg: float = 8.4) -> list[str]:
     """Write the OXTS rows (30 values) of the IMU of a level vehicle that starts at a fix and looks east."""
     imu = poses @ T_lidar_imu
     rows = []
@@ -120,7 +118,7 @@ def oxts_lines(poses: Array, *, T_lidar_imu: Array, lat_deg: float = 49.0, lon_d
     return rows
 
 
-def write_kitti_raw(path: Path, *, poses: Array | None = None) -> Path:
+def write_kitti_raw(path: Path, *, poses: FloatArray | None = None) -> Path:
     """Write a raw drive, with IMU and LiDAR 0.8 m apart."""
     poses = lidar_poses() if poses is None else poses
     frames = list(range(len(poses)))
@@ -136,7 +134,7 @@ def write_kitti_raw(path: Path, *, poses: Array | None = None) -> Path:
     return path
 
 
-def geo_csv(poses: Array) -> str:
+def geo_csv(poses: FloatArray) -> str:
     """Write a geo.csv of the LiDAR: level, starts at a fix and looks east."""
     lines = ["frame,lat_deg,lon_deg,alt_m,roll_rad,pitch_rad,yaw_rad"]
     for frame, row in enumerate(oxts_lines(poses, T_lidar_imu=np.eye(4))):

@@ -11,10 +11,10 @@ from types import ModuleType
 import numpy as np
 import pyproj
 import pytest
-from numpy.typing import NDArray
 
+from interloc.arrays import FloatArray
+from interloc.drive import Georeference
 from interloc.drives.calibration import KITTI_T_VELO_IMU
-from interloc.drives.drive import Georeference
 from interloc.drives.fixes import ecef_poses, poses_of
 from interloc.drives.geo_csv import read_geo_csv
 from interloc.drives.georeference import georeference_of_lidar, read_georeference
@@ -24,7 +24,6 @@ from interloc.drives.poses import read_poses
 from interloc.errors import GeoreferenceError
 from interloc.geometry import invert_transform
 
-Array = NDArray[np.float64]
 FRAMES = np.arange(12)
 
 
@@ -182,18 +181,18 @@ def test_earth_fixed_poses_agree_with_proj() -> None:
     np.testing.assert_allclose(poses[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2), poses_identity(2), atol=1e-12)
 
 
-def poses_identity(count: int) -> Array:
+def poses_identity(count: int) -> FloatArray:
     return np.tile(np.eye(3), (count, 1, 1))
 
 
-def plane_positions(georeference: Georeference) -> Array:
+def plane_positions(georeference: Georeference) -> FloatArray:
     """East and north on a transverse Mercator plane through the first fix."""
     plane = f"+proj=tmerc +lat_0={georeference.lat_deg[0]} +lon_0={georeference.lon_deg[0]} +k=1 +datum=WGS84"
     project = pyproj.Transformer.from_crs("EPSG:4326", plane, always_xy=True)
     return np.stack(project.transform(georeference.lon_deg, georeference.lat_deg), axis=1)
 
 
-def rigid_rmse(a: Array, b: Array) -> float:
+def rigid_rmse(a: FloatArray, b: FloatArray) -> float:
     """Root mean square distance of two (N, 2) tracks after the best rotation and shift of one."""
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     u, _, vt = np.linalg.svd(b.T @ a)

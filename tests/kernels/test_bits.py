@@ -8,22 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from interloc.arrays import UInt8Array
 from interloc.kernels import bits
-
-Image = NDArray[np.uint8]
 
 WIDTHS = [1, 2, 63, 64, 65, 127, 128, 129, 750]
 
 
-def packed(image: Image) -> bits.Words:
+def packed(image: UInt8Array) -> bits.Words:
     words = np.zeros((image.shape[0] + 2, bits.words_for(image.shape[1])), np.uint64)
     bits.pack(image, words)
     return words
 
 
-def plain_words(image: Image) -> bits.Words:
+def plain_words(image: UInt8Array) -> bits.Words:
     """Row r of the image is row r + 1, column c is bit c % 64 of word c // 64."""
     words = [[0] * (image.shape[1] // 64 + 1) for _ in range(image.shape[0] + 2)]
     for r, c in np.argwhere(image).tolist():
@@ -31,13 +29,13 @@ def plain_words(image: Image) -> bits.Words:
     return np.array(words, np.uint64)
 
 
-def plain_nearest_clear(image: Image, row: int, col: int, limit: int) -> float:
+def plain_nearest_clear(image: UInt8Array, row: int, col: int, limit: int) -> float:
     rows, cols = np.nonzero(image == 0)
     return min([math.hypot(r - row, c - col) for r, c in zip(rows.tolist(), cols.tolist(), strict=True)] + [limit])
 
 
 @st.composite
-def images(draw: st.DrawFn) -> Image:
+def images(draw: st.DrawFn) -> UInt8Array:
     height, width = draw(st.integers(1, 9)), draw(st.sampled_from(WIDTHS))
     share = draw(st.sampled_from([0.0, 0.05, 0.5, 0.95, 1.0]))
     return (np.random.default_rng(draw(st.integers(0, 2**32 - 1))).random((height, width)) < share).astype(np.uint8)
@@ -63,7 +61,7 @@ def test_lowest_bit_of_a_word_is_found(x: int) -> None:
 
 @given(images())
 @settings(deadline=None)
-def test_packing_is_the_layout_and_unpacking_its_inverse(image: Image) -> None:
+def test_packing_is_the_layout_and_unpacking_its_inverse(image: UInt8Array) -> None:
     words = packed(image)
     np.testing.assert_array_equal(words, plain_words(image))
     unpacked = np.zeros_like(image)
@@ -77,7 +75,7 @@ def test_anything_but_zero_is_set() -> None:
 
 @given(images())
 @settings(deadline=None)
-def test_set_pixels_come_in_row_major_order(image: Image) -> None:
+def test_set_pixels_come_in_row_major_order(image: UInt8Array) -> None:
     rows, cols = bits.set_pixels(packed(image))
     assert rows.dtype == cols.dtype == np.int32
     np.testing.assert_array_equal(np.column_stack([rows, cols]), np.argwhere(image))
@@ -85,7 +83,7 @@ def test_set_pixels_come_in_row_major_order(image: Image) -> None:
 
 @given(images(), st.integers(1, 80), st.data())
 @settings(deadline=None)
-def test_nearest_clear_pixel_is_that_of_the_plain_search(image: Image, limit: int, data: st.DataObject) -> None:
+def test_nearest_clear_pixel_is_that_of_the_plain_search(image: UInt8Array, limit: int, data: st.DataObject) -> None:
     set_pixels = np.argwhere(image).tolist()
     if not set_pixels:
         return

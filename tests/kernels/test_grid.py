@@ -6,44 +6,42 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from interloc.detect.image import BinaryImage
+from interloc.arrays import FloatArray, Int32Array
+from interloc.detection.image import BinaryImage
 from interloc.kernels.grid import TILE, add_cells, cells_of, remove_cells, threshold_window
-
-Cells = NDArray[np.int32]
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
 SIDE = 6  # tiles a side
 EDGE = FIRST * TILE
 
 
-def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> NDArray[np.float64]:
+def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
     T = np.eye(4)
     T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
     T[:2, 3] = x, y
     return T
 
 
-def plain_counts(cells: Cells) -> NDArray[np.int32]:
+def plain_counts(cells: Int32Array) -> Int32Array:
     """Count the cells in one array, (iy, ix) from the first tile on."""
     counts = np.zeros((SIDE * TILE, SIDE * TILE), np.int32)
     np.add.at(counts, (cells[:, 1] - EDGE, cells[:, 0] - EDGE), 1)
     return counts
 
 
-def counts_of(pool: NDArray[np.int32], table: NDArray[np.int32]) -> NDArray[np.int32]:
+def counts_of(pool: Int32Array, table: Int32Array) -> Int32Array:
     """Put the tiles of a pool side by side."""
     return np.block([[pool[slot].reshape(TILE, TILE) for slot in row] for row in table])
 
 
-def shuffled_tiles(seed: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def shuffled_tiles(seed: int) -> tuple[Int32Array, Int32Array]:
     """Return an empty pool and a table that names its slots in no order."""
     slots = np.random.default_rng(seed).permutation(SIDE * SIDE).astype(np.int32)
     return np.zeros((SIDE * SIDE, TILE * TILE), np.int32), slots.reshape(SIDE, SIDE)
 
 
-def some_cells(seed: int, count: int) -> Cells:
+def some_cells(seed: int, count: int) -> Int32Array:
     """Return cells everywhere, crowded along a diagonal and on the edges of tiles."""
     generator = np.random.default_rng(seed)
     cells = generator.integers(EDGE, EDGE + SIDE * TILE, (count, 2), np.int32)

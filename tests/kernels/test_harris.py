@@ -7,20 +7,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from interloc.detect.image import BinaryImage
+from interloc.arrays import FloatArray, Int32Array, UInt8Array
+from interloc.detection.image import BinaryImage
 from interloc.kernels.harris import harris_scores, local_maxima
 
-Image = NDArray[np.uint8]
 
-
-def plain_harris(image: Image, block: int, k: float) -> NDArray[np.float64]:
+def plain_harris(image: UInt8Array, block: int, k: float) -> FloatArray:
     """Score every pixel of an image that is empty outside."""
     margin = block // 2 + 1
     line = np.pad(image.astype(np.float64), margin + 1)
 
-    def shifted(dr: int, dc: int) -> NDArray[np.float64]:
+    def shifted(dr: int, dc: int) -> FloatArray:
         return line[1 + dr : line.shape[0] - 1 + dr, 1 + dc : line.shape[1] - 1 + dc]
 
     gx = sum(weight * (shifted(d, 1) - shifted(d, -1)) for d, weight in ((-1, 1), (0, 2), (1, 1)))
@@ -34,9 +32,7 @@ def plain_harris(image: Image, block: int, k: float) -> NDArray[np.float64]:
     return scores
 
 
-def plain_local_maxima(
-    rows: NDArray[np.int32], cols: NDArray[np.int32], scores: NDArray[np.float64], window: int, least: float
-) -> list[int]:
+def plain_local_maxima(rows: Int32Array, cols: Int32Array, scores: FloatArray, window: int, least: float) -> list[int]:
     found = []
     for i in range(len(rows)):
         near = (np.abs(rows - rows[i]) <= window // 2) & (np.abs(cols - cols[i]) <= window // 2)
@@ -47,7 +43,7 @@ def plain_local_maxima(
     return sorted(found, key=lambda i: -scores[i])
 
 
-def lines(seed: int, height: int, width: int, count: int) -> Image:
+def lines(seed: int, height: int, width: int, count: int) -> UInt8Array:
     image = np.zeros((height, width), np.uint8)
     ends = np.random.default_rng(seed).integers(0, [width, height, width, height], (count, 4))
     for x0, y0, x1, y1 in ends.tolist():

@@ -7,24 +7,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from interloc.detect.image import BinaryImage
+from interloc.arrays import UInt8Array
+from interloc.detection.image import BinaryImage
 from interloc.kernels.morphology import dilate, disc_half_widths, erode
-
-Image = NDArray[np.uint8]
 
 WIDTHS = [1, 63, 64, 65, 128, 131]
 
 
-def disc(diameter: int) -> Image:
+def disc(diameter: int) -> UInt8Array:
     """Draw the pixels whose centres lie within half a diameter of the middle."""
     offset = np.arange(diameter) - diameter // 2
-    inside: Image = (4 * (offset[:, None] ** 2 + offset**2) <= diameter**2).astype(np.uint8)
+    inside: UInt8Array = (4 * (offset[:, None] ** 2 + offset**2) <= diameter**2).astype(np.uint8)
     return inside
 
 
-def plain_dilate(image: Image, diameter: int) -> Image:
+def plain_dilate(image: UInt8Array, diameter: int) -> UInt8Array:
     """Set what the disc around any set pixel covers."""
     radius = diameter // 2
     height, width = image.shape
@@ -34,25 +32,25 @@ def plain_dilate(image: Image, diameter: int) -> Image:
     return result[radius : radius + height, radius : radius + width]
 
 
-def plain_erode(image: Image, diameter: int) -> Image:
+def plain_erode(image: UInt8Array, diameter: int) -> UInt8Array:
     """Keep where the disc covers no clear pixel of the image."""
     return (1 - plain_dilate((1 - image).astype(np.uint8), diameter)).astype(np.uint8)
 
 
-def our_dilate(image: Image, diameter: int) -> Image:
+def our_dilate(image: UInt8Array, diameter: int) -> UInt8Array:
     packed = BinaryImage.from_array(image)
     words = dilate(packed.words, disc_half_widths(diameter), packed.width)
     return BinaryImage(words, packed.height, packed.width).to_array()
 
 
-def our_erode(image: Image, diameter: int) -> Image:
+def our_erode(image: UInt8Array, diameter: int) -> UInt8Array:
     packed = BinaryImage.from_array(image)
     words = erode(packed.words, disc_half_widths(diameter), packed.width)
     return BinaryImage(words, packed.height, packed.width).to_array()
 
 
 @st.composite
-def images(draw: st.DrawFn) -> Image:
+def images(draw: st.DrawFn) -> UInt8Array:
     height, width = draw(st.integers(1, 40)), draw(st.sampled_from(WIDTHS))
     share = draw(st.sampled_from([0.0, 0.01, 0.5, 0.99, 1.0]))
     return (np.random.default_rng(draw(st.integers(0, 2**32 - 1))).random((height, width)) < share).astype(np.uint8)
@@ -79,13 +77,13 @@ def test_disc_of_even_diameter_is_refused(diameter: int) -> None:
 
 @given(images(), st.sampled_from([1, 3, 5, 15, 31]))
 @settings(deadline=None)
-def test_dilation_is_that_of_the_definition(image: Image, diameter: int) -> None:
+def test_dilation_is_that_of_the_definition(image: UInt8Array, diameter: int) -> None:
     np.testing.assert_array_equal(our_dilate(image, diameter), plain_dilate(image, diameter))
 
 
 @given(images(), st.sampled_from([1, 3, 5, 15, 31]))
 @settings(deadline=None)
-def test_erosion_is_that_of_the_definition(image: Image, diameter: int) -> None:
+def test_erosion_is_that_of_the_definition(image: UInt8Array, diameter: int) -> None:
     np.testing.assert_array_equal(our_erode(image, diameter), plain_erode(image, diameter))
 
 

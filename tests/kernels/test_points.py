@@ -5,21 +5,19 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, UInt8Array, UInt32Array
 from interloc.kernels.points import select_points
 
 
-def groups(first: set[int], second: set[int]) -> NDArray[np.uint8]:
+def groups(first: set[int], second: set[int]) -> UInt8Array:
     table = np.zeros(65536, np.uint8)
     table[sorted(second)] = 2
     table[sorted(first)] = 1
     return table
 
 
-def plain_select(
-    points: NDArray[np.float32], labels: NDArray[np.uint32], group_of: NDArray[np.uint8]
-) -> tuple[NDArray[np.float32], int]:
+def plain_select(points: Float32Array, labels: UInt32Array, group_of: UInt8Array) -> tuple[Float32Array, int]:
     group = group_of[labels & 0xFFFF]
     first, second = points[group == 1, :3], points[group == 2, :3]
     return np.concatenate([first, second]), len(first)

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from interloc.detect.image import BinaryImage
+from interloc.arrays import FloatArray, Int32Array, UInt8Array
+from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton as sk
 from interloc.kernels.thinning import DELETABLE, thin
 
-Image = NDArray[np.uint8]
 Pixel = tuple[int, int]
 
 
@@ -40,7 +39,7 @@ def degrees(image: BinaryImage) -> list[str]:
     return ["".join(line) for line in marks]
 
 
-def plain_joined(image: Image) -> dict[Pixel, set[Pixel]]:
+def plain_joined(image: UInt8Array) -> dict[Pixel, set[Pixel]]:
     """Join pixels side by side, and diagonally where no third one joins them side by side."""
     pixels = {(int(r), int(c)) for r, c in np.argwhere(image)}
     result = {}
@@ -62,7 +61,7 @@ def thinned_blobs(seed: int, size: int = 130) -> tuple[BinaryImage, BinaryImage]
     return line, shape
 
 
-def graph(image: BinaryImage) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+def graph(image: BinaryImage) -> tuple[Int32Array, Int32Array, Int32Array]:
     rows, cols = image.pixels()
     return rows, cols, sk.neighbours_of(image.words, rows, cols)
 
@@ -211,7 +210,7 @@ def test_pruning_keeps_every_piece_and_leaves_no_short_spur(seed: int, widths: f
             assert length >= widths * width - 1e-9
 
 
-def plain_gap(shape: Image, pixel: Pixel) -> float:
+def plain_gap(shape: UInt8Array, pixel: Pixel) -> float:
     rows, cols = np.nonzero(shape == 0)
     return float(np.hypot(rows - pixel[0], cols - pixel[1]).min())
 
@@ -327,7 +326,7 @@ def branches(
     full_fit: float = 20.0,
     straight: float = 1.0,
     trim: float = 0.0,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Follow the branches of the first candidate; they end 5 pixels before another one, the border is 8 wide."""
     rows, cols, neighbours = graph(image)
     first, others = np.array(candidates[0], np.float64), np.array(candidates[1:], np.float64).reshape(-1, 2)
@@ -335,7 +334,7 @@ def branches(
     return sk.follow_branches(rows, cols, neighbours, first, others, width, inner, outer, 5.0, *fits, image.height, 8)
 
 
-def cross(size: int = 201) -> Image:
+def cross(size: int = 201) -> UInt8Array:
     image = np.zeros((size, size), np.uint8)
     image[size // 2, :] = 1
     image[:, size // 2] = 1

@@ -7,25 +7,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from skimage.morphology import skeletonize
 
-from interloc.detect.image import BinaryImage
+from interloc.arrays import BoolArray, UInt8Array
+from interloc.detection.image import BinaryImage
 from interloc.kernels.thinning import DELETABLE, thin
-
-Image = NDArray[np.uint8]
 
 WIDTHS = [1, 2, 3, 63, 64, 65, 128]
 
 
-def our_thin(image: Image) -> Image:
+def our_thin(image: UInt8Array) -> UInt8Array:
     packed = BinaryImage.from_array(image)
     thin(packed.words, DELETABLE)
     return packed.to_array()
 
 
-def plain_thin(image: Image) -> Image:
+def plain_thin(image: UInt8Array) -> UInt8Array:
     """Thin by the definition: two sub-iterations in turn, each deletes at once, until neither deletes any.
 
     Zhang and Suen, "A fast parallel algorithm for thinning digital patterns", CACM 27 (1984). P2 is above the pixel P1,
@@ -51,17 +49,17 @@ def plain_thin(image: Image) -> Image:
             return padded[1:-1, 1:-1].astype(np.uint8)
 
 
-def blobs(seed: int, height: int, width: int, level: float) -> Image:
+def blobs(seed: int, height: int, width: int, level: float) -> UInt8Array:
     """Draw smooth shapes that run over the border."""
     noise = np.random.default_rng(seed).normal(size=(height + 60, width + 60)).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 5)
     return (smooth[30:-30, 30:-30] > level * smooth.std()).astype(np.uint8)
 
 
-def tips(line: Image) -> NDArray[np.bool_]:
+def tips(line: UInt8Array) -> BoolArray:
     """Return the pixels with one neighbour."""
     around = cv2.filter2D(line, -1, np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT)
-    ends: NDArray[np.bool_] = (line == 1) & (around == 2)
+    ends: BoolArray = (line == 1) & (around == 2)
     return ends
 
 

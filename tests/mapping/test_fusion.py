@@ -15,10 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from interloc.detect.detector import KeyframeDetections
-from interloc.detect.keyframes import Keyframe
-from interloc.drives.drive import Georeference
-from interloc.geometry import Array, enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
+from interloc.arrays import FloatArray
+from interloc.detection.detector import KeyframeDetections
+from interloc.detection.keyframes import Keyframe
+from interloc.drive import Georeference
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import fuse_bearings, position_std, robust_centres
 from interloc.mapping.fusion import FusionConfig, fuse
@@ -28,7 +29,7 @@ from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
 ORIGIN = (49.011, 8.42)  # latitude, longitude
 
 
-def straight(start: tuple[float, float], end: tuple[float, float], step_m: float = 2.0) -> Array:
+def straight(start: tuple[float, float], end: tuple[float, float], step_m: float = 2.0) -> FloatArray:
     """Return keyframe positions from start to end, (K, 2)."""
     count = round(math.dist(start, end) / step_m) + 1
     return np.linspace(start, end, count)
@@ -52,7 +53,7 @@ class Stream:
         False detections a keyframe, uniform in the region of interest.
     """
 
-    nodes: Array
+    nodes: FloatArray
     detected: float = 0.9
     jitter_m: float = 0.2
     wander_m: float = 0.5
@@ -60,9 +61,9 @@ class Stream:
     false_rate: float = 0.0
     seed: int = 0
     branches_deg: Sequence[float] = (0.0, 90.0, 180.0, 270.0)
-    passes: list[tuple[Array, Array]] = field(default_factory=list)
+    passes: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
 
-    def drive(self, track: Array, *, drift: tuple[float, float] = (0.0, 0.0)) -> Stream:
+    def drive(self, track: FloatArray, *, drift: tuple[float, float] = (0.0, 0.0)) -> Stream:
         """Add a pass along (K, 2) positions; `drift` moves what the poses say, not what the fixes say."""
         self.passes.append((track, np.array(drift)))
         return self
@@ -105,7 +106,7 @@ class Stream:
         fix = Georeference(places[:, 1], places[:, 0], np.zeros(len(yaws)), rotations, "simulated")
         return build_tables(rows, np.arange(len(rows)), fix)
 
-    def _look(self, rng: np.random.Generator, place: Array, wander: Array) -> Array:
+    def _look(self, rng: np.random.Generator, place: FloatArray, wander: FloatArray) -> FloatArray:
         seen = []
         for node, error in zip(self.nodes, wander, strict=True):
             distance = math.dist(node, place)
@@ -116,14 +117,14 @@ class Stream:
         return np.array(seen).reshape(-1, 2)
 
 
-def places(intersections: IntersectionTable) -> Array:
+def places(intersections: IntersectionTable) -> FloatArray:
     """Where the map puts them: ENU metres, or W."""
     if intersections.lonlat is None:
         return intersections.world_xy
     return enu_from_lonlat(*ORIGIN, intersections.lonlat)
 
 
-def errors(intersections: IntersectionTable, nodes: Array) -> Array:
+def errors(intersections: IntersectionTable, nodes: FloatArray) -> FloatArray:
     """Distance of every intersection of the map to every node, (M, N)."""
     return np.linalg.norm(places(intersections)[:, None] - nodes[None], axis=2)
 
@@ -198,7 +199,7 @@ def test_a_false_detection_in_one_of_twenty_keyframes_has_little_confidence() ->
     assert assignment.tolist() == [0]
 
 
-def one_detection(keyframes: KeyframeTable, row: int, world_xy: Array) -> DetectionTable:
+def one_detection(keyframes: KeyframeTable, row: int, world_xy: FloatArray) -> DetectionTable:
     assert keyframes.lonlat is not None
     relative = world_xy - keyframes.world_xy[row]
     return DetectionTable(
@@ -455,7 +456,7 @@ def test_the_date_line_is_no_obstacle() -> None:
     assert keyframes.lonlat is not None
     assert detections.lonlat is not None
 
-    def moved(lonlat: Array) -> Array:
+    def moved(lonlat: FloatArray) -> FloatArray:
         lon = lonlat[:, 0] - ORIGIN[1] + 180.0 - 0.0006  # the line runs near x = 44 m
         return np.stack([(lon + 180) % 360 - 180, lonlat[:, 1]], axis=-1)
 
@@ -573,7 +574,7 @@ def test_the_bulk_wins_over_the_outlier() -> None:
 def test_sightings_of_one_window_count_as_about_one() -> None:
     """A hundred equal sightings within a metre say no more than one; a hundred far apart say a hundred."""
 
-    def std(travelled_m: Array) -> float:
+    def std(travelled_m: FloatArray) -> float:
         n = len(travelled_m)
         return float(
             position_std(

@@ -9,18 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from interloc.detect.detector import KeyframeDetections
-from interloc.detect.keyframes import Keyframe
-from interloc.drives.drive import Georeference
+from interloc.arrays import FloatArray
+from interloc.detection.detector import KeyframeDetections
+from interloc.detection.keyframes import Keyframe
+from interloc.drive import Georeference
 from interloc.errors import GeoreferenceError
-from interloc.geometry import Array, lonlat_from_enu, rotate_2d, rotation_from_rpy
+from interloc.geometry import lonlat_from_enu, rotate_2d, rotation_from_rpy
 from interloc.mapping.georeferencing import build_tables, trajectory
 from interloc.results import DetectionTable, KeyframeTable
 
 KARLSRUHE = (49.011, 8.42)
 
 
-def pose(x: float, y: float, yaw: float) -> Array:
+def pose(x: float, y: float, yaw: float) -> FloatArray:
     transform = np.eye(4)
     transform[:3, :3] = rotation_from_rpy(0.0, 0.0, yaw)
     transform[:2, 3] = x, y
@@ -28,7 +29,7 @@ def pose(x: float, y: float, yaw: float) -> Array:
 
 
 def keyframe(
-    index: int, T_world_lidar: Array, lidar_xy: list[list[float]], angles: list[list[float]]
+    index: int, T_world_lidar: FloatArray, lidar_xy: list[list[float]], angles: list[list[float]]
 ) -> KeyframeDetections:
     lidar = np.array(lidar_xy, dtype=float).reshape(-1, 2)
     yaw = math.atan2(T_world_lidar[1, 0], T_world_lidar[0, 0])
@@ -48,7 +49,7 @@ def tables_of(
     return build_tables(found, scans, georeference)
 
 
-def fixes(yaws: list[float], lonlat: Array | None = None, tilt: float = 0.0) -> Georeference:
+def fixes(yaws: list[float], lonlat: FloatArray | None = None, tilt: float = 0.0) -> Georeference:
     n = len(yaws)
     places = np.tile([KARLSRUHE[1], KARLSRUHE[0]], (n, 1)) if lonlat is None else lonlat
     rotations = rotation_from_rpy(np.full(n, tilt), np.full(n, tilt), np.array(yaws))

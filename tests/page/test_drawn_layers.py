@@ -12,11 +12,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from app.database import Database
+from app.store.database import Database
 from interloc import open_drive
 from interloc.config import preset
 from interloc.geometry import lonlat_from_enu
-from interloc.mapping.exports import write_results
+from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.results import DriveResult
 from tests.app.processes import API, ServerProcess, started

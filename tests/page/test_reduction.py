@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.drives.labels import SEMANTICKITTI, guess_scheme, named_scheme
 from interloc.drives.reduction.ground import decode_ground
 from interloc.drives.scans import read_label_ids
@@ -31,7 +31,7 @@ def run_node(*arguments: str | Path) -> str:
     return done.stdout
 
 
-def write_scan(folder: Path, number: int, points: NDArray[np.float32], labels: NDArray[np.uint32]) -> None:
+def write_scan(folder: Path, number: int, points: Float32Array, labels: UInt32Array) -> None:
     points.astype("<f4").tofile(folder / f"{number:06d}.bin")
     labels.astype("<u4").tofile(folder / f"{number:06d}.label")
 
@@ -93,7 +93,7 @@ def test_ids_of_road_may_be_named(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_scans_are_refused_in_words(
-    tmp_path: Path, points: NDArray[np.float64], labels: list[int], words: list[str]
+    tmp_path: Path, points: FloatArray, labels: list[int], words: list[str]
 ) -> None:
     write_scan(tmp_path, 0, points.astype(np.float32), np.array(labels, np.uint32))
     run_node("reduce_scans.mjs", tmp_path, "semantickitti")

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from interloc.drives.drive import GroundPoints
+from interloc.arrays import IntArray
+from interloc.drive import GroundPoints
 from interloc.drives.faults import DriveFileError, Findings
 from interloc.drives.files import list_numbered, listed, missing_numbers, os_reason, shown
 from interloc.drives.found import Survey
@@ -17,7 +17,7 @@ from interloc.drives.labels import named_scheme
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.drives.parts import DriveParts
 from interloc.drives.plausibility import check_labels
-from interloc.drives.reduction.ground import LEAST_BYTES, MAX_BYTES, decode_ground, size_complaint
+from interloc.drives.reduction.ground import MAX_BYTES, MIN_BYTES, decode_ground, size_complaint
 from interloc.drives.reduction.manifest import (
     GROUND_FOLDER,
     MANIFEST,
@@ -47,7 +47,7 @@ class GroundFiles:
 
     root: Path
     folder: LabelFolder
-    kept: NDArray[np.int64]
+    kept: IntArray
     keyframes: Thinning | None
 
     def name(self, frame: int) -> str:
@@ -149,7 +149,7 @@ class ReducedContents:
             )
         return chosen
 
-    def _list_ground(self, findings: Findings, *, sizes: bool) -> NDArray[np.int64]:
+    def _list_ground(self, findings: Findings, *, sizes: bool) -> IntArray:
         """Return the numbers of the kept scans whose files are there."""
         kept, folder = self.manifest.kept_frames, self.parts.scans
         files = list_numbered(folder, ".ground", self.parts.root)
@@ -167,7 +167,7 @@ class ReducedContents:
         self.ground_bytes = int(file_sizes.sum())
         if not sizes:
             return there
-        sound = (file_sizes >= LEAST_BYTES) & (file_sizes <= MAX_BYTES)
+        sound = (file_sizes >= MIN_BYTES) & (file_sizes <= MAX_BYTES)
         for row in np.flatnonzero(~sound):
             name = shown(files.path(int(there[row])), self.parts.root)
             findings.error(DriveFileError(name, size_complaint(int(file_sizes[row]))))

@@ -7,7 +7,7 @@ import zlib
 
 import numpy as np
 
-from interloc.drives.drive import GroundPoints
+from interloc.drive import GroundPoints
 from interloc.drives.faults import DriveFileError
 from interloc.kernels.planes import join_planes, split_planes
 
@@ -17,7 +17,7 @@ MAX_POINTS = 4_000_000
 _HEADER = struct.Struct("<4sIII")
 _MAGIC, _VERSION = b"ILGP", 1
 _POINT_BYTES = 12
-LEAST_BYTES = _HEADER.size + 8
+MIN_BYTES = _HEADER.size + 8
 MAX_BYTES = _HEADER.size + MAX_POINTS * _POINT_BYTES * 9 // 8 + 1024
 """No file is larger, however badly its maker compresses."""
 
@@ -86,7 +86,7 @@ def decode_ground(data: bytes, name: str) -> GroundPoints:
 
 def _counts(data: bytes, name: str) -> tuple[int, int]:
     """Return the counts of points and of road points that the header promises."""
-    if not LEAST_BYTES <= len(data) <= MAX_BYTES:
+    if not MIN_BYTES <= len(data) <= MAX_BYTES:
         raise DriveFileError(name, size_complaint(len(data)))
     magic, version, count, road_count = _HEADER.unpack_from(data)
     if magic != _MAGIC:
@@ -108,6 +108,6 @@ def size_complaint(size: int) -> str:
     """Say what is wrong with the size of a file."""
     if size == 0:
         return f"is empty. {_CUT}"
-    if size < LEAST_BYTES:
-        return f"holds {size:,} bytes; expected at least {LEAST_BYTES}. {_CUT}"
+    if size < MIN_BYTES:
+        return f"holds {size:,} bytes; expected at least {MIN_BYTES}. {_CUT}"
     return f"is larger than {MAX_BYTES // 1024**2} MB, which the ground points of one scan never are."

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from interloc.arrays import IntArray
 from interloc.drives.faults import DriveFileError
 from interloc.drives.files import os_reason
 from interloc.drives.labels import SCHEMES, LabelScheme
@@ -162,12 +162,12 @@ class ReducedManifest(_Model):
         return self
 
     @property
-    def frames(self) -> NDArray[np.int64]:
+    def frames(self) -> IntArray:
         """(N,) int64 numbers of all scans."""
         return from_runs(self.scans)
 
     @property
-    def kept_frames(self) -> NDArray[np.int64]:
+    def kept_frames(self) -> IntArray:
         """(K,) int64 numbers of the scans whose ground points are here."""
         return from_runs(self.kept)
 

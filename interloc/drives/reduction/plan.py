@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import IntArray
 from interloc.config import KeyframeConfig
-from interloc.detect.keyframes import select_keyframes
+from interloc.detection.keyframes import select_keyframes
 from interloc.drives.faults import DriveFileError, Findings, Problem
 from interloc.drives.found import Survey
 from interloc.drives.labels import LabelScheme, named_scheme
@@ -26,8 +26,6 @@ from interloc.drives.reduction.runs import to_runs
 from interloc.drives.reduction.small_files import SmallFileCopies, gather_small_files
 from interloc.drives.survey import SAMPLED_SCANS
 from interloc.drives.track import read_track
-
-Frames = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -65,9 +63,9 @@ class ReductionPlan:
     root: Path
     options: DriveOptions
     label_folders: tuple[LabelFolder, ...]
-    frames: Frames
-    frames_to_send: Frames
-    frames_to_look_into: Frames
+    frames: IntArray
+    frames_to_send: IntArray
+    frames_to_look_into: IntArray
     layout: str | None
     pose_frame: str | None
     pose_frame_reason: str | None
@@ -91,7 +89,7 @@ class ReductionPlan:
 
 def plan_reduction(
     root: str | os.PathLike[str],
-    frames: Sequence[int] | Frames,
+    frames: Sequence[int] | IntArray,
     *,
     label_folders: Sequence[LabelFolder] = ("labels",),
     label_scheme: str | Collection[int] = "auto",
@@ -206,7 +204,7 @@ def scheme_of(
     return scheme, findings.problems
 
 
-def checked_frames(frames: Sequence[int] | Frames) -> Frames:
+def checked_frames(frames: Sequence[int] | IntArray) -> IntArray:
     """Return scan numbers in ascending order.
 
     Raises
@@ -233,7 +231,7 @@ def _likely_scan_folder(root: Path, layout: LayoutChoice) -> ScanFolder:
 
 
 def _manifest(
-    found: Survey, kept: Frames, keyframes: KeyframeConfig | None, copies: SmallFileCopies
+    found: Survey, kept: IntArray, keyframes: KeyframeConfig | None, copies: SmallFileCopies
 ) -> ReducedManifest:
     """Write down what is known."""
     assert found.parts is not None

@@ -25,7 +25,7 @@ from interloc.drives.reduction.manifest import (
 from interloc.drives.reduction.plan import ReductionPlan, plan_of
 from interloc.drives.scans import RawScans
 from interloc.drives.survey import survey
-from interloc.mapping.files import atomic_folder
+from interloc.files import atomic_folder
 
 Progress = Callable[[int, int], None]
 """Called with the scans done and the scans in all."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from interloc.arrays import IntArray
 
 Run = tuple[int, int]
 """First number and count."""
 
 
-def to_runs(numbers: NDArray[np.int64]) -> list[Run]:
+def to_runs(numbers: IntArray) -> list[Run]:
     """Write (N,) ascending numbers as runs."""
     if not len(numbers):
         return []
@@ -20,9 +21,9 @@ def to_runs(numbers: NDArray[np.int64]) -> list[Run]:
     return [(int(numbers[start]), int(count)) for start, count in zip(starts, counts, strict=True)]
 
 
-def from_runs(runs: Sequence[Run]) -> NDArray[np.int64]:
+def from_runs(runs: Sequence[Run]) -> IntArray:
     """Return the (N,) numbers of runs."""
     first, count = np.array(runs, dtype=np.int64).reshape(-1, 2).T
     begin = np.cumsum(count) - count
-    numbers: NDArray[np.int64] = np.repeat(first - begin, count) + np.arange(count.sum(), dtype=np.int64)
+    numbers: IntArray = np.repeat(first - begin, count) + np.arange(count.sum(), dtype=np.int64)
     return numbers

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from interloc.arrays import IntArray
 from interloc.drives.calibration import (
     IMU_CALIBRATION,
     locate_camera_calibration,
@@ -66,7 +66,7 @@ class SmallFileCopies:
         return size
 
 
-def gather_small_files(parts: DriveParts, frames: NDArray[np.int64], given: Path | None) -> SmallFileCopies:
+def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) -> SmallFileCopies:
     """Find all files that reading the drive needs besides scans and labels.
 
     Those inside the drive keep their paths. Of a KITTI raw drive that was given as georeference, the OXTS files of the
@@ -120,9 +120,7 @@ def gather_small_files(parts: DriveParts, frames: NDArray[np.int64], given: Path
     return copies
 
 
-def _take_folder(
-    copies: SmallFileCopies, folder: Path, first: int, frames: NDArray[np.int64], parts: DriveParts
-) -> str:
+def _take_folder(copies: SmallFileCopies, folder: Path, first: int, frames: IntArray, parts: DriveParts) -> str:
     """Note the OXTS files of the frames; return their folder in the reduced drive."""
     files = list_numbered(folder, ".txt", parts.root)
     if _is_inside(folder, parts.root) and first == 0:

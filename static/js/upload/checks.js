@@ -7,7 +7,7 @@ import { sizeComplaint } from "./scan.js";
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
 /** @typedef {import("./numbered.js").FileProblem} FileProblem */
 
-const MOST_SHOWN = 20;
+const MAX_SHOWN = 20;
 
 /**
  * List what is wrong with, or worth knowing of, a drive, as far as names and sizes tell.
@@ -61,9 +61,9 @@ function checkLabels(drive, folder) {
     const complaint = own && sizeComplaint(file.size, own.size, pathOf(scans, number), pathOf(labels, number));
     if (complaint) wrong.push(error(complaint.path, complaint.message));
   }
-  problems.push(...wrong.slice(0, MOST_SHOWN));
-  if (wrong.length > MOST_SHOWN) {
-    problems.push(error(folder, `and ${(wrong.length - MOST_SHOWN).toLocaleString("en")} more files whose sizes do not fit.`));
+  problems.push(...wrong.slice(0, MAX_SHOWN));
+  if (wrong.length > MAX_SHOWN) {
+    problems.push(error(folder, `and ${(wrong.length - MAX_SHOWN).toLocaleString("en")} more files whose sizes do not fit.`));
   }
   return problems;
 }

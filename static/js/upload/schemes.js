@@ -17,8 +17,8 @@ import { countLabels } from "./scan.js";
  */
 
 const SAMPLED = 5;
-const LEAST_ROAD_SHARE = 0.005;
-const MOST_UNKNOWN_SHARE = 0.05;
+const MIN_ROAD_SHARE = 0.005;
+const MAX_UNKNOWN_SHARE = 0.05;
 
 /**
  * Some of many numbers, evenly spread from the first to the last.
@@ -74,7 +74,7 @@ function complaints(folder, scheme, counts, road, total) {
   const problems = [];
   const unknown = ids.filter((id) => scheme.known && !scheme.known.has(id));
   const unknownShare = sum(unknown.map((id) => counts.get(id) ?? 0)) / total;
-  if (unknownShare > MOST_UNKNOWN_SHARE) {
+  if (unknownShare > MAX_UNKNOWN_SHARE) {
     const text = `${percent(unknownShare)} of the points have ids that ${scheme.name} does not know (${listed(unknown, 12)}).`;
     problems.push(warning(folder, `${text} Usual cause: another label scheme; name it, or give the ids of road.`));
   }
@@ -82,7 +82,7 @@ function complaints(folder, scheme, counts, road, total) {
   if (road === 0) {
     const text = `no point of the scans looked at is road: the ids are ${listed(ids, 20)}; road would be ${wanted} (scheme ${scheme.name}).`;
     problems.push(error(folder, `${text} Usual cause: another label scheme; name it, or give the ids of road.`));
-  } else if (road < LEAST_ROAD_SHARE * total) {
+  } else if (road < MIN_ROAD_SHARE * total) {
     const text = `only ${percent(road / total)} of the points are road (ids ${wanted}); 10 to 40 % are usual.`;
     problems.push(warning(folder, `${text} Usual cause: another label scheme, or labels of other scans.`));
   }

@@ -12,7 +12,7 @@ import { WorkerPool } from "./pool.js";
 
 const SMALL_BYTES = 1024 * 1024;
 const BATCH_FROM = 20;
-const MOST_BATCH_FILES = 500;
+const MAX_BATCH_FILES = 500;
 const BATCH_BYTES = 8 * 1024 * 1024;
 const PAGE = 10_000;
 
@@ -55,7 +55,7 @@ export async function sendSmallFiles(transfer, files, present) {
 
 /** @param {[string, File][]} files @returns {[string, File][][]} */
 function batches(files) {
-  const most = Math.min(MOST_BATCH_FILES, getConfig().limits.max_batch_files ?? MOST_BATCH_FILES);
+  const most = Math.min(MAX_BATCH_FILES, getConfig().limits.max_batch_files ?? MAX_BATCH_FILES);
   /** @type {[string, File][][]} */
   const all = [];
   let bytes = Infinity;

@@ -9,7 +9,7 @@ export const PARALLEL = 5;
 
 const DIGEST_MAX_BYTES = 512 * 1024 * 1024;
 const GIVE_UP_MS = 15 * 60_000;
-const MOST_WAIT_MS = 30_000;
+const MAX_WAIT_MS = 30_000;
 const DAMAGED_TRIES = 3;
 
 export class Transfer {
@@ -200,8 +200,8 @@ export class Transfer {
 
 /** @param {number} tries @param {number | null} asked Seconds that the server asked for. @returns {number} Milliseconds. */
 function waitFor(tries, asked) {
-  const own = Math.min(MOST_WAIT_MS, 500 * 2 ** tries) * (0.75 + Math.random() / 2); // not all lanes at once
-  return asked === null ? own : Math.min(asked * 1000, 2 * MOST_WAIT_MS);
+  const own = Math.min(MAX_WAIT_MS, 500 * 2 ** tries) * (0.75 + Math.random() / 2); // not all lanes at once
+  return asked === null ? own : Math.min(asked * 1000, 2 * MAX_WAIT_MS);
 }
 
 /** @param {AbortSignal} signal @returns {Promise<void>} When the browser says that it is connected again. */

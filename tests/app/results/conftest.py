@@ -11,17 +11,17 @@ from typing import Any
 import httpx
 import pytest
 
-from app.database import Database
-from app.models import Drive, Job
+from app.store.database import Database
+from app.store.models import Drive, Job
 from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.drives.reduction.reduce import reduce_drive
-from interloc.evaluate.coverage import drive_bounds
-from interloc.evaluate.evaluate import evaluate
-from interloc.evaluate.report import write_report
-from interloc.mapping.exports import write_results
+from interloc.evaluation.coverage import drive_bounds
+from interloc.evaluation.evaluate import evaluate
+from interloc.evaluation.report import write_report
 from interloc.osm.reader import read_osm
-from interloc.osm.roads import write_roads
+from interloc.output.osm_roads import write_roads
+from interloc.output.write import write_results
 from interloc.pipeline import detect
 from tests.app.conftest import running_server
 from tests.app.street import write_street

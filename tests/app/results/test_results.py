@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from app.database import Database
+from app.store.database import Database
 from tests.app.results.conftest import Finished, add_job
 
 LAYERS = ["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]

@@ -11,7 +11,7 @@ from types import ModuleType
 import pytest
 
 from interloc.config import KeyframeConfig, preset
-from interloc.detect.keyframes import select_keyframes
+from interloc.detection.keyframes import select_keyframes
 from interloc.drives import Drive, inspect_drive, open_drive, reduce_drive
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.pipeline import detect

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import interloc.drives.reduction as described
+from interloc.drive import GroundPoints
 from interloc.drives import open_drive
-from interloc.drives.drive import GroundPoints
 from interloc.drives.reduction.ground import decode_ground, encode_ground
 
 WRITER = """

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from interloc.drives.drive import GroundPoints
+from interloc.drive import GroundPoints
 from interloc.drives.reduction.ground import MAX_BYTES, MAX_POINTS, decode_ground, encode_ground
 from interloc.errors import DriveError
 

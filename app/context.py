@@ -1,0 +1,88 @@
+"""What all requests share: settings, database, storage."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from app.jobs.runner import Runner
+from app.jobs.watcher import JobWatcher
+from app.metrics import Metrics
+from app.settings import Settings
+from app.store.database import Database
+from app.store.storage import LocalStorage, Storage
+from app.store.tokens import TokenBook
+from interloc.errors import OutputError
+
+
+@dataclass(frozen=True)
+class Context:
+    """The parts of a running service."""
+
+    settings: Settings
+    database: Database
+    storage: Storage
+    tokens: TokenBook
+    metrics: Metrics
+    stopping: threading.Event = field(default_factory=threading.Event)
+    """Set when the server begins to stop: streams and waits that would go on must end."""
+    runner: Runner = field(default_factory=Runner)
+    watcher: JobWatcher = field(default_factory=JobWatcher)
+
+    @classmethod
+    def open(cls, settings: Settings) -> Context:
+        """Open database and storage, as `open_database` does."""
+        database = open_database(settings)
+        storage = LocalStorage(settings.data_dir)
+        return cls(settings, database, storage, TokenBook(database, settings), Metrics())
+
+    def close(self) -> None:
+        """Close the database."""
+        self.database.close()
+
+
+def open_database(settings: Settings) -> Database:
+    """Create the data folder where it is missing, and bring the database up to date.
+
+    Raises
+    ------
+    OutputError
+        The data folder cannot be written.
+    InterLocError
+        The database does not answer, or belongs to a newer version.
+    """
+    _check_writable(settings.data_dir)
+    database = Database(settings.sqlalchemy_url)
+    try:
+        database.upgrade()
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def _check_writable(folder: Path) -> None:
+    probe = folder / f".probe-{secrets.token_hex(4)}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"the data folder {folder} cannot be written: {os.strerror(error.errno or 0).lower()}. "
+            "--data-dir (INTERLOC_DATA_DIR) chooses another one."
+        ) from error
+
+
+async def _context(request: Request) -> Context:  # async: no trip to the thread pool
+    context: Context = request.app.state.context
+    return context
+
+
+ContextDep = Annotated[Context, Depends(_context)]

@@ -1,0 +1,94 @@
+"""Limits of uploads: each is named in the answer, with what is allowed."""
+
+from __future__ import annotations
+
+from starlette.requests import Request
+
+from app.context import Context
+from app.http.problems import Problem, disk_full
+from app.settings import MB
+
+CLOSE = {"Connection": "close"}
+"""What follows of a body that is refused unread is not read; the connection cannot be used again."""
+
+
+def declared_length(request: Request, limit: int, what: str) -> int | None:
+    """Return the Content-Length; None where the body comes in chunks.
+
+    Raises
+    ------
+    Problem
+        400: it is a part of a file. 413: more than the limit. 415: the body is compressed.
+    """
+    if "content-range" in request.headers:  # RFC 9110, section 14.5: what does not know it must not ignore it
+        raise Problem(
+            400,
+            "Part of a file",
+            "Content-Range: files are taken whole only. To resume an upload, send the files that "
+            "GET /api/v1/drives/{id}/files does not list.",
+            headers=CLOSE,
+        )
+    coding = request.headers.get("content-encoding", "identity").strip().lower()
+    transfer = request.headers.get("transfer-encoding", "chunked").strip().lower()
+    is_plain = coding in {"", "identity"}
+    if not is_plain or transfer != "chunked":
+        raise Problem(
+            415,
+            "Compressed body",
+            f"{f'Transfer-Encoding: {transfer}' if is_plain else f'Content-Encoding: {coding}'}. Send the file as it "
+            "is; files that are compressed themselves (map.osm.gz) need no Content-Encoding.",
+            headers={"Accept-Encoding": "identity", **CLOSE},
+        )
+    text = request.headers.get("content-length")
+    if text is None:
+        return None
+    length = int(text)  # the HTTP parser has refused what is no number
+    if length > limit:
+        raise too_large(what, limit)
+    return length
+
+
+def too_large(what: str, limit: int) -> Problem:
+    """Say that a body is larger than what is taken."""
+    size = f"{limit / MB:,.0f} MB" if limit >= MB else f"{limit:,} bytes"
+    return Problem(413, "Too large", f"{what} may have {size} at most. Nothing was kept.", headers=CLOSE)
+
+
+def check_free_space(context: Context, needed: int) -> None:
+    """Refuse what would leave too little space on the disk.
+
+    Raises
+    ------
+    Problem
+        507.
+    """
+    if context.storage.free_bytes() - needed < context.settings.min_free_bytes:
+        problem = disk_full()
+        raise Problem(problem.status, problem.title, problem.detail, headers=CLOSE)
+
+
+def check_drive(context: Context, files: int, size: int) -> None:
+    """Refuse what makes a drive too large.
+
+    Parameters
+    ----------
+    service
+    files, size
+        What the drive would have.
+
+    Raises
+    ------
+    Problem
+        413.
+    """
+    settings = context.settings
+    if size > settings.max_drive_bytes:
+        raise too_large("All files of a drive together", settings.max_drive_bytes)
+    if files > settings.max_drive_files:
+        raise Problem(
+            413,
+            "Too many files",
+            f"A drive may have {settings.max_drive_files:,} files at most. Leave out what the method does not need "
+            "(images), or cut the drive.",
+            headers=CLOSE,
+        )

@@ -1,0 +1,176 @@
+"""Who gets in. Everything here is decided from the head of a request; nothing of a refused body is read.
+
+A service for this machine asks for no token, so a web page that the user visits must not be able to use it through
+the user's browser. Two ways are closed:
+
+- DNS rebinding: the page's own name is pointed at 127.0.0.1, and to the browser the service is the page's origin. Such
+  requests carry the page's name as ``Host``: only names of this machine (and ``INTERLOC_ALLOWED_HOSTS``) are answered.
+- Cross-site requests: a page can send forms and simple requests anywhere, though it cannot read the answers. Browsers
+  say so in ``Sec-Fetch-Site``, older ones and plain http by ``Origin``: requests that change something are refused
+  when they come from another origin. Programs send neither.
+
+Neither is a danger where a token is needed: browsers add none by themselves, there are no cookies.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import time
+from collections import OrderedDict
+from urllib.parse import urlsplit
+
+from starlette._utils import get_route_path
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from app import logs
+from app.context import Context
+from app.http.problems import Problem, respond
+from app.settings import Settings
+from app.store.tokens import ANONYMOUS
+
+_SAFE = {"GET", "HEAD", "OPTIONS"}
+_PROBES = {"/healthz", "/readyz"}
+_MAX_HEADERS = 100
+_MAX_TOKEN = 512  # characters
+_FAILURES_A_MINUTE = 20
+_ADDRESSES = 4096
+
+_log = logging.getLogger(__name__)
+
+
+class Gate:
+    """Refuses by host, origin and token; leaves the name of the client in ``request.state.client``."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app = app
+        self._failures = _Failures()
+        self._hosts = {name.strip().lower() for name in settings.allowed_hosts.split(",") if name.strip()}
+        self._checks_hosts = bool(self._hosts) or settings.is_loopback
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Go on, or refuse."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        problem = await self._problem(scope)
+        if problem is None:
+            await self._app(scope, receive, send)
+        else:
+            await respond(problem, scope["path"])(scope, receive, send)
+
+    async def _problem(self, scope: Scope) -> Problem | None:
+        if len(scope["headers"]) > _MAX_HEADERS:
+            return Problem(431, "Too many headers", f"A request may have {_MAX_HEADERS} headers.")
+        path = get_route_path(scope)
+        scope.setdefault("state", {})["client"] = ANONYMOUS
+        if path in _PROBES:
+            return None
+        context: Context = scope["app"].state.context
+        headers = Headers(scope=scope)
+        needed = context.tokens.are_needed() if context.tokens.need_is_known else None
+        if needed is None:
+            needed = await run_in_threadpool(context.tokens.are_needed)
+        problem = None if needed else self._foreign(scope, headers)
+        if problem is None and (path.startswith("/api/") or path == "/metrics"):
+            problem = await self._identify(scope, headers, context, needed=needed)
+        return problem
+
+    def _foreign(self, scope: Scope, headers: Headers) -> Problem | None:
+        """Refuse what a page of another site sends through the user's browser."""
+        host = _name_of(headers.get("host", ""))
+        if self._checks_hosts and not (_is_this_machine(host) or host in self._hosts):
+            return Problem(
+                421,
+                "Unknown host name",
+                "The service answers under the names of this machine only: localhost, 127.0.0.1. "
+                "INTERLOC_ALLOWED_HOSTS takes the name under which a reverse proxy shows it.",
+            )
+        if scope["method"] in _SAFE or "authorization" in headers:
+            return None
+        site = headers.get("sec-fetch-site")
+        if site is None:
+            origin = headers.get("origin")
+            is_own = origin is None or origin.partition("://")[2] == headers.get("host")
+            site = "same-origin" if is_own else "cross-site"
+        if site in {"same-origin", "none"}:
+            return None
+        return Problem(403, "Request of another site", "Pages of other sites may not change anything here.")
+
+    async def _identify(self, scope: Scope, headers: Headers, context: Context, *, needed: bool) -> Problem | None:
+        """Find out whose token it is."""
+        given = headers.get("authorization")
+        if given is None:
+            return _unauthorized("This service needs an API token.") if needed else None
+        scheme, _, token = given.partition(" ")
+        token = token.strip()
+        if scheme.lower() != "bearer" or not token or len(token) > _MAX_TOKEN:
+            return _unauthorized("The Authorization header holds no token: `Bearer TOKEN` is expected.")
+        client = context.tokens.recall(token)
+        if client is None:
+            address = scope["client"][0] if scope.get("client") else ""
+            wait_s = self._failures.wait_s(address)
+            if wait_s > 0:
+                return Problem(
+                    429,
+                    "Too many wrong tokens",
+                    f"From this address came {_FAILURES_A_MINUTE} wrong tokens within a minute; none is looked at now.",
+                    headers={"Retry-After": str(int(wait_s) + 1)},
+                )
+            client = await run_in_threadpool(context.tokens.client_of, token)
+            if client is None:
+                self._failures.count(address)
+                _log.warning("wrong token", extra={"address": address})
+                return _unauthorized(
+                    "There is no such token, or it was revoked. The operator makes one with `interloc token add NAME`.",
+                    'error="invalid_token"',
+                )
+        scope["state"]["client"] = client
+        logs.bind(client=client)
+        return None
+
+
+def _unauthorized(found: str, parameter: str = "") -> Problem:
+    challenge = f'Bearer realm="interloc"{", " if parameter else ""}{parameter}'
+    detail = f"{found} Send it as `Authorization: Bearer TOKEN`."
+    return Problem(401, "Token needed", detail, headers={"WWW-Authenticate": challenge})
+
+
+class _Failures:
+    """Counts wrong tokens by address, within a minute. Tokens that are known keep working meanwhile."""
+
+    def __init__(self) -> None:
+        self._seen: OrderedDict[str, tuple[int, float]] = OrderedDict()
+
+    def count(self, address: str) -> None:
+        number, since = self._seen.pop(address, (0, time.monotonic()))
+        self._seen[address] = (number + 1, since)
+        while len(self._seen) > _ADDRESSES:
+            self._seen.popitem(last=False)
+
+    def wait_s(self, address: str) -> float:
+        """Seconds until a token from there is looked at again."""
+        number, since = self._seen.get(address, (0, 0.0))
+        left = since + 60 - time.monotonic()
+        if left <= 0:
+            self._seen.pop(address, None)
+        return left if number >= _FAILURES_A_MINUTE else 0.0
+
+
+def _name_of(host: str) -> str:
+    """Return the name in a Host header, without port and brackets."""
+    try:
+        return (urlsplit(f"//{host}").hostname or "").lower()
+    except ValueError:
+        return ""
+
+
+def _is_this_machine(name: str) -> bool:
+    if name == "localhost" or name.endswith(".localhost"):
+        return True
+    try:
+        return ipaddress.ip_address(name).is_loopback
+    except ValueError:
+        return False

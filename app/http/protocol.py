@@ -1,0 +1,76 @@
+"""How a request comes in: uvicorn's protocol, with limits of the head that it does not have itself."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+
+from app.http.problems import MEDIA_TYPE, Problem
+
+MAX_HEAD_BYTES = 64 * 1024
+HEAD_S = 20.0
+
+
+class Protocol(HttpToolsProtocol):
+    """Closes connections whose request line and headers do not come, or do not end."""
+
+    head_s = HEAD_S
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as the base has it
+        """Begin to wait for a request."""
+        super().connection_made(transport)
+        self._in_head = False
+        self._head_bytes = 0
+        self._head_timer: asyncio.TimerHandle | None = self._start_timer()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no longer."""
+        self._stop_timer()
+        super().connection_lost(exc)
+
+    def on_message_begin(self) -> None:
+        """Begin to count the head of a request."""
+        self._in_head = True
+        self._head_bytes = 0
+        super().on_message_begin()
+
+    def on_headers_complete(self) -> None:
+        """Count no longer: what follows is the body."""
+        self._in_head = False
+        self._stop_timer()
+        super().on_headers_complete()
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came; an unfinished head may neither grow without end nor trickle in for ever."""
+        super().data_received(data)
+        if not self._in_head or self.transport.is_closing():
+            return
+        self._head_bytes += len(data)
+        if self._head_bytes > MAX_HEAD_BYTES:
+            self._refuse()
+        elif self._head_timer is None:
+            self._head_timer = self._start_timer()
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no HTTP in the form of all other refusals."""
+        self._answer(Problem(400, "Request malformed", f"{msg.rstrip('.')}: it does not keep to HTTP/1.1."))
+
+    def _start_timer(self) -> asyncio.TimerHandle:
+        return self.loop.call_later(self.head_s, self.transport.close)
+
+    def _stop_timer(self) -> None:
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
+
+    def _refuse(self) -> None:
+        detail = f"The headers of a request may have {MAX_HEAD_BYTES // 1024} kB."
+        self._answer(Problem(431, "Head too large", detail))
+
+    def _answer(self, problem: Problem) -> None:
+        content = json.dumps(problem.document()).encode()
+        head = f"content-type: {MEDIA_TYPE}\r\ncontent-length: {len(content)}\r\nconnection: close\r\n\r\n"
+        self.transport.write(STATUS_LINE[problem.status] + head.encode() + content)
+        self.transport.close()

@@ -1,0 +1,29 @@
+from .config import DetectorConfig as DetectorConfig
+from .config import preset as preset
+from .detection.detector import Detector as Detector
+from .detection.scan import Scan as Scan
+from .drives.inspect import inspect_drive as inspect_drive
+from .drives.open import open_drive as open_drive
+from .errors import InterLocError as InterLocError
+from .evaluation.evaluate import evaluate as evaluate
+from .evaluation.report import write_report as write_report
+from .osm.reader import read_osm as read_osm
+from .output.read import read_results as read_results
+from .output.write import write_results as write_results
+from .pipeline import detect as detect
+
+__all__ = [
+    "Detector",
+    "DetectorConfig",
+    "InterLocError",
+    "Scan",
+    "detect",
+    "evaluate",
+    "inspect_drive",
+    "open_drive",
+    "preset",
+    "read_osm",
+    "read_results",
+    "write_report",
+    "write_results",
+]

@@ -1,0 +1,15 @@
+"""Types of arrays, named by what they hold; their shapes stand in the docstrings that use them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+Int32Array = NDArray[np.int32]
+UInt8Array = NDArray[np.uint8]
+UInt32Array = NDArray[np.uint32]
+UInt64Array = NDArray[np.uint64]
+BoolArray = NDArray[np.bool_]

@@ -1,0 +1,1 @@
+"""The method of the paper, one module per step, and the detector that runs them."""

@@ -1,0 +1,159 @@
+"""Concatenation of the keyframes around the current one, and its projection to a BEV image (paper, III-B.2 and 3)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import Float32Array, Int32Array, IntArray
+from interloc.config import BevConfig, KeyframeConfig
+from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.keyframes import Keyframe
+from interloc.kernels import grid
+
+_GROW = 16  # tiles that the pool grows by at least
+
+
+class TileGrid:
+    """Point counts a cell of W, stored where there are points only; its memory follows what it holds, not the drive."""
+
+    def __init__(self) -> None:
+        self.pool = np.zeros((0, grid.TILE * grid.TILE), np.int32)
+        self._slots: dict[tuple[int, int], int] = {}  # (tile row, tile column) -> slot of the pool
+        self._users: dict[tuple[int, int], int] = {}  # how many keyframes have cells in the tile
+        self._free: list[int] = []
+
+    def acquire(self, tiles: IntArray) -> list[tuple[int, int]]:
+        """Take into use all tiles of a range (first and last column, first and last row)."""
+        keys = [(y, x) for y in range(tiles[2], tiles[3] + 1) for x in range(tiles[0], tiles[1] + 1)]
+        for key in keys:
+            if key not in self._slots:
+                if not self._free:
+                    self._grow()
+                self._slots[key] = self._free.pop()
+                self._users[key] = 0
+            self._users[key] += 1
+        return keys
+
+    def release(self, keys: list[tuple[int, int]]) -> None:
+        """Give back tiles of `acquire`, their cells already taken back."""
+        for key in keys:
+            self._users[key] -= 1
+            if self._users[key] == 0:
+                del self._users[key]
+                self._free.append(self._slots.pop(key))
+
+    def table(self, tiles: IntArray) -> Int32Array:
+        """Return the slots of a range of tiles, (rows, columns) int32, -1 where there is none."""
+        rows, cols = range(tiles[2], tiles[3] + 1), range(tiles[0], tiles[1] + 1)
+        return np.array([[self._slots.get((y, x), -1) for x in cols] for y in rows], np.int32)
+
+    def _grow(self) -> None:
+        old = len(self.pool)
+        new = old + max(_GROW, old // 2)
+        pool = np.zeros((new, grid.TILE * grid.TILE), np.int32)
+        pool[:old] = self.pool
+        self.pool = pool
+        self._free.extend(range(new - 1, old - 1, -1))
+
+
+@dataclass(frozen=True)
+class _Entry:
+    keyframe: Keyframe
+    votes: list[tuple[Int32Array, list[tuple[int, int]], int]]  # where, in which tiles, for or against road
+
+
+class RoadAccumulator:
+    """The road points of the keyframes k-n .. k+n, as counts a cell of a grid anchored in W.
+
+    A keyframe adds its cells when it enters the window and takes them back when it leaves: counts are whole numbers, so
+    the sum is the same as if all scans were concatenated anew.
+    """
+
+    def __init__(self, keyframes: KeyframeConfig, bev: BevConfig) -> None:
+        self._before, self._after = keyframes.window, keyframes.after
+        self._config = bev
+        self._grid = TileGrid()
+        self._window: deque[_Entry] = deque()
+        self._first = 0  # number of the first keyframe in the window
+        self._next = 0  # number of the next keyframe to complete
+
+    def add(
+        self, keyframe: Keyframe, road_points: Float32Array, other_points: Float32Array | None = None
+    ) -> Keyframe | None:
+        """Add a keyframe; return the one that has all its successors now, if any.
+
+        Parameters
+        ----------
+        keyframe
+        road_points : (N, 3) float32
+            Road points in L, metres.
+        other_points : (M, 3) float32 or None
+            Points of what road is most often confused with, in L, metres: each takes one road point of its cell back.
+        """
+        votes = [self._cast(keyframe, road_points, 1)]
+        if other_points is not None:
+            votes.append(self._cast(keyframe, other_points, -1))
+        self._window.append(_Entry(keyframe, votes))
+        if self._first + len(self._window) <= self._next + self._after:
+            return None
+        return self._complete()
+
+    def _cast(
+        self, keyframe: Keyframe, points: Float32Array, vote: int
+    ) -> tuple[Int32Array, list[tuple[int, int]], int]:
+        cells, tiles = grid.cells_of(
+            np.ascontiguousarray(points, np.float32),
+            np.ascontiguousarray(keyframe.T_world_lidar, np.float64),
+            self._config.resolution_m,
+            self._config.max_range_m,
+        )
+        if not len(cells):
+            return np.empty(0, np.int32), [], vote
+        keys = self._grid.acquire(tiles)
+        where = grid.add_cells(self._grid.pool, self._grid.table(tiles), int(tiles[0]), int(tiles[2]), cells, vote)
+        return where, keys, vote
+
+    def finish(self) -> Keyframe | None:
+        """Complete the next keyframe although not all its successors came; None when there is none left."""
+        return None if self._next >= self._first + len(self._window) else self._complete()
+
+    def _complete(self) -> Keyframe:
+        while self._first < self._next - self._before:
+            entry = self._window.popleft()
+            for where, tiles, vote in entry.votes:
+                grid.remove_cells(self._grid.pool, where, vote)
+                self._grid.release(tiles)
+            self._first += 1
+        keyframe = self._window[self._next - self._first].keyframe
+        self._next += 1
+        return keyframe
+
+    def bev(self, keyframe: Keyframe) -> tuple[BinaryImage, Roi]:
+        """Project what is accumulated to the binary image around a keyframe (paper, eq. 3)."""
+        roi = self.roi(keyframe)
+        image = BinaryImage.empty(roi.size, roi.size)
+        tiles = np.array([roi.left, roi.left + roi.size - 1, roi.top - roi.size + 1, roi.top]) // grid.TILE
+        table = self._grid.table(tiles)
+        min_points = self.min_points(keyframe)
+        grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, image.words)
+        return image, roi
+
+    def roi(self, keyframe: Keyframe) -> Roi:
+        """Return the square of cells around a keyframe."""
+        r, size = self._config.resolution_m, self._config.cells
+        x, y = keyframe.T_world_lidar[0, 3], keyframe.T_world_lidar[1, 3]
+        return Roi(math.floor(x / r) - size // 2, math.floor(y / r) - size // 2 + size - 1, size, r)
+
+    def min_points(self, keyframe: Keyframe) -> int:
+        """Return m, in the share of a full window's keyframes that lie in the region of interest."""
+        m = self._config.min_points
+        if not self._config.adaptive:
+            return m
+        centre = keyframe.T_world_lidar[:2, 3]
+        positions = np.array([entry.keyframe.T_world_lidar[:2, 3] for entry in self._window])
+        near = int((np.abs(positions - centre).max(axis=1) < self._config.size_m / 2).sum())
+        return max(1, round(m * near / (self._before + 1 + self._after)))

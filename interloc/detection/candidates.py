@@ -1,0 +1,120 @@
+"""Detection of intersection candidates on the centerline (paper, section III-B.6)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import FloatArray, Int32Array, IntArray
+from interloc.config import CrossingCandidates, HarrisCandidates
+from interloc.detection.centerline import Centerline
+from interloc.kernels import skeleton
+from interloc.kernels.harris import harris_scores, local_maxima
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Where intersections may be.
+
+    Attributes
+    ----------
+    positions : (C, 2) float64
+        Row and column in the image, pixels.
+    widths : (C,) float64
+        Road width there, pixels.
+    cores : list of (J, 2) float64
+        Row and column of the junction pixels that each one stands for; empty for Harris corners.
+    """
+
+    positions: FloatArray
+    widths: FloatArray
+    cores: list[FloatArray]
+
+    def inside(self, size: int, margin: float) -> IntArray:
+        """Return which candidates lie at least a margin from the border of an image of ``size`` pixels a side."""
+        within = (self.positions >= margin) & (self.positions <= size - 1 - margin)
+        return np.flatnonzero(within.all(axis=1))
+
+
+def find_candidates(
+    centerline: Centerline, resolution_m: float, config: HarrisCandidates | CrossingCandidates
+) -> Candidates:
+    """Find the points of the centerline where roads may meet; near ones are merged.
+
+    Parameters
+    ----------
+    centerline
+    resolution_m
+        Side of a pixel.
+    config
+        Its kind chooses the way: Harris corners (the paper's), or junctions of the centerline.
+    """
+    if isinstance(config, HarrisCandidates):
+        return _harris(centerline, resolution_m, config)
+    return _crossings(centerline, resolution_m, config)
+
+
+def harris_corners(centerline: Centerline, config: HarrisCandidates) -> tuple[Int32Array, FloatArray]:
+    """Return the pixels that are Harris corners, best first, and the scores of all pixels (paper, eq. 6)."""
+    scores = harris_scores(centerline.image.words, centerline.rows, centerline.cols, config.block_px, config.k)
+    least = config.min_score * scores.max() if scores.size else 0.0
+    return local_maxima(centerline.rows, centerline.cols, scores, config.peak_px, least), scores
+
+
+def _harris(centerline: Centerline, resolution_m: float, config: HarrisCandidates) -> Candidates:
+    corners, _ = harris_corners(centerline, config)
+    positions = np.column_stack([centerline.rows[corners], centerline.cols[corners]]).astype(np.float64)
+    positions, groups = merge_until_stable(positions, config.merge_m / resolution_m)
+    widths = centerline.widths(corners)
+    return Candidates(positions, np.array([widths[group].mean() for group in groups]), [np.empty((0, 2))] * len(groups))
+
+
+def merge_until_stable(positions: FloatArray, radius: float) -> tuple[FloatArray, list[list[int]]]:
+    """Replace points by the average of those nearer than a radius, again until none is (paper, section III-C.1).
+
+    Parameters
+    ----------
+    positions : (N, 2) float64
+        The best first: merging starts there.
+    radius : float
+
+    Returns
+    -------
+    (M, 2) float64
+        The merged points.
+    list of list of int
+        Which of the given points each one is the average of.
+    """
+    groups = [[i] for i in range(len(positions))]
+    merged = [tuple(p) for p in positions.tolist()]
+    i = 0
+    while i < len(merged):
+        r, c = merged[i]
+        near = [j for j, (rj, cj) in enumerate(merged) if j != i and (rj - r) ** 2 + (cj - c) ** 2 < radius * radius]
+        if not near:
+            i += 1
+            continue
+        groups[i] = groups[i] + [member for j in near for member in groups[j]]
+        merged[i] = tuple(positions[groups[i]].mean(axis=0).tolist())
+        for j in reversed(near):
+            del merged[j], groups[j]
+        i = 0  # the average may have come near to a point passed before
+    return np.array(merged, np.float64).reshape(-1, 2), groups
+
+
+def _crossings(centerline: Centerline, resolution_m: float, config: CrossingCandidates) -> Candidates:
+    junctions = np.flatnonzero(centerline.degrees >= 3).astype(np.int32)
+    widths = centerline.widths(junctions)
+    reach = np.clip(widths * config.merge_widths, config.merge_min_m / resolution_m, config.merge_max_m / resolution_m)
+    # Two junctions are one where their halves of the way between them meet.
+    near = skeleton.grow_from(centerline.rows, centerline.cols, centerline.neighbours, junctions, reach / 2)
+    labels, count = skeleton.label_pieces(centerline.neighbours, near, junctions)
+    label = labels[junctions]
+    members = np.maximum(np.bincount(label, minlength=count), 1)
+    rows = np.bincount(label, centerline.rows[junctions], minlength=count) / members
+    cols = np.bincount(label, centerline.cols[junctions], minlength=count) / members
+    width = np.zeros(count)
+    np.maximum.at(width, label, widths)
+    pixels = np.column_stack([centerline.rows[junctions], centerline.cols[junctions]]).astype(np.float64)
+    return Candidates(np.column_stack([rows, cols]), width, [pixels[label == i] for i in range(count)])

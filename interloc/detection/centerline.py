@@ -1,0 +1,96 @@
+"""Extraction of the road centerline (paper, section III-B.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from interloc.arrays import FloatArray, Int32Array
+from interloc.config import CenterlineConfig
+from interloc.detection.image import BinaryImage
+from interloc.kernels import skeleton
+from interloc.kernels.thinning import DELETABLE, thin
+
+BORDER_PX = 12  # a line that ends this near to the border of the window was cut by it
+
+
+@dataclass(frozen=True)
+class Centerline:
+    """The one pixel wide axis of the road, as an image and as a graph of its pixels.
+
+    Attributes
+    ----------
+    image
+        The axis, packed.
+    rows, cols : (P,) int32
+        Its pixels in row-major order.
+    neighbours : (P, 4) int32
+        The pixels that each one is joined to, as positions in ``rows``; -1 for none.
+    occupancy
+        The road that it is the axis of; gives the local width.
+    """
+
+    image: BinaryImage
+    rows: Int32Array
+    cols: Int32Array
+    neighbours: Int32Array
+    occupancy: BinaryImage
+
+    @classmethod
+    def of(cls, image: BinaryImage, occupancy: BinaryImage) -> Centerline:
+        """Build the graph of a thinned image."""
+        rows, cols = image.pixels()
+        return cls(image, rows, cols, skeleton.neighbours_of(image.words, rows, cols), occupancy)
+
+    @cached_property
+    def degrees(self) -> Int32Array:
+        """(P,) int32: 1 at a tip, 2 on a line, 3 or 4 at a junction."""
+        return skeleton.degrees_of(self.neighbours)
+
+    def widths(self, pixels: Int32Array) -> FloatArray:
+        """Return the local road width in pixels, (N,) float64, at some pixels given by their positions."""
+        return skeleton.widths_at(
+            self.occupancy.words,
+            self.rows[pixels],
+            self.cols[pixels],
+            self.occupancy.height,
+            self.occupancy.height // 4,
+        )
+
+
+def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Centerline:
+    """Thin the road to its axis by Zhang and Suen's algorithm; then drop dead ends that are no roads, if asked to.
+
+    Parameters
+    ----------
+    occupancy
+        Set where the ground is road.
+    config
+        Longest dead end to drop, in local road widths.
+
+    Notes
+    -----
+    Paper, eq. 5.
+    """
+    image = BinaryImage(occupancy.words.copy(), occupancy.height, occupancy.width)
+    thin(image.words, DELETABLE)
+    centerline = Centerline.of(image, occupancy)
+    if config.spur_widths > 0:
+        centerline = _without_spurs(centerline, config.spur_widths)
+    return centerline
+
+
+def _without_spurs(centerline: Centerline, widths: float) -> Centerline:
+    keep = skeleton.prune_spurs(
+        centerline.rows,
+        centerline.cols,
+        centerline.neighbours,
+        centerline.occupancy.words,
+        centerline.image.height,
+        widths,
+        BORDER_PX,
+    )
+    if keep.all():
+        return centerline
+    skeleton.clear_pixels(centerline.image.words, centerline.rows[~keep], centerline.cols[~keep])
+    return Centerline.of(centerline.image, centerline.occupancy)

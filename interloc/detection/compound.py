@@ -1,0 +1,189 @@
+"""Several intersections in one blob of road: what the paper's method merges into one point (its section V-E).
+
+Branches that continue each other across the candidate form a through axis. Axes that run side by side (a dual
+carriageway) or branches that meet an axis at distinct places (a staggered junction) are intersections of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.config import CompoundConfig
+from interloc.detection.branches import Branches
+
+SAME_ROAD_RAD = math.radians(30.0)  # two branches nearer than this in direction are one road
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """A line through the blob and the branches that it is made of."""
+
+    point: FloatArray
+    direction: FloatArray
+    branches: list[int]
+
+    def meets(self, other: _Axis, least_angle_rad: float) -> FloatArray | None:
+        """Return where two axes cross, None where they run too much alike."""
+        cross = self.direction[0] * other.direction[1] - self.direction[1] * other.direction[0]
+        if abs(cross) < math.sin(least_angle_rad):
+            return None
+        delta = other.point - self.point
+        along = (delta[0] * other.direction[1] - delta[1] * other.direction[0]) / cross
+        crossing: FloatArray = self.point + along * self.direction
+        return crossing
+
+
+def split_compound(branches: Branches, resolution_m: float, config: CompoundConfig) -> list[Branches]:
+    """Split the branches of a candidate into those of the intersections that it is made of.
+
+    Parameters
+    ----------
+    branches
+        Of one candidate, at least four: fewer make one intersection.
+    resolution_m
+        Side of a pixel.
+    config
+        Which branches continue each other, and how far apart intersections are.
+
+    Returns
+    -------
+    list of Branches
+        One for each intersection, around its own place; the given ones where there is just one.
+    """
+    if branches.count < 4:
+        return [branches]
+    axes, stems = _axes(branches, resolution_m, config)
+    if not axes:
+        return [branches]
+    crossing = _crossings(branches, axes, stems, config)
+    reach = branches.inner + config.separation_m / resolution_m
+    nodes = [(place, members) for place, members in crossing if math.dist(place, branches.candidate) < reach]
+    groups = _group(nodes, config.separation_m / resolution_m)
+    if len(groups) < 2 or not _have_junctions_each(branches.core, [place for place, _ in groups]):
+        return [branches]
+    places = [place for place, _ in groups]
+    return [_connected(branches.only(sorted(members), place), places) for place, members in groups]
+
+
+def _connected(part: Branches, places: list[FloatArray]) -> Branches:
+    """Add the short road to the nearest other intersection of the blob, where no branch leads there already."""
+    gaps = [place - part.candidate for place in places if place is not part.candidate]
+    gap = min(gaps, key=lambda vector: math.hypot(*vector))
+    length = math.hypot(*gap)
+    toward = gap / max(length, 1e-9)
+    if len(part.directions) and float((part.directions @ toward).max()) > math.cos(SAME_ROAD_RAD):
+        return part
+    return replace(
+        part,
+        directions=np.vstack([part.directions, toward]),
+        points=np.vstack([part.points, part.candidate]),
+        weights=np.append(part.weights, 0.0),
+        lengths=np.append(part.lengths, length),
+    )
+
+
+def _axes(branches: Branches, resolution_m: float, config: CompoundConfig) -> tuple[list[_Axis], list[_Axis]]:
+    """Pair the branches that continue each other; return the axes and the branches left over."""
+    tolerance_rad = math.radians(config.straight_deg)
+    offset_limit = config.offset_m / resolution_m
+    usable = [i for i in range(branches.count) if branches.weights[i] > 0]
+    costs = []
+    for i in usable:
+        for j in usable:
+            if j <= i:
+                continue
+            turn = math.acos(float(np.clip(-branches.directions[i] @ branches.directions[j], -1.0, 1.0)))
+            offset = _offset(branches, i, j)
+            if turn < tolerance_rad and offset < offset_limit:
+                costs.append((turn / tolerance_rad + offset / offset_limit, i, j))
+    paired: set[int] = set()
+    axes = []
+    for _, i, j in sorted(costs):
+        if i in paired or j in paired:
+            continue
+        paired |= {i, j}
+        span = branches.points[i] - branches.points[j]
+        weights = branches.weights[[i, j]]
+        point = (weights[:, None] * branches.points[[i, j]]).sum(axis=0) / weights.sum()
+        axes.append(_Axis(point, span / max(math.hypot(*span), 1e-9), [i, j]))
+    stems = [_Axis(branches.points[i], branches.directions[i], [i]) for i in usable if i not in paired]
+    return axes, stems
+
+
+def _offset(branches: Branches, i: int, j: int) -> float:
+    """Return how far two opposite lines pass each other by at the candidate, pixels."""
+    a, b = (_nearest(branches, k) for k in (i, j))
+    along = branches.directions[i] - branches.directions[j]
+    along = along / max(math.hypot(*along), 1e-9)
+    delta = a - b
+    return abs(float(along[0] * delta[1] - along[1] * delta[0]))
+
+
+def _nearest(branches: Branches, k: int) -> FloatArray:
+    """Return the point of the line of a branch that is nearest to the candidate."""
+    point, direction = branches.points[k], branches.directions[k]
+    nearest: FloatArray = point + direction * ((branches.candidate - point) @ direction)
+    return nearest
+
+
+def _crossings(
+    branches: Branches, axes: list[_Axis], stems: list[_Axis], config: CompoundConfig
+) -> list[tuple[FloatArray, set[int]]]:
+    """Return where roads meet in the blob, each with the branches that meet there."""
+    least = math.radians(config.crossing_deg)
+    found: list[tuple[FloatArray, set[int]]] = []
+    for i, axis in enumerate(axes):
+        for other in axes[i + 1 :]:
+            place = axis.meets(other, least)
+            if place is not None:
+                found.append((place, {*axis.branches, *other.branches}))
+    for stem in stems:
+        # A branch ends at the first axis that it meets.
+        met = [(axis, place) for axis in axes if (place := axis.meets(stem, least)) is not None]
+        if met:
+            axis, place = min(met, key=lambda pair: math.dist(pair[1], stem.point))
+            found.append((place, {*axis.branches, *stem.branches}))
+    link = _link(branches)
+    if link is not None:
+        # Two carriageways joined by a road that is no longer than the blob is wide.
+        for axis in axes:
+            place = axis.meets(link, least)
+            if place is not None and not any(set(axis.branches) <= members for _, members in found):
+                found.append((place, set(axis.branches)))
+    return found
+
+
+def _link(branches: Branches) -> _Axis | None:
+    """Return the line through the junctions of the centerline inside of the blob."""
+    if len(branches.core) < 2:
+        return None
+    middle = branches.core.mean(axis=0)
+    _, spread, rows = np.linalg.svd(branches.core - middle, full_matrices=False)
+    if spread[0] < 1e-9:
+        return None
+    return _Axis(middle, rows[0], [])
+
+
+def _have_junctions_each(core: FloatArray, places: list[FloatArray]) -> bool:
+    """Tell whether each place has a junction of the centerline for itself: else a bent branch made it up."""
+    if not len(core):
+        return False
+    distance = np.hypot(*(core[:, None, :] - np.array(places)[None, :, :]).transpose(2, 0, 1))
+    return len(np.unique(distance.argmin(axis=1))) == len(places)
+
+
+def _group(nodes: list[tuple[FloatArray, set[int]]], separation: float) -> list[tuple[FloatArray, set[int]]]:
+    """Join the places that are too near to be told apart."""
+    groups: list[tuple[list[FloatArray], set[int]]] = []
+    for place, members in nodes:
+        near = [g for g in groups if math.dist(np.mean(g[0], axis=0), place) < separation]
+        if near:
+            near[0][0].append(place)
+            near[0][1].update(members)
+        else:
+            groups.append(([place], set(members)))
+    return [(np.mean(places, axis=0), members) for places, members in groups]

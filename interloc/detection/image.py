@@ -1,0 +1,80 @@
+"""The images of the region of interest: binary, packed, and anchored in W."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import FloatArray, Int32Array, UInt8Array, UInt64Array
+from interloc.kernels import bits
+
+
+@dataclass(frozen=True)
+class Roi:
+    """Where the image of a keyframe lies in W: a square of cells, aligned with the axes of W (paper, section III-B.3).
+
+    Attributes
+    ----------
+    left, top : int
+        Cell index along x of the first column, along y of the first row; rows go down, against +y.
+    size : int
+        Cells a side.
+    resolution_m : float
+        Side of a cell.
+    """
+
+    left: int
+    top: int
+    size: int
+    resolution_m: float
+
+    def world(self, rows: FloatArray, cols: FloatArray) -> FloatArray:
+        """Return the x, y in W, metres, (..., 2), of image positions; pixel centres have whole numbers."""
+        x = (self.left + np.asarray(cols, np.float64) + 0.5) * self.resolution_m
+        y = (self.top - np.asarray(rows, np.float64) + 0.5) * self.resolution_m
+        return np.stack([x, y], axis=-1)
+
+    def image(self, world_xy: FloatArray) -> FloatArray:
+        """Return the row, column, (..., 2), of points of W: `world` undone."""
+        cols = world_xy[..., 0] / self.resolution_m - 0.5 - self.left
+        rows = self.top + 0.5 - world_xy[..., 1] / self.resolution_m
+        return np.stack([rows, cols], axis=-1)
+
+
+@dataclass(frozen=True)
+class BinaryImage:
+    """A binary image packed 64 columns a word (layout: `interloc.kernels.bits`).
+
+    Attributes
+    ----------
+    words : (H + 2, W) uint64
+    height, width : int
+        Pixels.
+    """
+
+    words: UInt64Array
+    height: int
+    width: int
+
+    @classmethod
+    def empty(cls, height: int, width: int) -> BinaryImage:
+        """Return an image with no pixel set."""
+        return cls(np.zeros((height + 2, bits.words_for(width)), np.uint64), height, width)
+
+    @classmethod
+    def from_array(cls, image: UInt8Array) -> BinaryImage:
+        """Pack a (H, W) array; non-zero is set."""
+        packed = cls.empty(*image.shape)
+        bits.pack(np.ascontiguousarray(image, np.uint8), packed.words)
+        return packed
+
+    def to_array(self) -> UInt8Array:
+        """Return the image as (H, W) uint8 of 0 and 1."""
+        image = np.zeros((self.height, self.width), np.uint8)
+        bits.unpack(self.words, image)
+        return image
+
+    def pixels(self) -> tuple[Int32Array, Int32Array]:
+        """Return rows and columns of the set pixels, (P,) int32 each, in row-major order."""
+        return bits.set_pixels(self.words)

@@ -1,0 +1,41 @@
+"""Inference of the road occupancy (paper, section III-B.4)."""
+
+from __future__ import annotations
+
+from interloc.config import OccupancyConfig
+from interloc.detection.image import BinaryImage
+from interloc.kernels.morphology import dilate, disc_half_widths, erode
+
+
+def infer_occupancy(bev: BinaryImage, resolution_m: float, config: OccupancyConfig) -> BinaryImage:
+    """Close the gaps between road cells, then remove what is too small to be road.
+
+    Parameters
+    ----------
+    bev
+        Set where enough road points fell into the cell.
+    resolution_m
+        Side of a cell.
+    config
+        Disc diameters in metres.
+
+    Returns
+    -------
+    BinaryImage
+        Set where the ground is road.
+
+    Notes
+    -----
+    Paper, eq. 4: closing by a disc, then opening by a disc.
+    """
+    words, width = bev.words, bev.width
+    closing = disc_half_widths(odd_pixels(config.closing_m, resolution_m))
+    opening = disc_half_widths(odd_pixels(config.opening_m, resolution_m))
+    words = erode(dilate(words, closing, width), closing, width)
+    words = dilate(erode(words, opening, width), opening, width)
+    return BinaryImage(words, bev.height, width)
+
+
+def odd_pixels(length_m: float, resolution_m: float) -> int:
+    """Return the odd number of pixels nearest to a length; 1 (no effect) at the least."""
+    return 2 * round((length_m / resolution_m - 1) / 2) + 1 if length_m > resolution_m else 1

@@ -1,0 +1,59 @@
+"""What all figures share: colours that colour-blind readers tell apart, a quiet frame, and files."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from interloc.files import atomic_write
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's palette; shapes differ too, so that no meaning hangs on colour alone.
+BLUE, VERMILION, GREEN, YELLOW, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#F0E442", "#56B4E9", "#CC79A7"
+INK, MUTED, FAINT, PAPER = "#22262b", "#6b7280", "#d7dbe0", "#ffffff"
+
+ImageFormat = Literal["png", "svg"]
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Make a figure without pyplot: nothing global is touched, and servers may draw in threads."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second of start-up time
+
+    return Figure(figsize=(width_in, height_in), facecolor=PAPER, layout="constrained")
+
+
+def quiet(axes: Axes, *, grid: Literal["x", "y", "both"] = "y") -> None:
+    """Take away what is no data: top and right frame, ticks; draw the grid behind."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(MUTED)
+    axes.tick_params(colors=INK, length=3, color=MUTED, labelsize=9)
+    axes.grid(visible=True, axis=grid, color=FAINT, linewidth=0.7)
+    axes.set_axisbelow(True)
+
+
+def image(figure: Figure, kind: ImageFormat, *, dpi: int = 150) -> bytes:
+    """Return the bytes of an image file of a figure; the same figure gives the same PNG."""
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if kind == "svg" else {"Software": None}
+    figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    return buffer.getvalue()
+
+
+def write_image(path: Path, content: bytes) -> None:
+    """Write an image file, whole or not at all."""
+    with atomic_write(path) as handle:
+        handle.write(content)
+
+
+def percent(value: float | None) -> str:
+    """Say a ratio for a person: "94.2 %", or a dash where it is undefined."""
+    return "–" if value is None else f"{100.0 * value:.1f} %"  # noqa: RUF001 - a dash, not a minus
+
+
+def metres(value: float | None) -> str:
+    """Say a distance for a person: "1.28 m", or a dash where it is undefined."""
+    return "–" if value is None else f"{value:.2f} m"  # noqa: RUF001

@@ -1,0 +1,152 @@
+"""What the method needs of a drive, whatever its layout on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class GroundPoints:
+    """The points of one scan that the method can use.
+
+    Attributes
+    ----------
+    xyz : (N, 3) float32
+        Points in L, metres: road points first, then the points most often confused with them.
+    road_count : int
+        How many of them are road; the rest is sidewalk, parking and other-ground (used to simulate segmentation errors
+        only).
+    """
+
+    xyz: Float32Array
+    road_count: int
+
+    @classmethod
+    def split(cls, xyz: Float32Array, is_road: BoolArray) -> GroundPoints:
+        """Sort (N, 3) points into road and the rest by a (N,) mask."""
+        return cls(np.concatenate([xyz[is_road], xyz[~is_road]]), int(np.count_nonzero(is_road)))
+
+    @property
+    def road(self) -> Float32Array:
+        """(M, 3) float32 road points in L, metres (paper, section III-B.1); a view."""
+        return self.xyz[: self.road_count]
+
+    @property
+    def confusable(self) -> Float32Array:
+        """(N - M, 3) float32 points of sidewalk, parking and other ground in L, metres; a view."""
+        return self.xyz[self.road_count :]
+
+    @property
+    def is_road(self) -> BoolArray:
+        """(N,) bool, True for road."""
+        return np.arange(len(self.xyz)) < self.road_count
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """Geodetic pose of the LiDAR at every scan of a drive.
+
+    Attributes
+    ----------
+    lat_deg, lon_deg, alt_m : (N,) float64
+        Position of the LiDAR on WGS84.
+    R_enu_lidar : (N, 3, 3) float64
+        Attitude: L axes in the local east-north-up frame at the fix.
+    source : str
+        Where it came from, in words ("oxts/data, lever arm of calib_imu_to_velo.txt").
+    """
+
+    lat_deg: FloatArray
+    lon_deg: FloatArray
+    alt_m: FloatArray
+    R_enu_lidar: FloatArray
+    source: str
+
+
+@runtime_checkable
+class Drive(Protocol):
+    """A drive: poses up front, points on demand.
+
+    Attributes
+    ----------
+    name : str
+        Name of the folder.
+    frames : (N,) int64
+        Scan numbers, ascending.
+    T_world_lidar : (N, 4, 4) float64
+        Pose of the LiDAR at each scan; W is the LiDAR at the first scan.
+    times_s : (N,) float64 or None
+    georeference : Georeference or None
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def frames(self) -> IntArray: ...
+    @property
+    def T_world_lidar(self) -> FloatArray: ...
+    @property
+    def times_s(self) -> FloatArray | None: ...
+    @property
+    def georeference(self) -> Georeference | None: ...
+
+    def ground_points(self, index: int) -> GroundPoints:
+        """Read the scan at a position 0..N-1 of the drive.
+
+        Raises
+        ------
+        DriveError
+            The files of the scan are damaged or do not fit together.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class DriveScan:
+    """One scan of a drive on its way into the detector; its points are read when first asked for."""
+
+    drive: Drive
+    index: int
+
+    @property
+    def frame(self) -> int:
+        """Scan number."""
+        return int(self.drive.frames[self.index])
+
+    @property
+    def T_world_lidar(self) -> FloatArray:
+        """(4, 4) float64 pose of the LiDAR in W."""
+        pose: FloatArray = self.drive.T_world_lidar[self.index]
+        return pose
+
+    @property
+    def time_s(self) -> float | None:
+        """Time of the scan, seconds, where the drive knows it."""
+        return None if self.drive.times_s is None else float(self.drive.times_s[self.index])
+
+    @cached_property
+    def _points(self) -> GroundPoints:
+        return self.drive.ground_points(self.index)
+
+    @property
+    def road_points(self) -> Float32Array:
+        """(M, 3) float32 road points in L, metres."""
+        return self._points.road
+
+    @property
+    def other_points(self) -> Float32Array:
+        """(N, 3) float32 points of sidewalk, parking and other ground in L, metres."""
+        return self._points.confusable
+
+
+def scans_of(drive: Drive, indices: Iterable[int] | None = None) -> Iterator[DriveScan]:
+    """Yield the scans of a drive (all, or those at the given positions) in order, without reading any points."""
+    for index in range(len(drive.frames)) if indices is None else indices:
+        yield DriveScan(drive, int(index))

@@ -1,0 +1,1 @@
+"""Scoring of detections against the nodes of OpenStreetMap (paper, section IV)."""

@@ -1,0 +1,126 @@
+"""Evaluations of one drive side by side: which settings differ, which figures, which nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from interloc.errors import ConfigError
+from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
+from interloc.evaluation.record import threshold_name
+
+SETTINGS = ("config", "fusion")
+"""What of `run.json` is settings."""
+
+_STANDARD = threshold_name(STANDARD_THRESHOLD_M)
+
+
+def compare_reports(
+    names: Sequence[str], reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Put the reports of several runs over one drive side by side.
+
+    Parameters
+    ----------
+    names
+        What the runs are called; every list of values in the outcome is in their order.
+    reports, runs
+        Contents of each `report.json` and `run.json`.
+
+    Returns
+    -------
+    dict
+        ``settings`` (those that differ), ``figures``, ``nodes`` (those with other outcomes: found, missed, or outside
+        of the zone in which they count), ``found_by_all``, ``missed_by_all``, ``found_only_by``, ``warnings``.
+
+    Raises
+    ------
+    ConfigError
+        Fewer than two runs.
+    """
+    if len(names) < 2 or not len(names) == len(reports) == len(runs):
+        raise ConfigError(f"a comparison takes two runs or more, each with its report; {len(names)} given")
+    outcomes = [{node["osm_id"]: node for node in report["nodes"]} for report in reports]
+    nodes = [_node(osm_id, outcomes) for osm_id in dict.fromkeys(id_ for table in outcomes for id_ in table)]
+    found = [{node["osm_id"] for node in nodes if node["outcomes"][i] == "found"} for i in range(len(names))]
+    missed = [{node["osm_id"] for node in nodes if node["outcomes"][i] == "missed"} for i in range(len(names))]
+    return {
+        "runs": list(names),
+        "settings": differing_settings(runs),
+        "figures": [{"name": name, "values": [figure(report) for report in reports]} for name, figure in _FIGURES],
+        "nodes": [node for node in nodes if len(set(node["outcomes"])) > 1],
+        "found_by_all": len(set.intersection(*found)),
+        "missed_by_all": len(set.intersection(*missed)),
+        "found_only_by": [
+            sorted(mine - set().union(*(other for other in found if other is not mine))) for mine in found
+        ],
+        "warnings": _warnings(reports),
+    }
+
+
+def differing_settings(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return the settings in which runs differ, as ``{"name": "bev.resolution_m", "values": [...]}``."""
+    flat = [
+        {name: value for key in SETTINGS for name, value in _flatten(run.get(key, {}), "" if key == "config" else key)}
+        for run in runs
+    ]
+    names = dict.fromkeys(name for each in flat for name in each)
+    rows = [{"name": name, "values": [each.get(name) for each in flat]} for name in names]
+    return [row for row in rows if any(value != row["values"][0] for value in row["values"])]
+
+
+def _flatten(value: object, name: str) -> list[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        return [row for key, each in value.items() for row in _flatten(each, f"{name}.{key}" if name else str(key))]
+    return [(name, value)]
+
+
+def _node(osm_id: int, outcomes: Sequence[Mapping[int, Mapping[str, Any]]]) -> dict[str, Any]:
+    rows = [table.get(osm_id) for table in outcomes]
+    known = next(row for row in rows if row is not None)
+    return {
+        "osm_id": osm_id,
+        "lon": known["lon"],
+        "lat": known["lat"],
+        "degree": known["degree"],
+        "outcomes": [_outcome(row) for row in rows],
+        "median_error_m": [None if row is None else row["median_error_m"] for row in rows],
+    }
+
+
+def _outcome(row: Mapping[str, Any] | None) -> str:
+    if row is None or not row["in_zone"]:
+        return "outside"
+    return "found" if row["found"] else "missed"
+
+
+_FIGURES: tuple[tuple[str, Callable[[Mapping[str, Any]], Any]], ...] = (
+    ("keyframes", lambda report: report["keyframes"]),
+    ("detections", lambda report: report["detections"]),
+    ("ace_m", lambda report: report["ace_m"]),
+    ("median_m", lambda report: report["median_m"]),
+    ("p95_m", lambda report: report["p95_m"]),
+    ("precision_at_5", lambda report: report["precision"][_STANDARD]),
+    ("recall_at_5", lambda report: report["recall"][_STANDARD]),
+    ("f1_at_5", lambda report: report["f1"][_STANDARD]),
+    ("nodes_in_zone", lambda report: report["nodes_in_zone"]),
+    ("nodes_found", lambda report: report["nodes_found"]),
+    ("map_precision", lambda report: report["map_level"]["precision"]),
+    ("map_recall", lambda report: report["map_level"]["recall"]),
+    ("map_mean_m", lambda report: report["map_level"]["mean_m"]),
+)
+
+
+def _warnings(reports: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Say why figures may not be comparable."""
+    warnings = []
+    for what, values in (
+        ("ground truth policies", [report["policy"] for report in reports]),
+        ("maps", [report["osm"]["source"] for report in reports]),
+        ("dates of the map", [report["osm"]["date"] for report in reports]),
+        ("numbers of keyframes", [report["keyframes"] for report in reports]),
+    ):
+        if len({str(value) for value in values}) > 1:
+            said = ", ".join(str(value) for value in values)
+            warnings.append(f"The runs have different {what} ({said}): their figures do not stand side by side.")
+    return warnings

@@ -1,0 +1,123 @@
+"""Does the map belong to the drive? Distance of the track from the roads, before anything is scored."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.errors import MapError
+from interloc.evaluation.matching import earth_centred
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.osm.graph import Bounds, RoadGraph, within
+from interloc.osm.policies import road_ways
+from interloc.results import DriveResult
+
+logger = logging.getLogger(__name__)
+
+TRACK_OFF_ROAD_M = 5.0
+"""A track whose median distance from the roads is larger is suspicious: 0.4 to 1.1 m on KITTI."""
+
+
+def drive_bounds(result: DriveResult, *, margin_m: float = 200.0) -> Bounds:
+    """Return west, south, east, north of a georeferenced drive and a margin: what the map should cover.
+
+    Parameters
+    ----------
+    margin_m
+        More than half the diagonal of the ROI (85 m for 120 m), so that no road is missed.
+    """
+    assert result.keyframes.lonlat is not None
+    return track_bounds(result.keyframes.lonlat, margin_m=margin_m)
+
+
+def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
+    """Return west, south, east, north of (K, 2) longitudes, latitudes of the keyframes and a margin."""
+    west_south, east_north = lonlat.min(axis=0), lonlat.max(axis=0)
+    # The corner that is further from the equator has the shorter degrees of longitude.
+    lat = west_south[1] if abs(west_south[1]) > abs(east_north[1]) else east_north[1]
+    margin = lonlat_from_enu(lat, 0.0, np.array([margin_m, margin_m])) - np.array([0.0, lat])
+    west, south = west_south - margin
+    east, north = east_north + margin
+    return float(west), float(south), float(east), float(north)
+
+
+def track_to_road(track_lonlat: FloatArray, graph: RoadGraph) -> FloatArray:
+    """Return the distance of (K, 2) track points from the nearest drivable road, (K,) metres.
+
+    Infinite where the map holds no drivable road within two kilometres or so.
+    """
+    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+    edges = graph.edges_of(road_ways(graph, "drive+service"))
+    # A plane around the drive has room for its neighbourhood only, and the map may be of another continent.
+    (west, south), (east, north) = track_lonlat.min(axis=0) - 0.02, track_lonlat.max(axis=0) + 0.02
+    edges = edges[within((west, south, east, north), graph.lonlat)[edges].any(axis=1)]
+    if len(edges) == 0:
+        return np.full(len(track_lonlat), np.inf)
+    lon, lat = np.median(track_lonlat, axis=0)
+    roads: Any = shapely.linestrings(enu_from_lonlat(lat, lon, graph.lonlat)[edges])
+    points = shapely.points(enu_from_lonlat(lat, lon, track_lonlat))
+    (point, _), distance = shapely.STRtree(roads).query_nearest(points, return_distance=True, all_matches=False)
+    nearest = np.full(len(track_lonlat), np.inf)
+    nearest[point] = distance
+    return nearest
+
+
+def check_coverage(track_lonlat: FloatArray, graph: RoadGraph, *, roi_m: float) -> tuple[float, tuple[str, ...]]:
+    """Refuse a map of another place; warn where it fits badly.
+
+    Parameters
+    ----------
+    track_lonlat : (K, 2) float64
+        Longitude, latitude of the LiDAR at the keyframes.
+    roi_m
+        Side of the ROI, metres.
+
+    Returns
+    -------
+    track_to_road_m : float
+        Median distance of the track from the nearest drivable road, metres.
+    warnings : tuple of str
+        What a reader of the figures should know.
+
+    Raises
+    ------
+    MapError
+        No road comes near any keyframe.
+    """
+    distance = track_to_road(track_lonlat, graph)
+    covered = distance <= roi_m / 2.0
+    if not covered.any():
+        raise MapError(_elsewhere(track_lonlat, graph))
+    median = float(np.median(distance))
+    warnings = []
+    if covered.mean() < 0.99:
+        warnings.append(
+            f"{1.0 - covered.mean():.0%} of the keyframes have no drivable road of {graph.source} within "
+            f"{roi_m / 2.0:.0f} m: the map does not cover the whole drive, and detections there are false positives."
+        )
+    if median > TRACK_OFF_ROAD_M:
+        warnings.append(
+            f"The track runs {median:.1f} m (median) from the nearest drivable road of {graph.source}; 0.4 to 1.1 m is "
+            "usual. Usual causes: a georeference of another drive, an offset of the fixes, or a drive off the roads."
+        )
+    for warning in warnings:
+        logger.warning(warning)
+    return median, tuple(warnings)
+
+
+def _elsewhere(track_lonlat: FloatArray, graph: RoadGraph) -> str:
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    distance_m, _ = cKDTree(earth_centred(graph.lonlat)).query(earth_centred(track_lonlat))
+    nearest_km = np.min(distance_m) / 1000.0
+    west, south, east, north = graph.extent
+    (lon0, lat0), (lon1, lat1) = track_lonlat.min(axis=0), track_lonlat.max(axis=0)
+    return (
+        f"the map {graph.source} covers lon {west:.4f}..{east:.4f}, lat {south:.4f}..{north:.4f}; the drive lies at "
+        f"lon {lon0:.4f}..{lon1:.4f}, lat {lat0:.4f}..{lat1:.4f}, {nearest_km:.1f} km from its nearest highway. "
+        "Usual mistake: the OSM file of another sequence, or longitude and latitude swapped in geo.csv."
+    )

@@ -1,0 +1,179 @@
+"""The evaluation of the paper's section IV, from a run and a road map to figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import BoolArray
+from interloc.errors import ConfigError, GeoreferenceError
+from interloc.evaluation.coverage import check_coverage
+from interloc.evaluation.map_level import MapLevel, assign_intersections
+from interloc.evaluation.matching import Matching, match
+from interloc.evaluation.metrics import ErrorSummary, Scores, score, summarize_errors
+from interloc.evaluation.nodes import NodeTable, tabulate_nodes
+from interloc.osm.graph import RoadGraph, within
+from interloc.osm.policies import IntersectionNodes, Policy, intersection_nodes
+from interloc.results import DetectionTable, DriveResult, KeyframeTable
+
+PAPER_ROI_M = 120.0
+PAPER_OUTER_RADIUS_M = 40.0
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A run scored against OpenStreetMap.
+
+    Attributes
+    ----------
+    drive : str
+        Name of the drive.
+    roi_m, relevant_zone_m : float
+        Sides of the two squares, metres.
+    graph : RoadGraph
+        The map.
+    nodes : IntersectionNodes
+        Its ground truth intersections, with the policy that chose them.
+    keyframes : KeyframeTable
+    detections : DetectionTable
+        Those that were scored: all that lie on the map.
+    detections_outside_map : int
+        Detections beyond the declared bounds of the map, where nothing is known about them.
+    matching : Matching
+        Of `detections` with `nodes`.
+    errors : ErrorSummary
+    scores : Scores
+    node_table : NodeTable
+    map_level : MapLevel
+        Of the fused intersections with `nodes`.
+    track_to_road_m : float
+        Median distance of the track from the nearest drivable road, metres.
+    warnings : tuple of str
+        What a reader of the figures should know.
+    """
+
+    drive: str
+    roi_m: float
+    relevant_zone_m: float
+    graph: RoadGraph
+    nodes: IntersectionNodes
+    keyframes: KeyframeTable
+    detections: DetectionTable
+    detections_outside_map: int
+    matching: Matching
+    errors: ErrorSummary
+    scores: Scores
+    node_table: NodeTable
+    map_level: MapLevel
+    track_to_road_m: float
+    warnings: tuple[str, ...]
+
+
+def evaluate(
+    result: DriveResult,
+    graph: RoadGraph,
+    *,
+    policy: Policy = "drive",
+    roi_m: float | None = None,
+    relevant_zone_m: float | None = None,
+    tolerance_m: float = 15.0,
+) -> Evaluation:
+    """Score the detections and the fused intersections of a run against the nodes of a road map.
+
+    Parameters
+    ----------
+    result
+        What `detect` found, with georeference.
+    graph
+        The roads around the drive.
+    policy
+        Which OSM nodes are intersections.
+    roi_m
+        Side S of the ROI, metres; default: the one that the run used (120 in the paper).
+    relevant_zone_m
+        Side of the relevant zone, metres; default: S - 2 a_o of the run (40 in the paper).
+    tolerance_m
+        Reach of the merging of policy `consolidated`, metres.
+
+    Raises
+    ------
+    GeoreferenceError
+        The run knows no longitude and latitude.
+    MapError
+        The map is of another place.
+    ConfigError
+        The policy is unknown, or the zones have no extent.
+    """
+    if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
+        raise GeoreferenceError(
+            f"{result.drive}: the run has no georeference, so its detections cannot be compared with OpenStreetMap. "
+            "Detect again with one: --oxts with a KITTI raw drive or a file of OXTS rows, or geo.csv in the drive."
+        )
+    roi_m, relevant_zone_m = _zones(result.run, roi_m, relevant_zone_m)
+    track_to_road_m, warnings = check_coverage(result.keyframes.lonlat, graph, roi_m=roi_m)
+    nodes = intersection_nodes(graph, policy, tolerance_m)
+
+    on_map = within(graph.bounds, result.detections.lonlat)
+    detections = _select(result.detections, on_map)
+    matching = match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
+    node_table = tabulate_nodes(matching, len(nodes))
+    map_level = assign_intersections(
+        result.keyframes,
+        result.intersections,
+        nodes.lonlat,
+        node_table.in_zone,
+        relevant_zone_m=relevant_zone_m,
+    )
+    map_level = replace(map_level, counts=map_level.counts & within(graph.bounds, result.intersections.lonlat))
+    if not node_table.in_zone.any():
+        warnings += (
+            f"No intersection of policy {policy} lies in the relevant zone of any keyframe: recall is undefined.",
+        )
+    return Evaluation(
+        drive=result.drive,
+        roi_m=roi_m,
+        relevant_zone_m=relevant_zone_m,
+        graph=graph,
+        nodes=nodes,
+        keyframes=result.keyframes,
+        detections=detections,
+        detections_outside_map=int(np.count_nonzero(~on_map)),
+        matching=matching,
+        errors=summarize_errors(matching),
+        scores=score(matching),
+        node_table=node_table,
+        map_level=map_level,
+        track_to_road_m=track_to_road_m,
+        warnings=warnings,
+    )
+
+
+def _zones(run: dict[str, Any], roi_m: float | None, relevant_zone_m: float | None) -> tuple[float, float]:
+    """Take S and S - 2 a_o from the configuration of the run where they are not given."""
+    config = run.get("config", {})
+    if roi_m is None:
+        roi_m = float(config.get("bev", {}).get("size_m", PAPER_ROI_M))
+    if relevant_zone_m is None:
+        outer = float(config.get("branches", {}).get("outer_radius_m", PAPER_OUTER_RADIUS_M))
+        relevant_zone_m = roi_m - 2.0 * outer
+    if not 0.0 < relevant_zone_m <= roi_m:
+        raise ConfigError(
+            f"the relevant zone is {relevant_zone_m:g} m wide and the region of interest {roi_m:g} m. "
+            "Expected 0 < zone <= region; the zone is the region less twice the outer branch radius unless given."
+        )
+    return roi_m, relevant_zone_m
+
+
+def _select(detections: DetectionTable, keep: BoolArray) -> DetectionTable:
+    rows = np.flatnonzero(keep)
+    return DetectionTable(
+        keyframe=detections.keyframe[rows],
+        lidar_xy=detections.lidar_xy[rows],
+        world_xy=detections.world_xy[rows],
+        lonlat=None if detections.lonlat is None else detections.lonlat[rows],
+        bearings_deg=[detections.bearings_deg[row] for row in rows],
+        score=detections.score[rows],
+        intersection=detections.intersection[rows],
+    )

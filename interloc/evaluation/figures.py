@@ -1,0 +1,242 @@
+"""The figures of a report: the map, the center errors, the scores over the threshold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray
+from interloc.drawing import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    MUTED,
+    PAPER,
+    PURPLE,
+    VERMILION,
+    YELLOW,
+    metres,
+    new_figure,
+    percent,
+    quiet,
+)
+from interloc.evaluation.evaluate import Evaluation
+from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.geometry import enu_from_lonlat
+from interloc.osm.policies import road_ways
+from interloc.results import DriveResult
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PERCENTILES = (5.0, 25.0, 50.0, 75.0, 95.0)
+"""Of the paper's box plots: whiskers, box, median."""
+
+_MAP_MARGIN_M = 70.0
+
+
+def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
+    """Draw roads, track, detections, nodes and fused intersections in metres, north up (paper, Fig. 6)."""
+    assert evaluation.detections.lonlat is not None
+    assert result.trajectory_lonlat is not None
+    assert result.intersections.lonlat is not None
+    lon, lat = np.median(result.trajectory_lonlat, axis=0)
+
+    def plane(lonlat: FloatArray) -> FloatArray:
+        return enu_from_lonlat(lat, lon, lonlat)
+
+    track = plane(result.trajectory_lonlat)
+    low, high = track.min(axis=0) - _MAP_MARGIN_M, track.max(axis=0) + _MAP_MARGIN_M
+    width, height = high - low
+    # A map as large as a page at most; the long side decides the scale.
+    scale = min(9.0 / width, 9.5 / height)
+    figure = new_figure(max(5.5, width * scale + 0.8), max(3.0, height * scale) + 1.5)
+    axes = figure.add_subplot()
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set(xlabel="east [m]", ylabel="north [m]")
+    # Without the name of the drive: it may hold what fonts lack, or dollars, which are formulas to matplotlib.
+    axes.set_title("Detections and OpenStreetMap", loc="left", fontsize=12, color=INK)
+    axes.tick_params(labelsize=9, color=MUTED)
+    axes.spines[:].set_color(FAINT)
+
+    _draw_roads(axes, evaluation, plane)
+    axes.plot(*track.T, color=INK, linewidth=1.1, alpha=0.8, zorder=3, label="track")
+    _draw_detections(axes, evaluation, plane)
+    _draw_nodes(axes, evaluation, plane)
+    axes.plot(
+        *plane(result.intersections.lonlat).T,
+        linestyle="none",
+        marker="P",
+        markersize=10,
+        markerfacecolor=YELLOW,
+        markeredgecolor=INK,
+        markeredgewidth=0.7,
+        zorder=4,
+        label="fused intersection",
+    )
+    _draw_scale_bar(axes, low, high)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+def _draw_roads(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401 - a local function
+    from matplotlib.collections import LineCollection  # noqa: PLC0415 - slow to import
+
+    graph = evaluation.graph
+    roads = road_ways(graph, evaluation.nodes.policy)
+    near = np.abs(graph.lonlat - np.median(graph.lonlat, axis=0)).max(axis=1) < 1.0  # the plane has an end
+    place = np.full((len(graph.lonlat), 2), np.nan)
+    place[near] = plane(graph.lonlat[near])
+    for mask, colour, line_width in ((~roads, "#e6e8eb", 0.9), (roads, "#bfc5cc", 3.2)):
+        lines = place[graph.edges_of(mask)]
+        axes.add_collection(
+            LineCollection(list(lines), colors=colour, linewidths=line_width, capstyle="round", zorder=1)
+        )
+    axes.plot([], [], color="#bfc5cc", linewidth=3.2, label=f"road (policy {evaluation.nodes.policy})")
+    axes.plot([], [], color="#e6e8eb", linewidth=0.9, label="other highway")
+
+
+def _draw_detections(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401
+    place = plane(evaluation.detections.lonlat)
+    true = evaluation.matching.error_m < STANDARD_THRESHOLD_M
+    bound = f"{STANDARD_THRESHOLD_M:g} m"
+    styles: list[tuple[BoolArray, dict[str, Any]]] = [
+        (true, {"marker": "o", "markersize": 3.2, "color": BLUE, "label": f"detection, node within {bound} (TP)"}),
+        (
+            ~true,
+            {"marker": "x", "markersize": 4.5, "color": VERMILION, "label": f"detection, none within {bound} (FP)"},
+        ),
+    ]
+    for mask, style in styles:
+        axes.plot(*place[mask].T, linestyle="none", alpha=0.8, zorder=7, markeredgewidth=1.1, **style)
+
+
+def _draw_nodes(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401
+    table = evaluation.node_table
+    place = plane(evaluation.nodes.lonlat)
+    styles: list[tuple[BoolArray, dict[str, Any]]] = [
+        (~table.in_zone, {"marker": "s", "markersize": 3.5, "color": MUTED, "label": "OSM node out of reach"}),
+        (table.in_zone & table.found, {"marker": "s", "markersize": 11, "color": GREEN, "label": "OSM node, found"}),
+        (table.in_zone & ~table.found, {"marker": "D", "markersize": 10, "color": PURPLE, "label": "OSM node, missed"}),
+    ]
+    for mask, style in styles:
+        edge_width = 1.0 if style["markersize"] == 3.5 else 2.0
+        axes.plot(*place[mask].T, linestyle="none", fillstyle="none", markeredgewidth=edge_width, zorder=6, **style)
+
+
+def _draw_scale_bar(axes: Axes, low: FloatArray, high: FloatArray) -> None:
+    """Draw a round length of about a fifth of the map in its lower left corner."""
+    fifth = (high[0] - low[0]) / 5.0
+    power = 10.0 ** np.floor(np.log10(fifth))
+    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= fifth)
+    x, y = low + 0.04 * (high - low)
+    box = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 2.0}
+    axes.plot([x, x + length], [y, y], color=INK, linewidth=3, solid_capstyle="butt", zorder=9)
+    axes.annotate(
+        f"{length:g} m",
+        (x + length / 2.0, y),
+        xytext=(0, 5),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=9,
+        color=INK,
+        bbox=box,
+        zorder=8,
+    )
+
+
+def error_figure(evaluation: Evaluation) -> Figure:
+    """Draw the distribution of the center errors: histogram, and box of the paper's percentiles."""
+    errors = evaluation.matching.error_m[evaluation.matching.is_matched]
+    figure = new_figure(7.5, 4.2)
+    histogram, box = figure.subplots(2, 1, sharex=True, height_ratios=(5, 1))
+    shown = errors[errors < NEAR_PAIR_M]
+    bins = np.arange(0.0, NEAR_PAIR_M + 0.25, 0.25)
+    true = shown < STANDARD_THRESHOLD_M
+    histogram.hist(shown[true], bins=bins, color=BLUE, edgecolor=PAPER, linewidth=0.4)
+    histogram.hist(shown[~true], bins=bins, color=VERMILION, edgecolor=PAPER, linewidth=0.4)
+    histogram.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+    text = {"fontsize": 9, "color": MUTED, "va": "top", "transform": histogram.get_xaxis_transform()}
+    histogram.text(STANDARD_THRESHOLD_M - 0.1, 0.99, "TP", ha="right", **text)
+    histogram.text(STANDARD_THRESHOLD_M + 0.1, 0.99, "FP", ha="left", **text)
+    summary = f"{len(errors):,} matched pairs\naverage (ACE) {metres(evaluation.errors.ace_m)}"
+    summary += f"\nmedian {metres(evaluation.errors.median_m)}"
+    if len(errors) > len(shown):
+        summary += f"\n{len(errors) - len(shown):,} beyond {NEAR_PAIR_M:g} m not shown"
+    histogram.text(
+        0.99,
+        0.86,
+        summary,
+        ha="right",
+        va="top",
+        fontsize=9,
+        color=INK,
+        transform=histogram.transAxes,
+        linespacing=1.5,
+        bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 3.0},
+    )
+    histogram.set_ylabel("detections")
+    histogram.set_title("Center error: detection to nearest OSM node", loc="left", fontsize=12, color=INK)
+    quiet(histogram)
+    draw_boxes(box, [errors], horizontal=True)
+    box.set(
+        yticks=[], xlim=(0.0, NEAR_PAIR_M), xlabel="center error [m]      box: 5th, 25th, 50th, 75th, 95th percentile"
+    )
+    quiet(box, grid="x")
+    box.spines["left"].set_visible(False)
+    return figure
+
+
+def draw_boxes(axes: Axes, samples: list[FloatArray], *, horizontal: bool = False) -> None:
+    """Draw a box a sample with the paper's percentiles; a sample without values leaves its place empty."""
+    for position, values in enumerate(samples, start=1):
+        if len(values) == 0:
+            continue
+        low, first, middle, third, high = np.percentile(values, PERCENTILES)
+        stats = {"whislo": low, "q1": first, "med": middle, "q3": third, "whishi": high, "fliers": []}
+        axes.bxp(
+            [stats],
+            positions=[position],
+            widths=0.55,
+            orientation="horizontal" if horizontal else "vertical",
+            showfliers=False,
+            patch_artist=True,
+            boxprops={"facecolor": "#cfe3f1", "edgecolor": BLUE, "linewidth": 1.2},
+            medianprops={"color": VERMILION, "linewidth": 2.0},
+            whiskerprops={"color": BLUE, "linewidth": 1.2},
+            capprops={"color": BLUE, "linewidth": 1.2},
+        )
+
+
+def threshold_figure(evaluation: Evaluation) -> Figure:
+    """Draw precision, recall and F1 over the confidence threshold D."""
+    scores = evaluation.scores
+    figure = new_figure(7.5, 3.9)
+    axes = figure.add_subplot()
+    shown = scores.threshold_m <= NEAR_PAIR_M
+    for name, values, colour, style, marker in (
+        ("precision", scores.precision, BLUE, "-", "o"),
+        ("recall", scores.recall, VERMILION, "--", "^"),
+        ("F1", scores.f1, INK, ":", "s"),
+    ):
+        label = f"{name}: {percent(scores.at(STANDARD_THRESHOLD_M, values))} at {STANDARD_THRESHOLD_M:g} m"
+        line: dict[str, Any] = {
+            "color": colour,
+            "linestyle": style,
+            "marker": marker,
+            "markersize": 4,
+            "linewidth": 1.8,
+        }
+        axes.plot(scores.threshold_m[shown], 100.0 * values[shown], label=label, **line)
+    axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+    axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(11))
+    axes.set(xlabel="confidence threshold D [m]", ylabel="[%]")
+    axes.set_title("Scores over the distance that still counts as found", loc="left", fontsize=12, color=INK)
+    axes.legend(loc="lower right", frameon=False, fontsize=10)
+    quiet(axes)
+    return figure

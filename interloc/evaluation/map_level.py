@@ -1,0 +1,123 @@
+"""The fused map against the OSM nodes, one-to-one: what is there, what is there twice, and how far off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.evaluation.matching import UNMATCHED, pairs_in_square, pairs_within
+from interloc.geometry import enu_from_lonlat
+from interloc.results import IntersectionTable, KeyframeTable
+
+GATE_M = 10.0
+
+
+@dataclass(frozen=True)
+class MapLevel:
+    """The M fused intersections assigned to the N nodes.
+
+    Attributes
+    ----------
+    node : (M,) int64
+        Row of the node assigned to each intersection, -1 for none.
+    error_m : (M,) float64
+        Distance to it, infinite for none.
+    counts : (M,) bool
+        Intersections in the relevant zone of some keyframe: those that precision is about.
+    node_in_zone, node_found : (N,) bool
+        Nodes in the relevant zone of some keyframe; nodes with an intersection assigned.
+    gate_m : float
+        Largest distance of an assigned pair.
+
+    Notes
+    -----
+    All intersections and all nodes take part in the assignment, so an intersection at the rim of what was driven may
+    claim a node just beyond it. Precision counts the intersections within the union of the relevant zones, recall
+    the nodes within it; an intersection outside is neither rewarded nor punished, nor is a node outside.
+    """
+
+    node: IntArray
+    error_m: FloatArray
+    counts: BoolArray
+    node_in_zone: BoolArray
+    node_found: BoolArray
+    gate_m: float
+
+    @property
+    def precision(self) -> float | None:
+        """Share of the intersections in the zones that are OSM nodes."""
+        total = int(self.counts.sum())
+        return int((self.node[self.counts] != UNMATCHED).sum()) / total if total else None
+
+    @property
+    def recall(self) -> float | None:
+        """Share of the nodes in the zones that have an intersection."""
+        total = int(self.node_in_zone.sum())
+        return int(self.node_found[self.node_in_zone].sum()) / total if total else None
+
+    @property
+    def errors_m(self) -> FloatArray:
+        """Distances of all assigned pairs, metres."""
+        errors: FloatArray = self.error_m[self.node != UNMATCHED]
+        return errors
+
+
+def assign_intersections(
+    keyframes: KeyframeTable,
+    intersections: IntersectionTable,
+    node_lonlat: FloatArray,
+    node_in_zone: BoolArray,
+    *,
+    relevant_zone_m: float,
+    gate_m: float = GATE_M,
+) -> MapLevel:
+    """Assign fused intersections to nodes, one-to-one, with the least total of distances cut off at the gate."""
+    assert intersections.lonlat is not None
+    node = np.full(len(intersections), UNMATCHED, dtype=np.int64)
+    error = np.full(len(intersections), np.inf)
+    rows, columns, distance = _assign(intersections.lonlat, node_lonlat, gate_m)
+    node[rows], error[rows] = columns, distance
+    counts = np.zeros(len(intersections), dtype=np.bool_)
+    counts[pairs_in_square(keyframes, intersections.lonlat, relevant_zone_m)[1]] = True
+    found = np.zeros(len(node_lonlat), dtype=np.bool_)
+    found[columns] = True
+    return MapLevel(node, error, counts, node_in_zone, found, gate_m)
+
+
+def _assign(a_lonlat: FloatArray, b_lonlat: FloatArray, gate_m: float) -> tuple[IntArray, IntArray, FloatArray]:
+    """Solve the assignment within each group of points that the gate connects: groups are small, the whole is not."""
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - slow to import
+    from scipy.sparse import coo_array  # noqa: PLC0415
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+    empty = np.empty(0, dtype=np.int64)
+    a, b, distance = _pairs_under(a_lonlat, b_lonlat, gate_m)
+    if len(a) == 0:
+        return empty, empty, np.empty(0)
+    size = len(a_lonlat) + len(b_lonlat)
+    links = coo_array((np.ones(len(a)), (a, len(a_lonlat) + b)), shape=(size, size))
+    _, group = connected_components(links, directed=False)
+    found_a, found_b, found_distance = [], [], []
+    group_of_pair = group[a]
+    for each in np.unique(group_of_pair):
+        pairs = np.flatnonzero(group_of_pair == each)
+        rows, row = np.unique(a[pairs], return_inverse=True)
+        columns, column = np.unique(b[pairs], return_inverse=True)
+        cost = np.full((len(rows), len(columns)), gate_m)
+        cost[row, column] = distance[pairs]
+        i, j = linear_sum_assignment(cost)
+        real = cost[i, j] < gate_m
+        found_a.append(rows[i[real]])
+        found_b.append(columns[j[real]])
+        found_distance.append(cost[i[real], j[real]])
+    return np.concatenate(found_a), np.concatenate(found_b), np.concatenate(found_distance)
+
+
+def _pairs_under(a_lonlat: FloatArray, b_lonlat: FloatArray, gate_m: float) -> tuple[IntArray, IntArray, FloatArray]:
+    a, b = pairs_within(a_lonlat, b_lonlat, gate_m)
+    offset = enu_from_lonlat(a_lonlat[a, 1], a_lonlat[a, 0], b_lonlat[b])
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    near = distance < gate_m
+    return a[near], b[near], distance[near]

@@ -1,0 +1,123 @@
+"""From matched pairs to the figures of the paper (section IV-B): center errors, precision, recall, F1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.evaluation.matching import Matching
+
+THRESHOLDS_M: tuple[float, ...] = tuple(sorted({*(0.5 * i for i in range(1, 21)), 6.9, 13.3}))
+"""Values of the confidence threshold D: 0.5 to 10 m, and the two that compare with MMInsectDet (section V-C)."""
+
+STANDARD_THRESHOLD_M = 5.0
+"""The D of the paper's tables."""
+
+NEAR_PAIR_M = 10.0
+"""Pairs further apart than this are a missing node rather than an inaccurate detection."""
+
+
+@dataclass(frozen=True)
+class ErrorSummary:
+    """Distribution of the center errors of the matched pairs, metres; None where there is no such pair.
+
+    Attributes
+    ----------
+    ace_m : float or None
+        Average over all matched pairs: nearest node in the ROI, however far (the paper's ACE).
+    ace_tp_m : float or None
+        Average over the pairs under 5 m.
+    ace_under_10_m : float or None
+        Average over the pairs under 10 m.
+    median_m, p95_m, rmse_m : float or None
+        Over all matched pairs.
+    """
+
+    ace_m: float | None
+    ace_tp_m: float | None
+    ace_under_10_m: float | None
+    median_m: float | None
+    p95_m: float | None
+    rmse_m: float | None
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Counts and ratios at each of the T thresholds.
+
+    Attributes
+    ----------
+    threshold_m : (T,) float64
+        D, ascending.
+    tp, fp : (T,) int64
+        Detections closer than D to their node; all others.
+    fn : int
+        Nodes in a relevant zone without a detection matched to them; the same for every D.
+    precision, recall, f1 : (T,) float64
+        NaN where nothing was there to count.
+    """
+
+    threshold_m: FloatArray
+    tp: IntArray
+    fp: IntArray
+    fn: int
+    precision: FloatArray
+    recall: FloatArray
+    f1: FloatArray
+
+    def at(self, threshold_m: float, values: FloatArray) -> float | None:
+        """Return one of `precision`, `recall`, `f1` at a threshold of the table; None where it is undefined."""
+        value = float(values[int(np.argmin(np.abs(self.threshold_m - threshold_m)))])
+        return None if np.isnan(value) else value
+
+
+def summarize_errors(matching: Matching) -> ErrorSummary:
+    """Summarize the center errors of all matched pairs (paper, eq. 15)."""
+    errors = matching.error_m[matching.is_matched]
+    return ErrorSummary(
+        ace_m=_mean(errors),
+        ace_tp_m=_mean(errors[errors < STANDARD_THRESHOLD_M]),
+        ace_under_10_m=_mean(errors[errors < NEAR_PAIR_M]),
+        median_m=_percentile(errors, 50.0),
+        p95_m=_percentile(errors, 95.0),
+        rmse_m=None if len(errors) == 0 else float(np.sqrt(np.mean(errors**2))),
+    )
+
+
+def score(matching: Matching, thresholds_m: tuple[float, ...] = THRESHOLDS_M) -> Scores:
+    """Count true and false positives at each threshold, and false negatives (paper, eq. 16 to 19).
+
+    Notes
+    -----
+    F1 = 2 TP / (2 TP + FP + FN), which is the harmonic mean of precision and recall wherever that exists.
+    """
+    threshold = np.array(sorted(thresholds_m), dtype=np.float64)
+    # side="left" counts errors < D: the paper's circle is open.
+    tp = np.searchsorted(np.sort(matching.error_m), threshold, side="left").astype(np.int64)
+    fp = len(matching.error_m) - tp
+    fn = int(np.count_nonzero(~matching.zone_found))
+    return Scores(
+        threshold_m=threshold,
+        tp=tp,
+        fp=fp,
+        fn=fn,
+        precision=_ratio(tp, tp + fp),
+        recall=_ratio(tp, tp + fn),
+        f1=_ratio(2 * tp, 2 * tp + fp + fn),
+    )
+
+
+def _ratio(part: IntArray, whole: IntArray) -> FloatArray:
+    ratio = np.full(len(part), np.nan)
+    np.divide(part, whole, out=ratio, where=whole > 0)
+    return ratio
+
+
+def _mean(values: FloatArray) -> float | None:
+    return None if len(values) == 0 else float(np.mean(values))
+
+
+def _percentile(values: FloatArray, percent: float) -> float | None:
+    return None if len(values) == 0 else float(np.percentile(values, percent))

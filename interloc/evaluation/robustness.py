@@ -1,0 +1,216 @@
+"""How the result bears with errors of the road labels: the paper's experiment (section V-D, Table IV, Fig. 8)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from interloc.drawing import BLUE, INK, MUTED, PURPLE, SKY, VERMILION, image, new_figure, quiet, write_image
+from interloc.errors import ConfigError, OutputError
+from interloc.evaluation.evaluate import Evaluation
+from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.evaluation.record import report_record
+from interloc.evaluation.report import data_address, make_folder, template
+from interloc.files import atomic_write
+from interloc.output.geojson import encode, rounded
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEVELS: tuple[str, ...] = ("0/0", "5/5", "5/20", "20/5", "20/20")
+"""r-FPR / r-FNR in percent: the share of sidewalk, parking and other-ground points taken as road, and the share of
+road points dropped."""
+
+PAPER: dict[str, tuple[float, float, float]] = {
+    "0/0": (1.86, 0.9006, 0.8069),
+    "5/5": (2.26, 0.9059, 0.7614),
+    "5/20": (2.32, 0.9059, 0.7644),
+    "20/5": (2.94, 0.8095, 0.6839),
+    "20/20": (3.23, 0.7883, 0.6800),
+}
+"""ACE in metres, precision and recall at 5 m of the paper, all eight sequences together, hand labels."""
+
+
+@dataclass(frozen=True)
+class RobustnessRow:
+    """One level of label errors, beside what the paper reports for it (None where it reports nothing).
+
+    Attributes
+    ----------
+    level : str
+        "5/20".
+    r_fpr, r_fnr : float
+        Shares, 0..1.
+    ace_m : float or None
+        Average over all matched pairs.
+    ace_under_10_m : float or None
+        Average over the pairs under 10 m.
+    precision, recall, f1 : float or None
+        At D = 5 m.
+    nodes_found, nodes_in_zone : int
+    paper_ace_m, paper_precision, paper_recall : float or None
+    """
+
+    level: str
+    r_fpr: float
+    r_fnr: float
+    ace_m: float | None
+    ace_under_10_m: float | None
+    precision: float | None
+    recall: float | None
+    f1: float | None
+    nodes_found: int
+    nodes_in_zone: int
+    paper_ace_m: float | None
+    paper_precision: float | None
+    paper_recall: float | None
+
+
+def parse_level(level: str) -> tuple[float, float]:
+    """Return r-FPR and r-FNR as shares, 0..1, of a level in percent such as "5/20".
+
+    Raises
+    ------
+    ConfigError
+        It is not written so, or is not between 0 and 100.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*/\s*(\d+(?:\.\d+)?)\s*", level)
+    shares = tuple(float(part) / 100.0 for part in match.groups()) if match else ()
+    if len(shares) != 2 or max(shares) > 1.0:
+        raise ConfigError(f"level {level!r} of label errors. Expected r-FPR/r-FNR in percent, such as 5/20.")
+    return shares[0], shares[1]
+
+
+def robustness_table(levels: Sequence[tuple[str, Evaluation]]) -> list[RobustnessRow]:
+    """Return a row a level, in the given order, with the paper's figures beside ours.
+
+    Parameters
+    ----------
+    levels
+        Level ("r-FPR/r-FNR" in percent) and the evaluation of the run with these label errors.
+
+    Raises
+    ------
+    ConfigError
+        A level cannot be read.
+    """
+    rows = []
+    for level, evaluation in levels:
+        r_fpr, r_fnr = parse_level(level)
+        name = f"{100.0 * r_fpr:g}/{100.0 * r_fnr:g}"
+        scores, table = evaluation.scores, evaluation.node_table
+        ace, precision, recall = PAPER.get(name, (None, None, None))
+        rows.append(
+            RobustnessRow(
+                level=name,
+                r_fpr=r_fpr,
+                r_fnr=r_fnr,
+                ace_m=evaluation.errors.ace_m,
+                ace_under_10_m=evaluation.errors.ace_under_10_m,
+                precision=scores.at(STANDARD_THRESHOLD_M, scores.precision),
+                recall=scores.at(STANDARD_THRESHOLD_M, scores.recall),
+                f1=scores.at(STANDARD_THRESHOLD_M, scores.f1),
+                nodes_found=int((table.in_zone & table.found).sum()),
+                nodes_in_zone=int(table.in_zone.sum()),
+                paper_ace_m=ace,
+                paper_precision=precision,
+                paper_recall=recall,
+            )
+        )
+    return rows
+
+
+def robustness_figure(levels: Sequence[tuple[str, Evaluation]]) -> Figure:
+    """Draw the center errors as boxes and F1 over the threshold, a level each (paper, Fig. 8)."""
+    from interloc.evaluation.figures import draw_boxes  # noqa: PLC0415 - matplotlib is slow to import
+
+    figure = new_figure(10.5, 4.4)
+    boxes, curves = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    names = [level for level, _ in levels]
+    draw_boxes(boxes, [e.matching.error_m[e.matching.is_matched] for _, e in levels])
+    boxes.set(xticks=range(1, len(names) + 1), xticklabels=names, xlim=(0.4, len(names) + 0.6))
+    boxes.set_ylim(bottom=0.0)
+    boxes.set(xlabel="label errors r-FPR / r-FNR [%]", ylabel="center error [m]")
+    boxes.set_title("Center error (5th, 25th, 50th, 75th, 95th percentile)", loc="left", fontsize=10.5, color=INK)
+    quiet(boxes)
+
+    colours, markers = (INK, BLUE, SKY, PURPLE, VERMILION), "os^Dv"
+    for row, (name, evaluation) in enumerate(levels):
+        scores = evaluation.scores
+        shown = scores.threshold_m <= NEAR_PAIR_M
+        curves.plot(
+            scores.threshold_m[shown],
+            100.0 * scores.f1[shown],
+            color=colours[row % len(colours)],
+            marker=markers[row % len(markers)],
+            linestyle=("-", "--", "-.", ":")[row % 4],
+            markersize=4,
+            linewidth=1.6,
+            label=name,
+        )
+    curves.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+    curves.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
+    curves.set(xlabel="confidence threshold D [m]", ylabel="F1 [%]")
+    curves.set_title("F1 over the distance that still counts as found", loc="left", fontsize=10.5, color=INK)
+    curves.legend(title="r-FPR / r-FNR [%]", loc="lower right", frameon=False, fontsize=9, title_fontsize=9)
+    quiet(curves)
+    return figure
+
+
+def write_robustness(levels: Sequence[tuple[str, Evaluation]], out_dir: Path) -> None:
+    """Write robustness.json, robustness.html and figures/robustness.png|svg into a folder.
+
+    Raises
+    ------
+    ConfigError
+        There is no level, or one cannot be read.
+    OutputError
+        The folder is missing, or a file could not be written.
+    """
+    if not levels:
+        raise ConfigError("no level of label errors was evaluated. Expected at least one, such as 5/20.")
+    if not out_dir.is_dir():
+        raise OutputError(f"{out_dir}: no such folder.")
+    rows = robustness_table(levels)
+    figure = robustness_figure(levels)
+    make_folder(out_dir / "figures")
+    svg = image(figure, "svg")
+    write_image(out_dir / "figures" / "robustness.png", image(figure, "png"))
+    write_image(out_dir / "figures" / "robustness.svg", svg)
+    first = levels[0][1]
+    picture = data_address(svg, "image/svg+xml")
+    page = template("robustness.html").render(
+        rows=rows, picture=picture, record=report_record(first), standard=f"{STANDARD_THRESHOLD_M:g}\N{NO-BREAK SPACE}m"
+    )
+    with atomic_write(out_dir / "robustness.html") as handle:
+        handle.write(page.encode())
+    record = {
+        "drive": first.drive,
+        "policy": first.nodes.policy,
+        "threshold_m": STANDARD_THRESHOLD_M,
+        "levels": [_plain(row) | _details(evaluation) for row, (_, evaluation) in zip(rows, levels, strict=True)],
+    }
+    with atomic_write(out_dir / "robustness.json") as handle:
+        handle.write(encode(record, indent=2).encode() + b"\n")
+
+
+def _plain(row: RobustnessRow) -> dict[str, object]:
+    return {key: rounded(value, 6) if isinstance(value, float) else value for key, value in asdict(row).items()}
+
+
+def _details(evaluation: Evaluation) -> dict[str, object]:
+    """Return what the figure shows, so that it can be drawn anew."""
+    from interloc.evaluation.figures import PERCENTILES  # noqa: PLC0415 - with the figures
+
+    errors = evaluation.matching.error_m[evaluation.matching.is_matched]
+    record = report_record(evaluation)
+    boxes = np.percentile(errors, PERCENTILES) if len(errors) else [np.nan] * len(PERCENTILES)
+    return {
+        "error_percentiles_m": {f"{p:g}": rounded(v, 4) for p, v in zip(PERCENTILES, boxes, strict=True)},
+        "f1_by_threshold": record["f1"],
+    }

@@ -1,0 +1,221 @@
+"""Files and folders that appear whole or not at all.
+
+A run that is stopped half-way (Ctrl-C, full disk) must leave neither half a file nor half a result folder. Both are
+therefore written under a temporary name beside their place and renamed when they are complete.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from interloc.errors import OutputError
+from interloc.output.layout import RESULT_NAMES, RUN_FILE
+
+_REASONS = {
+    errno.ENOSPC: "no space left on the disk",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file is larger than the file size limit",
+    errno.EACCES: "permission denied",
+    errno.EPERM: "permission denied",
+    errno.EROFS: "the file system is read-only",
+    errno.ENOENT: "the folder does not exist",
+    errno.ENOTDIR: "a part of the path is a file, not a folder",
+    errno.EISDIR: "there is a folder of that name",
+    errno.ENAMETOOLONG: "the name is too long",
+    errno.EMFILE: "too many files are open",
+    errno.EIO: "the disk reports an input/output error",
+}
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[BinaryIO]:
+    """Open a file for writing that takes its name only once it is complete and on disk.
+
+    Parameters
+    ----------
+    path
+        The file; an older one of that name is replaced, or stays untouched where anything fails.
+
+    Yields
+    ------
+    BinaryIO
+        Write here.
+
+    Raises
+    ------
+    OutputError
+        No space left, permission denied, and the like. Nothing is left behind.
+    """
+    temporary = _temporary_name(path)
+    handle: BinaryIO | None = None
+    try:
+        handle = temporary.open("xb")
+        yield handle
+        handle.flush()
+        os.fsync(handle.fileno())
+        handle.close()
+        temporary.replace(path)
+        _sync_folder(path.parent)
+    except BaseException as error:
+        if handle is not None:
+            with suppress(OSError):  # closing flushes once more, and a full disk fails once more
+                handle.close()
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and _concerns(error, temporary):
+            raise OutputError(f"{path} could not be written: {reason_of(error)}.") from error
+        raise
+
+
+@contextmanager
+def atomic_folder(out: Path, *, marker: str = RUN_FILE) -> Iterator[Path]:
+    """Build a folder that takes its name only once it is complete.
+
+    Parameters
+    ----------
+    out
+        The folder. It must not exist, be empty, or hold `marker`: then it is replaced when the new one is complete.
+        Files in it that InterLoc did not write (`RESULT_NAMES`) move to the new one.
+    marker
+        Name of the file by which a folder is known as one of ours.
+
+    Yields
+    ------
+    Path
+        Write here.
+
+    Raises
+    ------
+    OutputError
+        `out` is a file or a folder of something else, or writing failed; nothing is left behind.
+
+    Notes
+    -----
+    A folder that cannot be renamed (a mount point, as in a container, or one whose parent is not writable) is
+    filled in place instead: built in a hidden folder inside, then its files are renamed into place, `marker` last.
+    """
+    target = Path(os.path.realpath(out))  # a link to a folder stays a link
+    _refuse_foreign(target, out, marker)
+    in_place = target.is_dir() and (target.is_mount() or not os.access(target.parent, os.W_OK | os.X_OK))
+    temporary = target / f".partial-{secrets.token_hex(4)}" if in_place else _temporary_name(target)
+    created: list[Path] = []
+    ours = True  # whose code is running: an error of the caller's may be about something else than this folder
+    try:
+        _make_parents(temporary, created)
+        temporary.mkdir()
+        ours = False
+        yield temporary
+        ours = True
+        if in_place:
+            _move_into(temporary, target, marker)
+        else:
+            _swap(temporary, target)
+            _sync_folder(target.parent)
+    except BaseException as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        for folder in reversed(created):
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OutputError):
+            raise OutputError(str(error).replace(str(temporary), str(out))) from error
+        if isinstance(error, OSError) and (ours or _concerns(error, temporary)):
+            named = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else temporary
+            place = out / named.relative_to(temporary) if named.is_relative_to(temporary) else out
+            raise OutputError(f"{place} could not be written: {reason_of(error)}.") from error
+        raise
+
+
+def reason_of(error: OSError) -> str:
+    """Say in words why the system refused."""
+    return _REASONS.get(error.errno or 0, error.strerror or str(error))
+
+
+def _temporary_name(path: Path) -> Path:
+    """Return a hidden name beside `path`, another one at each call: leftovers of a killed run never hinder."""
+    return path.parent / f".{path.name[:200]}.partial-{secrets.token_hex(4)}"
+
+
+def _concerns(error: OSError, temporary: Path) -> bool:
+    """Tell whether an error arose from writing there; a failed write to an open file names no file."""
+    if not isinstance(error.filename, str | bytes):
+        return error.errno in _REASONS  # others come from pipes and the network
+    return Path(os.fsdecode(error.filename)).is_relative_to(temporary)
+
+
+def _refuse_foreign(target: Path, out: Path, marker: str) -> None:
+    """Raise OutputError where `target` is something that InterLoc may not replace."""
+    try:
+        if not target.exists():
+            return
+        if not target.is_dir():
+            raise OutputError(f"{out} is a file; a result needs a folder. Give the name of a new or an empty folder.")
+        names = sorted(entry.name for entry in target.iterdir())
+    except OSError as error:
+        raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
+    foreign = [name for name in names if not name.startswith(".partial-")]
+    if foreign and marker not in foreign:
+        shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
+        raise OutputError(
+            f"{out} exists and is no InterLoc result: it holds {shown} but no {marker}. "
+            "It was not touched. Give the name of a new or an empty folder."
+        )
+
+
+def _make_parents(temporary: Path, created: list[Path]) -> None:
+    """Create the missing folders above, noting each, so that a failed run can take them away again."""
+    missing = [folder for folder in temporary.parents if not folder.exists()]
+    for folder in reversed(missing):
+        folder.mkdir(exist_ok=True)
+        created.append(folder)
+
+
+def _swap(temporary: Path, target: Path) -> None:
+    """Put the new folder in place of the old one, which comes back if that fails."""
+    if not target.exists():
+        temporary.rename(target)
+        return
+    old = _temporary_name(target)
+    try:
+        target.rename(old)
+        temporary.rename(target)
+    except BaseException:
+        if old.exists() and not target.exists():
+            old.rename(target)
+        raise
+    with suppress(OSError):  # the new result is in place: what fails from here on loses nothing
+        for entry in old.iterdir():
+            if not _is_ours(entry) and not (target / entry.name).exists():
+                entry.rename(target / entry.name)
+        shutil.rmtree(old)
+
+
+def _move_into(temporary: Path, target: Path, marker: str) -> None:
+    """Replace the results in `target` by those of `temporary`, file by file; without `marker` meanwhile."""
+    (target / marker).unlink(missing_ok=True)
+    for entry in list(target.iterdir()):
+        if entry != temporary and _is_ours(entry):
+            shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+    for entry in sorted(temporary.iterdir(), key=lambda e: e.name == marker):
+        entry.replace(target / entry.name)
+    temporary.rmdir()
+
+
+def _is_ours(entry: Path) -> bool:
+    return entry.name in RESULT_NAMES or entry.name.startswith(".partial-")
+
+
+def _sync_folder(folder: Path) -> None:
+    """Bring a rename to disk where the system can (not on Windows)."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,59 @@
+"""Ideal roads, drawn on the ground and seen in one scan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from interloc.arrays import Float32Array
+from interloc.config import DEFAULT, DetectorConfig
+from interloc.detection.detector import Detector, KeyframeDetections
+from interloc.detection.scan import Scan
+
+Polyline = tuple[tuple[float, float], ...]
+
+
+def road_points(*roads: Polyline, width_m: float, turned_deg: float = 0.0, extent_m: float = 62.0) -> Float32Array:
+    """Return one point a 16 cm cell on all that lies within half a width of one of the polylines, (N, 3).
+
+    The whole is turned counter-clockwise about the origin. It covers the window around a vehicle at the origin.
+    """
+    resolution_m = 0.16
+    half = int(extent_m / resolution_m)
+    centres = (np.arange(-half, half) + 0.5) * resolution_m
+    x, y = centres[None, :], centres[:, None]
+    c, s = np.cos(np.radians(turned_deg)), np.sin(np.radians(turned_deg))
+    is_road = np.zeros((2 * half, 2 * half), np.bool_)
+    for road in roads:
+        ends = np.array(road, np.float64) @ np.array([[c, s], [-s, c]])
+        for (ax, ay), (bx, by) in pairwise(ends):
+            dx, dy = bx - ax, by - ay
+            along = np.clip(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy), 0, 1)
+            is_road |= (x - ax - along * dx) ** 2 + (y - ay - along * dy) ** 2 <= width_m**2 / 4
+    rows, cols = np.nonzero(is_road)
+    return np.column_stack([centres[cols], centres[rows], np.full(rows.size, -1.73)]).astype(np.float32)
+
+
+def detect_at_origin(points: Float32Array, config: DetectorConfig = DEFAULT) -> KeyframeDetections:
+    """Push one scan taken at the origin of W; one point makes a cell road."""
+    values = config.model_dump()
+    values["bev"] |= {"min_points": 1}
+    values["keyframes"] |= {"lookahead": 0}
+    found = Detector(DetectorConfig.model_validate(values)).push(Scan(0, np.eye(4), points))
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="session")
+def draw_roads() -> Callable[..., Float32Array]:
+    """See `road_points`."""
+    return road_points
+
+
+@pytest.fixture(scope="session")
+def detect() -> Callable[..., KeyframeDetections]:
+    """See `detect_at_origin`."""
+    return detect_at_origin

@@ -1,0 +1,195 @@
+"""Adding and taking back keyframes against concatenating the scans of each window anew."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from interloc.arrays import BoolArray, Float32Array
+from interloc.config import BevConfig, KeyframeConfig
+from interloc.detection.accumulation import RoadAccumulator
+from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.keyframes import Keyframe
+
+Scans = list[tuple[Keyframe, Float32Array]]
+
+BEV = BevConfig(size_m=40, resolution_m=0.5, min_points=3, adaptive=False, max_range_m=30)
+
+
+def random_walk(seed: int, count: int, step_m: float) -> Scans:
+    """Return keyframes that turn, tilt and now and then jump back to where one has been before."""
+    generator = np.random.default_rng(seed)
+    scans: Scans = []
+    position, yaw = np.zeros(3), 0.0
+    for frame in range(count):
+        tilt = generator.normal(0, 0.02)
+        T = np.eye(4)
+        T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+        T[:3, :3] = T[:3, :3] @ [[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]]
+        T[:3, 3] = position
+        points = generator.uniform(-35, 35, (generator.integers(0, 3000), 3)).astype(np.float32)
+        points[:, 2] = -1.7
+        scans.append((Keyframe(frame, T, None), points))
+        position = position + step_m * np.array([np.cos(yaw), np.sin(yaw), 0.01])
+        yaw += generator.normal(0, 0.5)
+        if generator.random() < 0.1:
+            position = scans[generator.integers(len(scans))][0].T_world_lidar[:3, 3]
+    return scans
+
+
+def literal_bev(scans: Scans, k: int, before: int, after: int, bev: BevConfig, min_points: int) -> BoolArray:
+    """Concatenate the scans k - before .. k + after in W and count the points of each cell of the window."""
+    world = []
+    for keyframe, points in scans[max(0, k - before) : k + after + 1]:
+        near = points[(np.abs(points[:, :2]) <= bev.max_range_m).all(axis=1)].astype(np.float64)
+        world.append(near @ keyframe.T_world_lidar[:3, :3].T + keyframe.T_world_lidar[:3, 3])
+    x, y = np.concatenate(world)[:, :2].T
+    centre = np.floor(scans[k][0].T_world_lidar[:2, 3] / bev.resolution_m)
+    edges = [(c - bev.cells // 2 + np.arange(bev.cells + 1)) * bev.resolution_m for c in centre]
+    counts = np.histogram2d(y, x, [edges[1], edges[0]])[0]
+    return counts[::-1] >= min_points  # rows go down
+
+
+def run(accumulator: RoadAccumulator, scans: Scans) -> Iterator[tuple[Keyframe, BinaryImage, Roi]]:
+    for keyframe, points in scans:
+        completed = accumulator.add(keyframe, points)
+        if completed is not None:
+            yield completed, *accumulator.bev(completed)
+    while (completed := accumulator.finish()) is not None:
+        yield completed, *accumulator.bev(completed)
+
+
+@pytest.mark.parametrize("lookahead", [0, 3, None])
+@pytest.mark.parametrize("step_m", [2.0, 25.0])
+def test_every_image_is_that_of_the_concatenated_scans(lookahead: int | None, step_m: float) -> None:
+    scans = random_walk(8, 40, step_m)
+    config = KeyframeConfig(window=6, lookahead=lookahead)
+    done = list(run(RoadAccumulator(config, BEV), scans))
+    assert [keyframe.frame for keyframe, _, _ in done] == list(range(40))
+    for k, (_, image, _) in enumerate(done):
+        np.testing.assert_array_equal(image.to_array(), literal_bev(scans, k, 6, config.after, BEV, 3))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.none() | st.integers(0, 8), st.integers(1, 12))
+@settings(deadline=None, max_examples=15)
+def test_every_image_of_any_walk_is_that_of_the_concatenated_scans(
+    seed: int, window: int, lookahead: int | None, count: int
+) -> None:
+    scans = random_walk(seed, count, 5.0)
+    config = KeyframeConfig(window=window, lookahead=lookahead)
+    for k, (_, image, _) in enumerate(run(RoadAccumulator(config, BEV), scans)):
+        if sum(len(points) for _, points in scans[max(0, k - window) : k + config.after + 1]):
+            np.testing.assert_array_equal(image.to_array(), literal_bev(scans, k, window, config.after, BEV, 3))
+
+
+def test_keyframe_completes_when_its_last_successor_came() -> None:
+    accumulator = RoadAccumulator(KeyframeConfig(window=4, lookahead=2), BEV)
+    completed = [accumulator.add(*scan) for scan in random_walk(1, 6, 2.0)]
+    assert [None if keyframe is None else keyframe.frame for keyframe in completed] == [None, None, 0, 1, 2, 3]
+    assert [keyframe.frame for keyframe in iter(accumulator.finish, None)] == [4, 5]
+
+
+def test_without_lookahead_a_keyframe_completes_at_once() -> None:
+    accumulator = RoadAccumulator(KeyframeConfig(lookahead=0), BEV)
+    for keyframe, points in random_walk(1, 6, 2.0):
+        assert accumulator.add(keyframe, points) is keyframe
+    assert accumulator.finish() is None
+
+
+def test_nothing_added_nothing_completes() -> None:
+    assert RoadAccumulator(KeyframeConfig(), BEV).finish() is None
+
+
+def test_window_lies_around_the_keyframe_on_whole_cells() -> None:
+    T = np.eye(4)
+    T[:2, 3] = -7.3, 100.9
+    roi = RoadAccumulator(KeyframeConfig(), BEV).roi(Keyframe(0, T, None))
+    assert (roi.left, roi.top, roi.size) == (-15 - 40, 201 + 39, 80)
+    lower_left = roi.world(np.array(79.0), np.array(0.0)) - 0.25
+    assert lower_left.tolist() == [-27.5, 80.5]
+
+
+def test_scans_without_road_points_give_empty_images() -> None:
+    accumulator = RoadAccumulator(KeyframeConfig(lookahead=0), BEV)
+    empty = np.empty((0, 3), np.float32)
+    keyframe = accumulator.add(Keyframe(0, np.eye(4), None), empty)
+    assert keyframe is not None
+    assert not accumulator.bev(keyframe)[0].words.any()
+
+
+def straight(count: int, step_m: float) -> Scans:
+    generator = np.random.default_rng(0)
+    scans: Scans = []
+    for frame in range(count):
+        T = np.eye(4)
+        T[0, 3] = frame * step_m
+        scans.append((Keyframe(frame, T, None), generator.uniform(-29, 29, (500, 3)).astype(np.float32)))
+    return scans
+
+
+def test_memory_does_not_grow_with_the_drive_and_is_clean_in_the_end() -> None:
+    accumulator = RoadAccumulator(KeyframeConfig(window=5), BEV)
+    sizes = [len(accumulator._grid.pool) for _ in run(accumulator, straight(400, 25.0))]  # 10 km
+    assert max(sizes) == sizes[10]
+    assert len(accumulator._window) <= 11
+    while accumulator._window:
+        entry = accumulator._window.popleft()
+        for where, tiles, vote in entry.votes:
+            counted = np.bincount(where, minlength=accumulator._grid.pool.size)
+            accumulator._grid.pool.reshape(-1)[:] -= vote * counted
+            accumulator._grid.release(tiles)
+    assert not accumulator._grid.pool.any()
+    assert not accumulator._grid._slots
+    assert sorted(accumulator._grid._free) == list(range(len(accumulator._grid.pool)))
+
+
+@pytest.mark.parametrize(
+    ("step_m", "expected"),
+    [
+        (1.0, 5),  # a full window lies in the region: m as it is
+        (8.0, 3),  # 5 of 9 keyframes, 20 m to both sides
+        (12.0, 2),  # 3 of 9
+        (25.0, 1),  # 1 of 9, and never less than one point
+    ],
+)
+def test_sparse_keyframes_need_fewer_points_in_a_cell(step_m: float, expected: int) -> None:
+    bev = BevConfig(size_m=40, resolution_m=0.5, min_points=5, adaptive=True, max_range_m=30)
+    scans = straight(9, step_m)
+    accumulator = RoadAccumulator(KeyframeConfig(window=4), bev)
+    for k, (_, image, _) in enumerate(run(accumulator, scans)):
+        if k == 4:
+            np.testing.assert_array_equal(image.to_array(), literal_bev(scans, k, 4, 4, bev, expected))
+
+
+def test_start_of_a_drive_needs_fewer_points_in_a_cell() -> None:
+    bev = BevConfig(size_m=40, resolution_m=0.5, min_points=5, adaptive=True, max_range_m=30)
+    scans = straight(9, 1.0)
+    first = next(run(RoadAccumulator(KeyframeConfig(window=4, lookahead=0), bev), scans))
+    np.testing.assert_array_equal(first[1].to_array(), literal_bev(scans, 0, 4, 0, bev, 1))
+
+
+def test_points_of_other_ground_take_road_points_back() -> None:
+    bev = BevConfig(size_m=20, resolution_m=0.2, min_points=2, adaptive=False)
+    accumulator = RoadAccumulator(KeyframeConfig(window=1, lookahead=0), bev)
+    here, there = [0.1, 0.1, -1.7], [3.1, 0.1, -1.7]
+    road = np.array([here] * 3 + [there] * 3, np.float32)
+    other = np.array([there] * 2 + [[9.1, 9.1, -1.7]], np.float32)
+    keyframe = accumulator.add(Keyframe(0, np.eye(4), None), road, other)
+    assert keyframe is not None
+    image, roi = accumulator.bev(keyframe)
+    rows, cols = image.pixels()
+    np.testing.assert_allclose(roi.world(rows, cols), [[0.1, 0.1]])
+
+
+def test_votes_against_road_leave_with_their_keyframe() -> None:
+    bev = BevConfig(size_m=20, resolution_m=0.2, min_points=1, adaptive=False)
+    accumulator = RoadAccumulator(KeyframeConfig(window=0, lookahead=0), bev)
+    point = np.array([[0.1, 0.1, -1.7]], np.float32)
+    accumulator.add(Keyframe(0, np.eye(4), None), point, np.repeat(point, 5, axis=0))
+    keyframe = accumulator.add(Keyframe(1, np.eye(4), None), point)
+    assert keyframe is not None
+    assert accumulator.bev(keyframe)[0].pixels()[0].size == 1

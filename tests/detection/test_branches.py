@@ -1,0 +1,185 @@
+"""Branches around a candidate."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from interloc.config import BranchConfig
+from interloc.detection.branches import Branches, inner_radius, segment_all, segment_branches
+from interloc.detection.candidates import Candidates
+from interloc.detection.centerline import Centerline
+from interloc.detection.image import BinaryImage
+
+MIDDLE = (150.0, 150.0)
+PAPER = BranchConfig()
+
+
+def arms(*angles_deg: float, length: int = 140) -> Centerline:
+    """Draw lines from the middle; a pixel is a metre wherever the tests take it so."""
+    image = np.zeros((301, 301), np.uint8)
+    for angle in angles_deg:
+        end = (
+            round(150 + length * math.cos(math.radians(angle))),
+            round(150 - length * math.sin(math.radians(angle))),
+        )
+        cv2.line(image, (150, 150), end, 1)
+    line = BinaryImage.from_array(image)
+    return Centerline.of(line, line)
+
+
+def candidates(*positions: tuple[float, float], width: float = 20.0) -> Candidates:
+    return Candidates(np.array(positions), np.full(len(positions), width), [np.empty((0, 2))] * len(positions))
+
+
+def branches_at_the_middle(line: Centerline, config: BranchConfig, *others: tuple[float, float]) -> Branches:
+    """Follow the branches of a candidate in the middle; they end before the others."""
+    every = np.arange(1 + len(others))
+    return segment_branches(candidates(MIDDLE, *others), 0, every, line, 1.0, config)
+
+
+def angles_deg(branches: Branches) -> list[float]:
+    angles = np.degrees(np.arctan2(-branches.directions[:, 0], branches.directions[:, 1])) % 360
+    return sorted(angles.tolist())
+
+
+# --- the inner circle ------------------------------------------------------------------------------------------------
+
+
+def radius_m(config: BranchConfig, *others: tuple[float, float], width: float) -> float:
+    """Return the inner circle of a candidate in the middle, with pixels of half a metre."""
+    every = np.arange(1 + len(others))
+    return inner_radius(candidates(MIDDLE, *others, width=width), 0, every, 0.5, config) * 0.5
+
+
+def test_fixed_inner_circle_does_not_look_at_the_road() -> None:
+    assert radius_m(BranchConfig(inner_radius_m=10), (150, 151), width=99) == 10
+
+
+def test_inner_circle_follows_the_width_of_the_road() -> None:
+    config = BranchConfig(inner_radius_m=15, inner_widths=1.5)
+    assert radius_m(config, width=18) == 13.5
+    assert radius_m(config, width=8) == 6
+    assert radius_m(config, width=80) == 15  # a_i is its bound
+
+
+def test_inner_circle_leaves_room_before_the_next_candidate() -> None:
+    config = BranchConfig(inner_radius_m=15, inner_widths=1.0)
+    assert radius_m(config, (150, 160), (190, 150), width=20) == pytest.approx(3)
+
+
+def test_candidate_that_ends_no_branch_takes_no_room() -> None:
+    config = BranchConfig(inner_radius_m=15, inner_widths=1.0)
+    assert inner_radius(candidates(MIDDLE, (150, 155)), 0, np.array([0]), 1.0, config) == 15
+
+
+# --- which pieces are branches ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("line", ["start_and_mean", "least_squares"])
+def test_every_arm_is_a_branch_that_points_along_it(line: str) -> None:
+    found = branches_at_the_middle(arms(10, 100, 230), BranchConfig(line=line))
+    np.testing.assert_allclose(angles_deg(found), [10, 100, 230], atol=1.5)
+    assert found.count == 3
+    assert found.inner == 10
+    np.testing.assert_allclose(found.lengths, 30, atol=9)  # from circle to circle; diagonal steps are fewer
+
+
+def test_normals_stand_upright_on_the_directions() -> None:
+    found = branches_at_the_middle(arms(10, 100, 230), PAPER)
+    np.testing.assert_allclose(np.sum(found.normals * found.directions, axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(np.hypot(*found.normals.T), 1)
+
+
+def test_lines_pass_through_start_and_mean() -> None:
+    found = branches_at_the_middle(arms(0, 90), PAPER)
+    order = np.argsort(found.points[:, 0])
+    assert found.points[order].tolist() == [[139, 150], [150, 161]]  # the first pixels outside of the circle
+
+
+def test_arm_that_ends_soon_is_no_branch() -> None:
+    line = arms(0, 120, length=140)
+    image = line.image.to_array()
+    image[150:163, 150] = 1  # 12 pixels downwards
+    short = Centerline.of(BinaryImage.from_array(image), line.occupancy)
+    assert branches_at_the_middle(short, BranchConfig(min_reach_m=14)).count == 2
+    assert branches_at_the_middle(short, BranchConfig(min_reach_m=12)).count == 3
+
+
+def test_arm_that_ends_at_another_candidate_is_a_branch_however_short() -> None:
+    found = branches_at_the_middle(arms(0, 120, 240), PAPER, (150.0, 163.0))
+    assert found.count == 3
+    assert found.lengths.min() <= 2
+
+
+def test_branch_runs_on_past_a_candidate_that_ends_none() -> None:
+    found = segment_branches(candidates(MIDDLE, (150.0, 163.0)), 0, np.array([0]), arms(0, 120, 240), 1.0, PAPER)
+    assert found.lengths.min() >= 20
+
+
+@pytest.mark.parametrize(("end_at_rejected", "enders"), [(True, [0, 1]), (False, [0])])
+def test_candidate_that_is_no_intersection_ends_branches_if_told_so(end_at_rejected: bool, enders: list[int]) -> None:
+    both = candidates(MIDDLE, (150.0, 175.0))
+    config = BranchConfig(end_at_rejected=end_at_rejected)
+    kept, found = segment_all(both, arms(0, 120, 240), 1.0, config)
+    assert found.tolist() == enders
+    assert [branches.which for branches in kept] == [0]
+    assert (kept[0].lengths.min() > 20) == (not end_at_rejected)
+
+
+def test_two_arms_that_leave_the_circle_as_one_are_one() -> None:
+    image = np.zeros((301, 301), np.uint8)
+    cv2.line(image, (150, 150), (170, 150), 1)
+    cv2.line(image, (170, 150), (290, 90), 1)
+    cv2.line(image, (170, 150), (290, 210), 1)
+    line = BinaryImage.from_array(image)
+    assert branches_at_the_middle(Centerline.of(line, line), PAPER).count == 1
+
+
+def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> None:
+    image = np.zeros((301, 301), np.uint8)
+    image[145, :] = 1
+    line = BinaryImage.from_array(image)
+    found = branches_at_the_middle(Centerline.of(line, line), PAPER)
+    np.testing.assert_allclose(angles_deg(found), [0, 180], atol=1e-9)
+
+
+def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> None:
+    config = BranchConfig(line="least_squares", trim_m=2)
+    found = branches_at_the_middle(arms(0, 120, 240), config, (150.0, 162.0))
+    assert found.count == 3
+    assert found.lengths.min() == 1
+    assert np.count_nonzero(found.weights) == 2
+    assert np.count_nonzero(found.weights == 0) == 1
+    assert np.all(np.isfinite(found.directions))
+
+
+def test_paper_weighs_all_lines_alike() -> None:
+    found = branches_at_the_middle(arms(0, 120, 240), PAPER, (150.0, 175.0))
+    assert found.weights.tolist() == [1, 1, 1]
+
+
+def test_long_straight_line_weighs_more_than_a_short_one() -> None:
+    found = branches_at_the_middle(arms(0, 120, 240), BranchConfig(line="least_squares"), (150.0, 170.0))
+    shortest = int(np.argmin(found.lengths))
+    assert np.all(np.delete(found.weights, shortest) > 1.5 * found.weights[shortest])
+
+
+def test_no_line_no_branches() -> None:
+    found = branches_at_the_middle(arms(), PAPER)
+    assert found.count == 0
+    assert found.directions.shape == found.normals.shape == (0, 2)
+
+
+def test_some_branches_can_be_taken_around_another_point() -> None:
+    found = branches_at_the_middle(arms(0, 90, 180, 270), PAPER)
+    part = found.only([0, 2], np.array([140.0, 150.0]))
+    assert part.count == 2
+    assert part.candidate.tolist() == [140, 150]
+    np.testing.assert_array_equal(part.directions, found.directions[[0, 2]])
+    np.testing.assert_array_equal(part.points, found.points[[0, 2]])
+    np.testing.assert_array_equal(part.weights, found.weights[[0, 2]])
+    np.testing.assert_array_equal(part.lengths, found.lengths[[0, 2]])

@@ -1,0 +1,79 @@
+"""The axis of the road and what of it is kept."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from interloc.arrays import UInt8Array
+from interloc.config import CenterlineConfig
+from interloc.detection.centerline import Centerline, extract_centerline
+from interloc.detection.image import BinaryImage
+
+ALL = CenterlineConfig(spur_widths=0)
+PRUNED = CenterlineConfig(spur_widths=1)
+
+
+def road_with_driveway(length: int) -> UInt8Array:
+    """Draw a road 21 pixels wide across an image, with a driveway 9 pixels wide upwards from its edge."""
+    road = np.zeros((200, 200), np.uint8)
+    road[90:111, :] = 1
+    road[90 - length : 90, 96:105] = 1
+    return road
+
+
+def extract(road: UInt8Array, config: CenterlineConfig) -> Centerline:
+    return extract_centerline(BinaryImage.from_array(road), config)
+
+
+def test_straight_road_is_its_middle_row() -> None:
+    line = extract(road_with_driveway(0), ALL)
+    inner = (line.cols > 15) & (line.cols < 185)
+    assert set(line.rows[inner].tolist()) == {100}
+    assert np.all(line.degrees[inner] == 2)
+
+
+def test_ends_have_one_neighbour_and_junctions_three() -> None:
+    line = extract(road_with_driveway(60), ALL)
+    (junction,) = np.flatnonzero(line.degrees >= 3)
+    assert abs(line.rows[junction] - 100) <= 6
+    assert abs(line.cols[junction] - 100) <= 1
+    tips = np.flatnonzero(line.degrees == 1)
+    assert len(tips) == 3
+
+
+def test_short_driveway_is_dropped_and_long_one_kept() -> None:
+    for length, junctions in ((9, 0), (60, 1)):
+        line = extract(road_with_driveway(length), PRUNED)
+        assert np.count_nonzero(line.degrees >= 3) == junctions
+
+
+def test_without_pruning_every_driveway_is_kept() -> None:
+    assert np.count_nonzero(extract(road_with_driveway(9), ALL).degrees >= 3) == 1
+
+
+def test_pixels_are_those_of_the_image_after_pruning_too() -> None:
+    line = extract(road_with_driveway(9), PRUNED)
+    np.testing.assert_array_equal(np.column_stack([line.rows, line.cols]), np.argwhere(line.image.to_array()))
+    assert line.neighbours.max() < line.rows.size
+
+
+def test_width_is_that_of_the_road() -> None:
+    line = extract(road_with_driveway(60), ALL)
+    middle = np.flatnonzero((line.rows == 100) & (line.cols == 50)).astype(np.int32)
+    upwards = np.flatnonzero((line.rows == 50) & (line.cols == 100)).astype(np.int32)
+    assert line.widths(middle).tolist() == [22]  # 11 to the nearest gap, both ways
+    assert line.widths(upwards).tolist() == [10]
+
+
+def test_occupancy_is_left_as_it_was() -> None:
+    occupancy = BinaryImage.from_array(road_with_driveway(9))
+    before = occupancy.words.copy()
+    line = extract_centerline(occupancy, PRUNED)
+    np.testing.assert_array_equal(occupancy.words, before)
+    assert line.occupancy is occupancy
+
+
+def test_no_road_no_line() -> None:
+    line = extract(np.zeros((100, 100), np.uint8), PRUNED)
+    assert line.rows.size == line.cols.size == line.degrees.size == 0
+    assert line.neighbours.shape == (0, 4)

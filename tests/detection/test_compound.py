@@ -1,0 +1,119 @@
+"""Several intersections in one blob of road."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from interloc.config import CompoundConfig
+from interloc.detection.branches import Branches
+from interloc.detection.compound import split_compound
+
+Branch = tuple[tuple[float, float], float]
+
+CONFIG = CompoundConfig()
+
+
+def blob(*branches: Branch, core: list[tuple[float, float]], inner: float = 15.0) -> Branches:
+    """Lay a branch through each point (row, column), in the direction of an angle; a pixel is a metre."""
+    points = np.array([point for point, _ in branches])
+    angles = np.radians([angle for _, angle in branches])
+    directions = np.column_stack([-np.sin(angles), np.cos(angles)])
+    count = len(branches)
+    return Branches(
+        which=0,
+        candidate=np.zeros(2),
+        inner=inner,
+        directions=directions,
+        points=points,
+        weights=np.ones(count),
+        lengths=np.full(count, 30.0),
+        core=np.array(core).reshape(-1, 2),
+    )
+
+
+def places(parts: list[Branches]) -> list[list[float]]:
+    return sorted(np.round(part.candidate, 6).tolist() for part in parts)
+
+
+EAST: Branch = ((0.0, 20.0), 0)
+WEST: Branch = ((0.0, -20.0), 180)
+
+
+def north(column: float) -> Branch:
+    return ((-20.0, column), 90)
+
+
+def south(column: float) -> Branch:
+    return ((20.0, column), 270)
+
+
+def test_plain_crossing_stays_one() -> None:
+    crossing = blob(EAST, WEST, north(0), south(0), core=[(0, -3), (0, 3)])
+    assert split_compound(crossing, 1.0, CONFIG) == [crossing]
+
+
+def test_three_branches_are_one_intersection() -> None:
+    fork = blob(EAST, WEST, north(3), core=[(0, 3)])
+    assert split_compound(fork, 1.0, CONFIG) == [fork]
+
+
+def test_staggered_side_roads_are_two_intersections_on_the_through_road() -> None:
+    parts = split_compound(blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)]), 1.0, CONFIG)
+    assert places(parts) == [[0, -6], [0, 6]]
+    assert [part.count for part in parts] == [3, 3]
+
+
+@pytest.mark.parametrize(("half_m", "count"), [(3.0, 1), (4.0, 2)])
+def test_intersections_nearer_than_the_separation_are_one(half_m: float, count: int) -> None:
+    config = CompoundConfig(separation_m=7, offset_m=1)
+    core = [(0.0, -half_m), (0.0, half_m)]
+    assert len(split_compound(blob(EAST, WEST, north(-half_m), south(half_m), core=core), 1.0, config)) == count
+
+
+def test_two_carriageways_cross_a_road_twice() -> None:
+    crossing = blob(EAST, WEST, north(-6), south(-6), north(6), south(6), core=[(0, -6), (0, 6)])
+    parts = split_compound(crossing, 1.0, CONFIG)
+    assert places(parts) == [[0, -6], [0, 6]]
+    assert [part.count for part in parts] == [4, 4]
+
+
+def test_two_carriageways_joined_across_are_two_intersections() -> None:
+    joined = blob(north(-6), south(-6), north(6), south(6), core=[(0, -6), (0, 6)])
+    parts = split_compound(joined, 1.0, CONFIG)
+    assert places(parts) == [[0, -6], [0, 6]]
+    for part in parts:  # both ways along the carriageway, and the road to the other one, which is no line of its own
+        assert part.count == 3
+        assert part.weights.tolist() == [1, 1, 0]
+        np.testing.assert_allclose(part.directions[2], [0, -np.sign(part.candidate[1])], atol=1e-9)
+
+
+def test_place_without_a_junction_of_the_centerline_does_not_split() -> None:
+    bent = blob(EAST, WEST, north(-6), south(6), core=[(0, -6)])
+    assert split_compound(bent, 1.0, CONFIG) == [bent]
+
+
+def test_harris_corners_are_not_split() -> None:
+    crossing = blob(EAST, WEST, north(-6), south(6), core=[])
+    assert split_compound(crossing, 1.0, CONFIG) == [crossing]
+
+
+def test_branches_of_which_none_continue_each_other_stay_one() -> None:
+    star = blob(((0, 20), 0), ((-15, 10), 60), ((-15, -10), 120), ((10, -15), 210), core=[(0, -6), (0, 6)])
+    config = CompoundConfig(straight_deg=20)
+    assert split_compound(star, 1.0, config) == [star]
+
+
+def test_distances_are_metres() -> None:
+    crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)])
+    assert len(split_compound(crossing, 0.5, CONFIG)) == 1  # 12 pixels of half a metre
+    assert len(split_compound(crossing, 1.0, CONFIG)) == 2
+
+
+def test_parts_lie_around_their_own_place_with_their_own_branches() -> None:
+    crossing = blob(EAST, WEST, north(-6), south(6), core=[(0, -6), (0, 6)])
+    for part in split_compound(crossing, 1.0, CONFIG):
+        upwards = part.directions[:, 0].min() < -0.5
+        assert math.copysign(1, part.candidate[1]) == (-1 if upwards else 1)

@@ -1,0 +1,315 @@
+"""The whole method on ideal roads, and scan by scan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from interloc.arrays import Float32Array
+from interloc.config import DEFAULT, PAPER, DetectorConfig
+from interloc.detection.detector import Detector, KeyframeDetections
+from interloc.detection.keyframes import select_keyframes
+from interloc.detection.scan import Scan
+
+Draw = Callable[..., Float32Array]
+Detect = Callable[..., KeyframeDetections]
+Polyline = tuple[tuple[float, float], ...]
+
+O = (0.0, 0.0)
+
+
+def arm(angle_deg: float, length_m: float = 90.0) -> tuple[float, float]:
+    return (length_m * math.cos(math.radians(angle_deg)), length_m * math.sin(math.radians(angle_deg)))
+
+
+def x_shape(angle_deg: float) -> list[Polyline]:
+    return [(arm(0), arm(180)), (arm(angle_deg), arm(angle_deg + 180))]
+
+
+def t_shape(angle_deg: float) -> list[Polyline]:
+    return [(arm(0), arm(180)), (O, arm(angle_deg))]
+
+
+def y_shape(angle_deg: float) -> list[Polyline]:
+    """A road that forks into two with this angle between them."""
+    return [(O, arm(180)), (O, arm(angle_deg / 2)), (O, arm(-angle_deg / 2))]
+
+
+SHAPES = {"X": (x_shape, 4), "T": (t_shape, 3), "Y": (y_shape, 3)}
+
+
+# --- junctions on ideal roads ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("angle_deg", [45, 60, 75, 90, 105, 120])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_roads_meet_at_one_point(draw_roads: Draw, detect: Detect, shape: str, angle_deg: int) -> None:
+    roads_of, branch_count = SHAPES[shape]
+    wrong = {}
+    for width_m in (6, 9, 12):
+        for turned_deg in (0, 17, 45, 80):
+            found = detect(draw_roads(*roads_of(angle_deg), width_m=width_m, turned_deg=turned_deg))
+            errors_m = np.hypot(*found.world_xy.T).round(2).tolist()
+            counts = [len(angles) for angles in found.branch_angles_rad]
+            if counts != [branch_count] or errors_m[0] >= 0.3:
+                wrong[width_m, turned_deg] = errors_m
+    assert wrong == {}
+
+
+@pytest.mark.parametrize("widths_m", [(14, 5), (10, 6)])
+@pytest.mark.parametrize("angle_deg", [60, 90])
+def test_narrow_road_meets_wide_one_on_its_axis(
+    draw_roads: Draw, detect: Detect, widths_m: tuple[float, float], angle_deg: float
+) -> None:
+    main = draw_roads((arm(10), arm(190)), width_m=widths_m[0])
+    side = draw_roads((O, arm(10 + angle_deg)), width_m=widths_m[1])
+    found = detect(np.unique(np.concatenate([main, side]), axis=0))
+    assert len(found.world_xy) == 1
+    assert math.hypot(*found.world_xy[0]) < 0.3
+
+
+@pytest.mark.parametrize(
+    "bend_m",
+    [
+        pytest.param(25, marks=pytest.mark.xfail(strict=True, reason="a line fitted across the bend leans towards it")),
+        pytest.param(35, marks=pytest.mark.xfail(strict=True, reason="a line fitted across the bend leans towards it")),
+        40,
+        45,
+    ],
+)
+def test_bends_beyond_the_junction_do_not_move_it(draw_roads: Draw, detect: Detect, bend_m: float) -> None:
+    west, east, north = (-bend_m, 0.0), (bend_m, 0.0), (0.0, bend_m)
+    roads = [(O, west, (-90.0, 40.0)), (O, east, (90.0, -30.0)), (O, north, (40.0, 90.0))]
+    errors_m = []
+    for turned_deg in (0, 20, 45, 70):
+        found = detect(draw_roads(*roads, width_m=8, turned_deg=turned_deg))
+        assert len(found.world_xy) == 1
+        errors_m.append(math.hypot(*found.world_xy[0]))
+    assert max(errors_m) < 0.3
+
+
+def test_junctions_a_block_apart_are_found_each(draw_roads: Draw, detect: Detect) -> None:
+    roads = [((-90.0, 0.0), (90.0, 0.0)), ((-25.0, -90.0), (-25.0, 90.0)), ((20.0, 0.0), (20.0, 90.0))]
+    found = detect(draw_roads(*roads, width_m=8, turned_deg=12))
+    expected = [(-25 * math.cos(math.radians(12)), -25 * math.sin(math.radians(12)))]
+    expected.append((20 * math.cos(math.radians(12)), 20 * math.sin(math.radians(12))))
+    assert len(found.world_xy) == 2
+    for place in expected:
+        assert np.hypot(*(found.world_xy - place).T).min() < 0.3
+
+
+def test_staggered_side_roads_are_two_junctions(draw_roads: Draw, detect: Detect) -> None:
+    for gap_m in (9, 12, 16, 25):
+        half = gap_m / 2
+        roads = [((-90.0, 0.0), (90.0, 0.0)), ((-half, 0.0), (-half, 90.0)), ((half, 0.0), (half, -90.0))]
+        for turned_deg in (0, 20, 45):
+            found = detect(draw_roads(*roads, width_m=7, turned_deg=turned_deg))
+            along = np.array([math.cos(math.radians(turned_deg)), math.sin(math.radians(turned_deg))])
+            assert len(found.world_xy) == 2
+            for place in (-half * along, half * along):
+                assert np.hypot(*(found.world_xy - place).T).min() < 0.5
+
+
+@pytest.mark.parametrize("turned_deg", [0, 30, 77])
+@pytest.mark.parametrize(
+    "roads",
+    [
+        [(arm(0), arm(180))],
+        [(arm(0), O)],
+        [(arm(0), O, arm(90))],
+        [(arm(0), O, arm(135))],
+        [tuple((60 * math.cos(a) - 60, 60 * math.sin(a)) for a in np.linspace(-1.5, 1.5, 40))],
+        [(arm(0), arm(180)), ((-90.0, 20.0), (90.0, 20.0))],
+    ],
+    ids=["straight", "dead end", "corner", "bend", "curve", "two roads side by side"],
+)
+def test_where_no_three_roads_meet_there_is_no_intersection(
+    draw_roads: Draw, detect: Detect, roads: list[Polyline], turned_deg: float
+) -> None:
+    assert len(detect(draw_roads(*roads, width_m=9, turned_deg=turned_deg)).world_xy) == 0
+
+
+def test_driveway_shorter_than_the_road_is_wide_is_no_branch(draw_roads: Draw, detect: Detect) -> None:
+    road = draw_roads((arm(0), arm(180)), width_m=10)
+    driveway = draw_roads((O, (0.0, 9.0)), width_m=4)
+    assert len(detect(np.unique(np.concatenate([road, driveway]), axis=0)).world_xy) == 0
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
+def test_scan_without_road_has_no_intersections(detect: Detect, config: DetectorConfig) -> None:
+    found = detect(np.empty((0, 3), np.float32), config)
+    assert found.world_xy.shape == found.lidar_xy.shape == (0, 2)
+    assert found.branch_angles_rad == []
+    assert found.score.shape == (0,)
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
+def test_road_everywhere_is_no_intersection(draw_roads: Draw, detect: Detect, config: DetectorConfig) -> None:
+    found = detect(draw_roads((arm(0), arm(180)), width_m=300), config)
+    assert len(found.world_xy) == 0
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_paper_finds_right_angled_junctions(draw_roads: Draw, detect: Detect, shape: str) -> None:
+    roads_of, branch_count = SHAPES[shape]
+    found = detect(draw_roads(*roads_of(90), width_m=8, turned_deg=17), PAPER)
+    assert len(found.world_xy) == 1
+    assert math.hypot(*found.world_xy[0]) < 0.3
+    assert len(found.branch_angles_rad[0]) == branch_count
+
+
+# --- what is told about each -----------------------------------------------------------------------------------------
+
+
+def test_branches_point_along_the_roads(draw_roads: Draw, detect: Detect) -> None:
+    found = detect(draw_roads(*t_shape(70), width_m=8, turned_deg=20))
+    angles = np.sort(np.degrees(found.branch_angles_rad[0]) % 360)
+    np.testing.assert_allclose(angles, [20, 90, 200], atol=1.0)
+
+
+def test_position_is_told_in_the_frame_of_the_vehicle_too(draw_roads: Draw) -> None:
+    road = draw_roads(*x_shape(90), width_m=8)
+    yaw, place = math.radians(30), np.array([12.0, -5.0])
+    T = np.eye(4)
+    T[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+    T[:2, 3] = place
+    points = ((road - T[:3, 3]) @ T[:3, :3]).astype(np.float32)
+    config = causal(DEFAULT)
+    found = Detector(config).push(Scan(7, T, points, 0.7))
+    assert found is not None
+    assert (found.keyframe.frame, found.keyframe.time_s) == (7, 0.7)
+    assert math.hypot(*found.world_xy[0]) < 0.3
+    np.testing.assert_allclose(T[:2, :2] @ found.lidar_xy[0] + place, found.world_xy[0], atol=1e-9)
+
+
+def test_score_lies_between_0_and_1_and_is_high_for_an_ideal_junction(draw_roads: Draw, detect: Detect) -> None:
+    (score,) = detect(draw_roads(*x_shape(90), width_m=8)).score
+    assert 0.9 < score <= 1
+
+
+# --- scan by scan ----------------------------------------------------------------------------------------------------
+
+
+def causal(config: DetectorConfig) -> DetectorConfig:
+    return config.model_copy(
+        update={
+            "keyframes": config.keyframes.model_copy(update={"lookahead": 0}),
+            "bev": config.bev.model_copy(update={"min_points": 1}),
+        }
+    )
+
+
+def quick(lookahead: int | None) -> DetectorConfig:
+    """Return settings for the small scans of `drive_along`."""
+    values = DEFAULT.model_dump()
+    values["bev"] |= {"resolution_m": 0.4, "min_points": 1}
+    values["keyframes"] |= {"window": 5, "lookahead": lookahead}
+    return DetectorConfig.model_validate(values)
+
+
+@pytest.fixture(scope="module")
+def drive(draw_roads: Draw) -> list[Scan]:
+    """40 scans, 1 m apart, past a junction 20 m ahead; each sees 30 m."""
+    world = draw_roads((arm(0), arm(180)), ((20.0, 0.0), (20.0, 90.0)), width_m=8)[::5]
+    scans = []
+    for frame in range(40):
+        T = np.eye(4)
+        T[0, 3] = frame
+        local = world - T[:3, 3].astype(np.float32)
+        scans.append(Scan(frame, T, local[np.hypot(local[:, 0], local[:, 1]) < 30]))
+    return scans
+
+
+def key(found: KeyframeDetections) -> tuple[int, bytes, bytes, bytes, bytes]:
+    """Return all that was found, bit by bit."""
+    angles = b"|".join(a.tobytes() for a in found.branch_angles_rad)
+    return found.keyframe.frame, found.world_xy.tobytes(), found.lidar_xy.tobytes(), angles, found.score.tobytes()
+
+
+@pytest.mark.parametrize(("lookahead", "behind"), [(0, 0), (3, 3), (None, 5)])
+def test_detections_come_back_after_the_lookahead(drive: list[Scan], lookahead: int | None, behind: int) -> None:
+    detector = Detector(quick(lookahead))
+    keyframes: list[int] = []
+    for scan in drive:
+        found = detector.push(scan)
+        if scan.frame % 3 == 0:  # more than 2 m since the last one
+            keyframes.append(scan.frame)
+            assert (None if found is None else found.keyframe.frame) == (
+                keyframes[-1 - behind] if len(keyframes) > behind else None
+            )
+        else:
+            assert found is None
+    rest = [found.keyframe.frame for found in detector.finish()]
+    assert rest == keyframes[len(keyframes) - behind :]
+    assert list(detector.finish()) == []
+
+
+def test_junction_ahead_is_found_from_every_keyframe_near_it(drive: list[Scan]) -> None:
+    detector = Detector(quick(None))
+    found = [f for scan in drive if (f := detector.push(scan)) is not None] + list(detector.finish())
+    for detections in found:
+        if detections.keyframe.frame >= 6:
+            assert len(detections.world_xy) == 1
+            assert math.dist(detections.world_xy[0], (20, 0)) < 0.5
+
+
+def test_scans_between_keyframes_change_nothing(drive: list[Scan]) -> None:
+    config = quick(3)
+    chosen = select_keyframes(np.array([scan.T_world_lidar for scan in drive]), config.keyframes)
+    every, only = Detector(config), Detector(config)
+    from_every = [key(f) for scan in drive if (f := every.push(scan)) is not None] + [key(f) for f in every.finish()]
+    from_only = [key(f) for i in chosen if (f := only.push(drive[i])) is not None] + [key(f) for f in only.finish()]
+    assert from_every == from_only
+    assert len(from_every) == len(chosen)
+
+
+def test_points_are_asked_of_keyframes_only(drive: list[Scan]) -> None:
+    class Guarded:
+        def __init__(self, scan: Scan) -> None:
+            self.frame, self.T_world_lidar, self.time_s, self._points = scan.frame, scan.T_world_lidar, None, scan
+            self.other_points = None
+            self.asked = 0
+
+        @property
+        def road_points(self) -> Float32Array:
+            self.asked += 1
+            return self._points.road_points
+
+    guarded = [Guarded(scan) for scan in drive]
+    detector = Detector(quick(0))
+    for scan in guarded:
+        detector.push(scan)
+    assert [scan.asked for scan in guarded] == [int(frame % 3 == 0) for frame in range(40)]
+
+
+def test_points_that_are_not_finite_change_nothing(drive: list[Scan]) -> None:
+    bad = np.array([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, np.nan]], np.float32)
+    clean, dirty = Detector(quick(0)), Detector(quick(0))
+    for scan in drive[:10]:
+        soiled = Scan(scan.frame, scan.T_world_lidar, np.concatenate([bad, scan.road_points]))
+        expected, found = clean.push(scan), dirty.push(soiled)
+        assert (expected is None) == (found is None)
+        if expected is not None and found is not None:
+            assert key(found) == key(expected)
+
+
+def test_every_step_is_timed(drive: list[Scan]) -> None:
+    detector = Detector(quick(0))
+    detector.push(drive[0])
+    stages = ["read", "accumulate", "bev", "occupancy", "centerline", "candidates", "refinement"]
+    assert list(detector.stopwatch.seconds) == stages
+    assert all(seconds >= 0 for seconds in detector.stopwatch.seconds.values())
+
+
+def test_steps_hold_the_images_between(draw_roads: Draw) -> None:
+    detector = Detector(causal(DEFAULT))
+    keyframe = detector.advance(Scan(0, np.eye(4), draw_roads(*x_shape(90), width_m=8)))
+    assert keyframe is not None
+    steps = detector.steps(keyframe)
+    bev, occupancy, line = (image.to_array() for image in (steps.bev, steps.occupancy, steps.centerline.image))
+    assert bev.shape == occupancy.shape == line.shape == (750, 750)
+    assert not np.any((line == 1) & (occupancy == 0))
+    assert len(steps.candidates.positions) == len(steps.junctions) == 1

@@ -1,0 +1,78 @@
+"""Which scans are keyframes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from interloc.arrays import FloatArray
+from interloc.config import KeyframeConfig
+from interloc.detection.keyframes import select_keyframes
+
+
+def poses(positions: FloatArray, rotation_vectors: FloatArray | None = None) -> FloatArray:
+    result = np.tile(np.eye(4), (len(positions), 1, 1))
+    result[:, :3, 3] = positions
+    if rotation_vectors is not None:
+        result[:, :3, :3] = Rotation.from_rotvec(rotation_vectors).as_matrix()
+    return result
+
+
+def along_x(*metres: float) -> FloatArray:
+    return poses(np.array([[x, 0, 0] for x in metres]))
+
+
+def plain_select(T_world_lidar: FloatArray, distance_m: float, angle_deg: float) -> list[int]:
+    chosen: list[int] = []
+    for i, pose in enumerate(T_world_lidar):
+        if chosen:
+            last = T_world_lidar[chosen[-1]]
+            moved = np.linalg.norm(pose[:3, 3] - last[:3, 3])
+            turned = np.degrees(Rotation.from_matrix(last[:3, :3].T @ pose[:3, :3]).magnitude())
+            if moved <= distance_m and turned <= angle_deg:
+                continue
+        chosen.append(i)
+    return chosen
+
+
+def test_scan_after_more_than_the_distance_is_taken() -> None:
+    assert select_keyframes(along_x(0, 1, 2, 2.01, 4, 4.02, 9), KeyframeConfig()).tolist() == [0, 3, 5, 6]
+
+
+def test_distance_counts_from_the_last_keyframe_in_three_dimensions() -> None:
+    path = poses(np.array([[0, 0, 0], [1.9, 0, 0], [1.9, 0, 0.7], [0, 0, 0]]))
+    assert select_keyframes(path, KeyframeConfig()).tolist() == [0, 2, 3]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_scan_after_more_than_the_turn_is_taken(axis: int) -> None:
+    turns = np.zeros((5, 3))
+    turns[:, axis] = np.radians([0, 4.9, 5.1, 9, 11])
+    assert select_keyframes(poses(np.zeros((5, 3)), turns), KeyframeConfig()).tolist() == [0, 2, 4]
+
+
+def test_standing_vehicle_gives_one_keyframe() -> None:
+    assert select_keyframes(along_x(*[7.0] * 50), KeyframeConfig()).tolist() == [0]
+
+
+def test_no_poses_no_keyframes() -> None:
+    assert select_keyframes(np.empty((0, 4, 4)), KeyframeConfig()).tolist() == []
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(2.0, 5.0), (0.0, 0.0), (5.0, 180.0), (1000.0, 1.0)]))
+def test_equals_the_plain_twin_on_a_random_walk_and_takes_all_its_choice_again(
+    seed: int, limits: tuple[float, float]
+) -> None:
+    generator = np.random.default_rng(seed)
+    path = poses(
+        np.cumsum(generator.normal(0, 0.7, (60, 3)), axis=0), np.cumsum(generator.normal(0, 0.02, (60, 3)), axis=0)
+    )
+    config = KeyframeConfig(distance_m=limits[0], angle_deg=limits[1])
+    chosen = select_keyframes(path, config)
+    assert chosen.tolist() == plain_select(path, *limits)
+    assert len(select_keyframes(path[chosen], config)) == len(chosen)
+    later = chosen[len(chosen) // 2 :]  # a part of a drive chooses what the whole does
+    assert len(select_keyframes(path[later], config)) == len(later)

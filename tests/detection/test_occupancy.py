@@ -1,0 +1,69 @@
+"""From road cells to road."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from interloc.arrays import UInt8Array
+from interloc.config import OccupancyConfig
+from interloc.detection.image import BinaryImage
+from interloc.detection.occupancy import infer_occupancy, odd_pixels
+
+
+def infer(image: UInt8Array, **metres: float) -> UInt8Array:
+    """Take 10 cm pixels."""
+    return infer_occupancy(BinaryImage.from_array(image), 0.1, OccupancyConfig(**metres)).to_array()
+
+
+@pytest.mark.parametrize(
+    ("length_m", "pixels"),
+    [(0, 1), (0.1, 1), (0.16, 1), (0.17, 1), (0.33, 3), (0.48, 3), (0.8, 5), (2.4, 15), (4.0, 25), (20, 125)],
+)
+def test_length_is_the_nearest_odd_number_of_pixels(length_m: float, pixels: int) -> None:
+    assert odd_pixels(length_m, 0.16) == pixels
+
+
+def test_gap_narrower_than_the_closing_disc_is_filled() -> None:
+    road = np.ones((100, 100), np.uint8)
+    road[:, 40:44] = 0
+    road[:, 60:68] = 0
+    filled = infer(road, closing_m=0.5, opening_m=0)
+    assert filled[:, 40:44].all()
+    assert not filled[:, 60:68].any()
+
+
+def test_patch_smaller_than_the_opening_disc_is_removed() -> None:
+    road = np.zeros((100, 100), np.uint8)
+    road[10:14, 10:14] = 1
+    road[50:90, 20:70] = 1
+    opened = infer(road, closing_m=0, opening_m=0.7)
+    assert not opened[:20].any()
+    assert opened[53:87, 20:70].all()
+
+
+def test_road_reaches_the_border_of_the_window() -> None:
+    road = np.zeros((100, 100), np.uint8)
+    road[40:60, :] = 1
+    np.testing.assert_array_equal(infer(road, closing_m=1.5, opening_m=1.5), road)
+
+
+def test_discs_of_no_size_change_nothing() -> None:
+    road = np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8)
+    np.testing.assert_array_equal(infer(road, closing_m=0, opening_m=0), road)
+
+
+def test_input_is_left_as_it_was() -> None:
+    bev = BinaryImage.from_array(np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8))
+    before = bev.words.copy()
+    infer_occupancy(bev, 0.1, OccupancyConfig())
+    np.testing.assert_array_equal(bev.words, before)
+
+
+def test_closing_then_opening_as_opencv_does() -> None:
+    bev = (np.random.default_rng(4).random((300, 300)) < 0.15).astype(np.uint8)
+    offset = np.arange(-7, 8)
+    disc = (4 * (offset[:, None] ** 2 + offset**2) <= 15**2).astype(np.uint8)
+    expected = cv2.morphologyEx(cv2.morphologyEx(bev, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
+    np.testing.assert_array_equal(infer(bev, closing_m=1.5, opening_m=1.5), expected)

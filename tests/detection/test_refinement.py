@@ -1,0 +1,178 @@
+"""The point where the lines of the branches meet."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.optimize import least_squares, minimize
+
+from interloc.arrays import FloatArray
+from interloc.detection.branches import Branches
+from interloc.detection.refinement import refine
+
+
+def branches(
+    points: list[tuple[float, float]],
+    angles_deg: list[float],
+    *,
+    candidate: tuple[float, float] = (0.0, 0.0),
+    inner: float = 1e6,
+    weights: list[float] | None = None,
+) -> Branches:
+    """Lay a line through each point, in the direction of an angle."""
+    angles = np.radians(angles_deg)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    weight = np.ones(len(points)) if weights is None else np.array(weights)
+    return Branches(
+        which=0,
+        candidate=np.array(candidate),
+        inner=inner,
+        directions=directions.reshape(-1, 2),
+        points=np.array(points).reshape(-1, 2),
+        weights=weight,
+        lengths=np.full(len(points), 50.0),
+        core=np.empty((0, 2)),
+    )
+
+
+def residuals(p: FloatArray, given_branches: Branches) -> FloatArray:
+    """Return the distance of a point from each line, times the root of its weight."""
+    away = given_branches.points - p
+    across = away[:, 0] * given_branches.directions[:, 1] - away[:, 1] * given_branches.directions[:, 0]
+    return across * np.sqrt(given_branches.weights)
+
+
+def test_two_lines_meet_where_they_cross() -> None:
+    found = refine(branches([(3.0, 100.0), (70.0, 5.0)], [90, 0], candidate=(1, 1)))
+    np.testing.assert_allclose(found.position, [3, 5])
+    assert found.residual == pytest.approx(0, abs=1e-9)
+
+
+def test_three_lines_meet_in_the_middle_of_their_triangle() -> None:
+    found = refine(branches([(0.0, 3.0), (0.0, -3.0), (0.0, 0.0)], [0, 0, 90]))
+    np.testing.assert_allclose(found.position, [0, 0], atol=1e-12)
+    assert found.residual == pytest.approx(math.sqrt((9 + 9 + 0) / 3))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 6))
+def test_point_is_that_of_a_general_least_squares_solver(seed: int, count: int) -> None:
+    generator = np.random.default_rng(seed)
+    angles = generator.uniform(0, 360, count)
+    spread = np.abs(np.sin(np.radians(angles[:, None] - angles))).max()
+    assume(spread > math.sin(math.radians(25)))
+    lines = branches(
+        [tuple(p) for p in generator.uniform(-40, 40, (count, 2))],
+        angles.tolist(),
+        candidate=(5, -3),
+        weights=generator.uniform(0.1, 3, count).tolist(),
+    )
+    found = refine(lines)
+    assume(math.isfinite(found.residual))
+    expected = least_squares(residuals, np.zeros(2), args=(lines,), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    np.testing.assert_allclose(found.position, expected, atol=1e-5)
+    mean_square = np.sum(residuals(found.position, lines) ** 2) / lines.weights.sum()
+    assert found.residual == pytest.approx(math.sqrt(mean_square), abs=1e-9)
+
+
+def test_heavier_line_is_nearer() -> None:
+    even = refine(branches([(0.0, 3.0), (0.0, -3.0), (0.0, 0.0)], [0, 0, 90]))
+    uneven = refine(branches([(0.0, 3.0), (0.0, -3.0), (0.0, 0.0)], [0, 0, 90], weights=[3, 1, 1]))
+    np.testing.assert_allclose(even.position, [0, 0], atol=1e-12)
+    np.testing.assert_allclose(uneven.position, [0, 1.5], atol=1e-12)
+
+
+def test_line_without_weight_does_not_count() -> None:
+    two = branches([(3.0, 100.0), (70.0, 5.0)], [90, 0])
+    three = branches([(3.0, 100.0), (70.0, 5.0), (900.0, 900.0)], [90, 0, 30], weights=[1, 1, 0])
+    np.testing.assert_allclose(refine(three).position, refine(two).position)
+    assert refine(three).residual == pytest.approx(0, abs=1e-9)
+    assert len(refine(three).directions) == 3
+
+
+def test_weights_matter_relative_to_each_other_only() -> None:
+    places = [(0.0, 3.0), (1.0, -3.0), (0.0, 0.0)]
+    small = refine(branches(places, [0, 10, 90], weights=[0.002, 0.001, 0.001]))
+    large = refine(branches(places, [0, 10, 90], weights=[2000, 1000, 1000]))
+    np.testing.assert_allclose(small.position, large.position)
+    assert small.residual == pytest.approx(large.residual)
+
+
+def test_point_stays_within_the_inner_circle() -> None:
+    found = refine(branches([(30.0, 0.0), (0.0, 40.0)], [90, 0], inner=10))
+    np.testing.assert_allclose(found.position, [6, 8])
+    assert found.residual == pytest.approx(math.sqrt((24**2 + 32**2) / 2))
+
+
+def test_point_just_within_the_inner_circle_is_not_moved() -> None:
+    found = refine(branches([(3.0, 0.0), (0.0, 4.0)], [90, 0], inner=5.001))
+    np.testing.assert_allclose(found.position, [3, 4])
+
+
+def test_for_perpendicular_lines_the_clamped_point_is_the_best_of_the_disc() -> None:
+    lines = branches([(30.0, 0.0), (0.0, 40.0)], [90, 0], inner=10)
+    inside = {"type": "ineq", "fun": lambda p: 100 - p @ p}
+    best = minimize(lambda p: np.sum(residuals(p, lines) ** 2), np.zeros(2), constraints=[inside]).x
+    np.testing.assert_allclose(refine(lines).position, best, atol=1e-3)
+
+
+@pytest.mark.parametrize("fan_deg", [0.0, 2.0, 9.0])
+def test_lines_that_run_alike_leave_the_candidate_where_it_is(fan_deg: float) -> None:
+    found = refine(branches([(0.0, 10.0), (0.0, 20.0), (0.0, 15.0)], [0, fan_deg, 180 + fan_deg / 2], candidate=(7, 7)))
+    assert found.position.tolist() == [7, 7]
+    assert found.residual == math.inf
+
+
+def test_lines_that_run_apart_enough_fix_the_point() -> None:
+    found = refine(branches([(0.0, 0.0), (0.0, 0.0)], [0, 25], candidate=(7, 7)))
+    np.testing.assert_allclose(found.position, [0, 0], atol=1e-9)
+
+
+def test_crossing_lines_fix_the_point_however_unlike_their_weights() -> None:
+    found = refine(branches([(0.0, 3.0), (0.0, 3.0), (5.0, 0.0)], [0, 180, 90], weights=[600, 600, 0.5]))
+    np.testing.assert_allclose(found.position, [5, 3], atol=1e-6)
+
+
+def test_parallel_lines_fix_nothing_however_heavy_the_candidate() -> None:
+    found = refine(branches([(0.0, 3.0), (0.0, 4.0)], [0, 180], candidate=(7, 7)), 100.0)
+    assert found.position.tolist() == [7, 7]
+    assert found.residual == math.inf
+
+
+@pytest.mark.parametrize("weights", [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+def test_fewer_than_two_lines_leave_the_candidate_where_it_is(weights: list[float]) -> None:
+    found = refine(branches([(0.0, 1.0), (1.0, 0.0), (2.0, 2.0)], [0, 90, 45], candidate=(7, 7), weights=weights))
+    assert found.position.tolist() == [7, 7]
+    assert found.residual == math.inf
+
+
+def test_no_branches_at_all() -> None:
+    none = branches([], [], candidate=(7, 7))
+    assert refine(none).position.tolist() == [7, 7]
+    assert refine(none).residual == math.inf
+
+
+# --- the candidate as one more observation (beyond the paper) --------------------------------------------------------
+
+
+def test_candidate_holds_the_point_back_by_its_weight() -> None:
+    lines = branches([(8.0, 0.0), (0.0, 4.0)], [90, 0])
+    np.testing.assert_allclose(refine(lines, 1.0).position, [4, 2])  # as heavy as a line: half of the way
+    np.testing.assert_allclose(refine(lines, 3.0).position, [2, 1])
+    np.testing.assert_allclose(refine(lines, 0.0).position, [8, 4])
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 10))
+def test_point_with_the_candidate_is_that_of_a_general_solver(seed: int, weight: float) -> None:
+    generator = np.random.default_rng(seed)
+    places = [tuple(p) for p in generator.uniform(-40, 40, (3, 2))]
+    lines = branches(places, [10, 100, 230], candidate=(5, -3), weights=generator.uniform(0.1, 3, 3).tolist())
+
+    def all_residuals(p: FloatArray) -> FloatArray:
+        return np.concatenate([residuals(p, lines), math.sqrt(weight) * (p - lines.candidate)])
+
+    expected = least_squares(all_residuals, np.zeros(2), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    np.testing.assert_allclose(refine(lines, weight).position, expected, atol=1e-5)

@@ -1,0 +1,86 @@
+"""Which nodes only one of several runs found, which settings differ."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from interloc.errors import ConfigError
+from interloc.evaluation.compare import compare_reports, differing_settings
+
+NODES = {1: (8.0, 49.0), 2: (8.1, 49.0), 3: (8.2, 49.0), 4: (8.3, 49.0)}
+
+
+def report(outcomes: dict[int, str], **values: Any) -> dict[str, Any]:
+    """A report whose nodes are found, missed, or outside of the zone."""
+    nodes = [
+        {
+            "osm_id": osm_id,
+            "lon": NODES[osm_id][0],
+            "lat": NODES[osm_id][1],
+            "degree": 3,
+            "in_zone": outcome != "outside",
+            "found": outcome == "found",
+            "median_error_m": 1.5 if outcome == "found" else None,
+        }
+        for osm_id, outcome in outcomes.items()
+    ]
+    ratios = {name: {"5.0": 0.5} for name in ("precision", "recall", "f1")}
+    level = {"precision": None, "recall": 1.0, "mean_m": 0.5}
+    plain = dict.fromkeys(("keyframes", "detections", "nodes_in_zone", "nodes_found"), 7)
+    errors = dict.fromkeys(("ace_m", "median_m", "p95_m"), 1.25)
+    osm = {"source": "map.osm", "date": None}
+    return {"policy": "drive", "osm": osm, **plain, **errors, **ratios, "map_level": level, "nodes": nodes, **values}
+
+
+def test_outcomes_of_nodes() -> None:
+    a = report({1: "found", 2: "found", 3: "missed", 4: "missed"})
+    b = report({1: "found", 2: "missed", 3: "found", 4: "missed"})
+    told = compare_reports(["a", "b"], [a, b], [{}, {}])
+    assert told["found_by_all"] == told["missed_by_all"] == 1
+    assert told["found_only_by"] == [[2], [3]]
+    assert [(n["osm_id"], n["outcomes"], n["median_error_m"]) for n in told["nodes"]] == [
+        (2, ["found", "missed"], [1.5, None]),
+        (3, ["missed", "found"], [None, 1.5]),
+    ]
+
+
+def test_a_node_that_one_run_never_came_near_is_outside() -> None:
+    told = compare_reports(
+        ["a", "b", "c"], [report({1: "found"}), report({}), report({1: "outside", 2: "found"})], [{}, {}, {}]
+    )
+    assert [n["outcomes"] for n in told["nodes"]] == [["found", "outside", "outside"], ["outside", "outside", "found"]]
+    assert told["found_only_by"] == [[1], [], [2]]
+
+
+def test_settings_that_differ_are_named_by_their_path() -> None:
+    runs = [
+        {
+            "config": {"preset": "paper", "bev": {"size_m": 120.0, "resolution_m": 0.16}},
+            "fusion": {"merge_radius_m": 10},
+        },
+        {
+            "config": {"preset": "paper", "bev": {"size_m": 120.0, "resolution_m": 0.25}},
+            "fusion": {"merge_radius_m": 8},
+        },
+        {"config": {"preset": "paper", "bev": {"size_m": 120.0}, "compound": None}, "workers": 3},
+    ]
+    assert differing_settings(runs) == [
+        {"name": "bev.resolution_m", "values": [0.16, 0.25, None]},
+        {"name": "fusion.merge_radius_m", "values": [10, 8, None]},
+    ]
+
+
+def test_figures_that_do_not_stand_side_by_side_are_said() -> None:
+    told = compare_reports(["a", "b"], [report({}), report({}, policy="all", keyframes=8)], [{}, {}])
+    assert [w.split("different ")[1].split(" (")[0] for w in told["warnings"]] == [
+        "ground truth policies",
+        "numbers of keyframes",
+    ]
+    assert {row["name"]: row["values"] for row in told["figures"]}["map_precision"] == [None, None]
+
+
+def test_one_run_is_no_comparison() -> None:
+    with pytest.raises(ConfigError, match="two runs or more"):
+        compare_reports(["a"], [report({})], [{}])

@@ -1,0 +1,146 @@
+import json
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interloc.errors import ConfigError, GeoreferenceError, MapError
+from interloc.evaluation.coverage import drive_bounds, track_to_road
+from interloc.evaluation.evaluate import evaluate
+from interloc.evaluation.record import report_record
+from interloc.osm.graph import RoadGraph
+from interloc.osm.policies import intersection_nodes
+from interloc.osm.reader import read_osm
+from interloc.results import DriveResult
+
+Run = Callable[..., DriveResult]
+Graph = Callable[..., RoadGraph]
+At = Callable[[Any], np.ndarray]
+
+# Sequence: nodes of policy `drive` in the relevant zones along the IMU's track.
+NODES_IN_ZONE = {"00": 26, "02": 30, "05": 13, "06": 11, "07": 7, "08": 19, "09": 11, "10": 8}
+
+
+def test_one_keyframe_two_nodes_three_detections(run: Run, graph: Graph) -> None:
+    made = run([(0, 0)], [(0, 1, 0), (0, 3, 4), (0, 12, 0)], [(0.5, 0)])
+    record = report_record(evaluate(made, graph([(0, 0), (0, -18)], arm_m=15)))
+    assert (record["keyframes"], record["detections"], record["matched"]) == (1, 3, 3)
+    assert record["ace_m"] == pytest.approx((1 + 5 + 12) / 3, abs=1e-3)
+    assert (record["tp"]["4.5"], record["fp"]["4.5"], record["fn"]["4.5"]) == (1, 2, 1)
+    assert record["precision"]["5.5"] == pytest.approx(2 / 3, abs=1e-6)
+    assert record["recall"]["5.5"] == pytest.approx(2 / 3, abs=1e-6)
+    assert (record["nodes_in_zone"], record["nodes_found"]) == (2, 1)
+    assert record["map_level"]["precision"] == 1.0
+    assert record["map_level"]["recall"] == 0.5
+    assert record["osm"] == {
+        "source": "made-up.osm",
+        "date": "2024-01-01T00:00:00Z",
+        "nodes": 2,
+        "bounds": None,
+        "highways": 8,
+        "clipped_highways": 0,
+    }
+
+
+def test_the_record_is_json_without_nan_even_if_nothing_was_found(run: Run, graph: Graph) -> None:
+    record = report_record(evaluate(run([(0, 0)]), graph([(0, 0)])))
+    text = json.dumps(record, allow_nan=False)
+    assert json.loads(text)["ace_m"] is None
+    assert record["precision"]["5.0"] is None
+    assert record["recall"]["5.0"] == 0.0
+    assert record["map_level"]["precision"] is None
+
+
+def test_a_road_without_junction_scores_nothing_and_says_so(run: Run, graph: Graph) -> None:
+    made = run([(0, 100)], [(0, 1, 100)])
+    result = evaluate(made, graph([(0, 0)], arm_m=150))
+    assert result.scores.at(5.0, result.scores.recall) is None
+    assert any("recall is undefined" in warning for warning in result.warnings)
+
+
+def test_zones_come_from_the_configuration_of_the_run(run: Run, graph: Graph) -> None:
+    config = {"bev": {"size_m": 100.0}, "branches": {"outer_radius_m": 30.0}}
+    result = evaluate(run([(0, 0)], config=config), graph([(0, 0)]))
+    assert (result.roi_m, result.relevant_zone_m) == (100.0, 40.0)
+    result = evaluate(run([(0, 0)], config=config), graph([(0, 0)]), roi_m=120, relevant_zone_m=60)
+    assert (result.roi_m, result.relevant_zone_m) == (120.0, 60.0)
+
+
+def test_a_zone_without_extent_is_refused(run: Run, graph: Graph) -> None:
+    with pytest.raises(ConfigError, match="relevant zone is -20 m"):
+        evaluate(run([(0, 0)], config={"branches": {"outer_radius_m": 70.0}}), graph([(0, 0)]))
+
+
+def test_without_georeference_there_is_no_evaluation(run: Run, graph: Graph) -> None:
+    with pytest.raises(GeoreferenceError, match="--oxts"):
+        evaluate(run([(0, 0)], georeferenced=False), graph([(0, 0)]))
+
+
+def test_a_map_of_another_place_is_refused(run: Run, graph: Graph) -> None:
+    with pytest.raises(MapError, match=r"made-up\.osm covers lon .* the drive lies at .* 7\.0 km"):
+        evaluate(run([(0, 7050)]), graph([(0, 0)]))
+
+
+def test_a_map_of_another_continent_is_refused(run: Run, graph: Graph) -> None:
+    elsewhere = graph([(0, 0)])
+    elsewhere = graph([(0, 0)], lonlat=-elsewhere.lonlat)
+    with pytest.raises(MapError, match="another sequence"):
+        evaluate(run([(0, 0)]), elsewhere)
+
+
+def test_a_map_that_covers_half_the_drive_is_worth_a_warning(
+    run: Run, graph: Graph, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING, logger="interloc"):
+        result = evaluate(run([(0, 0), (0, 400)]), graph([(0, 0)]))
+    assert "50% of the keyframes" in result.warnings[0]
+    assert "50% of the keyframes" in caplog.text
+
+
+def test_a_track_beside_the_roads_is_worth_a_warning(run: Run, graph: Graph) -> None:
+    result = evaluate(run([(20, 12)]), graph([(0, 0)]))
+    assert result.track_to_road_m == pytest.approx(12.0, abs=0.01)
+    assert "12.0 m (median)" in result.warnings[0]
+
+
+def test_what_lies_beyond_the_bounds_of_the_map_is_not_scored(run: Run, graph: Graph, at: At) -> None:
+    (west, south), (east, north) = at([(-60, -60), (20, 60)])
+    clipped = graph([(0, 0), (30, 0)], arm_m=15, bounds=(west, south, east, north))
+    result = evaluate(run([(0, 0)], [(0, 1, 0), (0, 30, 0)], [(0, 0), (30, 0)]), clipped)
+    assert (len(result.nodes), len(result.detections), result.detections_outside_map) == (1, 1, 1)
+    assert result.scores.at(5.0, result.scores.precision) == 1.0
+
+
+def test_distance_to_the_road_is_to_the_line_not_to_its_nodes(graph: Graph, at: At) -> None:
+    cross = graph([(0, 0)])
+    assert track_to_road(at([(25, 2), (60, 0), (-3, -3)]), cross) == pytest.approx([2.0, 10.0, 3.0], abs=1e-3)
+
+
+def test_bounds_of_a_drive_leave_room_for_the_roi(run: Run, at: At) -> None:
+    west, south, east, north = drive_bounds(run([(0, 0), (1000, 500)]), margin_m=100)
+    assert np.array([[west, south], [east, north]]) == pytest.approx(at([(-100, -100), (1100, 600)]), abs=1e-5)
+
+
+@pytest.mark.parametrize("sequence", NODES_IN_ZONE)
+def test_kitti_tracks_lie_on_their_roads(sequence: str, shared_data: Path, oxts_run: Run) -> None:
+    roads = read_osm(shared_data / "kitti" / "osm" / f"{sequence}.osm.gz")
+    nodes = intersection_nodes(roads)
+    result = evaluate(oxts_run(shared_data, sequence, nodes.lonlat, noise_m=1.0), roads)
+    assert 0.3 < result.track_to_road_m < 1.3
+    assert result.warnings == ()
+    record = report_record(result)
+    assert record["nodes_in_zone"] == NODES_IN_ZONE[sequence]
+    assert record["nodes_found"] == record["nodes_in_zone"]
+    assert record["ace_m"] == pytest.approx(1.25, abs=0.06)  # the mean of a Rayleigh distribution of 1 m
+    assert record["precision"]["5.0"] > 0.99
+    assert record["map_level"]["recall"] == 1.0
+
+
+def test_the_map_of_another_sequence_is_refused(shared_data: Path, oxts_run: Run) -> None:
+    roads = read_osm(shared_data / "kitti" / "osm" / "00.osm.gz")
+    drive = oxts_run(shared_data, "05", np.empty((0, 2)), noise_m=1.0)
+    with pytest.raises(MapError, match=r"00\.osm\.gz covers"):
+        evaluate(drive, roads)

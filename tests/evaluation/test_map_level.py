@@ -1,0 +1,75 @@
+from collections.abc import Callable
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from interloc.evaluation.map_level import MapLevel, assign_intersections
+from interloc.results import DriveResult
+
+Run = Callable[..., DriveResult]
+At = Callable[[Any], np.ndarray]
+
+
+def assign(run: Run, at: At, intersections: list[Any], nodes: list[Any], in_zone: list[bool]) -> MapLevel:
+    made = run([(0, 0)], (), intersections)
+    return assign_intersections(
+        made.keyframes, made.intersections, at(nodes), np.array(in_zone, dtype=np.bool_), relevant_zone_m=40
+    )
+
+
+def test_one_node_is_claimed_once(run: Run, at: At) -> None:
+    level = assign(run, at, [(1, 0), (2, 0)], [(0, 0)], [True])
+    assert level.node.tolist() == [0, -1]
+    assert (level.precision, level.recall) == (0.5, 1.0)
+    assert level.errors_m == pytest.approx([1.0], abs=1e-3)
+
+
+def test_the_total_decides_not_the_first_come(run: Run, at: At) -> None:
+    """The left one is nearest to the middle node, but the right one has no other."""
+    level = assign(run, at, [(-1, 0), (3, 0)], [(0, 0), (-4, 0)], [True, True])
+    assert level.node.tolist() == [1, 0]
+
+
+def test_beyond_the_gate_nothing_is_the_same(run: Run, at: At) -> None:
+    level = assign(run, at, [(11, 0)], [(0, 0)], [True])
+    assert level.node.tolist() == [-1]
+    assert (level.precision, level.recall) == (0.0, 0.0)
+
+
+def test_outside_the_zones_nothing_is_punished(run: Run, at: At) -> None:
+    level = assign(run, at, [(0, 0), (60, 0)], [(1, 0), (-60, 0)], [True, False])
+    assert level.counts.tolist() == [True, False]
+    assert (level.precision, level.recall) == (1.0, 1.0)
+
+
+def test_an_intersection_in_the_zone_may_be_a_node_just_outside(run: Run, at: At) -> None:
+    level = assign(run, at, [(19, 0)], [(21, 0)], [False])
+    assert (level.precision, level.recall) == (1.0, None)
+
+
+def test_an_empty_map_has_no_precision(run: Run, at: At) -> None:
+    level = assign(run, at, [], [(0, 0)], [True])
+    assert (level.precision, level.recall) == (None, 0.0)
+
+
+spots = st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12)), max_size=4)
+
+
+@given(intersections=spots, nodes=spots)
+def test_no_assignment_is_cheaper(run: Run, at: At, intersections: list[Any], nodes: list[Any]) -> None:
+    level = assign(run, at, intersections, nodes, [True] * len(nodes))
+    taken = level.node[level.node >= 0]
+    assert len(set(taken.tolist())) == len(taken)
+    mine = float(level.errors_m.sum()) + 10.0 * int((level.node < 0).sum())
+    # Every way to give each intersection another node, or none (the places past the end).
+    places = np.full((len(intersections), len(nodes) + len(intersections)), 10.0)
+    for i, a in enumerate(intersections):
+        for j, b in enumerate(nodes):
+            places[i, j] = min(10.0, float(np.hypot(a[0] - b[0], a[1] - b[1])))
+    rows = range(len(intersections))
+    best = min(sum(places[i, c[i]] for i in rows) for c in permutations(range(places.shape[1]), len(intersections)))
+    assert mine == pytest.approx(best, abs=1e-3)

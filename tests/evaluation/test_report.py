@@ -1,0 +1,208 @@
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interloc import files
+from interloc.errors import OutputError
+from interloc.evaluation.evaluate import Evaluation, evaluate
+from interloc.evaluation.figures import error_figure, map_figure, threshold_figure
+from interloc.evaluation.report import write_report
+from interloc.osm.graph import RoadGraph
+from interloc.results import DriveResult
+
+Run = Callable[..., DriveResult]
+Graph = Callable[..., RoadGraph]
+Scored = tuple[Evaluation, DriveResult]
+
+FILES = [
+    "figures/errors.png",
+    "figures/errors.svg",
+    "figures/map.png",
+    "figures/map.svg",
+    "figures/thresholds.png",
+    "figures/thresholds.svg",
+    "matches.geojson",
+    "osm_nodes.geojson",
+    "report.html",
+    "report.json",
+]
+
+
+@pytest.fixture(scope="module")
+def scored(run: Run, graph: Graph) -> Scored:
+    """Two keyframes, three nodes: one found, one missed, one out of reach; a detection far from everything."""
+    made = run([(0, 0), (5, 0)], [(0, 1, 0), (1, 0, 2), (1, 40, 40)], [(0.5, 1)])
+    return evaluate(made, graph([(0, 0), (0, -15), (80, 0)], arm_m=15)), made
+
+
+@pytest.fixture(scope="module")
+def folder(scored: Scored, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out")
+    write_report(*scored, out)
+    return out
+
+
+def written(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def strict_json(path: Path) -> Any:
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def test_the_files_of_the_contract_are_there(folder: Path) -> None:
+    assert written(folder) == FILES
+
+
+def test_the_record_has_the_fields_of_the_contract(folder: Path) -> None:
+    record = strict_json(folder / "report.json")
+    fields = """policy osm keyframes detections matched ace_m ace_tp_m ace_under_10_m median_m p95_m rmse_m tp fp fn
+        precision recall f1 roi_m relevant_zone_m nodes_in_zone nodes_found map_level"""
+    assert set(fields.split()) <= set(record)
+    assert (record["keyframes"], record["detections"], record["matched"]) == (2, 3, 3)
+    assert (record["tp"]["5.0"], record["fp"]["5.0"], record["fn"]["5.0"]) == (2, 1, 2)
+    assert list(record["precision"])[:2] == ["0.5", "1.0"]
+    assert {"6.9", "13.3"} <= set(record["f1"])
+    assert {node["osm_id"]: node["found"] for node in record["nodes"]} == {100: True, 105: False}
+
+
+def test_nodes_say_whether_they_were_found(folder: Path) -> None:
+    features = strict_json(folder / "osm_nodes.geojson")["features"]
+    assert [feature["geometry"]["type"] for feature in features] == ["Point"] * 3
+    told = {f["properties"]["osm_id"]: (f["properties"]["in_zone"], f["properties"]["found"]) for f in features}
+    assert told == {100: (True, True), 105: (True, False), 110: (False, False)}
+    assert features[0]["properties"]["degree"] == 4
+    assert features[0]["geometry"]["coordinates"] == pytest.approx([8.4, 49.0], abs=1e-9)
+
+
+def test_matches_lead_from_detection_to_node(folder: Path) -> None:
+    features = strict_json(folder / "matches.geojson")["features"]
+    assert [feature["properties"]["outcome"] for feature in features] == ["TP", "TP", "FP"]
+    first = features[0]
+    assert first["geometry"]["type"] == "LineString"
+    assert first["geometry"]["coordinates"][1] == pytest.approx([8.4, 49.0], abs=1e-9)
+    assert first["properties"]["frame"] == 0
+    assert first["properties"]["error_m"] == pytest.approx(1.0, abs=1e-3)
+    assert first["properties"]["osm_id"] == 100
+
+
+class Page(HTMLParser):
+    """Collects the tags of a page and checks that they nest."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in {"meta", "img", "br"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_page_asks_no_server_for_anything(folder: Path) -> None:
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    page = Page()
+    page.feed(text)
+    assert page.open == []
+    names = {tag for tag, _ in page.tags}
+    assert not names & {"script", "link", "iframe", "object", "form"}
+    sources = [attributes["src"] for tag, attributes in page.tags if "src" in attributes]
+    assert len(sources) == 3
+    assert all(source is not None and source.startswith("data:image/") for source in sources)
+    assert "@import" not in text
+    assert not re.search(r"url\(", text)
+
+
+def test_the_page_tells_the_story(folder: Path) -> None:
+    text = re.sub(r"<[^>]+>|\s+", " ", (folder / "report.html").read_text(encoding="utf-8"))
+    text = re.sub(r"\s+", " ", text)
+    assert "came close to 2 OSM intersections; 1 of them were found within 5 m" in text
+    for word in ("policy drive", "False negative", "Precision", "timings_s.detect 1.5", "versions.interloc 0.1.0"):
+        assert word in text
+
+
+def test_names_cannot_smuggle_markup_into_the_page(scored: Scored, tmp_path: Path) -> None:
+    evaluation, result = scored
+    evil = "<script>alert(1)</script>"
+    evaluation = replace(evaluation, drive=evil, graph=replace(evaluation.graph, source=evil), warnings=(evil,))
+    run = {"config": {"a": evil, "ids": {40}}, "host": evil}
+    write_report(evaluation, replace(result, drive=evil, run=run), tmp_path)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert text.count("&lt;script&gt;") >= 5
+
+
+def test_any_name_of_a_drive_will_do(scored: Scored, tmp_path: Path) -> None:
+    evaluation, result = scored
+    write_report(replace(evaluation, drive="a $b_{ 2 $ 高速"), result, tmp_path)
+    assert written(tmp_path) == FILES
+
+
+def test_a_run_that_found_nothing_has_a_report(run: Run, graph: Graph, tmp_path: Path) -> None:
+    made = run([(0, 0)])
+    write_report(evaluate(made, graph([(0, 0)])), made, tmp_path)
+    assert strict_json(tmp_path / "report.json")["ace_m"] is None
+    assert "Nothing was detected" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_road_without_junction_has_a_report(run: Run, graph: Graph, tmp_path: Path) -> None:
+    made = run([(0, 100)], [(0, 1, 100)])
+    write_report(evaluate(made, graph([(0, 0)], arm_m=150), policy="consolidated"), made, tmp_path)
+    assert "no OSM intersection of this policy" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_same_evaluation_gives_the_same_files(scored: Scored, folder: Path, tmp_path: Path) -> None:
+    write_report(*scored, tmp_path)
+    for name in FILES:
+        if not name.endswith((".svg", ".html")):  # matplotlib numbers the parts of an SVG at random
+            assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_a_missing_folder_is_named(scored: Scored, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="no such folder"):
+        write_report(*scored, tmp_path / "none")
+
+
+def test_a_file_in_the_way_is_named(scored: Scored, tmp_path: Path) -> None:
+    (tmp_path / "figures").write_text("")
+    with pytest.raises(OutputError, match="figures could not be created"):
+        write_report(*scored, tmp_path)
+
+
+def test_a_full_disk_leaves_no_half_of_a_file(scored: Scored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, "fsync", full)
+    with pytest.raises(OutputError, match="no space left"):
+        write_report(*scored, tmp_path)
+    assert written(tmp_path) == []
+
+
+def test_figures_carry_units_and_every_detection(scored: Scored) -> None:
+    evaluation, result = scored
+    axes = map_figure(evaluation, result).axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect()) == ("east [m]", "north [m]", 1.0)
+    counts = {str(line.get_label()).split(",")[0]: 0 for line in axes.lines}
+    for line in axes.lines:
+        counts[str(line.get_label()).split(",")[0]] += len(line.get_xdata())  # type: ignore[arg-type]
+    assert (counts["detection"], counts["OSM node"], counts["OSM node out of reach"]) == (3, 2, 1)
+    histogram = error_figure(evaluation).axes[0]
+    heights = [patch.get_height() for patch in histogram.patches]  # type: ignore[attr-defined]
+    assert np.sum(heights) == 2  # the third is beyond the picture
+    assert "1 beyond 10 m not shown" in histogram.texts[-1].get_text()
+    assert "[m]" in threshold_figure(evaluation).axes[0].get_xlabel()

@@ -1,0 +1,450 @@
+"""The result folder says what the tables say, and only a result folder is read as one."""
+
+import json
+import math
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from interloc.errors import OutputError
+from interloc.files import atomic_folder
+from interloc.output.write import read_results, thin, write_results
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+
+
+def small_result(*, local: bool = False) -> DriveResult:
+    """Two keyframes, two detections of one intersection and one of none."""
+    fixes, seen = np.array([[8.42, 49.01], [8.4201, 49.0101]]), np.array([[8.4205, 49.011]] * 2 + [[8.43, 49.02]])
+    return DriveResult(
+        drive="07",
+        keyframes=KeyframeTable(
+            frame=np.array([0, 12]),
+            time_s=np.array([0.0, np.nan]),
+            world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
+            world_yaw_rad=np.array([0.0, 0.5]),
+            lonlat=None if local else fixes,
+            enu_yaw_rad=None if local else np.array([math.pi / 2, math.pi]),
+        ),
+        detections=DetectionTable(
+            keyframe=np.array([0, 1, 1]),
+            lidar_xy=np.array([[10.0, 1.0], [8.0, 2.0], [-3.5, 0.25]]),
+            world_xy=np.array([[10.0, 1.0], [10.1, 1.0], [0.0, -0.5]]),
+            lonlat=None if local else seen,
+            bearings_deg=[np.array([0.0, 90.0, 180.0]), np.array([1.0, 91.5, 181.25]), np.array([5.0, 6.0, 7.0])],
+            score=np.array([1.0, 0.5, 0.125]),
+            intersection=np.array([0, 0, -1]),
+        ),
+        intersections=IntersectionTable(
+            id=np.array([1]),
+            world_xy=np.array([[10.0625, 1.0]]),
+            lonlat=None if local else seen[:1],
+            position_std_m=np.array([0.25]),
+            observations=np.array([2]),
+            confidence=np.array([0.75]),
+            bearings_deg=[np.array([0.5, 90.75, 180.5])],
+            first_frame=np.array([0]),
+            last_frame=np.array([12]),
+        ),
+        trajectory_world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
+        trajectory_lonlat=None if local else fixes,
+        run={"config": {"preset": "paper"}, "peak_memory_mb": 12.5},
+    )
+
+
+def load(path: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(path.read_text())
+    return content
+
+
+def assert_same(found: Any, expected: Any) -> None:
+    """Compare tables to the printed precision."""
+    for name, value in vars(expected).items():
+        other = getattr(found, name)
+        if value is None:
+            assert other is None, name
+        elif name.endswith("yaw_rad"):
+            assert_allclose(np.cos(other - value), 1, atol=1e-12, err_msg=name)
+        elif isinstance(value, list):
+            assert len(other) == len(value)
+            for a, b in zip(other, value, strict=True):
+                assert_allclose(np.cos(np.radians(a - b)), 1, atol=1e-9, err_msg=name)
+        elif value.dtype == np.int64:
+            assert other.dtype == np.int64
+            assert_array_equal(other, value, err_msg=name)
+        else:
+            tolerance = 0.5001e-9 if name == "lonlat" else 0.5001e-4
+            assert_allclose(other, value, rtol=0, atol=tolerance, err_msg=name)
+
+
+# what is in the files ------------------------------------------------------------------------------------------------
+
+
+def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
+    write_results(small_result(), tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "detections.geojson",
+        "intersections.geojson",
+        "keyframes.geojson",
+        "run.json",
+        "trajectory.geojson",
+    ]
+    detections = load(tmp_path / "detections.geojson")
+    assert list(detections) == ["type", "bbox", "features"]  # no crs
+    assert detections["bbox"] == [8.4205, 49.011, 8.43, 49.02]
+    assert detections["features"][1] == {
+        "type": "Feature",
+        "geometry": {"type": "Point", "coordinates": [8.4205, 49.011]},
+        "properties": {
+            "frame": 12,
+            "x_m": 8.0,
+            "y_m": 2.0,
+            "world_x_m": 10.1,
+            "world_y_m": 1.0,
+            "branch_count": 3,
+            "branch_bearings_deg": [1.0, 91.5, 181.25],
+            "score": 0.5,
+            "intersection": 1,
+        },
+    }
+    assert detections["features"][2]["properties"]["intersection"] is None
+    assert load(tmp_path / "keyframes.geojson")["features"][1]["properties"] == {
+        "frame": 12,
+        "time_s": None,
+        "heading_deg": 270.0,
+        "detections": 2,
+        "world_x_m": 2.125,
+        "world_y_m": -1.0,
+        "world_yaw_rad": 0.5,
+    }
+    assert load(tmp_path / "intersections.geojson")["features"][0]["properties"] == {
+        "id": 1,
+        "observations": 2,
+        "position_std_m": 0.25,
+        "branch_count": 3,
+        "branch_bearings_deg": [0.5, 90.75, 180.5],
+        "first_frame": 0,
+        "last_frame": 12,
+        "confidence": 0.75,
+        "world_x_m": 10.0625,
+        "world_y_m": 1.0,
+    }
+    (line,) = load(tmp_path / "trajectory.geojson")["features"]
+    assert line["geometry"] == {"type": "LineString", "coordinates": [[8.42, 49.01], [8.4201, 49.0101]]}
+    assert line["properties"] == {"scans": 2, "thinned_to_m": 0.5}
+    assert load(tmp_path / "run.json") == {
+        "format": "interloc-result",
+        "format_version": 1,
+        "drive_name": "07",
+        "georeferenced": True,
+        "files": [
+            "detections.geojson",
+            "keyframes.geojson",
+            "trajectory.geojson",
+            "intersections.geojson",
+            "run.json",
+        ],
+        "config": {"preset": "paper"},
+        "peak_memory_mb": 12.5,
+    }
+
+
+def test_a_local_run_never_pretends_to_be_on_the_globe(tmp_path: Path) -> None:
+    write_results(small_result(), tmp_path)
+    write_results(small_result(local=True), tmp_path)
+    assert not list(tmp_path.glob("*.geojson"))  # the older georeferenced files are gone
+    for name in ("detections", "keyframes", "trajectory", "intersections"):
+        content = load(tmp_path / f"{name}.local.json")
+        assert content["local"] is True
+        assert "metres" in content["units"]
+        assert content["features"][0]["geometry"]["coordinates"] in ([10.0, 1.0], [0.0, 0.0], [10.0625, 1.0]) or (
+            content["features"][0]["geometry"]["coordinates"] == [[0.0, 0.0], [2.125, -1.0]]
+        )
+    assert load(tmp_path / "keyframes.local.json")["features"][0]["properties"]["heading_deg"] == 90.0
+    assert load(tmp_path / "run.json")["georeferenced"] is False
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_results(small_result(), tmp_path / name)
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+
+
+@pytest.mark.parametrize(("scans", "positions"), [(0, None), (1, 2), (2, 2)])
+def test_a_line_has_two_positions_or_none(tmp_path: Path, scans: int, positions: int | None) -> None:
+    result = small_result()
+    assert result.trajectory_lonlat is not None
+    short = replace(
+        result,
+        trajectory_world_xy=result.trajectory_world_xy[:scans],
+        trajectory_lonlat=result.trajectory_lonlat[:scans],
+    )
+    write_results(short, tmp_path)
+    geometry = load(tmp_path / "trajectory.geojson")["features"][0]["geometry"]
+    assert geometry is None if positions is None else len(geometry["coordinates"]) == positions
+    back = read_results(tmp_path)
+    assert_array_equal(back.trajectory_world_xy, short.trajectory_world_xy)
+    assert_array_equal(back.trajectory_lonlat, short.trajectory_lonlat)
+
+
+def test_a_track_is_thinned_to_half_a_metre_with_both_ends() -> None:
+    track = np.stack([np.arange(11) * 0.2, np.zeros(11)], axis=-1)  # 0 .. 2.0 m
+    assert thin(track, 0.5).tolist() == [0, 3, 6, 9, 10]
+    standing = np.zeros((50, 2))
+    assert thin(standing, 0.5).tolist() == [0, 49]
+    assert thin(np.zeros((0, 2)), 0.5).tolist() == []
+
+
+def test_a_run_may_say_what_it_likes(tmp_path: Path) -> None:
+    run = {
+        "path": Path("drive"),
+        "seconds": np.float64(1.5),
+        "worst": math.nan,
+        "counts": np.array([1, 2]),
+        "nested": {"limit": math.inf, "ids": (40, 60), "set": {3, 1}, 7: "seven"},
+        "format_version": 99,
+    }
+    write_results(replace(small_result(), run=run), tmp_path)
+    assert read_results(tmp_path).run == {
+        "path": "drive",
+        "seconds": 1.5,
+        "worst": None,
+        "counts": [1, 2],
+        "nested": {"limit": None, "ids": [40, 60], "set": [1, 3], "7": "seven"},
+    }
+
+
+# there and back ------------------------------------------------------------------------------------------------------
+
+coordinates = st.floats(-1e4, 1e4, allow_nan=False)
+shares = st.floats(0, 1)
+compass = st.lists(st.floats(0, 360, exclude_max=True), max_size=5).map(lambda v: np.array(v, dtype=float))
+
+
+@st.composite
+def results(draw: st.DrawFn) -> DriveResult:
+    local, k, d, m = draw(st.booleans()), draw(st.integers(0, 4)), draw(st.integers(0, 5)), draw(st.integers(0, 3))
+    d = d if k else 0
+
+    def pairs(n: int) -> np.ndarray:
+        return np.array(draw(st.lists(st.tuples(coordinates, coordinates), min_size=n, max_size=n))).reshape(-1, 2)
+
+    def places(n: int) -> np.ndarray | None:
+        place = st.tuples(st.floats(-180, 180), st.floats(-90, 90))
+        drawn = np.array(draw(st.lists(place, min_size=n, max_size=n))).reshape(-1, 2)
+        return None if local else drawn
+
+    def column(values: st.SearchStrategy[Any], n: int, kind: type = float) -> np.ndarray:
+        return np.array(draw(st.lists(values, min_size=n, max_size=n)), dtype=kind).reshape(n)
+
+    def frames(n: int) -> np.ndarray:
+        return column(st.integers(0, 10**6), n, np.int64)
+
+    yaws = st.floats(-math.pi, math.pi)
+    step = st.integers(1, 50)
+    return DriveResult(
+        drive=draw(st.text(st.characters(codec="utf-8"), max_size=10)),
+        keyframes=KeyframeTable(
+            frame=np.cumsum(column(step, k, np.int64)).astype(np.int64),
+            time_s=column(st.floats(0, 1e6) | st.just(math.nan), k),
+            world_xy=pairs(k),
+            world_yaw_rad=column(yaws, k),
+            lonlat=places(k),
+            enu_yaw_rad=None if local else column(yaws, k),
+        ),
+        detections=DetectionTable(
+            keyframe=np.sort(column(st.integers(0, max(k - 1, 0)), d, np.int64)),
+            lidar_xy=pairs(d),
+            world_xy=pairs(d),
+            lonlat=places(d),
+            bearings_deg=[draw(compass) for _ in range(d)],
+            score=column(shares, d),
+            intersection=column(st.integers(-1, m - 1), d, np.int64),
+        ),
+        intersections=IntersectionTable(
+            id=np.arange(1, m + 1),
+            world_xy=pairs(m),
+            lonlat=places(m),
+            position_std_m=column(st.floats(0, 100), m),
+            observations=frames(m),
+            confidence=column(shares, m),
+            bearings_deg=[draw(compass) for _ in range(m)],
+            first_frame=frames(m),
+            last_frame=frames(m),
+        ),
+        trajectory_world_xy=np.stack([np.arange(k) * 3.0, np.zeros(k)], axis=-1),
+        trajectory_lonlat=places(k),
+        run={"config": {"x": 1}},
+    )
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(results())
+def test_what_is_written_is_read_back(result: DriveResult) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "out"
+        write_results(result, folder)
+        back = read_results(folder)
+        write_results(back, Path(name) / "again")
+        for path in folder.iterdir():
+            again = (Path(name) / "again" / path.name).read_text()
+            if "keyframes" not in path.name:  # a heading of 359.9999999 may come back as 0
+                assert again == path.read_text()
+    assert back.drive == result.drive
+    assert back.run == result.run
+    assert back.is_georeferenced == result.is_georeferenced
+    assert_same(back.keyframes, result.keyframes)
+    assert_same(back.detections, result.detections)
+    assert_same(back.intersections, result.intersections)
+    assert_allclose(back.trajectory_world_xy, result.trajectory_world_xy)
+
+
+# what is refused -----------------------------------------------------------------------------------------------------
+
+
+def test_a_missing_folder_and_a_folder_of_something_else_are_named(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"none is no folder\. Give the folder that `interloc detect -o` wrote"):
+        read_results(tmp_path / "none")
+    with pytest.raises(OutputError, match=r"is no InterLoc result: it has no run.json"):
+        read_results(tmp_path)
+    (tmp_path / "run.json").write_text('{"scripts": {}}')
+    with pytest.raises(OutputError, match=r"run.json is not from InterLoc"):
+        read_results(tmp_path)
+
+
+def test_a_newer_format_is_said(tmp_path: Path) -> None:
+    write_results(small_result(), tmp_path)
+    run = load(tmp_path / "run.json") | {"format_version": 2}
+    (tmp_path / "run.json").write_text(json.dumps(run))
+    with pytest.raises(OutputError, match=r"newer InterLoc \(format 2; this one reads up to 1\)\. Update InterLoc"):
+        read_results(tmp_path)
+
+
+DAMAGE = {
+    "truncated": ("detections.geojson", lambda t: t[: len(t) // 2], r"detections.geojson is damaged: it is no JSON"),
+    "binary": ("keyframes.geojson", lambda _: "\x00\x01", r"keyframes.geojson is damaged: it is no JSON"),
+    "a list": ("keyframes.geojson", lambda _: "[]", r"it holds no JSON object"),
+    "no collection": ("keyframes.geojson", lambda _: "{}", r"it is no FeatureCollection"),
+    "a missing property": (
+        "detections.geojson",
+        lambda t: t.replace('"x_m"', '"y"', 1),
+        r"feature 1 has no property x_m",
+    ),
+    "words": (
+        "detections.geojson",
+        lambda t: t.replace('"x_m":10.0', '"x_m":"10"'),
+        r"x_m of feature 1 is '10', not a n",
+    ),
+    "a fraction": (
+        "keyframes.geojson",
+        lambda t: t.replace('"frame":12', '"frame":1.5'),
+        r"is 1.5, not a whole number",
+    ),
+    "descending": ("keyframes.geojson", lambda t: t.replace('"frame":0', '"frame":99'), r"frames do not ascend"),
+    "a stranger": (
+        "detections.geojson",
+        lambda t: t.replace('"frame":12', '"frame":13'),
+        r"frame 13 is not in the other",
+    ),
+    "no such id": (
+        "detections.geojson",
+        lambda t: t.replace('section":1', 'section":8'),
+        r"intersection 8 is not in the",
+    ),
+    "bearings": (
+        "intersections.geojson",
+        lambda t: t.replace("[0.5,", '["N",'),
+        r"branch_bearings_deg of feature 1 is no",
+    ),
+    "a polygon": ("intersections.geojson", lambda t: t.replace("Point", "Polygon"), r"feature 1 is no Point"),
+    "nowhere": ("intersections.geojson", lambda t: t.replace("[8.4205,49.011]", "[8.4]"), r"no list of pairs"),
+    "no geometry": ("detections.geojson", lambda t: t.replace('"geometry"', '"g"', 1), r"a feature has no position"),
+    "two tracks": ("trajectory.geojson", lambda _: '{"type":"FeatureCollection","features":[]}', r"0 features instead"),
+    "a short track": (
+        "trajectory.geojson",
+        lambda t: t.replace("[[0.0,0.0],[", "[[0.0,0.0],[1,1],["),
+        r"different len",
+    ),
+    "no features": ("keyframes.geojson", lambda _: '{"type":"FeatureCollection","features":[1]}', r"no properties"),
+    "no flag": (
+        "run.json",
+        lambda t: t.replace('"georeferenced": true', '"georeferenced": 1'),
+        r"georeferenced or dri",
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_is_named_with_what_to_do(tmp_path: Path, damage: str) -> None:
+    name, spoil, message = DAMAGE[damage]
+    write_results(small_result(), tmp_path)
+    text = (tmp_path / name).read_text()
+    spoiled = spoil(text)
+    assert spoiled != text
+    (tmp_path / name).write_text(spoiled)
+    with pytest.raises(OutputError, match=message) as caught:
+        read_results(tmp_path)
+    assert name in str(caught.value)
+    assert "interloc detect" in str(caught.value)
+
+
+def test_a_file_that_is_gone_is_named(tmp_path: Path) -> None:
+    write_results(small_result(), tmp_path)
+    (tmp_path / "trajectory.geojson").unlink()
+    with pytest.raises(OutputError, match=r"trajectory.geojson is missing, so the result is not complete"):
+        read_results(tmp_path)
+
+
+# writing that fails --------------------------------------------------------------------------------------------------
+
+
+def test_a_full_disk_leaves_no_result_folder(tmp_path: Path) -> None:
+    """The real thing: a process whose files may not grow over 600 bytes."""
+    write_results(small_result(), tmp_path / "small")
+    code = """
+import resource, sys
+from pathlib import Path
+from interloc.errors import OutputError
+from interloc.output.write import read_results, write_results
+from interloc.files import atomic_folder
+result = read_results(Path("small"))
+resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))
+try:
+    with atomic_folder(Path("out")) as folder:
+        write_results(result, folder)
+except OutputError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == (
+        "out/detections.geojson could not be written: the file is larger than the file size limit.\n"
+    )
+    assert [p.name for p in tmp_path.iterdir()] == ["small"]
+
+
+def test_an_interrupted_run_leaves_the_old_result(tmp_path: Path) -> None:
+    with atomic_folder(tmp_path / "out") as folder:
+        write_results(small_result(), folder)
+    with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "out") as folder:  # noqa: PT012
+        write_results(small_result(local=True), folder)
+        raise KeyboardInterrupt
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert read_results(tmp_path / "out").is_georeferenced
+
+
+def test_a_result_is_not_complete_before_its_run_file(tmp_path: Path) -> None:
+    write_results(small_result(), tmp_path)
+    (tmp_path / "keyframes.geojson").unlink()
+    (tmp_path / "keyframes.geojson").mkdir()
+    with pytest.raises(OutputError, match=r"keyframes.geojson could not be written: there is a folder of that name"):
+        write_results(small_result(), tmp_path)
+    assert not (tmp_path / "run.json").exists()

@@ -1,0 +1,274 @@
+"""How fast InterLoc is and what memory it takes: `make bench`.
+
+Every figure comes from a fresh process, so that peaks of memory are honest, over files that are in the page cache and
+kernels that are compiled; loading those is timed by itself. Best and median of several runs are shown. Targets are held
+against the best: other work on the machine only ever adds, to processor time the least. Without --drive, a drive
+through the made-up town is simulated once (281 keyframes, 125,000 points a scan, 25 % road, 700 MB) and kept in the
+folder for temporary files.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import click
+import cv2
+import numpy as np
+from baselines import literal, masking
+from skimage.morphology import skeletonize
+
+from interloc.config import PAPER, preset
+from interloc.detection.candidates import harris_corners
+from interloc.detection.detector import Detector, Steps
+from interloc.detection.occupancy import infer_occupancy
+from interloc.drive import Drive, scans_of
+from interloc.drives import open_drive
+from interloc.drives.folder import FolderDrive
+from interloc.kernels.thinning import DELETABLE, thin
+from interloc.output.write import write_results
+from interloc.pipeline import detect
+from interloc.simulate.town import simulate_town
+
+Measure = Callable[[Path], dict[str, float]]
+LONG = 10  # times as many scans
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the table; the target is an upper or a lower bound of the best value."""
+
+    name: str
+    unit: str
+    values: list[float]
+    at_most: float | None = None
+    at_least: float | None = None
+
+    @property
+    def best(self) -> float:
+        return max(self.values) if self.at_least is not None else min(self.values)
+
+    @property
+    def verdict(self) -> str:
+        if self.at_most is not None:
+            return f"<= {self.at_most:g}  {'ok' if self.best <= self.at_most else 'MISSED'}"
+        if self.at_least is not None:
+            return f">= {self.at_least:g}  {'ok' if self.best >= self.at_least else 'MISSED'}"
+        return ""
+
+
+def pipeline(root: Path, name: str, workers: int) -> dict[str, float]:
+    """From files to GeoJSON: seconds and peak memory, and milliseconds a keyframe of each stage."""
+    config, loading = preset(name), time.perf_counter()
+    drive = open_drive(root)
+    detector = Detector(config)
+    for scan in scans_of(drive, range(5)):
+        detector.push(scan)
+    list(detector.finish())
+    began, worked = time.perf_counter(), time.process_time()
+    drive = open_drive(root)
+    opened = time.perf_counter()
+    result = detect(drive, config, workers=workers)
+    detected = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        write_results(result, Path(folder))
+    end = time.perf_counter()
+    count = result.run["keyframes"]
+    stages = {"open and check": opened - began, **result.run["stage_seconds"], "write": end - detected}
+    return {
+        "load_seconds": began - loading,
+        "keyframes": count,
+        "seconds": end - began,
+        "cpu_seconds": time.process_time() - worked,
+        "peak_mb": result.run["peak_memory_bytes"] / 1e6,
+        **{f"stage {stage}": 1e3 * seconds / count for stage, seconds in stages.items()},
+    }
+
+
+def kernels(root: Path) -> dict[str, float]:
+    """Time the pixel loops on the image in the middle of the drive, beside those of OpenCV and scikit-image."""
+    steps = steps_at(open_drive(root))
+    bev, occupancy = steps.bev.to_array(), steps.occupancy.to_array()
+    line, disc = steps.centerline.image.to_array(), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
+    words = steps.occupancy.words
+    return {
+        "closing and opening, ours": best_ms(lambda: infer_occupancy(steps.bev, 0.16, PAPER.occupancy)),
+        "closing and opening, OpenCV": best_ms(
+            lambda: cv2.morphologyEx(cv2.morphologyEx(bev, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
+        ),
+        "thinning, ours": best_ms(lambda: thin(words.copy(), DELETABLE)),
+        "thinning, scikit-image": best_ms(lambda: skeletonize(occupancy)),
+        "Harris, ours": best_ms(lambda: harris_corners(steps.centerline, PAPER.candidates)),
+        "Harris, OpenCV": best_ms(lambda: cv2.cornerHarris(line.astype(np.float32), 9, 3, 0.04)),
+    }
+
+
+def steps_at(drive: Drive) -> Steps:
+    """Run the preset paper up to the middle of a drive and return the images there."""
+    detector = Detector(PAPER)
+    for scan in scans_of(drive):
+        keyframe = detector.advance(scan)
+        if keyframe is not None and keyframe.frame >= drive.frames[len(drive.frames) // 2]:
+            return detector.steps(keyframe)
+    raise SystemExit("the drive is too short: give one of 100 keyframes or more")
+
+
+def best_ms(call: Callable[[], object], times: int = 30) -> float:
+    """Return the shortest of many times, milliseconds."""
+    seconds = []
+    for _ in range(times):
+        began = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - began)
+    return 1e3 * min(seconds)
+
+
+MEASURES: dict[str, Measure] = {
+    "default": lambda root: pipeline(root, "default", 1),
+    "paper": lambda root: pipeline(root, "paper", 1),
+    "default2": lambda root: pipeline(root, "default", 2),
+    "paper2": lambda root: pipeline(root, "paper", 2),
+    "masking": masking,
+    "literal": lambda root: literal(root, 40),
+    "kernels": kernels,
+}
+
+
+def measured(name: str, root: Path, times: int) -> list[dict[str, float]]:
+    """Measure something several times, each in a fresh process."""
+    command = [sys.executable, str(Path(__file__).resolve()), "--measure", name, "--drive", str(root)]
+    runs = []
+    for number in range(times):
+        if sys.stderr.isatty():
+            click.echo(f"\r{name} {number + 1} of {times} ...".ljust(40) + "\r", err=True, nl=False)
+        answer = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        runs.append(json.loads(answer.stdout))
+    return runs
+
+
+def start_seconds(times: int) -> list[float]:
+    """Time `interloc --help`."""
+    seconds = []
+    for _ in range(times):
+        began = time.perf_counter()
+        code = "from interloc.cli.main import main; main()"
+        subprocess.run([sys.executable, "-c", code, "--help"], stdout=subprocess.DEVNULL, check=True)
+        seconds.append(time.perf_counter() - began)
+    return seconds
+
+
+def made_up_drive() -> Path:
+    """Simulate the drive through the town where it is not there from before."""
+    root = Path(tempfile.gettempdir()) / "interloc-bench" / "town"
+    if not root.exists():
+        click.echo(f"simulating a drive to {root} (700 MB, half a minute) ...", err=True)
+        simulate_town(root, part="plain", keyframes_only=True)
+    return root
+
+
+def write_long(drive: FolderDrive, root: Path) -> None:
+    """Drive the same scans again and again, each time from where the last time ended; links, no copies."""
+    ahead = np.eye(4)
+    ahead[0, 3] = 2.2
+    poses, start = [], np.eye(4)
+    for _ in range(LONG):
+        poses.append(start @ drive.T_world_lidar)
+        last = poses[-1][-1]
+        yaw = np.arctan2(last[1, 0], last[0, 0])
+        start = np.eye(4)
+        start[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+        start[:3, 3] = last[:3, 3]
+        start = start @ ahead
+    for folder, files in (("velodyne", drive.ground.scan_files), ("labels", drive.ground.label_files)):
+        (root / folder).mkdir()
+        for number in range(LONG * len(drive.frames)):
+            source = files.path(int(drive.frames[number % len(drive.frames)])).resolve()
+            (root / folder / f"{number:06d}{files.suffix}").symlink_to(source)
+    np.savetxt(root / "poses.txt", np.concatenate(poses)[:, :3].reshape(-1, 12))
+
+
+def rows_of(root: Path, times: int) -> list[Row]:
+    """Measure everything."""
+    for name in ("default", "paper", "kernels"):
+        measured(name, root, 1)  # compiles the kernels and fills the page cache
+    masking_runs, literal_runs = (measured(name, root, times) for name in ("masking", "literal"))
+    masked, plain = [run["cpu_ms"] for run in masking_runs], [run["ms"] for run in literal_runs]
+    rows = [
+        Row("read and mask the scans in numpy, by the clock", "ms a keyframe", [run["ms"] for run in masking_runs]),
+        Row("  processor time", "ms a keyframe", masked),
+        Row("literal pipeline, by the clock", "ms a keyframe", plain),
+        Row("  processor time", "ms a keyframe", [run["cpu_ms"] for run in literal_runs]),
+    ]
+    for name in ("default", "paper"):
+        runs = measured(name, root, times)
+        wall, cpu = ([1e3 * run[key] / run["keyframes"] for run in runs] for key in ("seconds", "cpu_seconds"))
+        rows.append(Row(f"{name}, one core, by the clock", "ms a keyframe", wall, at_most=6.0))
+        rows.append(Row("  processor time", "ms a keyframe", cpu, at_most=6.0))
+        rows += [
+            Row(f"  {stage[6:]}", "ms a keyframe", [run[stage] for run in runs])
+            for stage in runs[0]
+            if stage.startswith("stage ")
+        ]
+        rows.append(Row("  times reading and masking", "x", [ms / min(masked) for ms in cpu], at_most=3.0))
+        rows.append(Row("  memory", "MB", [run["peak_mb"] for run in runs], at_most=600.0))
+    with tempfile.TemporaryDirectory() as folder:
+        write_long(open_drive(root), Path(folder))
+        for name in ("default", "paper"):
+            doubles = measured(f"{name}2", Path(folder), times)
+            rate = [run["keyframes"] / run["seconds"] for run in doubles]
+            rows.append(Row(f"{name}, two processes, {LONG}x as long", "keyframes/s", rate, at_least=300.0))
+            rows.append(Row("  times the literal pipeline", "x", [r * min(plain) / 1e3 for r in rate], at_least=20.0))
+            rows.append(Row("  memory", "MB", [run["peak_mb"] for run in doubles], at_most=600.0))
+        long = measured("default", Path(folder), 1)
+        rows.append(Row(f"default, one process, {LONG}x as long: memory", "MB", [long[0]["peak_mb"]], at_most=600.0))
+    images = measured("kernels", root, times)
+    rows.append(Row("loading of the kernels, once a process", "s", [run["load_seconds"] for run in runs]))
+    rows += [Row(f"{kernel}, 750 x 750", "ms", [run[kernel] for run in images]) for kernel in images[0]]
+    return [*rows, Row("interloc --help", "s", start_seconds(2 * times), at_most=0.5)]
+
+
+def facts() -> dict[str, Any]:
+    """Return what the figures depend on."""
+    versions = {name: importlib.import_module(name).__version__ for name in ("numpy", "numba", "cv2", "skimage")}
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {"python": platform.python_version(), "cores": os.cpu_count(), "load_before": load, **versions}
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--drive", type=Path, help="a drive of 100 keyframes or more instead of the made-up one")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the table there too")
+    parser.add_argument("--quick", action="store_true", help="measure everything once instead of five times")
+    parser.add_argument("--measure", choices=MEASURES, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.measure:
+        click.echo(json.dumps(MEASURES[options.measure](options.drive)))
+        return
+    about = facts()
+    rows = rows_of(options.drive or made_up_drive(), 1 if options.quick else 5)
+    click.echo(", ".join(f"{name} {value}" for name, value in about.items()))
+    click.echo(f"{'':<50} {'best':>8} {'median':>8}  {'':<14} target of the best")
+    for row in rows:
+        click.echo(f"{row.name:<50} {row.best:8.2f} {median(row.values):8.2f}  {row.unit:<14} {row.verdict}")
+    missed = [row.name.strip() for row in rows if row.verdict.endswith("MISSED")]
+    click.echo(f"missed: {', '.join(missed)}" if missed else "every target is met")
+    if options.json:
+        table = [asdict(row) | {"best": row.best, "median": median(row.values)} for row in rows]
+        options.json.write_text(json.dumps({"about": about, "rows": table}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,299 @@
+"""Nothing half-written stays, whatever goes wrong; what was there before does."""
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from interloc import files
+from interloc.errors import DriveError, OutputError
+from interloc.files import atomic_folder, atomic_write
+
+is_root = hasattr(os, "geteuid") and os.geteuid() == 0
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below, hidden ones too."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def make_result(folder: Path, run: bytes = b"old") -> None:
+    folder.mkdir()
+    (folder / "run.json").write_bytes(run)
+    (folder / "report.json").write_bytes(b"old report")
+
+
+def run_limited(code: str, cwd: Path, *, limit: int) -> str:
+    """Run code in a process whose files may not grow over `limit` bytes; returns what it prints."""
+    prologue = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
+    done = subprocess.run([sys.executable, "-c", prologue + code], cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+# one file ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    with atomic_write(path) as handle:
+        handle.write(b"new")
+        assert not path.exists()
+    assert contents(tmp_path) == {"a.json": b"new"}
+
+
+def test_an_older_file_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_bytes(b"a longer old text")
+    with atomic_write(tmp_path / "a.json") as handle:
+        handle.write(b"new")
+    assert contents(tmp_path) == {"a.json": b"new"}
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit, ValueError, DriveError, GeneratorExit])
+def test_a_stopped_write_leaves_the_old_file(tmp_path: Path, stop: type[BaseException]) -> None:
+    (tmp_path / "a.json").write_bytes(b"old")
+    with pytest.raises(stop), atomic_write(tmp_path / "a.json") as handle:  # noqa: PT012
+        handle.write(b"half")
+        raise stop
+    assert contents(tmp_path) == {"a.json": b"old"}
+
+
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "none" / "a.json"
+    with pytest.raises(OutputError) as caught, atomic_write(path):
+        pass
+    assert str(caught.value) == f"{path} could not be written: the folder does not exist."
+
+
+def test_an_error_about_another_file_stays_what_it_is(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "a.json"):
+        (tmp_path / "input").read_bytes()
+    with pytest.raises(BrokenPipeError), atomic_folder(tmp_path / "out"):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+    assert contents(tmp_path) == {}
+
+
+@pytest.mark.skipif(is_root, reason="root may write everywhere")
+def test_permission_denied_is_said(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(OutputError, match="permission denied"), atomic_write(tmp_path / "a.json"):
+            pass
+        with pytest.raises(OutputError, match="permission denied"), atomic_folder(tmp_path / "out"):
+            pass
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_a_file_over_the_size_limit_leaves_the_old_one(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_bytes(b"old")
+    code = """
+from pathlib import Path
+from interloc.errors import OutputError
+from interloc.files import atomic_write
+try:
+    with atomic_write(Path("a.json")) as handle:
+        handle.write(b"x" * 3000)
+        handle.write(b"x" * 3000)
+except OutputError as error:
+    print(error)
+"""
+    assert run_limited(code, tmp_path, limit=4096) == (
+        "a.json could not be written: the file is larger than the file size limit.\n"
+    )
+    assert contents(tmp_path) == {"a.json": b"old"}
+
+
+def test_a_folder_over_the_size_limit_leaves_the_old_one(tmp_path: Path) -> None:
+    make_result(tmp_path / "out")
+    before = contents(tmp_path)
+    code = """
+from pathlib import Path
+from interloc.errors import OutputError
+from interloc.files import atomic_folder, atomic_write
+try:
+    with atomic_folder(Path("out")) as folder:
+        (folder / "figures").mkdir()
+        (folder / "figures" / "a.png").write_bytes(b"small")
+        with atomic_write(folder / "detections.geojson") as handle:
+            handle.write(b"x" * 100_000)
+except OutputError as error:
+    print(error)
+"""
+    assert run_limited(code, tmp_path, limit=4096) == (
+        "out/detections.geojson could not be written: the file is larger than the file size limit.\n"
+    )
+    assert contents(tmp_path) == before
+
+
+def test_a_plain_write_over_the_limit_is_reported_too(tmp_path: Path) -> None:
+    code = """
+from pathlib import Path
+from interloc.errors import OutputError
+from interloc.files import atomic_folder
+try:
+    with atomic_folder(Path("deep/er/out")) as folder:
+        (folder / "a.png").write_bytes(b"x" * 100_000)
+except OutputError as error:
+    print(error)
+"""
+    assert run_limited(code, tmp_path, limit=4096).startswith("deep/er/out could not be written: the file is larger")
+    assert list(tmp_path.iterdir()) == []  # the folders made on the way are gone as well
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path):  # noqa: ANN201
+    """A disk of 64 kB, where this machine lets us have one."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
+    try:
+        mounted = is_root and subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except FileNotFoundError:
+        mounted = False
+    if not mounted:
+        pytest.skip("this machine does not let us mount a small disk")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_full_disk_leaves_the_old_results(full_disk: Path) -> None:
+    make_result(full_disk / "out")
+    before = contents(full_disk)
+    with pytest.raises(OutputError, match=r"out/detections.geojson could not be written: no space left"):  # noqa: SIM117
+        with atomic_folder(full_disk / "out") as folder, atomic_write(folder / "detections.geojson") as handle:
+            handle.write(b"x" * 200_000)
+    assert contents(full_disk) == before
+
+
+def test_a_mounted_folder_is_filled_in_place(full_disk: Path) -> None:
+    with atomic_folder(full_disk) as folder:
+        (folder / "run.json").write_bytes(b"1")
+        (folder / "report.json").write_bytes(b"1")
+    (full_disk / "notes.txt").write_bytes(b"mine")
+    before = contents(full_disk)
+    with pytest.raises(KeyboardInterrupt), atomic_folder(full_disk) as folder:  # noqa: PT012
+        (folder / "run.json").write_bytes(b"2")
+        raise KeyboardInterrupt
+    assert contents(full_disk) == before == {"run.json": b"1", "report.json": b"1", "notes.txt": b"mine"}
+    with atomic_folder(full_disk) as folder:
+        (folder / "run.json").write_bytes(b"2")
+    assert contents(full_disk) == {"run.json": b"2", "notes.txt": b"mine"}
+
+
+# a folder ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_folder_appears_when_it_is_complete(tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    with atomic_folder(out) as folder:
+        (folder / "run.json").write_bytes(b"{}")
+        assert not out.exists()
+        assert folder.parent == out.parent  # the same file system, so that the renaming is one step
+    assert contents(tmp_path) == {"new/out/run.json": b"{}"}
+
+
+def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    with atomic_folder(tmp_path / "out") as folder:
+        (folder / "run.json").write_bytes(b"{}")
+    assert contents(tmp_path) == {"out/run.json": b"{}"}
+
+
+def test_a_new_result_replaces_the_old_one_and_its_report_but_no_file_of_the_user(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    make_result(out)
+    (out / "figures").mkdir()
+    (out / "figures" / "map.png").write_bytes(b"old")
+    (out / "my map.qgz").write_bytes(b"mine")
+    with atomic_folder(out) as folder:
+        (folder / "run.json").write_bytes(b"new")
+        assert (out / "run.json").read_bytes() == b"old"
+    assert contents(tmp_path) == {"out/run.json": b"new", "out/my map.qgz": b"mine"}
+
+
+def test_a_folder_of_something_else_is_not_touched(tmp_path: Path) -> None:
+    out = tmp_path / "photos"
+    out.mkdir()
+    (out / "a.jpg").write_bytes(b"mine")
+    with pytest.raises(OutputError, match=r"photos exists and is no InterLoc result: it holds a.jpg but no run.json"):  # noqa: SIM117
+        with atomic_folder(out):
+            pytest.fail("refused before the work starts, not after")
+    assert contents(tmp_path) == {"photos/a.jpg": b"mine"}
+
+
+def test_a_file_in_the_way_is_not_touched(tmp_path: Path) -> None:
+    (tmp_path / "out").write_bytes(b"mine")
+    with pytest.raises(OutputError, match="is a file"), atomic_folder(tmp_path / "out"):
+        pass
+    assert contents(tmp_path) == {"out": b"mine"}
+    with pytest.raises(OutputError, match="a part of the path is a file"), atomic_folder(tmp_path / "out" / "deeper"):
+        pass
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit, ValueError, DriveError])
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_stopped_run_leaves_nothing_new(tmp_path: Path, stop: type[BaseException], exists: bool) -> None:
+    if exists:
+        make_result(tmp_path / "out")
+    before = contents(tmp_path)
+    with pytest.raises(stop), atomic_folder(tmp_path / "out") as folder:  # noqa: PT012
+        (folder / "run.json").write_bytes(b"half")
+        raise stop
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.EIO, "I/O error")])
+def test_the_old_result_comes_back_when_the_last_rename_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    out = tmp_path / "out"
+    make_result(out)
+    before = contents(tmp_path)
+    rename = Path.rename
+
+    def failing(self: Path, target: Path) -> Path:
+        if target == out and self.name != files.RUN_FILE and (self / "new").exists():
+            raise error
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    expected = KeyboardInterrupt if isinstance(error, KeyboardInterrupt) else OutputError
+    with pytest.raises(expected), atomic_folder(out) as folder:
+        (folder / "new").write_bytes(b"")
+    assert contents(tmp_path) == before
+
+
+def test_leftovers_of_a_killed_run_do_not_hinder(tmp_path: Path) -> None:
+    code = """
+import os
+from pathlib import Path
+from interloc.files import atomic_folder
+with atomic_folder(Path("out")) as folder:
+    (folder / "run.json").write_bytes(b"half")
+    os._exit(0)
+"""
+    run_limited(code, tmp_path, limit=1 << 20)
+    assert not (tmp_path / "out").exists()
+    with atomic_folder(tmp_path / "out") as folder:
+        (folder / "run.json").write_bytes(b"whole")
+    assert (tmp_path / "out" / "run.json").read_bytes() == b"whole"
+
+
+def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
+    make_result(tmp_path / "real")
+    (tmp_path / "out").symlink_to(tmp_path / "real")
+    with atomic_folder(tmp_path / "out") as folder:
+        (folder / "run.json").write_bytes(b"new")
+    assert (tmp_path / "out").is_symlink()
+    assert (tmp_path / "real" / "run.json").read_bytes() == b"new"
+
+
+def test_a_marker_of_another_kind(tmp_path: Path) -> None:
+    for text in (b"1", b"2"):
+        with atomic_folder(tmp_path / "out", marker="explain.json") as folder:
+            (folder / "explain.json").write_bytes(text)
+    assert contents(tmp_path) == {"out/explain.json": b"2"}
