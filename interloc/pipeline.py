@@ -5,12 +5,10 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
-from multiprocessing import get_context
 from typing import Any
 
 from interloc.arrays import IntArray
@@ -18,10 +16,10 @@ from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive, scans_of
-from interloc.errors import DriveError, InterLocError
+from interloc.errors import DriveError
 from interloc.mapping.fusion import FusionConfig, fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
-from interloc.processes import cores, end_with_parent, interrupts_held_back, peak_memory_bytes
+from interloc.processes import cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult
 from interloc.stopwatch import Stopwatch
 
@@ -236,24 +234,18 @@ def _detect_in_processes(
     progress: Progress | None,
 ) -> list[RangeResult]:
     done = 0
-    results = []
-    pool = ProcessPoolExecutor(min(workers, len(ranges)), mp_context=get_context("spawn"), initializer=end_with_parent)
-    try:
-        with interrupts_held_back():  # the workers inherit this: Ctrl-C is the parent's business
-            futures = [pool.submit(detect_range, drive, keyframes, start, stop, config) for start, stop in ranges]
-        for future in as_completed(futures):
-            part = future.result()
-            results.append(part)
-            done += len(part.detections)
-            if progress is not None:
-                progress(done, len(keyframes))
-    except BrokenProcessPool:
-        raise InterLocError(
-            "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers"
-        ) from None
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-    return sorted(results, key=lambda part: part.start)
+
+    def count(part: RangeResult) -> None:
+        nonlocal done
+        done += len(part.detections)
+        if progress is not None:
+            progress(done, len(keyframes))
+
+    return run_in_processes(partial(_detect_between, drive, keyframes, config), ranges, workers, on_result=count)
+
+
+def _detect_between(drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]) -> RangeResult:
+    return detect_range(drive, keyframes, *bounds, config)
 
 
 def versions() -> dict[str, Any]:

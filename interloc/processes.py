@@ -1,19 +1,141 @@
-"""Worker processes that behave: they end with their parent, and leave Ctrl-C to it."""
+"""Worker processes that end with their parent and leave Ctrl-C to it, and tasks that run in a pool of them."""
 
 from __future__ import annotations
 
 import os
+import queue
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import parent_process
+from multiprocessing import active_children, get_context, parent_process
+from typing import Any, TypeVar
+
+from interloc.errors import InterLocError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_messages: Any = None
+"""In a worker: the queue to the parent process."""
+
+_is_stopping = False
+"""In a worker: whether the parent process has asked it to stop."""
 
 
 def cores() -> int:
     """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_in_processes(
+    work: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    workers: int,
+    *,
+    on_result: Callable[[Result], None] | None = None,
+    on_message: Callable[[Any], None] | None = None,
+    hint: str = "",
+) -> list[Result]:
+    """Work on tasks in several processes.
+
+    Parameters
+    ----------
+    work
+        A function of a module. When the run ends early it is left by KeyboardInterrupt, so that it can tidy up.
+    tasks
+    workers : int
+        Number of processes.
+    on_result
+        Called with each result as soon as it is there.
+    on_message
+        Called with what `work` passes to `send_message`.
+    hint
+        Added to the message when a worker process is lost.
+
+    Returns
+    -------
+    list
+        The results in the order of the tasks.
+
+    Raises
+    ------
+    InterLocError
+        A worker process was ended from outside; or whatever a task raises. The other tasks are stopped.
+    """
+    context = get_context("spawn")
+    messages = context.Queue()
+    others = set(active_children())
+    pool = ProcessPoolExecutor(
+        min(workers, len(tasks)), mp_context=context, initializer=_start_worker, initargs=(messages,)
+    )
+
+    def pass_on_messages() -> None:
+        while on_message is not None:
+            try:
+                on_message(messages.get(timeout=0.01))
+            except queue.Empty:
+                return
+
+    try:
+        with interrupts_held_back():
+            futures = [pool.submit(_work_stoppably, work, task) for task in tasks]
+        waiting: set[Future[Result]] = set(futures)
+        while waiting:
+            finished, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
+            pass_on_messages()
+            for future in finished:
+                result = future.result()
+                if on_result is not None:
+                    on_result(result)
+        pass_on_messages()
+        return [future.result() for future in futures]
+    except BaseException as error:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(active_children()) - others:
+            process.terminate()
+        if isinstance(error, BrokenProcessPool):
+            raise InterLocError(
+                "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers."
+                + (f" {hint}" if hint else "")
+            ) from None
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        messages.close()
+
+
+def send_message(message: Any) -> None:  # noqa: ANN401 - whatever can be pickled
+    """Send a message from the work of `run_in_processes` to its caller."""
+    _messages.put(message)
+
+
+def _start_worker(messages: Any) -> None:  # noqa: ANN401 - a queue of the spawn context
+    global _messages  # noqa: PLW0603 - queues reach a worker only when it starts
+    _messages = messages
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+
+
+def _work_stoppably(work: Callable[[Task], Result], task: Task) -> Result:
+    signal.signal(signal.SIGTERM, _stop_work)
+    try:
+        return work(task)
+    except BaseException:
+        if _is_stopping:
+            os._exit(1)  # everything is tidied up, and no further task may begin
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _stop_work(*_: object) -> None:
+    global _is_stopping  # noqa: PLW0603 - a signal handler has no other place
+    _is_stopping = True
+    raise KeyboardInterrupt
 
 
 def end_with_parent() -> None:
@@ -30,7 +152,7 @@ def end_with_parent() -> None:
 
 @contextmanager
 def interrupts_held_back() -> Iterator[None]:
-    """Start processes in this block: they inherit that Ctrl-C is the parent's business."""
+    """Start processes in this block: they do not receive Ctrl-C, which their parent handles."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -42,7 +164,7 @@ def interrupts_held_back() -> Iterator[None]:
 
 
 def peak_memory_bytes() -> int:
-    """Return the largest resident memory of this process so far; 0 where the system does not tell."""
+    """Return the largest resident memory of this process so far; 0 where the system does not report it."""
     try:
         import resource  # noqa: PLC0415 - not on Windows
     except ImportError:

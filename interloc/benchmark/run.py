@@ -16,18 +16,24 @@ from interloc.benchmark.fingerprint import MEASURING, code_fingerprint, fingerpr
 from interloc.benchmark.measure import GroundTruth, measure
 from interloc.benchmark.row import Cell, Row, read_row, write_row
 from interloc.benchmark.score import ace_m, precision, recall
-from interloc.benchmark.workers import Report, Say, run_in_processes
 from interloc.config import DetectorConfig
 from interloc.errors import InterLocError, OutputError
 from interloc.files import reason_of
 from interloc.osm.reader import read_osm
 from interloc.pipeline import versions
+from interloc.processes import run_in_processes, send_message
 
 logger = logging.getLogger(__name__)
 
 ROWS = "rows"
 NO_NOISE = "0/0"
 _DRIVE_POLICY = GroundTruth()
+_REPORT_EVERY = 10  # keyframes or scans: the progress of a worker process is not sent more often
+
+Report = Callable[[str, str, int, int], None]
+"""Called with a task, what it is doing, and how much of how much is done; with 0 of 0 at its end."""
+
+Log = Callable[[str], None]
 
 
 def _no_report(task: str, what: str, done: int, total: int) -> None:
@@ -157,7 +163,13 @@ def run_plan(plan: Plan, out: Path, *, workers: int = 1, fresh: bool = False, re
     full = [_Task(case, tuple(cells), plan.truth, out) for case, cells in tasks]
     try:
         if at_once > 1:
-            found = run_in_processes(_run_task, full, at_once, report, logger.info)
+            found = run_in_processes(
+                _run_task_in_process,
+                full,
+                at_once,
+                on_message=lambda message: logger.info(message) if isinstance(message, str) else report(*message),
+                hint="Finished rows are kept: the same command goes on from there.",
+            )
         else:
             found = [_run_task(task, report, logger.info) for task in full]
     finally:
@@ -189,7 +201,15 @@ def _remove_if_empty(*folders: Path) -> None:
             folder.rmdir()
 
 
-def _run_task(task: _Task, report: Report, say: Say) -> list[Row]:
+def _run_task_in_process(task: _Task) -> list[Row]:
+    def report(name: str, what: str, done: int, total: int) -> None:
+        if done == total or done % _REPORT_EVERY == 0:
+            send_message((name, what, done, total))
+
+    return _run_task(task, report, send_message)
+
+
+def _run_task(task: _Task, report: Report, log: Log) -> list[Row]:
     """Measure what is missing of one drive."""
 
     def progress(what: str) -> Callable[[int, int], None]:
@@ -211,7 +231,7 @@ def _run_task(task: _Task, report: Report, say: Say) -> list[Row]:
             )
             write_row(row, task.out / ROWS)
             rows.append(row)
-            say(describe(row))
+            log(describe(row))
     report(task.name, "", 0, 0)
     return rows
 
