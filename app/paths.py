@@ -15,7 +15,10 @@ MAX_SEGMENT_BYTES = 255
 MAX_DEPTH = 16
 
 MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
-"""In any case of letters."""
+"""Endings of OpenStreetMap files; upper and lower case are the same."""
+
+ARCHIVE_ENDINGS = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst")
+"""Endings of archives, for those who choose one; the service itself looks at the first bytes."""
 
 _SHOWN = 80
 _CONTROLS = {"Cc", "Cs", "Zl", "Zp"}

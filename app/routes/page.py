@@ -6,37 +6,15 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
-from pydantic import BaseModel, Field
 
 from app.context import Context, ContextDep
 from app.http import docs
 from app.http.assets import INDEX, Assets
 from app.http.delivery import deliver
 from app.http.problems import Problem
+from app.schemas.page import PageConfig
 
 router = APIRouter(tags=["System"])
-
-_SHARED_LIMITS = (
-    "max_file_bytes",
-    "max_archive_bytes",
-    "max_batch_bytes",
-    "max_batch_files",
-    "max_drive_bytes",
-    "max_drive_files",
-    "max_queued_jobs",
-    "upload_expires_h",
-)
-
-
-class PageConfig(BaseModel):
-    """What the page needs to know of the service."""
-
-    version: str = Field(examples=["0.1.0"])
-    tile_url: str | None = Field(description="Address pattern of map tiles that the page may offer; null: none.")
-    tile_attribution: str
-    overpass: bool = Field(description="Whether jobs may fetch the map from Overpass.")
-    needs_token: bool = Field(description="Whether the API wants `Authorization: Bearer TOKEN`.")
-    limits: dict[str, int | float] = Field(description="Limits of uploads, as they are called in the settings.")
 
 
 def _assets(request: Request) -> Assets:
@@ -82,16 +60,11 @@ def read_docs_start() -> Response:
 
 @router.get("/config.json", summary="What the page needs to know", operation_id="read_page_config")
 def read_config(request: Request, context: ContextDep) -> PageConfig:
-    """Give version, tiles, limits, and whether a token is needed. Open to all: it holds no secrets."""
-    settings = context.settings
-    return PageConfig(
-        version=request.app.version,
-        tile_url=settings.tile_url or None,
-        tile_attribution=settings.tile_attribution,
-        overpass=settings.overpass,
-        needs_token=context.tokens.exist(),
-        limits={name: getattr(settings, name) for name in _SHARED_LIMITS},
-    )
+    """Give version, tiles, limits, the words for what a user chooses, and whether a token is needed.
+
+    Open to everybody: it holds no secrets.
+    """
+    return PageConfig.of(context.settings, version=request.app.version, needs_token=context.tokens.exist())
 
 
 def _give(request: Request, assets: Assets, context: Context, name: str) -> Response:

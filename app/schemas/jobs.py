@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.http.problems import ProblemDocument
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
-from interloc.osm.policies import Policy
+from interloc.osm.policies import POLICY_HELP, Policy
 
 JobState = Literal["accepted", "running", "successful", "failed", "dismissed"]
 JobKind = Literal["intersections", "commit", "unpack", "demo"]
@@ -49,8 +49,13 @@ class NewJob(BaseModel):
     )
     labels: LabelFolder | None = Field(None, description="Folder of the labels; the one that is there by default.")
     osm: Annotated[OsmFile | OsmOverpass | None, Field(description="Map to score against; none: only detect.")] = None
-    policy: Policy = Field("drive", description="Which OSM nodes count as intersections.")
-    tolerance_m: float = Field(15.0, gt=0, le=100, description="Merging reach of policy consolidated.")
+    policy: Policy = Field("drive", description=POLICY_HELP)
+    tolerance_m: float = Field(
+        15.0,
+        gt=0,
+        le=100,
+        description="For policy consolidated: nodes whose circles of this radius overlap are merged.",
+    )
     name: str | None = Field(None, max_length=200, description="Shown in lists.")
 
 

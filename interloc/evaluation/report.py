@@ -15,15 +15,9 @@ from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.record import report_record, threshold_name
 from interloc.files import atomic_write, reason_of
+from interloc.osm.policies import POLICY_MEANINGS
 from interloc.output.geojson import encode, point, positions, rounded, write_collection
 from interloc.results import DriveResult
-
-POLICY_MEANINGS = {
-    "drive": "nodes where at least three drivable public roads meet (motorway to residential, no service roads)",
-    "drive+service": "nodes where at least three drivable roads meet, service roads included",
-    "all": "nodes where at least three ways of any kind meet, footpaths and cycleways included",
-    "consolidated": "nodes where at least three drivable public roads meet, those of one compound junction merged",
-}
 
 SETTINGS = ("config", "fusion")
 """What of `run.json` is settings; the rest is facts about the run."""

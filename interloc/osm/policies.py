@@ -17,6 +17,26 @@ from interloc.osm.graph import MIN_DEGREE, RoadGraph
 Policy = Literal["drive", "drive+service", "all", "consolidated"]
 POLICIES: tuple[Policy, ...] = get_args(Policy)
 
+POLICY_TITLES: dict[Policy, str] = {
+    "drive": "Drivable public roads",
+    "drive+service": "Drivable roads and service roads",
+    "all": "Ways of any kind",
+    "consolidated": "Drivable public roads, nodes merged",
+}
+"""What a policy is called in a list to choose from."""
+
+POLICY_MEANINGS: dict[Policy, str] = {
+    "drive": "nodes where at least three drivable public roads meet (motorway to residential, no service roads)",
+    "drive+service": "nodes where at least three drivable roads meet, service roads included",
+    "all": "nodes where at least three ways of any kind meet, footpaths and cycleways included",
+    "consolidated": "nodes where at least three drivable public roads meet, those of one compound junction merged",
+}
+"""Which OSM nodes a policy counts, in words: for reports, the command line, the API and the page."""
+
+POLICY_HELP = "Which OSM nodes count as intersections. " + " ".join(
+    f"{policy}: {meaning}." for policy, meaning in POLICY_MEANINGS.items()
+)
+
 _LINKED = ("motorway", "trunk", "primary", "secondary", "tertiary")
 DRIVABLE = frozenset(
     {*_LINKED, *(f"{name}_link" for name in _LINKED), "unclassified", "residential", "living_street", "road"}

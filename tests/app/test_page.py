@@ -13,6 +13,8 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
+from interloc.osm.policies import POLICIES
+
 PAGE = """<!doctype html><title>InterLoc</title><script type="module" src="static/js/main.js"></script>"""
 
 
@@ -166,6 +168,19 @@ def test_what_the_page_needs_to_know(serve: Callable[..., httpx.Client]) -> None
     assert told["needs_token"] is False
     assert told["limits"]["max_file_bytes"] == 12345
     assert told["version"]
+
+
+def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., httpx.Client]) -> None:
+    told = serve_all().get("/config.json").json()
+    assert [each["name"] for each in told["policies"]] == list(POLICIES)
+    assert all(each["title"] and each["description"].endswith(".") for each in told["policies"])
+    assert {each["name"] for each in told["layers"] if each["is_osm"]} == {"osm_nodes", "matches", "osm_roads"}
+    schemes = {each["name"]: each for each in told["label_schemes"]}
+    assert schemes["semantickitti"]["road"] == [40, 60]
+    assert 65535 in schemes["kitti360"]["known"]
+    assert ".osm.pbf" in told["file_kinds"]["maps"]
+    assert ".tar.zst" in told["file_kinds"]["archives"]
+    assert told["file_kinds"]["label_folders"] == ["labels", "predictions"]
 
 
 def test_the_page_is_open_to_all_and_says_that_a_token_is_needed(

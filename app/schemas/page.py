@@ -1,0 +1,133 @@
+"""What the page is told about the service: settings, limits, and the words for what a user chooses and sees."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from pydantic import BaseModel, Field
+
+from app.paths import ARCHIVE_ENDINGS, MAP_ENDINGS
+from app.settings import Settings
+from interloc.drives.labels import SCHEMES
+from interloc.drives.options import LabelFolder
+from interloc.drives.parts import SCAN_FOLDERS
+from interloc.osm.policies import POLICIES, POLICY_MEANINGS, POLICY_TITLES
+from interloc.output.layers import LAYERS
+
+_LIMITS = (
+    "max_file_bytes",
+    "max_archive_bytes",
+    "max_batch_bytes",
+    "max_batch_files",
+    "max_drive_bytes",
+    "max_drive_files",
+    "max_queued_jobs",
+    "upload_expires_h",
+)
+
+
+class PolicyModel(BaseModel):
+    """A policy: which OSM nodes count as intersections."""
+
+    name: str = Field(examples=["drive"])
+    title: str = Field(examples=["Drivable public roads"])
+    description: str
+
+
+class LayerModel(BaseModel):
+    """A layer of a result."""
+
+    name: str = Field(description="Name of the layer and of its GeoJSON file.", examples=["osm_nodes"])
+    title: str
+    geometry: str = Field(description="Point or LineString.")
+    is_osm: bool = Field(description="Whether it holds data of OpenStreetMap, which must be named as their source.")
+    attribution: str = Field(description="Who is to be named where the layer is shown.")
+    fields: dict[str, str] = Field(description="Properties of its features: name and type.")
+
+
+class LabelSchemeModel(BaseModel):
+    """Meaning of the label ids of a drive."""
+
+    name: str = Field(examples=["semantickitti"])
+    title: str = Field(examples=["SemanticKITTI"])
+    road: list[int] = Field(description="Ids of road.")
+    confusable: list[int] = Field(description="Ids of sidewalk, parking and other ground.")
+    known: list[int] | None = Field(description="All ids of the scheme.")
+
+
+class FileKinds(BaseModel):
+    """Which files of a drive are which, by name."""
+
+    maps: list[str] = Field(description="Endings of OSM files, in lower case.", examples=[[".osm", ".osm.gz"]])
+    archives: list[str] = Field(description="Endings of archives that hold a whole drive.", examples=[[".zip"]])
+    scan_folders: list[str] = Field(description="Folders of scans.", examples=[["velodyne"]])
+    label_folders: list[str] = Field(description="Folders of labels.", examples=[["labels", "predictions"]])
+
+
+class PageConfig(BaseModel):
+    """What the page needs to know of the service."""
+
+    version: str = Field(examples=["0.1.0"])
+    tile_url: str | None = Field(description="Address pattern of map tiles that the page may offer; null: none.")
+    tile_attribution: str
+    overpass: bool = Field(description="Whether jobs may fetch the map from Overpass.")
+    needs_token: bool = Field(description="Whether the API expects `Authorization: Bearer TOKEN`.")
+    limits: dict[str, int | float] = Field(description="Limits of uploads, under the names of the settings.")
+    policies: list[PolicyModel] = Field(description="Which OSM nodes can count as intersections; the first is usual.")
+    layers: list[LayerModel] = Field(description="Layers of a result.")
+    label_schemes: list[LabelSchemeModel] = Field(description="Label schemes with a name.")
+    file_kinds: FileKinds
+
+    @classmethod
+    def of(cls, settings: Settings, *, version: str, needs_token: bool) -> PageConfig:
+        """Gather it."""
+        return cls(
+            version=version,
+            tile_url=settings.tile_url or None,
+            tile_attribution=settings.tile_attribution,
+            overpass=settings.overpass,
+            needs_token=needs_token,
+            limits={name: getattr(settings, name) for name in _LIMITS},
+            policies=_POLICIES,
+            layers=_LAYERS,
+            label_schemes=_LABEL_SCHEMES,
+            file_kinds=_FILE_KINDS,
+        )
+
+
+_POLICIES = [
+    PolicyModel(
+        name=name,
+        title=POLICY_TITLES[name],
+        description=f"{POLICY_MEANINGS[name][0].upper()}{POLICY_MEANINGS[name][1:]}.",
+    )
+    for name in POLICIES
+]
+_LAYERS = [
+    LayerModel(
+        name=layer.name,
+        title=layer.title,
+        geometry=layer.geometry,
+        is_osm=layer.is_osm,
+        attribution=layer.attribution,
+        fields=layer.fields,
+    )
+    for layer in LAYERS.values()
+]
+_SCHEME_TITLES = {"semantickitti": "SemanticKITTI", "learning": "Learning ids 0 to 19", "kitti360": "KITTI-360"}
+_LABEL_SCHEMES = [
+    LabelSchemeModel(
+        name=scheme.name,
+        title=_SCHEME_TITLES[scheme.name],
+        road=sorted(scheme.road),
+        confusable=sorted(scheme.confusable),
+        known=None if scheme.known is None else sorted(scheme.known),
+    )
+    for scheme in SCHEMES.values()
+]
+_FILE_KINDS = FileKinds(
+    maps=list(MAP_ENDINGS),
+    archives=list(ARCHIVE_ENDINGS),
+    scan_folders=list(SCAN_FOLDERS),
+    label_folders=list(get_args(LabelFolder)),
+)
