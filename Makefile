@@ -7,6 +7,7 @@ SERVE ?= yes
 # Waits for real servers and browsers can run out on a machine that is busy: once more, only those.
 AGAIN := --reruns 1 --only-rerun Timeout --only-rerun "in vain"
 READY := $(VENV)/.ready
+BIOME := static/node_modules/.bin/biome
 
 .PHONY: install serve demo test lint format types bench load bench-page screenshots clean
 
@@ -43,16 +44,20 @@ ifneq ($(SERVE),)
 endif
 
 test: lint types
-	@if command -v npm >/dev/null && [ ! -d static/node_modules/axe-core ]; then npm ci --silent --prefix static; fi
+	@if command -v npm >/dev/null && [ ! -x $(BIOME) ]; then npm ci --silent --prefix static; fi
 	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered $(AGAIN)
 
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	@if [ -x $(BIOME) ]; then npm run --silent lint --prefix static; \
+	else echo "skipped: the linter of the page is not installed (npm ci in static/)"; fi
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+	@if [ -x $(BIOME) ]; then npm run --silent format --prefix static; \
+	else echo "skipped: the formatter of the page is not installed (npm ci in static/)"; fi
 
 types: $(READY)
 	$(BIN)/mypy

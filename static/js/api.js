@@ -31,7 +31,9 @@ export class ApiError extends Error {
 
   /** True where the same request may succeed in a moment. */
   get isPassing() {
-    return this.status === 0 || this.status === 429 || this.status === 502 || this.status === 503 || this.status === 504;
+    return (
+      this.status === 0 || this.status === 429 || this.status === 502 || this.status === 503 || this.status === 504
+    );
   }
 }
 
@@ -154,7 +156,9 @@ export async function request(path, { json, headers = {}, ...options } = {}) {
 
 /** @param {string} path @param {{signal?: AbortSignal, headers?: Record<string, string>}} [options] @returns {Promise<any>} */
 export async function getJson(path, options = {}) {
-  return (await request(path, { headers: { Accept: "application/json", ...options.headers }, signal: options.signal })).json();
+  return (
+    await request(path, { headers: { Accept: "application/json", ...options.headers }, signal: options.signal })
+  ).json();
 }
 
 /**
@@ -192,7 +196,8 @@ export async function putFile(path, data, { digest = null, onProgress, signal, m
       if (digest) all["Content-Digest"] = `sha-256=:${digest}:`;
       for (const [name, value] of Object.entries(all)) xhr.setRequestHeader(name, value);
       if (onProgress) xhr.upload.onprogress = (event) => onProgress(event.loaded);
-      xhr.onload = () => resolve({ status: xhr.status, text: xhr.responseText, retryAfter: xhr.getResponseHeader("Retry-After") });
+      xhr.onload = () =>
+        resolve({ status: xhr.status, text: xhr.responseText, retryAfter: xhr.getResponseHeader("Retry-After") });
       xhr.onerror = () => reject(unreachable(null));
       xhr.onabort = () => reject(new DOMException("The upload was stopped.", "AbortError"));
       xhr.onloadend = () => signal?.removeEventListener("abort", abort);

@@ -78,7 +78,11 @@ export function fill(parent, ...children) {
  */
 export function icon(name, label) {
   const use = svg("use", { href: new URL(`../icons.svg#${name}`, import.meta.url).href });
-  return svg("svg", { class: "icon", role: label ? "img" : null, "aria-label": label, "aria-hidden": label ? null : "true" }, use);
+  return svg(
+    "svg",
+    { class: "icon", role: label ? "img" : null, "aria-label": label, "aria-hidden": label ? null : "true" },
+    use,
+  );
 }
 
 /**

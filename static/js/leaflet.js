@@ -2,13 +2,32 @@
  * Leaflet, as installed by npm: the one place that knows where it lies. It has no types of its own.
  * @module leaflet
  */
-// @ts-ignore
+// @ts-expect-error
 import * as Leaflet from "../node_modules/leaflet/dist/leaflet-src.esm.js";
 
 /** @type {any} */
 const all = Leaflet;
 
 export const {
-  Browser, CircleMarker, Control, control, CRS, DivIcon, DomEvent, DomUtil, latLngBounds, Layer, LayerGroup, Map, Marker,
-  Polygon, Polyline, Popup, Renderer, SVG, TileLayer, Tooltip, Util,
+  Browser,
+  CircleMarker,
+  Control,
+  control,
+  CRS,
+  DivIcon,
+  DomEvent,
+  DomUtil,
+  latLngBounds,
+  Layer,
+  LayerGroup,
+  Map,
+  Marker,
+  Polygon,
+  Polyline,
+  Popup,
+  Renderer,
+  SVG,
+  TileLayer,
+  Tooltip,
+  Util,
 } = all;

@@ -6,13 +6,13 @@
  * @module main
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
-import { getState, setState, subscribe } from "./state.js";
-import { showError } from "./shell/messages.js";
-import { askForToken } from "./shell/token.js";
-import { mountHeader } from "./shell/header.js";
-import { mountTabs } from "./shell/tabs.js";
-import { setConfig } from "./shell/config.js";
 import { mountStage } from "./map/stage.js";
+import { setConfig } from "./shell/config.js";
+import { mountHeader } from "./shell/header.js";
+import { showError } from "./shell/messages.js";
+import { mountTabs } from "./shell/tabs.js";
+import { askForToken } from "./shell/token.js";
+import { getState, setState, subscribe } from "./state.js";
 
 const PANELS = {
   drives: { title: "Drives", load: () => import("./drives/panel.js") },

@@ -16,7 +16,16 @@
  */
 
 /** @type {State} */
-const initial = { panel: "drives", drive: null, job: null, frame: null, view: null, layers: null, drawer: false, node: null };
+const initial = {
+  panel: "drives",
+  drive: null,
+  job: null,
+  frame: null,
+  view: null,
+  layers: null,
+  drawer: false,
+  node: null,
+};
 
 /** @type {State} */
 let state = { ...initial, ...parse(globalThis.location?.hash ?? "") };
@@ -35,7 +44,9 @@ export function getState() {
  */
 export function setState(patch) {
   const before = state;
-  const changed = Object.keys(patch).filter((key) => !same(/** @type {any} */ (patch)[key], /** @type {any} */ (before)[key]));
+  const changed = Object.keys(patch).filter(
+    (key) => !same(/** @type {any} */ (patch)[key], /** @type {any} */ (before)[key]),
+  );
   if (!changed.length) return;
   state = { ...before, ...patch };
   writeHash(changed.some((key) => key === "panel" || key === "job" || key === "drive"));
@@ -65,7 +76,9 @@ export function permalink(patch = {}) {
 
 /** @param {any} a @param {any} b */
 function same(a, b) {
-  return a === b || (Array.isArray(a) && Array.isArray(b) && a.length === b.length && a.every((each, i) => each === b[i]));
+  return (
+    a === b || (Array.isArray(a) && Array.isArray(b) && a.length === b.length && a.every((each, i) => each === b[i]))
+  );
 }
 
 /** @param {State} shown @returns {string} */
@@ -73,7 +86,8 @@ function format(shown) {
   const parts = [];
   for (const key of /** @type {const} */ (["panel", "drive", "job", "frame", "view"])) {
     const value = shown[key];
-    if (value !== null && value !== initial[key]) parts.push(`${key}=${encodeURIComponent(value).replaceAll("%2F", "/")}`);
+    if (value !== null && value !== initial[key])
+      parts.push(`${key}=${encodeURIComponent(value).replaceAll("%2F", "/")}`);
   }
   if (shown.layers) parts.push(`layers=${shown.layers.join(",")}`);
   if (shown.drawer) parts.push("drawer=1");

@@ -3,10 +3,10 @@
  * @module bev/drawer
  */
 import { el, fill, formatMetres, icon, plural } from "../dom.js";
-import { onResult, shownMap, shownResult } from "../map/stage.js";
 import { TurnedImage } from "../map/overlay.js";
-import { firstSight } from "../map/timeline.js";
+import { onResult, shownMap, shownResult } from "../map/stage.js";
 import { signIcon } from "../map/symbols.js";
+import { firstSight } from "../map/timeline.js";
 import { problemNote } from "../shell/messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { loadGeometry, loadPicture, STEPS } from "./pictures.js";
@@ -37,17 +37,40 @@ export function mountDrawer(drawer) {
   };
   const figures = STEPS.map(({ layer, title: name, hint }, number) => {
     const image = el("img", { alt: "", class: "waiting" });
-    const box = el("input", { type: "checkbox", checked: onMap.has(layer), onChange: () => toggle(layer, box.checked) });
+    const box = el("input", {
+      type: "checkbox",
+      checked: onMap.has(layer),
+      onChange: () => toggle(layer, box.checked),
+    });
     const figure = el(
       "figure",
       {},
-      el("button", { class: "picture", title: `${hint} Click to enlarge.`, "aria-label": `Enlarge ${name}`, onClick: () => enlarge(layer) }, image),
-      el("figcaption", {}, el("span", {}, el("b", {}, layer === "all" ? "" : `${number + 1} `), name), layer !== "all" && el("label", { title: "Show it on the map" }, box, "on map")),
+      el(
+        "button",
+        {
+          class: "picture",
+          title: `${hint} Click to enlarge.`,
+          "aria-label": `Enlarge ${name}`,
+          onClick: () => enlarge(layer),
+        },
+        image,
+      ),
+      el(
+        "figcaption",
+        {},
+        el("span", {}, el("b", {}, layer === "all" ? "" : `${number + 1} `), name),
+        layer !== "all" && el("label", { title: "Show it on the map" }, box, "on map"),
+      ),
     );
     return { layer, name, image, figure };
   });
   const fade = el("input", {
-    type: "range", min: 0.1, max: 1, step: 0.05, value: opacity, "aria-label": "Opacity on the map",
+    type: "range",
+    min: 0.1,
+    max: 1,
+    step: 0.05,
+    value: opacity,
+    "aria-label": "Opacity on the map",
     onInput: () => {
       opacity = Number(fade.value);
       for (const overlay of overlays.values()) overlay.setOpacity(opacity);
@@ -65,15 +88,55 @@ export function mountDrawer(drawer) {
         el(
           "div",
           { class: "row" },
-          el("button", { class: "square plain", title: "Previous keyframe (,)", "aria-label": "Previous keyframe", onClick: () => step(-1) }, icon("previous")),
-          el("button", { class: "square plain", title: "Next keyframe (.)", "aria-label": "Next keyframe", onClick: () => step(1) }, icon("next")),
-          el("button", { class: "square plain", title: "Wider", "aria-label": "Wider", onClick: () => (drawer.classList.toggle("wide"), shownMap()?.invalidateSize()) }, icon("wide")),
-          el("button", { class: "square plain", title: "Close", "aria-label": "Close", onClick: () => setState({ drawer: false }) }, icon("close")),
+          el(
+            "button",
+            {
+              class: "square plain",
+              title: "Previous keyframe (,)",
+              "aria-label": "Previous keyframe",
+              onClick: () => step(-1),
+            },
+            icon("previous"),
+          ),
+          el(
+            "button",
+            {
+              class: "square plain",
+              title: "Next keyframe (.)",
+              "aria-label": "Next keyframe",
+              onClick: () => step(1),
+            },
+            icon("next"),
+          ),
+          el(
+            "button",
+            {
+              class: "square plain",
+              title: "Wider",
+              "aria-label": "Wider",
+              onClick: () => (drawer.classList.toggle("wide"), shownMap()?.invalidateSize()),
+            },
+            icon("wide"),
+          ),
+          el(
+            "button",
+            {
+              class: "square plain",
+              title: "Close",
+              "aria-label": "Close",
+              onClick: () => setState({ drawer: false }),
+            },
+            icon("close"),
+          ),
         ),
       ),
       note,
       trouble,
-      el("div", { class: "pictures" }, figures.map((each) => each.figure)),
+      el(
+        "div",
+        { class: "pictures" },
+        figures.map((each) => each.figure),
+      ),
       el("label", { class: "row" }, el("span", { class: "small" }, "Opacity on the map"), fade),
       seen,
       rejected,
@@ -107,7 +170,10 @@ export function mountDrawer(drawer) {
     }
     fill(title, `Keyframe at scan ${frame}`);
     const detections = result.byFrame.get(frame ?? -1) ?? [];
-    fill(note, `${row + 1} of ${result.keyframes.length}, ${plural(detections.length, "detection")}. Pictures of ${formatMetres(result.roi_m, 0)} around the vehicle, in the middle; x of the drive’s frame to the right.`);
+    fill(
+      note,
+      `${row + 1} of ${result.keyframes.length}, ${plural(detections.length, "detection")}. Pictures of ${formatMetres(result.roi_m, 0)} around the vehicle, in the middle; x of the drive’s frame to the right.`,
+    );
     fill(seen, detectionTable(detections));
     for (const each of figures) each.image.classList.add("waiting");
     timer = setTimeout(() => void load(), PAUSE_MS);
@@ -164,8 +230,24 @@ export function mountDrawer(drawer) {
     const large = el("img", { src: image.src, alt: name });
     const dialog = el(
       "dialog",
-      { class: "large-picture", "aria-label": name, onClose: () => dialog.remove(), onClick: (/** @type {Event} */ e) => e.target === dialog && dialog.close() },
-      el("form", { method: "dialog", class: "stack-s" }, el("div", { class: "spread" }, el("h2", {}, `${name}, scan ${getState().frame}`), el("button", { class: "square plain", "aria-label": "Close" }, icon("close"))), large, el("p", { class: "small" }, STEPS[at].hint)),
+      {
+        class: "large-picture",
+        "aria-label": name,
+        onClose: () => dialog.remove(),
+        onClick: (/** @type {Event} */ e) => e.target === dialog && dialog.close(),
+      },
+      el(
+        "form",
+        { method: "dialog", class: "stack-s" },
+        el(
+          "div",
+          { class: "spread" },
+          el("h2", {}, `${name}, scan ${getState().frame}`),
+          el("button", { class: "square plain", "aria-label": "Close" }, icon("close")),
+        ),
+        large,
+        el("p", { class: "small" }, STEPS[at].hint),
+      ),
     );
     document.body.append(dialog);
     dialog.showModal();
@@ -181,7 +263,15 @@ function detectionTable(detections) {
   return el(
     "table",
     {},
-    el("thead", {}, el("tr", {}, ["Detection", "Ahead", "Left", "Branches", "Score", "Error"].map((name) => el("th", { scope: "col" }, name)))),
+    el(
+      "thead",
+      {},
+      el(
+        "tr",
+        {},
+        ["Detection", "Ahead", "Left", "Branches", "Score", "Error"].map((name) => el("th", { scope: "col" }, name)),
+      ),
+    ),
     el(
       "tbody",
       {},
@@ -189,7 +279,12 @@ function detectionTable(detections) {
         el(
           "tr",
           {},
-          el("td", {}, signIcon(outcome === "FP" ? "fp" : "tp"), ` ${i + 1}${outcome === "none" ? "" : outcome === "TP" ? " true" : " false"}`),
+          el(
+            "td",
+            {},
+            signIcon(outcome === "FP" ? "fp" : "tp"),
+            ` ${i + 1}${outcome === "none" ? "" : outcome === "TP" ? " true" : " false"}`,
+          ),
           el("td", {}, formatMetres(p.x_m, 1)),
           el("td", {}, formatMetres(p.y_m, 1)),
           el("td", {}, p.branch_count),
@@ -208,5 +303,14 @@ function detectionTable(detections) {
 function candidateTable(candidates) {
   const out = candidates.filter((each) => !each.kept);
   if (!out.length) return null;
-  return el("div", {}, el("h3", {}, "Candidates that were rejected"), el("ul", { class: "reasons" }, out.map((each) => el("li", {}, el("b", {}, each.number), ` ${each.why_not ?? "rejected"}`))));
+  return el(
+    "div",
+    {},
+    el("h3", {}, "Candidates that were rejected"),
+    el(
+      "ul",
+      { class: "reasons" },
+      out.map((each) => el("li", {}, el("b", {}, each.number), ` ${each.why_not ?? "rejected"}`)),
+    ),
+  );
 }

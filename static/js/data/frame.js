@@ -60,7 +60,12 @@ export class Frame {
    */
   square(keyframe, side) {
     const h = side / 2;
-    return [[-h, h], [h, h], [h, -h], [-h, -h]].map(([x, y]) => this.fromWorld(keyframe, x, y));
+    return [
+      [-h, h],
+      [h, h],
+      [h, -h],
+      [-h, -h],
+    ].map(([x, y]) => this.fromWorld(keyframe, x, y));
   }
 
   /** @param {import("./results.js").Place} keyframe @returns {number} Heading, clockwise from up on the map, degrees. */

@@ -23,14 +23,17 @@ export async function loadPresets() {
 export function ownSettings(request) {
   if (!request?.config) return [];
   const usual = flat(presets.get(request.preset ?? "default") ?? {});
-  return [...flat(request.config)].filter(([name, value]) => name !== "preset" && usual.size > 0 && JSON.stringify(usual.get(name)) !== JSON.stringify(value));
+  return [...flat(request.config)].filter(
+    ([name, value]) => name !== "preset" && usual.size > 0 && JSON.stringify(usual.get(name)) !== JSON.stringify(value),
+  );
 }
 
 /** @param {any} value @param {string} [prefix] @returns {Map<string, any>} */
 function flat(value, prefix = "") {
   const all = new Map();
   for (const [name, each] of Object.entries(value)) {
-    if (each !== null && typeof each === "object" && !Array.isArray(each)) for (const [inner, leaf] of flat(each, `${prefix}${name}.`)) all.set(inner, leaf);
+    if (each !== null && typeof each === "object" && !Array.isArray(each))
+      for (const [inner, leaf] of flat(each, `${prefix}${name}.`)) all.set(inner, leaf);
     else all.set(prefix + name, each);
   }
   return all;

@@ -84,7 +84,10 @@ async function load(job) {
     trajectory: trajectory.features[0]?.geometry?.coordinates ?? [],
     nodes: (nodes?.features ?? []).map(place),
     matches: pairs,
-    roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({ line: f.geometry.coordinates, properties: f.properties })),
+    roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
+      line: f.geometry.coordinates,
+      properties: f.properties,
+    })),
     roi_m: report?.roi_m ?? size,
     zone_m: report?.relevant_zone_m ?? (config.branches ? size - 2 * config.branches.outer_radius_m : null),
   };
@@ -106,8 +109,26 @@ export async function loadWay(job) {
   const geometry = way?.geometry ?? way?.features?.[0]?.geometry ?? way;
   if (!geometry?.coordinates?.length) return null;
   /** @type {any} */
-  const nothing = { keyframes: [], detections: [], intersections: [], nodes: [], matches: [], roads: [], byFrame: new Map() };
-  return { ...nothing, job, run: {}, report: null, local, frame: new Frame([], local), trajectory: geometry.coordinates, roi_m: 0, zone_m: null };
+  const nothing = {
+    keyframes: [],
+    detections: [],
+    intersections: [],
+    nodes: [],
+    matches: [],
+    roads: [],
+    byFrame: new Map(),
+  };
+  return {
+    ...nothing,
+    job,
+    run: {},
+    report: null,
+    local,
+    frame: new Frame([], local),
+    trajectory: geometry.coordinates,
+    roi_m: 0,
+    zone_m: null,
+  };
 }
 
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */

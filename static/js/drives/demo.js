@@ -3,7 +3,7 @@
  * @module drives/demo
  */
 import { getJson, sendJson, sleep } from "../api.js";
-import { rememberDrive, rememberJob, refreshLists } from "../data/lists.js";
+import { refreshLists, rememberDrive, rememberJob } from "../data/lists.js";
 import { setState } from "../state.js";
 
 /** Make the demo drive, run it, show the job. */
@@ -15,7 +15,12 @@ export async function runDemo() {
     drive = await getJson(`drives/${drive.id}`);
   }
   await refreshLists();
-  const job = await sendJson("POST", "jobs", { drive_id: drive.id, osm: { file: "map.osm" }, policy: "drive", name: "Demo" });
+  const job = await sendJson("POST", "jobs", {
+    drive_id: drive.id,
+    osm: { file: "map.osm" },
+    policy: "drive",
+    name: "Demo",
+  });
   rememberJob(job);
   setState({ drive: drive.id, job: job.id, panel: "job", frame: null, view: null });
 }

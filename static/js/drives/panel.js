@@ -3,11 +3,11 @@
  * @module drives/panel
  */
 import { getJson, sendJson } from "../api.js";
-import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
 import { lists, onListsChange, refreshLists } from "../data/lists.js";
+import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
 import { openRunDialog } from "../job/run_dialog.js";
-import { confirmAction, problemNote, showError } from "../shell/messages.js";
 import { jobTitle, openDrive } from "../shell/header.js";
+import { confirmAction, problemNote, showError } from "../shell/messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { runDemo } from "./demo.js";
 
@@ -41,7 +41,17 @@ export function mount(container) {
     el(
       "div",
       { class: "stack" },
-      el("div", { class: "row" }, el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"), "Upload a drive"), demo),
+      el(
+        "div",
+        { class: "row" },
+        el(
+          "button",
+          { class: "primary", onClick: () => setState({ panel: "upload" }) },
+          icon("upload"),
+          "Upload a drive",
+        ),
+        demo,
+      ),
       trouble,
       body,
     ),
@@ -49,7 +59,15 @@ export function mount(container) {
 
   const tryDemo = async () => {
     demo.disabled = true;
-    fill(trouble, el("div", { class: "note" }, el("strong", {}, "Preparing the demo"), "The server drives through a small made-up town. Half a minute the first time."));
+    fill(
+      trouble,
+      el(
+        "div",
+        { class: "note" },
+        el("strong", {}, "Preparing the demo"),
+        "The server drives through a small made-up town. Half a minute the first time.",
+      ),
+    );
     try {
       await runDemo();
       fill(trouble);
@@ -83,7 +101,11 @@ function emptyNote() {
     "div",
     { class: "empty quiet" },
     el("h3", {}, "No drive yet"),
-    el("p", {}, "A drive is a folder of LiDAR scans with a label for every point, and poses: SemanticKITTI, KITTI raw, KITTI-360. The demo shows what comes out."),
+    el(
+      "p",
+      {},
+      "A drive is a folder of LiDAR scans with a label for every point, and poses: SemanticKITTI, KITTI raw, KITTI-360. The demo shows what comes out.",
+    ),
   );
 }
 
@@ -106,13 +128,53 @@ function driveCard(drive) {
       el(
         "div",
         { class: "grow" },
-        el("h3", {}, el("button", { class: "link", title: drive.name, onClick: () => (drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id)) }, drive.name)),
+        el(
+          "h3",
+          {},
+          el(
+            "button",
+            {
+              class: "link",
+              title: drive.name,
+              onClick: () =>
+                drive.state === "uploading"
+                  ? setState({ drive: drive.id, job: null, panel: "upload" })
+                  : openDrive(drive.id),
+            },
+            drive.name,
+          ),
+        ),
         el("p", { class: "small cut" }, facts.join(" · ")),
         drive.state !== "ready" && el("p", {}, stateBadge(drive.state)),
-        current && report && el("p", { class: "small" }, report.georeference ? `Georeference: ${report.georeference}` : "No georeference: metres of its own frame"),
+        current &&
+          report &&
+          el(
+            "p",
+            { class: "small" },
+            report.georeference ? `Georeference: ${report.georeference}` : "No georeference: metres of its own frame",
+          ),
       ),
-      drive.state === "ready" && el("button", { class: "square plain", title: "Run it with other settings", "aria-label": `Run ${drive.name}`, onClick: () => openRunDialog(drive) }, icon("run")),
-      el("button", { class: "square plain", title: "Delete the drive", "aria-label": `Delete ${drive.name}`, onClick: () => removeDrive(drive).catch(showError) }, icon("trash")),
+      drive.state === "ready" &&
+        el(
+          "button",
+          {
+            class: "square plain",
+            title: "Run it with other settings",
+            "aria-label": `Run ${drive.name}`,
+            onClick: () => openRunDialog(drive),
+          },
+          icon("run"),
+        ),
+      el(
+        "button",
+        {
+          class: "square plain",
+          title: "Delete the drive",
+          "aria-label": `Delete ${drive.name}`,
+          onClick: () => removeDrive(drive).catch(showError),
+        },
+        icon("trash"),
+      ),
     ),
     jobs.length > 0 && el("ul", { class: "jobs" }, jobs.map(jobRow)),
   );
@@ -125,7 +187,10 @@ function jobRow(job) {
     {},
     el(
       "button",
-      { "aria-current": String(getState().job === job.id), onClick: () => setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null }) },
+      {
+        "aria-current": String(getState().job === job.id),
+        onClick: () => setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null }),
+      },
       el("span", { class: "cut" }, jobTitle(job)),
       job.state === "successful" ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
       job.state === "successful" && el("span", { class: "small number both" }, outcomeOf(job)),
@@ -144,7 +209,14 @@ export function outcomeOf(job) {
 
 /** @param {any} drive */
 async function removeDrive(drive) {
-  if (!(await confirmAction(`Delete ${drive.name}?`, "Its scans, jobs and results are removed from the server. This cannot be undone.", "Delete the drive"))) return;
+  if (
+    !(await confirmAction(
+      `Delete ${drive.name}?`,
+      "Its scans, jobs and results are removed from the server. This cannot be undone.",
+      "Delete the drive",
+    ))
+  )
+    return;
   await sendJson("DELETE", `drives/${drive.id}`);
   if (getState().drive === drive.id) setState({ drive: null, job: null, frame: null, view: null, panel: "drives" });
   await refreshLists();

@@ -12,7 +12,12 @@ import { permalink, subscribe } from "../state.js";
 export function mount(container) {
   /** @type {import("../data/results.js").Result|null} */
   let result = null;
-  const link = el("input", { type: "text", readOnly: true, "aria-label": "Link to this view", onFocus: () => link.select() });
+  const link = el("input", {
+    type: "text",
+    readOnly: true,
+    "aria-label": "Link to this view",
+    onFocus: () => link.select(),
+  });
   const update = () => {
     if (!result) return fill(container, el("p", { class: "quiet" }, "The files appear here when a job is done."));
     fill(container, el("div", { class: "stack" }, sections(result, link)));
@@ -32,15 +37,21 @@ function sections(result, link) {
   const slug = result.job.drive_name.replace(/[^A-Za-z0-9._-]+/g, "_");
   const scored = result.report !== null;
   /** @param {string} text @param {string} path @param {string} name */
-  const get = (text, path, name) => el("button", { title: `${text}: ${name}`, onClick: () => download(path, name).catch(showError) }, text);
+  const get = (text, path, name) =>
+    el("button", { title: `${text}: ${name}`, onClick: () => download(path, name).catch(showError) }, text);
   /** @param {string} title @param {string} layer @param {string} file */
   const vector = (title, layer, file) => [
     el("span", {}, title),
     el(
       "div",
       { class: "formats" },
-      result.local ? get("JSON", `${at}/files/${file}.local.json`, `${slug}-${file}.local.json`) : get("GeoJSON", `${at}/${layer}`, `${slug}-${file}.geojson`),
-      !result.local && ["fgb", "kml"].map((format) => get(format.toUpperCase(), `${at}/export.${format}?layer=${layer}`, `${slug}-${file}.${format}`)),
+      result.local
+        ? get("JSON", `${at}/files/${file}.local.json`, `${slug}-${file}.local.json`)
+        : get("GeoJSON", `${at}/${layer}`, `${slug}-${file}.geojson`),
+      !result.local &&
+        ["fgb", "kml"].map((format) =>
+          get(format.toUpperCase(), `${at}/export.${format}?layer=${layer}`, `${slug}-${file}.${format}`),
+        ),
     ),
   ];
   const gpkg = address(`${at}/export.gpkg`);
@@ -51,10 +62,26 @@ function sections(result, link) {
     el(
       "div",
       { class: "row" },
-      !result.local && el("button", { class: "primary", onClick: () => download(`${at}/export.gpkg`, `${slug}.gpkg`).catch(showError) }, icon("download"), "GeoPackage, all layers"),
-      el("button", { onClick: () => download(`${at}/archive.zip`, `${slug}.zip`).catch(showError) }, icon("download"), "Everything (.zip)"),
+      !result.local &&
+        el(
+          "button",
+          { class: "primary", onClick: () => download(`${at}/export.gpkg`, `${slug}.gpkg`).catch(showError) },
+          icon("download"),
+          "GeoPackage, all layers",
+        ),
+      el(
+        "button",
+        { onClick: () => download(`${at}/archive.zip`, `${slug}.zip`).catch(showError) },
+        icon("download"),
+        "Everything (.zip)",
+      ),
     ),
-    result.local && el("p", { class: "note" }, "Without a georeference the files hold metres of the drive’s own frame; there are no GIS formats of them."),
+    result.local &&
+      el(
+        "p",
+        { class: "note" },
+        "Without a georeference the files hold metres of the drive’s own frame; there are no GIS formats of them.",
+      ),
     el(
       "section",
       { class: "section" },
@@ -76,11 +103,33 @@ function sections(result, link) {
       el(
         "div",
         { class: "downloads" },
-        scored && [el("span", {}, "Report"), el("div", { class: "formats" }, get("HTML", `${at}/report?format=html`, `${slug}-report.html`), get("JSON", `${at}/report?format=json`, `${slug}-report.json`))],
-        [el("span", {}, "Settings, versions, timings"), el("div", { class: "formats" }, get("JSON", `${at}/run`, `${slug}-run.json`))],
+        scored && [
+          el("span", {}, "Report"),
+          el(
+            "div",
+            { class: "formats" },
+            get("HTML", `${at}/report?format=html`, `${slug}-report.html`),
+            get("JSON", `${at}/report?format=json`, `${slug}-report.json`),
+          ),
+        ],
+        [
+          el("span", {}, "Settings, versions, timings"),
+          el("div", { class: "formats" }, get("JSON", `${at}/run`, `${slug}-run.json`)),
+        ],
       ),
     ),
-    el("section", { class: "section" }, el("h3", {}, "Link to this view"), el("div", { class: "row" }, el("div", { class: "grow" }, link), copyButton(() => permalink())), el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for whoever can reach this server.")),
+    el(
+      "section",
+      { class: "section" },
+      el("h3", {}, "Link to this view"),
+      el(
+        "div",
+        { class: "row" },
+        el("div", { class: "grow" }, link),
+        copyButton(() => permalink()),
+      ),
+      el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for whoever can reach this server."),
+    ),
     el(
       "section",
       { class: "section stack-s" },
@@ -93,16 +142,37 @@ function sections(result, link) {
         { class: "section stack-s" },
         el("h3", {}, "In QGIS"),
         getToken()
-          ? el("p", { class: "small" }, "Download the GeoPackage and drag it into QGIS: this server wants a token, which QGIS does not send by itself.")
-          : [el("p", { class: "small" }, "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:"), codeBox(geojson)],
+          ? el(
+              "p",
+              { class: "small" },
+              "Download the GeoPackage and drag it into QGIS: this server wants a token, which QGIS does not send by itself.",
+            )
+          : [
+              el(
+                "p",
+                { class: "small" },
+                "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:",
+              ),
+              codeBox(geojson),
+            ],
       ),
-    scored && el("p", { class: "small section" }, "Report, matches and OSM intersections hold data of OpenStreetMap: © OpenStreetMap contributors, ODbL. Say so where you publish them."),
+    scored &&
+      el(
+        "p",
+        { class: "small section" },
+        "Report, matches and OSM intersections hold data of OpenStreetMap: © OpenStreetMap contributors, ODbL. Say so where you publish them.",
+      ),
   ];
 }
 
 /** @param {string} text */
 function codeBox(text) {
-  return el("div", { class: "code-box" }, el("pre", { class: "code", tabIndex: 0 }, text), copyButton(() => text));
+  return el(
+    "div",
+    { class: "code-box" },
+    el("pre", { class: "code", tabIndex: 0 }, text),
+    copyButton(() => text),
+  );
 }
 
 /** @param {() => string} text */

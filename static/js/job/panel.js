@@ -5,7 +5,18 @@
 import { follow, getJson, sendJson } from "../api.js";
 import { lists, refreshLists, rememberJob } from "../data/lists.js";
 import { ownSettings } from "../data/presets.js";
-import { announce, el, fill, formatAgo, formatBytes, formatCount, formatDuration, formatMetres, formatPercent, icon } from "../dom.js";
+import {
+  announce,
+  el,
+  fill,
+  formatAgo,
+  formatBytes,
+  formatCount,
+  formatDuration,
+  formatMetres,
+  formatPercent,
+  icon,
+} from "../dom.js";
 import { stateBadge } from "../drives/panel.js";
 import { confirmAction, problemNote, showError } from "../shell/messages.js";
 import { getState, setState, subscribe } from "../state.js";
@@ -24,7 +35,12 @@ const FINAL = new Set(["successful", "failed", "dismissed"]);
 /** @param {HTMLElement} container */
 export function mount(container) {
   let stop = new AbortController();
-  const silence = el("p", { class: "note warning", role: "status", hidden: true }, el("strong", {}, "The server does not answer"), "This page tries again until it does. Jobs outlive a restart: they go on where they stopped.");
+  const silence = el(
+    "p",
+    { class: "note warning", role: "status", hidden: true },
+    el("strong", {}, "The server does not answer"),
+    "This page tries again until it does. Jobs outlive a restart: they go on where they stopped.",
+  );
 
   const start = async () => {
     stop.abort();
@@ -40,7 +56,14 @@ export function mount(container) {
       if (signal.aborted) return;
       update(job);
       if (FINAL.has(job.state)) return;
-      const look = setInterval(() => void getJson(`jobs/${id}`, { signal }).then((now) => !signal.aborted && update(now), () => {}), LOOK_MS);
+      const look = setInterval(
+        () =>
+          void getJson(`jobs/${id}`, { signal }).then(
+            (now) => !signal.aborted && update(now),
+            () => {},
+          ),
+        LOOK_MS,
+      );
       signal.addEventListener("abort", () => clearInterval(look));
       await follow(`jobs/${id}/events`, {
         signal,
@@ -79,9 +102,29 @@ export function mount(container) {
       el(
         "div",
         { class: "stack" },
-        el("div", {}, el("div", { class: "spread" }, el("h2", { class: "cut", title: job.drive_name }, job.drive_name), stateBadge(job.state)), el("p", { class: "small" }, `Preset ${job.request.preset ?? "default"}, submitted ${formatAgo(job.created_at)}`)),
+        el(
+          "div",
+          {},
+          el(
+            "div",
+            { class: "spread" },
+            el("h2", { class: "cut", title: job.drive_name }, job.drive_name),
+            stateBadge(job.state),
+          ),
+          el(
+            "p",
+            { class: "small" },
+            `Preset ${job.request.preset ?? "default"}, submitted ${formatAgo(job.created_at)}`,
+          ),
+        ),
         silence,
-        job.state === "successful" ? outcome(job) : job.state === "failed" ? failure(job) : job.state === "dismissed" ? dismissed(job) : progress(job),
+        job.state === "successful"
+          ? outcome(job)
+          : job.state === "failed"
+            ? failure(job)
+            : job.state === "dismissed"
+              ? dismissed(job)
+              : progress(job),
       ),
     );
     if (focused) [...container.querySelectorAll("button")].find((each) => each.textContent === focused)?.focus();
@@ -95,20 +138,43 @@ export function mount(container) {
 function progress(job) {
   const { done, total, fraction, seconds_left: left } = job.progress;
   const stages = STAGES.filter(([id]) => id !== "evaluating" || job.request.osm);
-  const now = Math.max(0, stages.findIndex(([id]) => id === job.stage));
+  const now = Math.max(
+    0,
+    stages.findIndex(([id]) => id === job.stage),
+  );
   const percent = Math.floor(100 * fraction);
   if (percent % 10 === 0) announce(`${percent} percent`);
   return [
-    el("ol", { class: "stages" }, stages.map(([, text], i) => el("li", { class: i < now ? "done" : i === now ? "now" : "", "aria-current": i === now ? "step" : null }, text))),
+    el(
+      "ol",
+      { class: "stages" },
+      stages.map(([, text], i) =>
+        el("li", { class: i < now ? "done" : i === now ? "now" : "", "aria-current": i === now ? "step" : null }, text),
+      ),
+    ),
     el(
       "div",
       { class: "stack-s" },
       el("progress", { max: 1, value: total ? fraction : null, "aria-label": "Progress" }),
-      el("div", { class: "spread small number" }, el("span", {}, total ? `${formatCount(done)} of ${formatCount(total)} keyframes` : "Counting the keyframes"), el("span", {}, left !== null && left !== undefined && total ? `${formatDuration(Math.max(1, Math.round(left)))} left` : "")),
+      el(
+        "div",
+        { class: "spread small number" },
+        el("span", {}, total ? `${formatCount(done)} of ${formatCount(total)} keyframes` : "Counting the keyframes"),
+        el(
+          "span",
+          {},
+          left !== null && left !== undefined && total ? `${formatDuration(Math.max(1, Math.round(left)))} left` : "",
+        ),
+      ),
       job.message && el("p", { class: "small" }, job.message),
-      job.attempts > 1 && el("p", { class: "note warning" }, `Attempt ${job.attempts}: a worker died; it goes on where it stopped.`),
+      job.attempts > 1 &&
+        el("p", { class: "note warning" }, `Attempt ${job.attempts}: a worker died; it goes on where it stopped.`),
     ),
-    el("div", { class: "row" }, el("button", { class: "danger", onClick: () => cancel(job).catch(showError) }, "Cancel the job")),
+    el(
+      "div",
+      { class: "row" },
+      el("button", { class: "danger", onClick: () => cancel(job).catch(showError) }, "Cancel the job"),
+    ),
     el("p", { class: "small" }, "You may close this page: the server goes on, and the job is in the list of drives."),
   ];
 }
@@ -135,11 +201,18 @@ function outcome(job) {
   }
   return [
     el("div", { class: "tiles-row" }, figures),
-    !job.request.osm && el("p", { class: "note" }, el("strong", {}, "Not scored"), "The job had no map. Run it again with a map to see which intersections are right."),
+    !job.request.osm &&
+      el(
+        "p",
+        { class: "note" },
+        el("strong", {}, "Not scored"),
+        "The job had no map. Run it again with a map to see which intersections are right.",
+      ),
     el(
       "div",
       { class: "row" },
-      job.request.osm && el("button", { class: "primary", onClick: () => setState({ panel: "report" }) }, "Open the report"),
+      job.request.osm &&
+        el("button", { class: "primary", onClick: () => setState({ panel: "report" }) }, "Open the report"),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
     ),
     el(
@@ -147,14 +220,24 @@ function outcome(job) {
       { class: "figures section" },
       fact("Map", mapOf(job.request)),
       job.request.osm && fact("Policy", job.request.policy ?? "drive"),
-      fact("Own settings", own.length ? own.map(([name, value]) => el("code", {}, `${name} = ${JSON.stringify(value)} `)) : "none"),
+      fact(
+        "Own settings",
+        own.length ? own.map(([name, value]) => el("code", {}, `${name} = ${JSON.stringify(value)} `)) : "none",
+      ),
       summary.seconds !== undefined && fact("Time", formatDuration(summary.seconds)),
-      summary.seconds && summary.keyframes ? fact("A keyframe", `${((1000 * summary.seconds) / summary.keyframes).toFixed(1)} ms`) : null,
+      summary.seconds && summary.keyframes
+        ? fact("A keyframe", `${((1000 * summary.seconds) / summary.keyframes).toFixed(1)} ms`)
+        : null,
       summary.peak_memory_bytes && fact("Peak memory", formatBytes(summary.peak_memory_bytes)),
       fact("Finished", new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })),
       fact("Job", el("code", {}, job.id)),
     ),
-    el("div", { class: "row section" }, el("button", { onClick: () => rerun(job).catch(showError) }, "Run again…"), removal(job)),
+    el(
+      "div",
+      { class: "row section" },
+      el("button", { onClick: () => rerun(job).catch(showError) }, "Run again…"),
+      removal(job),
+    ),
   ];
 }
 
@@ -169,23 +252,49 @@ function failure(job) {
   return [
     problemNote(job.error ?? { title: "The job failed", detail: "The server told no reason; its log does." }),
     el("p", { class: "quiet" }, "Mend what it names, then run it again. The drive is still there."),
-    el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"), el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives"), removal(job)),
+    el(
+      "div",
+      { class: "row" },
+      el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"),
+      el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives"),
+      removal(job),
+    ),
   ];
 }
 
 /** @param {any} job */
 function dismissed(job) {
-  return [el("p", { class: "quiet" }, "This job was cancelled; it has no result."), el("div", { class: "row" }, el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"), removal(job))];
+  return [
+    el("p", { class: "quiet" }, "This job was cancelled; it has no result."),
+    el(
+      "div",
+      { class: "row" },
+      el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"),
+      removal(job),
+    ),
+  ];
 }
 
 /** @param {any} job */
 function removal(job) {
-  return el("button", { class: "plain danger", onClick: () => remove(job).catch(showError) }, icon("trash"), "Delete this job");
+  return el(
+    "button",
+    { class: "plain danger", onClick: () => remove(job).catch(showError) },
+    icon("trash"),
+    "Delete this job",
+  );
 }
 
 /** @param {any} job */
 async function remove(job) {
-  if (!(await confirmAction("Delete this job?", "Its results are removed from the server; the drive stays.", "Delete the job"))) return;
+  if (
+    !(await confirmAction(
+      "Delete this job?",
+      "Its results are removed from the server; the drive stays.",
+      "Delete the job",
+    ))
+  )
+    return;
   await sendJson("DELETE", `jobs/${job.id}?purge=true`);
   setState({ job: null, frame: null, view: null, panel: "drives" });
   await refreshLists();

@@ -19,8 +19,15 @@ const POLICIES = [
 /** @param {any} drive */
 export async function openRunDialog(drive) {
   const { files } = await getJson(`drives/${drive.id}/files?limit=10000`);
-  const maps = files.map((/** @type {any} */ f) => f.path).filter((/** @type {string} */ path) => /\.osm(\.(gz|bz2|pbf))?$/.test(path));
-  const preset = el("select", {}, el("option", { value: "default" }, "default – the best we know"), el("option", { value: "paper" }, "paper – literally as published"));
+  const maps = files
+    .map((/** @type {any} */ f) => f.path)
+    .filter((/** @type {string} */ path) => /\.osm(\.(gz|bz2|pbf))?$/.test(path));
+  const preset = el(
+    "select",
+    {},
+    el("option", { value: "default" }, "default – the best we know"),
+    el("option", { value: "paper" }, "paper – literally as published"),
+  );
   const map = el(
     "select",
     {},
@@ -28,7 +35,11 @@ export async function openRunDialog(drive) {
     getConfig().overpass && el("option", { value: "overpass" }, "From OpenStreetMap now (Overpass)"),
     el("option", { value: "" }, "None – only detect"),
   );
-  const policy = el("select", {}, POLICIES.map(([id, title]) => el("option", { value: id }, title)));
+  const policy = el(
+    "select",
+    {},
+    POLICIES.map(([id, title]) => el("option", { value: id }, title)),
+  );
   const hint = el("small", {});
   const explain = () => fill(hint, POLICIES.find(([id]) => id === policy.value)?.[2]);
   policy.addEventListener("change", explain);
@@ -40,7 +51,11 @@ export async function openRunDialog(drive) {
     { onClose: () => dialog.remove() },
     el(
       "form",
-      { method: "dialog", class: "stack", onSubmit: (/** @type {Event} */ event) => (event.preventDefault(), void submit()) },
+      {
+        method: "dialog",
+        class: "stack",
+        onSubmit: (/** @type {Event} */ event) => (event.preventDefault(), void submit()),
+      },
       el("h2", {}, `Run ${drive.name}`),
       el("label", { class: "field" }, el("span", {}, "Preset"), preset),
       el("label", { class: "field" }, el("span", {}, "Map to score against"), map),

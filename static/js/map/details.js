@@ -2,8 +2,9 @@
  * Tips under the pointer, and the details of what is clicked.
  * @module map/details
  */
-import { CircleMarker, Popup, SVG, Tooltip } from "../leaflet.js";
+
 import { el } from "../dom.js";
+import { CircleMarker, Popup, SVG, Tooltip } from "../leaflet.js";
 import { getState, setState } from "../state.js";
 import { View } from "./surface.js";
 import { factsOf, summaryOf, titleOf } from "./words.js";
@@ -14,7 +15,14 @@ import { factsOf, summaryOf, titleOf } from "./words.js";
  * @param {() => import("./scene.js").Scene|null} scene
  */
 export function watchPointer(map, scene) {
-  const mark = new CircleMarker([0, 0], { radius: 10, className: "mark", fill: false, interactive: false, renderer: new SVG({ pane: "marks" }), pane: "marks" });
+  const mark = new CircleMarker([0, 0], {
+    radius: 10,
+    className: "mark",
+    fill: false,
+    interactive: false,
+    renderer: new SVG({ pane: "marks" }),
+    pane: "marks",
+  });
   const tip = new Tooltip({ direction: "top", offset: [0, -10], opacity: 1, className: "tip", interactive: false });
 
   /** @param {any} event @returns {import("./scene.js").Hit|null} */
@@ -37,10 +45,14 @@ export function watchPointer(map, scene) {
       return;
     }
     mark.setLatLng([hit.item.lat, hit.item.lng]).addTo(map);
-    tip.setLatLng([hit.item.lat, hit.item.lng]).setContent(el("div", {}, el("strong", {}, titleOf(hit)), el("br"), summaryOf(hit)));
+    tip
+      .setLatLng([hit.item.lat, hit.item.lng])
+      .setContent(el("div", {}, el("strong", {}, titleOf(hit)), el("br"), summaryOf(hit)));
     tip.addTo(map);
   };
-  map.on("mousemove", (/** @type {any} */ event) => show(map.dragging.moving() || overControl(event) ? null : find(event)));
+  map.on("mousemove", (/** @type {any} */ event) =>
+    show(map.dragging.moving() || overControl(event) ? null : find(event)),
+  );
   map.on("mouseout dragstart zoomstart", () => show(null));
   map.on("click", (/** @type {any} */ event) => {
     const hit = find(event);
@@ -64,16 +76,30 @@ function overControl(event) {
  */
 export function openDetails(map, hit, local) {
   const { item, kind } = hit;
-  const frame = { detection: item.properties.frame, intersection: Math.round((item.properties.first_frame + item.properties.last_frame) / 2) }[/** @type {string} */ (kind)];
+  const frame = {
+    detection: item.properties.frame,
+    intersection: Math.round((item.properties.first_frame + item.properties.last_frame) / 2),
+  }[/** @type {string} */ (kind)];
   const content = el(
     "div",
     { class: "details" },
     el("h3", {}, titleOf(hit)),
-    el("dl", { class: "figures" }, factsOf(hit, local).map(([name, value]) => [el("dt", {}, name), el("dd", {}, value)])),
+    el(
+      "dl",
+      { class: "figures" },
+      factsOf(hit, local).map(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]),
+    ),
     frame !== undefined && el("button", { onClick: () => setState({ frame, drawer: true }) }, "Look at its keyframe"),
-    kind === "node" && el("button", { onClick: () => setState({ panel: "report", node: item.properties.osm_id }) }, "See it in the report"),
+    kind === "node" &&
+      el(
+        "button",
+        { onClick: () => setState({ panel: "report", node: item.properties.osm_id }) },
+        "See it in the report",
+      ),
   );
   if (kind === "detection" && getState().frame !== frame) setState({ frame });
-  new Popup({ maxWidth: 320, minWidth: 240, maxHeight: Math.max(140, map.getSize().y - 110), autoPanPadding: [24, 24] }).setLatLng([item.lat, item.lng]).setContent(content).openOn(map);
+  new Popup({ maxWidth: 320, minWidth: 240, maxHeight: Math.max(140, map.getSize().y - 110), autoPanPadding: [24, 24] })
+    .setLatLng([item.lat, item.lng])
+    .setContent(content)
+    .openOn(map);
 }
-

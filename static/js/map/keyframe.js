@@ -2,8 +2,9 @@
  * The chosen keyframe on the map: the vehicle, what it could see, what it detected.
  * @module map/keyframe
  */
-import { CircleMarker, DivIcon, LayerGroup, Marker, Polygon, Polyline, SVG } from "../leaflet.js";
+
 import { svg } from "../dom.js";
+import { CircleMarker, DivIcon, LayerGroup, Marker, Polygon, Polyline, SVG } from "../leaflet.js";
 
 const RAY_M = 18;
 
@@ -29,7 +30,8 @@ export class KeyframeLayer {
     const base = { interactive: false, renderer: this.renderer, pane: "keyframe" };
     if (area) {
       this.area.addLayer(new Polygon(frame.square(keyframe, result.roi_m), { ...base, className: "roi" }));
-      if (result.zone_m && result.zone_m > 0) this.area.addLayer(new Polygon(frame.square(keyframe, result.zone_m), { ...base, className: "zone" }));
+      if (result.zone_m && result.zone_m > 0)
+        this.area.addLayer(new Polygon(frame.square(keyframe, result.zone_m), { ...base, className: "zone" }));
     }
     for (const detection of result.byFrame.get(keyframe.properties.frame) ?? []) {
       const at = /** @type {[number, number]} */ ([detection.lat, detection.lng]);
@@ -47,6 +49,8 @@ export class KeyframeLayer {
       svg("path", { d: "M0-11 8 9 0 5-8 9Z", transform: `rotate(${frame.heading(keyframe)})` }),
     );
     const sign = new DivIcon({ html: arrow, className: "vehicle-icon", iconSize: [28, 28] });
-    this.vehicle.addLayer(new Marker([keyframe.lat, keyframe.lng], { icon: sign, interactive: false, keyboard: false, pane: "marks" }));
+    this.vehicle.addLayer(
+      new Marker([keyframe.lat, keyframe.lng], { icon: sign, interactive: false, keyboard: false, pane: "marks" }),
+    );
   }
 }

@@ -2,12 +2,13 @@
  * The box at the right of the map: layers to switch, with their signs and counts.
  * @module map/legend
  */
-import { Control, DomEvent } from "../leaflet.js";
+
 import { el, fill, formatCount, icon } from "../dom.js";
+import { Control, DomEvent } from "../leaflet.js";
 import { getState, setState, subscribe } from "../state.js";
-import { tileBox } from "./tiles.js";
 import { LAYERS, layersOn } from "./layers.js";
 import { signIcon } from "./symbols.js";
+import { tileBox } from "./tiles.js";
 
 const OPEN_KEY = "interloc.legend";
 const WIDE_PX = 640; // on a narrower map the legend is folded: it would hide the half of it
@@ -41,7 +42,15 @@ export function addLegend(map) {
       el(
         "details",
         { open: isWide() && localStorage.getItem(OPEN_KEY) !== "no" },
-        el("summary", { onClick: (/** @type {any} */ e) => localStorage.setItem(OPEN_KEY, e.currentTarget.parentElement.open ? "no" : "yes") }, icon("layers"), "Layers"),
+        el(
+          "summary",
+          {
+            onClick: (/** @type {any} */ e) =>
+              localStorage.setItem(OPEN_KEY, e.currentTarget.parentElement.open ? "no" : "yes"),
+          },
+          icon("layers"),
+          "Layers",
+        ),
         groups.map((group) =>
           el(
             "fieldset",
@@ -77,7 +86,12 @@ function row(layer, count, on) {
   return el(
     "label",
     { title: layer.hint, htmlFor: id },
-    el("input", { type: "checkbox", id, checked: on.has(layer.id), onChange: (/** @type {any} */ e) => switchLayer(layer.id, e.target.checked) }),
+    el("input", {
+      type: "checkbox",
+      id,
+      checked: on.has(layer.id),
+      onChange: (/** @type {any} */ e) => switchLayer(layer.id, e.target.checked),
+    }),
     layer.sign ? signIcon(layer.sign) : el("span", { class: `sign line ${layer.line}`, "aria-hidden": "true" }),
     el("span", { class: "grow" }, layer.title),
     count !== null && el("span", { class: "number quiet" }, formatCount(count)),

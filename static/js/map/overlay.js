@@ -44,7 +44,9 @@ export const TurnedImage = Layer.extend({
 
   /** @param {any} event */
   _animate(event) {
-    this._transform((/** @type {any} */ corner) => this._map._latLngToNewLayerPoint({ lat: corner[0], lng: corner[1] }, event.zoom, event.center));
+    this._transform((/** @type {any} */ corner) =>
+      this._map._latLngToNewLayerPoint({ lat: corner[0], lng: corner[1] }, event.zoom, event.center),
+    );
   },
 
   /** @param {(corner: [number, number]) => {x: number, y: number}} at */
@@ -52,7 +54,14 @@ export const TurnedImage = Layer.extend({
     const { naturalWidth: w, naturalHeight: h } = this._image;
     if (!w || !this._map) return;
     const [origin, right, down] = this._corners.map(at);
-    const matrix = [(right.x - origin.x) / w, (right.y - origin.y) / w, (down.x - origin.x) / h, (down.y - origin.y) / h, origin.x, origin.y];
+    const matrix = [
+      (right.x - origin.x) / w,
+      (right.y - origin.y) / w,
+      (down.x - origin.x) / h,
+      (down.y - origin.y) / h,
+      origin.x,
+      origin.y,
+    ];
     this._image.style.imageRendering = Math.hypot(matrix[0], matrix[1]) > 1 ? "pixelated" : "auto"; // cells stay cells
     this._image.style.transform = `matrix(${matrix.join(",")})`;
   },

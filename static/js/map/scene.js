@@ -3,7 +3,7 @@
  * @module map/scene
  */
 import { kindOfNode } from "./layers.js";
-import { SIGNS, colour, trace } from "./symbols.js";
+import { colour, SIGNS, trace } from "./symbols.js";
 
 /**
  * @typedef {{kind: "intersection"|"node"|"detection"|"keyframe", item: any}} Hit
@@ -41,7 +41,11 @@ export class Scene {
     this.nodes = points(result.nodes);
     this.track = flat(result.trajectory);
     this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), outcome }));
-    this.roads = result.roads.map(({ line, properties }) => ({ path: flat(line), width: widthOf(properties), drivable: isDrivable(properties) }));
+    this.roads = result.roads.map(({ line, properties }) => ({
+      path: flat(line),
+      width: widthOf(properties),
+      drivable: isDrivable(properties),
+    }));
     this.roads.sort((a, b) => a.width - b.width);
     /** @type {Set<string>} */
     this.on = new Set();
@@ -70,24 +74,48 @@ export class Scene {
     context.lineCap = "round";
     context.lineJoin = "round";
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
-    if (this.progress > 0) strokePaths(context, view, [this.track.slice(0, 2 * Math.ceil((this.progress * this.track.length) / 2))], colour("--accent"), 5);
+    if (this.progress > 0)
+      strokePaths(
+        context,
+        view,
+        [this.track.slice(0, 2 * Math.ceil((this.progress * this.track.length) / 2))],
+        colour("--accent"),
+        5,
+      );
     if (this.on.has("keyframes")) this.#paintPoints(context, view, this.keyframes, "keyframe", 2 * size, 0.8);
     if (this.on.has("errors")) {
-      for (const [outcome, layer] of [["TP", "tp"], ["FP", "fp"]]) {
+      for (const [outcome, layer] of [
+        ["TP", "tp"],
+        ["FP", "fp"],
+      ]) {
         if (!this.on.has(layer)) continue;
         const taken = new Set();
-        const paths = this.errors.filter((each) => each.outcome === outcome && isFresh(each.path, view, taken)).map((each) => each.path);
+        const paths = this.errors
+          .filter((each) => each.outcome === outcome && isFresh(each.path, view, taken))
+          .map((each) => each.path);
         strokePaths(context, view, paths, colour(SIGNS[layer].colour), 1, outcome === "TP" ? 0.55 : 0.35);
       }
     }
     if (this.on.has("uncertainty")) this.#paintUncertainty(context, view);
     const detections = this.detections;
     const evaluated = this.result.report !== null;
-    if (!evaluated && this.on.has("detections")) this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7);
-    if (evaluated && this.on.has("tp")) this.#paintPoints(context, view, detections, "tp", 3 * size, 0.7, (each) => each.outcome === "TP");
-    if (evaluated && this.on.has("fp")) this.#paintPoints(context, view, detections, "fp", 4 * size, 0.85, (each) => each.outcome === "FP");
+    if (!evaluated && this.on.has("detections"))
+      this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7);
+    if (evaluated && this.on.has("tp"))
+      this.#paintPoints(context, view, detections, "tp", 3 * size, 0.7, (each) => each.outcome === "TP");
+    if (evaluated && this.on.has("fp"))
+      this.#paintPoints(context, view, detections, "fp", 4 * size, 0.85, (each) => each.outcome === "FP");
     for (const kind of ["outside", "found", "missed"]) {
-      if (this.on.has(kind)) this.#paintPoints(context, view, this.nodes, kind, (kind === "outside" ? 4 : 7.5) * size, 1, (each) => kindOfNode(each) === kind);
+      if (this.on.has(kind))
+        this.#paintPoints(
+          context,
+          view,
+          this.nodes,
+          kind,
+          (kind === "outside" ? 4 : 7.5) * size,
+          1,
+          (each) => kindOfNode(each) === kind,
+        );
     }
     if (this.on.has("branches")) this.#paintBranches(context, view);
     if (this.on.has("intersections")) this.#paintPoints(context, view, this.intersections, "fused", 7.5 * size, 1);
@@ -99,11 +127,26 @@ export class Scene {
     const width = (metres) => Math.max(1.2, Math.min(metres * view.perMetre, 40));
     const driven = this.roads.filter((each) => each.drivable);
     const others = this.roads.filter((each) => !each.drivable);
-    strokePaths(context, view, others.map((each) => each.path), colour("--road-minor"), width(2.5));
+    strokePaths(
+      context,
+      view,
+      others.map((each) => each.path),
+      colour("--road-minor"),
+      width(2.5),
+    );
     const widths = [...new Set(driven.map((each) => each.width))];
-    for (const [variable, more] of /** @type {const} */ ([["--road-casing", 2], ["--road", 0]])) {
+    for (const [variable, more] of /** @type {const} */ ([
+      ["--road-casing", 2],
+      ["--road", 0],
+    ])) {
       for (const metres of widths) {
-        strokePaths(context, view, driven.filter((each) => each.width === metres).map((each) => each.path), colour(variable), width(metres) + more);
+        strokePaths(
+          context,
+          view,
+          driven.filter((each) => each.width === metres).map((each) => each.path),
+          colour(variable),
+          width(metres) + more,
+        );
       }
     }
   }

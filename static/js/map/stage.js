@@ -2,14 +2,15 @@
  * The map: shows the result of the job at hand, or the way of its drive while it runs.
  * @module map/stage
  */
-import { control, CRS, Map as LeafletMap, latLngBounds } from "../leaflet.js";
+
 import { getJson } from "../api.js";
-import { el, fill, icon } from "../dom.js";
 import { lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadResult, loadWay } from "../data/results.js";
-import { getState, setState, subscribe } from "../state.js";
+import { el, fill, icon } from "../dom.js";
+import { CRS, control, Map as LeafletMap, latLngBounds } from "../leaflet.js";
 import { problemNote } from "../shell/messages.js";
-import { watchPointer, openDetails } from "./details.js";
+import { getState, setState, subscribe } from "../state.js";
+import { openDetails, watchPointer } from "./details.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
@@ -74,7 +75,8 @@ export async function mountStage() {
       return;
     }
     try {
-      const job = lists.jobs.find((each) => each.id === id && each.state === "successful") ?? (await getJson(`jobs/${id}`));
+      const job =
+        lists.jobs.find((each) => each.id === id && each.state === "successful") ?? (await getJson(`jobs/${id}`));
       if (mine !== token) return;
       if (job.kind === "intersections") rememberJob(job);
       if (getState().drive !== job.drive_id) setState({ drive: job.drive_id });
@@ -104,7 +106,11 @@ export async function mountStage() {
     scene = new Scene(way, map);
     scene.on = new Set(["track"]);
     scene.progress = job.progress.fraction;
-    fit(way.trajectory.map(([lng, lat]) => [lat, lng]), false, way.local);
+    fit(
+      way.trajectory.map(([lng, lat]) => [lat, lng]),
+      false,
+      way.local,
+    );
     parts.redraw();
   };
 
@@ -188,12 +194,24 @@ function makeMap(holder, local, current) {
     maxBoundsViscosity: 0,
   });
   made.setView([0, 0], local ? 0 : 3);
-  for (const [name, z] of /** @type {const} */ ([["ground", 240], ["pictures", 300], ["surface", 350], ["keyframe", 450], ["marks", 600]])) {
+  for (const [name, z] of /** @type {const} */ ([
+    ["ground", 240],
+    ["pictures", 300],
+    ["surface", 350],
+    ["keyframe", 450],
+    ["marks", 600],
+  ])) {
     made.createPane(name).style.zIndex = String(z);
     if (name !== "pictures") made.getPane(name).style.pointerEvents = "none";
   }
-  const ground = new Surface((/** @type {any} */ context, /** @type {any} */ view) => current()?.paintGround(context, view), { pane: "ground" }).addTo(made);
-  const surface = new Surface((/** @type {any} */ context, /** @type {any} */ view) => current()?.paint(context, view), { pane: "surface" }).addTo(made);
+  const ground = new Surface(
+    (/** @type {any} */ context, /** @type {any} */ view) => current()?.paintGround(context, view),
+    { pane: "ground" },
+  ).addTo(made);
+  const surface = new Surface(
+    (/** @type {any} */ context, /** @type {any} */ view) => current()?.paint(context, view),
+    { pane: "surface" },
+  ).addTo(made);
   control.zoom({ position: "topleft" }).addTo(made);
   addFit(made);
   control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
@@ -227,7 +245,11 @@ function makeMap(holder, local, current) {
     /** @param {import("../data/results.js").Result} shown */
     setAttribution(shown) {
       if (credit) attribution.removeAttribution(credit);
-      credit = shown.local ? "Metres of the drive’s own frame: it has no georeference" : shown.roads.length || shown.nodes.length ? "© OpenStreetMap contributors, ODbL" : null;
+      credit = shown.local
+        ? "Metres of the drive’s own frame: it has no georeference"
+        : shown.roads.length || shown.nodes.length
+          ? "© OpenStreetMap contributors, ODbL"
+          : null;
       if (credit) attribution.addAttribution(credit);
     },
   };
@@ -235,7 +257,17 @@ function makeMap(holder, local, current) {
 
 /** @param {any} made */
 function addFit(made) {
-  const button = el("a", { href: "#", role: "button", title: "Show the whole drive", "aria-label": "Show the whole drive", onClick: (/** @type {Event} */ e) => (e.preventDefault(), fitDrive(true)) }, icon("fit"));
+  const button = el(
+    "a",
+    {
+      href: "#",
+      role: "button",
+      title: "Show the whole drive",
+      "aria-label": "Show the whole drive",
+      onClick: (/** @type {Event} */ e) => (e.preventDefault(), fitDrive(true)),
+    },
+    icon("fit"),
+  );
   const bar = el("div", { class: "leaflet-bar leaflet-control" }, button);
   const fit = control.zoom({ position: "topleft" });
   fit.onAdd = () => bar;
@@ -246,7 +278,11 @@ function addFit(made) {
 /** @param {boolean} animate */
 export function fitDrive(animate) {
   if (!map || !result) return;
-  fit([...result.keyframes, ...result.intersections].map(({ lat, lng }) => [lat, lng]), animate, result.local);
+  fit(
+    [...result.keyframes, ...result.intersections].map(({ lat, lng }) => [lat, lng]),
+    animate,
+    result.local,
+  );
 }
 
 /** @param {number[][]} places lat, lng @param {boolean} animate @param {boolean} local */
@@ -259,7 +295,10 @@ function fit(places, animate, local) {
 /** @returns {number[][]} What the controls cover: left and top, right and bottom, pixels. */
 function margins() {
   const hasLegend = map.getSize().x >= 640 && localStorage.getItem("interloc.legend") !== "no";
-  return [[56, 40], [hasLegend ? 232 : 40, 40]];
+  return [
+    [56, 40],
+    [hasLegend ? 232 : 40, 40],
+  ];
 }
 
 /** @param {[number, number]} place */
@@ -315,6 +354,14 @@ function waiting(job) {
 function welcome(drive) {
   return drive
     ? el("p", {}, "This drive has no result yet. Run it from the panel at the left.")
-    : el("div", {}, el("h2", {}, "Intersections from LiDAR drives"), el("p", {}, "Upload a drive, or open one at the left: its intersections appear here, beside the roads of OpenStreetMap."));
+    : el(
+        "div",
+        {},
+        el("h2", {}, "Intersections from LiDAR drives"),
+        el(
+          "p",
+          {},
+          "Upload a drive, or open one at the left: its intersections appear here, beside the roads of OpenStreetMap.",
+        ),
+      );
 }
-

@@ -61,7 +61,10 @@ export const Surface = Renderer.extend({
     const size = this._bounds.getSize();
     this._context.setTransform(this._ratio, 0, 0, this._ratio, 0, 0);
     this._context.clearRect(0, 0, size.x, size.y);
-    this._paint(this._context, new View(this._map, this._map.getZoom(), this._map.getPixelOrigin().add(this._bounds.min), size));
+    this._paint(
+      this._context,
+      new View(this._map, this._map.getZoom(), this._map.getPixelOrigin().add(this._bounds.min), size),
+    );
   },
 
   _onZoomEnd() {},
@@ -107,4 +110,3 @@ export function pixelsPerMetre(map, zoom) {
   if (crs.code !== "EPSG:3857") return crs.scale(zoom);
   return crs.scale(zoom) / (40075016.686 * Math.cos((map.getCenter().lat * Math.PI) / 180));
 }
-

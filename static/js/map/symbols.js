@@ -36,22 +36,36 @@ export function trace(path, shape, x, y, r) {
   } else {
     const t = 0.36 * r;
     path.moveTo(x - t, y - r);
-    for (const [dx, dy] of [[t, -r], [t, -t], [r, -t], [r, t], [t, t], [t, r], [-t, r], [-t, t], [-r, t], [-r, -t], [-t, -t]]) path.lineTo(x + dx, y + dy);
+    for (const [dx, dy] of [
+      [t, -r],
+      [t, -t],
+      [r, -t],
+      [r, t],
+      [t, t],
+      [t, r],
+      [-t, r],
+      [-t, t],
+      [-r, t],
+      [-r, -t],
+      [-t, -t],
+    ])
+      path.lineTo(x + dx, y + dy);
     path.closePath();
   }
 }
 
 /** The signs by name: colour (a CSS variable), shape, whether it is filled, width of its line. */
-export const SIGNS = /** @type {Record<string, {colour: string, shape: Shape, filled: boolean, width: number, edge?: string}>} */ ({
-  detection: { colour: "--tp", shape: "disc", filled: true, width: 0 },
-  tp: { colour: "--tp", shape: "disc", filled: true, width: 0 },
-  fp: { colour: "--fp", shape: "cross", filled: false, width: 2 },
-  found: { colour: "--found", shape: "square", filled: false, width: 2.4 },
-  missed: { colour: "--missed", shape: "diamond", filled: false, width: 2.6 },
-  outside: { colour: "--outside", shape: "square", filled: false, width: 1.2 },
-  fused: { colour: "--fused", shape: "plus", filled: true, width: 1.2, edge: "--fused-edge" },
-  keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
-});
+export const SIGNS =
+  /** @type {Record<string, {colour: string, shape: Shape, filled: boolean, width: number, edge?: string}>} */ ({
+    detection: { colour: "--tp", shape: "disc", filled: true, width: 0 },
+    tp: { colour: "--tp", shape: "disc", filled: true, width: 0 },
+    fp: { colour: "--fp", shape: "cross", filled: false, width: 2 },
+    found: { colour: "--found", shape: "square", filled: false, width: 2.4 },
+    missed: { colour: "--missed", shape: "diamond", filled: false, width: 2.6 },
+    outside: { colour: "--outside", shape: "square", filled: false, width: 1.2 },
+    fused: { colour: "--fused", shape: "plus", filled: true, width: 1.2, edge: "--fused-edge" },
+    keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
+  });
 
 /** @param {string} name @returns {Element} The sign for legends and tables. */
 export function signIcon(name) {

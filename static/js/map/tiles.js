@@ -2,8 +2,9 @@
  * Map tiles: only when switched on, since they tell another server which place is looked at.
  * @module map/tiles
  */
-import { TileLayer } from "../leaflet.js";
+
 import { el } from "../dom.js";
+import { TileLayer } from "../leaflet.js";
 import { getConfig } from "../shell/config.js";
 import { showError } from "../shell/messages.js";
 
@@ -55,7 +56,12 @@ function hostOf(url) {
 
 /** @returns {HTMLElement} The field for another address. */
 export function tileBox() {
-  const input = el("input", { type: "url", value: tileUrl(), spellcheck: false, "aria-label": "Address of the tiles, with {z}/{x}/{y}" });
+  const input = el("input", {
+    type: "url",
+    value: tileUrl(),
+    spellcheck: false,
+    "aria-label": "Address of the tiles, with {z}/{x}/{y}",
+  });
   return el(
     "form",
     {

@@ -16,24 +16,62 @@ export function mountTimeline(strip) {
   let last = 0;
 
   const chart = el("canvas", { class: "density", "aria-hidden": "true" });
-  const slider = el("input", { type: "range", min: 0, max: 0, step: 1, "aria-label": "Keyframe", onInput: () => choose(Number(slider.value)) });
+  const slider = el("input", {
+    type: "range",
+    min: 0,
+    max: 0,
+    step: 1,
+    "aria-label": "Keyframe",
+    onInput: () => choose(Number(slider.value)),
+  });
   const play = el("button", { class: "square", onClick: () => (playing ? stop() : start()) });
   const speed = el(
     "select",
     { "aria-label": "Speed", title: "Keyframes a second" },
     SPEEDS.map((each) => el("option", { value: each, selected: each === 10 }, `${each}/s`)),
   );
-  const follow = el("button", { class: "square plain", title: "Keep the vehicle in view", "aria-label": "Keep the vehicle in view", "aria-pressed": "true", onClick: () => follow.setAttribute("aria-pressed", String(follow.getAttribute("aria-pressed") !== "true")) }, icon("follow"));
+  const follow = el(
+    "button",
+    {
+      class: "square plain",
+      title: "Keep the vehicle in view",
+      "aria-label": "Keep the vehicle in view",
+      "aria-pressed": "true",
+      onClick: () => follow.setAttribute("aria-pressed", String(follow.getAttribute("aria-pressed") !== "true")),
+    },
+    icon("follow"),
+  );
   const label = el("div", { class: "timeline-label" });
-  const large = el("button", { "aria-expanded": "false", onClick: () => setState({ drawer: !getState().drawer, frame: getState().frame ?? firstSight(result) }) }, icon("image"), "Look inside");
+  const large = el(
+    "button",
+    {
+      "aria-expanded": "false",
+      onClick: () => setState({ drawer: !getState().drawer, frame: getState().frame ?? firstSight(result) }),
+    },
+    icon("image"),
+    "Look inside",
+  );
   fill(
     strip,
     el(
       "div",
       { class: "timeline" },
-      el("button", { class: "square plain", title: "Previous keyframe (,)", "aria-label": "Previous keyframe", onClick: () => step(-1) }, icon("previous")),
+      el(
+        "button",
+        {
+          class: "square plain",
+          title: "Previous keyframe (,)",
+          "aria-label": "Previous keyframe",
+          onClick: () => step(-1),
+        },
+        icon("previous"),
+      ),
       play,
-      el("button", { class: "square plain", title: "Next keyframe (.)", "aria-label": "Next keyframe", onClick: () => step(1) }, icon("next")),
+      el(
+        "button",
+        { class: "square plain", title: "Next keyframe (.)", "aria-label": "Next keyframe", onClick: () => step(1) },
+        icon("next"),
+      ),
       speed,
       follow,
       el("div", { class: "ruler" }, chart, slider),
@@ -46,7 +84,8 @@ export function mountTimeline(strip) {
   /** @param {number} row */
   const frameAt = (row) => result?.keyframes[row]?.properties.frame ?? null;
   /** @param {number} row */
-  const choose = (row) => result && setState({ frame: frameAt(Math.max(0, Math.min(result.keyframes.length - 1, row))) });
+  const choose = (row) =>
+    result && setState({ frame: frameAt(Math.max(0, Math.min(result.keyframes.length - 1, row))) });
   /** @param {number} by */
   const step = (by) => (stop(), choose(getState().frame === null ? 0 : rowNow() + by));
 
@@ -91,7 +130,10 @@ export function mountTimeline(strip) {
       label,
       frame === null
         ? [el("strong", {}, plural(result.keyframes.length, "keyframe")), el("span", {}, "drag or play")]
-        : [el("strong", {}, `Scan ${frame}`, time !== null && time !== undefined ? ` · ${formatDuration(time)}` : ""), el("span", {}, `${row + 1} of ${result.keyframes.length} · ${plural(seen, "detection")}`)],
+        : [
+            el("strong", {}, `Scan ${frame}`, time !== null && time !== undefined ? ` · ${formatDuration(time)}` : ""),
+            el("span", {}, `${row + 1} of ${result.keyframes.length} · ${plural(seen, "detection")}`),
+          ],
     );
     fill(play, icon(playing ? "pause" : "play"));
     play.setAttribute("aria-label", playing ? "Pause" : "Play");
@@ -106,7 +148,13 @@ export function mountTimeline(strip) {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   document.addEventListener("keydown", (event) => {
     const target = /** @type {HTMLElement} */ (event.target);
-    if (event.ctrlKey || event.metaKey || event.altKey || target.closest("input:not([type=range]):not([type=checkbox]), select, textarea, dialog")) return;
+    if (
+      event.ctrlKey ||
+      event.metaKey ||
+      event.altKey ||
+      target.closest("input:not([type=range]):not([type=checkbox]), select, textarea, dialog")
+    )
+      return;
     if (event.key === ",") step(-1);
     else if (event.key === ".") step(1);
   });
@@ -130,7 +178,10 @@ export function firstSight(result) {
 }
 
 /** Bars of detections a keyframe, the true ones below, the false ones on top. */
-function drawDensity(/** @type {HTMLCanvasElement} */ canvas, /** @type {import("../data/results.js").Result} */ result) {
+function drawDensity(
+  /** @type {HTMLCanvasElement} */ canvas,
+  /** @type {import("../data/results.js").Result} */ result,
+) {
   const ratio = Math.max(1, devicePixelRatio);
   const [w, h] = [canvas.clientWidth, canvas.clientHeight];
   if (!w) return;
@@ -161,4 +212,3 @@ function drawDensity(/** @type {HTMLCanvasElement} */ canvas, /** @type {import(
     context.fillRect(i * width, h - low - high, Math.max(1, width - 0.5), high);
   }
 }
-

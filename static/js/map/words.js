@@ -11,17 +11,26 @@ import { kindOfNode } from "./layers.js";
 export function titleOf({ kind, item }) {
   const { properties: p } = item;
   if (kind === "intersection") return `Intersection ${p.id}`;
-  if (kind === "node") return `OSM intersection, ${{ found: "found", missed: "missed", outside: "out of reach" }[kindOfNode(item)]}`;
-  if (kind === "detection") return item.outcome === "none" ? "Detection" : item.outcome === "TP" ? "True detection" : "False detection";
+  if (kind === "node")
+    return `OSM intersection, ${{ found: "found", missed: "missed", outside: "out of reach" }[kindOfNode(item)]}`;
+  if (kind === "detection")
+    return item.outcome === "none" ? "Detection" : item.outcome === "TP" ? "True detection" : "False detection";
   return `Keyframe at scan ${p.frame}`;
 }
 
 /** @param {Hit} hit @returns {string} One line below the title. */
 export function summaryOf({ kind, item }) {
   const { properties: p } = item;
-  if (kind === "intersection") return `${plural(p.observations, "detection")}, ±${formatMetres(p.position_std_m)}, ${plural(p.branch_count, "branch", "branches")}`;
-  if (kind === "node") return p.detections ? `${plural(p.detections, "detection")}, ${formatMetres(p.median_error_m)} off (median)` : "no detection was matched to it";
-  if (kind === "detection") return item.error_m === null ? `scan ${p.frame}` : `scan ${p.frame}, ${formatMetres(item.error_m)} from the OSM intersection`;
+  if (kind === "intersection")
+    return `${plural(p.observations, "detection")}, ±${formatMetres(p.position_std_m)}, ${plural(p.branch_count, "branch", "branches")}`;
+  if (kind === "node")
+    return p.detections
+      ? `${plural(p.detections, "detection")}, ${formatMetres(p.median_error_m)} off (median)`
+      : "no detection was matched to it";
+  if (kind === "detection")
+    return item.error_m === null
+      ? `scan ${p.frame}`
+      : `scan ${p.frame}, ${formatMetres(item.error_m)} from the OSM intersection`;
   return p.detections ? plural(p.detections, "detection") : "no detections";
 }
 
@@ -52,9 +61,16 @@ export function factsOf({ kind, item }, local) {
     facts.push(["Scan", String(p.frame)]);
     if (item.error_m !== null) facts.push(["Error", formatMetres(item.error_m)]);
     if (item.osm_id !== null) facts.push(["Matched to OSM node", osmLink(item.osm_id)]);
-    if (item.outcome === "FP" && item.error_m === null) facts.push(["Why false", "no OSM intersection in its region of interest"]);
+    if (item.outcome === "FP" && item.error_m === null)
+      facts.push(["Why false", "no OSM intersection in its region of interest"]);
     facts.push(["Score", p.score?.toFixed(2) ?? "–"]);
-    facts.push(["From the LiDAR", `${formatMetres(p.x_m, 1)} ${p.x_m < 0 ? "behind" : "ahead"}, ${formatMetres(Math.abs(p.y_m), 1)} ${p.y_m < 0 ? "right" : "left"}`.replace("-", "")]);
+    facts.push([
+      "From the LiDAR",
+      `${formatMetres(p.x_m, 1)} ${p.x_m < 0 ? "behind" : "ahead"}, ${formatMetres(Math.abs(p.y_m), 1)} ${p.y_m < 0 ? "right" : "left"}`.replace(
+        "-",
+        "",
+      ),
+    ]);
     facts.push([`Branches (${p.branch_count})`, bearings(p.branch_bearings_deg, local)]);
     facts.push(["Part of", p.intersection === null ? "no intersection of the map" : `intersection ${p.intersection}`]);
   } else {
@@ -63,7 +79,11 @@ export function factsOf({ kind, item }, local) {
     facts.push(["Heading", `${Math.round(p.heading_deg)}°`]);
     facts.push(["Detections", String(p.detections)]);
   }
-  facts.push(local ? ["x, y in W", `${item.lng.toFixed(2)} m, ${item.lat.toFixed(2)} m`] : ["Latitude, longitude", `${item.lat.toFixed(7)}, ${item.lng.toFixed(7)}`]);
+  facts.push(
+    local
+      ? ["x, y in W", `${item.lng.toFixed(2)} m, ${item.lat.toFixed(2)} m`]
+      : ["Latitude, longitude", `${item.lat.toFixed(7)}, ${item.lng.toFixed(7)}`],
+  );
   return facts;
 }
 

@@ -40,7 +40,18 @@ export function lineChart(lines, { max, mark, onMark }) {
       el("strong", {}, `At D = ${d} m`),
       lines.map((line) => {
         const value = line.points.find(([each]) => each === d)?.[1];
-        return el("span", {}, el("i", { class: "key", style: { borderColor: line.colour, borderTopStyle: !line.dash ? "solid" : line.dash.startsWith("2") ? "dotted" : "dashed" } }), `${line.name} ${value === null || value === undefined ? "–" : `${(100 * value).toFixed(1)} %`}`);
+        return el(
+          "span",
+          {},
+          el("i", {
+            class: "key",
+            style: {
+              borderColor: line.colour,
+              borderTopStyle: !line.dash ? "solid" : line.dash.startsWith("2") ? "dotted" : "dashed",
+            },
+          }),
+          `${line.name} ${value === null || value === undefined ? "–" : `${(100 * value).toFixed(1)} %`}`,
+        );
       }),
     );
   };
@@ -57,8 +68,15 @@ export function lineChart(lines, { max, mark, onMark }) {
   const chart = svg(
     "svg",
     {
-      class: "chart", viewBox: `0 0 ${W} ${h}`, tabindex: 0, role: "slider", "aria-label": "Distance D at which a detection counts as true",
-      "aria-valuemin": xs[0], "aria-valuemax": xs.at(-1), "aria-valuenow": mark, "aria-valuetext": `${mark} metres`,
+      class: "chart",
+      viewBox: `0 0 ${W} ${h}`,
+      tabindex: 0,
+      role: "slider",
+      "aria-label": "Distance D at which a detection counts as true",
+      "aria-valuemin": xs[0],
+      "aria-valuemax": xs.at(-1),
+      "aria-valuenow": mark,
+      "aria-valuetext": `${mark} metres`,
       onPointermove: (/** @type {PointerEvent} */ event) => read(nearest(event)),
       onPointerleave: () => read(current),
       onClick: (/** @type {PointerEvent} */ event) => choose(nearest(event)),
@@ -73,16 +91,25 @@ export function lineChart(lines, { max, mark, onMark }) {
     },
     [0, 0.25, 0.5, 0.75, 1].map((share) => [
       svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(share), y2: y(share) }),
-      svg("text", { x: BOX.left - 6, y: y(share) + 4, "text-anchor": "end" }, `${100 * share}${share === 1 ? " %" : ""}`),
+      svg(
+        "text",
+        { x: BOX.left - 6, y: y(share) + 4, "text-anchor": "end" },
+        `${100 * share}${share === 1 ? " %" : ""}`,
+      ),
     ]),
-    Array.from({ length: max / 2 + 1 }, (_, i) => svg("text", { x: x(2 * i), y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(2 * i))),
+    Array.from({ length: max / 2 + 1 }, (_, i) =>
+      svg("text", { x: x(2 * i), y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(2 * i)),
+    ),
     svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "distance D [m]"),
     lines.map((line) =>
       svg("polyline", {
         class: "curve",
         stroke: line.colour,
         "stroke-dasharray": line.dash,
-        points: line.points.filter(([d, value]) => d <= max && value !== null).map(([d, value]) => `${x(d).toFixed(1)},${y(value ?? 0).toFixed(1)}`).join(" "),
+        points: line.points
+          .filter(([d, value]) => d <= max && value !== null)
+          .map(([d, value]) => `${x(d).toFixed(1)},${y(value ?? 0).toFixed(1)}`)
+          .join(" "),
       }),
     ),
     cursor,
@@ -105,24 +132,57 @@ export function barChart(counts, { width, limit }) {
   const total = counts.reduce((sum, each) => sum + each, 0);
   const legend = el("p", { class: "small number" });
   const say = (/** @type {number|null} */ i) => {
-    if (i === null) return fill(legend, `${total.toLocaleString("en")} matched detections; ${counts.at(-1)} beyond ${(counts.length - 1) * width} m.`);
+    if (i === null)
+      return fill(
+        legend,
+        `${total.toLocaleString("en")} matched detections; ${counts.at(-1)} beyond ${(counts.length - 1) * width} m.`,
+      );
     const range = i === counts.length - 1 ? `beyond ${i * width} m` : `${i * width} to ${(i + 1) * width} m`;
-    fill(legend, `${counts[i].toLocaleString("en")} detections (${((100 * counts[i]) / Math.max(1, total)).toFixed(1)} %) ${range} off.`);
+    fill(
+      legend,
+      `${counts[i].toLocaleString("en")} detections (${((100 * counts[i]) / Math.max(1, total)).toFixed(1)} %) ${range} off.`,
+    );
   };
   say(null);
   const chart = svg(
     "svg",
-    { class: "chart", viewBox: `0 0 ${W} ${h}`, role: "img", "aria-label": "Histogram of the errors", onPointerleave: () => say(null) },
+    {
+      class: "chart",
+      viewBox: `0 0 ${W} ${h}`,
+      role: "img",
+      "aria-label": "Histogram of the errors",
+      onPointerleave: () => say(null),
+    },
     svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, most.toLocaleString("en")),
     svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(most), y2: y(most) }),
     svg("line", { class: "axis", x1: BOX.left, x2: W - BOX.right, y1: y(0), y2: y(0) }),
     counts.map((count, i) => [
-      svg("rect", { class: `bar${i * width >= limit ? " fp" : ""}`, x: BOX.left + i * step + 0.5, y: y(count), width: step - 1, height: y(0) - y(count) }),
-      svg("rect", { fill: "transparent", x: BOX.left + i * step, y: BOX.top, width: step, height: y(0) - BOX.top, onPointerenter: () => say(i) }),
+      svg("rect", {
+        class: `bar${i * width >= limit ? " fp" : ""}`,
+        x: BOX.left + i * step + 0.5,
+        y: y(count),
+        width: step - 1,
+        height: y(0) - y(count),
+      }),
+      svg("rect", {
+        fill: "transparent",
+        x: BOX.left + i * step,
+        y: BOX.top,
+        width: step,
+        height: y(0) - BOX.top,
+        onPointerenter: () => say(i),
+      }),
     ]),
     counts.map((_, i) => {
       const metres = i * width;
-      return metres % 2 === 0 && svg("text", { x: BOX.left + i * step, y: h - BOX.bottom + 14, "text-anchor": "middle" }, String(metres) + (i === counts.length - 1 ? "+" : ""));
+      return (
+        metres % 2 === 0 &&
+        svg(
+          "text",
+          { x: BOX.left + i * step, y: h - BOX.bottom + 14, "text-anchor": "middle" },
+          String(metres) + (i === counts.length - 1 ? "+" : ""),
+        )
+      );
     }),
     svg("text", { x: (BOX.left + W - BOX.right) / 2, y: h - 3, "text-anchor": "middle" }, "center error [m]"),
   );

@@ -13,15 +13,26 @@ import { at } from "./scores.js";
 
 /** @param {import("../data/results.js").Result} result */
 export function comparison(result) {
-  const others = lists.jobs.filter((job) => job.drive_id === result.job.drive_id && job.id !== result.job.id && job.state === "successful" && job.request.osm);
+  const others = lists.jobs.filter(
+    (job) =>
+      job.drive_id === result.job.drive_id && job.id !== result.job.id && job.state === "successful" && job.request.osm,
+  );
   if (!others.length) return null;
   const holder = el("div", {});
-  const choice = el("select", { "aria-label": "Other job", onChange: () => void show() }, el("option", { value: "" }, "Choose another job of this drive"), others.map((job) => el("option", { value: job.id }, jobName(job))));
+  const choice = el(
+    "select",
+    { "aria-label": "Other job", onChange: () => void show() },
+    el("option", { value: "" }, "Choose another job of this drive"),
+    others.map((job) => el("option", { value: job.id }, jobName(job))),
+  );
   const show = async () => {
     fill(holder);
     if (!choice.value) return;
     try {
-      const [compared, other] = await Promise.all([getJson(`compare?jobs=${result.job.id},${choice.value}`), getJson(`jobs/${choice.value}/report`)]);
+      const [compared, other] = await Promise.all([
+        getJson(`compare?jobs=${result.job.id},${choice.value}`),
+        getJson(`jobs/${choice.value}/report`),
+      ]);
       fill(holder, table(result.report, other), differences(compared));
     } catch (error) {
       fill(holder, problemNote(error));
@@ -47,13 +58,27 @@ function table(a, b) {
   return el(
     "table",
     {},
-    el("thead", {}, el("tr", {}, ["", "This job", "Other job"].map((name) => el("th", { scope: "col" }, name)))),
+    el(
+      "thead",
+      {},
+      el(
+        "tr",
+        {},
+        ["", "This job", "Other job"].map((name) => el("th", { scope: "col" }, name)),
+      ),
+    ),
     el(
       "tbody",
       {},
       rows.map(([name, x, y, text, more]) => {
         const sign = x === null || y === null ? 0 : Math.sign(x - y) * more;
-        return el("tr", {}, el("td", {}, name), el("td", { class: sign > 0 ? "better" : "" }, text(x)), el("td", { class: sign < 0 ? "better" : "" }, text(y)));
+        return el(
+          "tr",
+          {},
+          el("td", {}, name),
+          el("td", { class: sign > 0 ? "better" : "" }, text(x)),
+          el("td", { class: sign < 0 ? "better" : "" }, text(y)),
+        );
       }),
     ),
   );
@@ -65,11 +90,28 @@ function differences(compared) {
   return [
     compared.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
     settings.length
-      ? el("details", {}, el("summary", {}, plural(settings.length, "setting differs", "settings differ")), headed(["Setting", "This job", "Other job"], settings.map((/** @type {any} */ each) => [el("code", {}, each.name), ...each.values.map((/** @type {any} */ value) => value === null ? "–" : String(value))])))
+      ? el(
+          "details",
+          {},
+          el("summary", {}, plural(settings.length, "setting differs", "settings differ")),
+          headed(
+            ["Setting", "This job", "Other job"],
+            settings.map((/** @type {any} */ each) => [
+              el("code", {}, each.name),
+              ...each.values.map((/** @type {any} */ value) => (value === null ? "–" : String(value))),
+            ]),
+          ),
+        )
       : el("p", { class: "small" }, "Both ran with the same settings."),
     el("h4", {}, "OSM intersections with another outcome"),
     nodes.length
-      ? headed(["OSM node", "This job", "Other job"], nodes.map((/** @type {any} */ node) => [el("button", { class: "link", onClick: () => show(node) }, node.osm_id), ...node.outcomes.map(outcome)]))
+      ? headed(
+          ["OSM node", "This job", "Other job"],
+          nodes.map((/** @type {any} */ node) => [
+            el("button", { class: "link", onClick: () => show(node) }, node.osm_id),
+            ...node.outcomes.map(outcome),
+          ]),
+        )
       : el("p", { class: "small" }, `None: both found ${compared.found_by_all} and missed ${compared.missed_by_all}.`),
   ];
 }
@@ -87,5 +129,28 @@ function show(node) {
 
 /** @param {string[]} heads @param {any[][]} rows */
 function headed(heads, rows) {
-  return el("table", {}, el("thead", {}, el("tr", {}, heads.map((name) => el("th", { scope: "col" }, name)))), el("tbody", {}, rows.map((cells) => el("tr", {}, cells.map((each) => el("td", {}, each))))));
+  return el(
+    "table",
+    {},
+    el(
+      "thead",
+      {},
+      el(
+        "tr",
+        {},
+        heads.map((name) => el("th", { scope: "col" }, name)),
+      ),
+    ),
+    el(
+      "tbody",
+      {},
+      rows.map((cells) =>
+        el(
+          "tr",
+          {},
+          cells.map((each) => el("td", {}, each)),
+        ),
+      ),
+    ),
+  );
 }

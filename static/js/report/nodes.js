@@ -13,23 +13,66 @@ const NAMES = { missed: "missed", found: "found", outside: "out of reach" };
 
 /** @type {Array<{name: string, title: string, value: (node: any) => number, text: (node: any) => any}>} */
 const COLUMNS = [
-  { name: "", title: "Outcome: whether a true detection was matched to it", value: (n) => ORDER[/** @type {"found"} */ (n.kind)], text: (n) => el("span", { title: NAMES[/** @type {"found"} */ (n.kind)] }, signIcon(n.kind), el("span", { class: "unseen" }, NAMES[/** @type {"found"} */ (n.kind)])) },
-  { name: "OSM node", title: "Number of the node in OpenStreetMap", value: (n) => n.osm_id ?? 0, text: (n) => n.osm_id },
+  {
+    name: "",
+    title: "Outcome: whether a true detection was matched to it",
+    value: (n) => ORDER[/** @type {"found"} */ (n.kind)],
+    text: (n) =>
+      el(
+        "span",
+        { title: NAMES[/** @type {"found"} */ (n.kind)] },
+        signIcon(n.kind),
+        el("span", { class: "unseen" }, NAMES[/** @type {"found"} */ (n.kind)]),
+      ),
+  },
+  {
+    name: "OSM node",
+    title: "Number of the node in OpenStreetMap",
+    value: (n) => n.osm_id ?? 0,
+    text: (n) => n.osm_id,
+  },
   { name: "Seen", title: "Detections matched to it", value: (n) => n.detections, text: (n) => n.detections },
-  { name: "Missed", title: "Keyframes that had it in the relevant zone without a detection", value: (n) => n.keyframes_missed, text: (n) => `${n.keyframes_missed}/${n.keyframes_in_zone}` },
-  { name: "Median", title: "Median error of the detections, metres", value: (n) => n.median_error_m ?? Infinity, text: (n) => n.median_error_m?.toFixed(2) ?? "–" },
-  { name: "Map", title: "Error of the intersection on the map, metres", value: (n) => n.map_error_m ?? Infinity, text: (n) => n.map_error_m?.toFixed(2) ?? "–" },
+  {
+    name: "Missed",
+    title: "Keyframes that had it in the relevant zone without a detection",
+    value: (n) => n.keyframes_missed,
+    text: (n) => `${n.keyframes_missed}/${n.keyframes_in_zone}`,
+  },
+  {
+    name: "Median",
+    title: "Median error of the detections, metres",
+    value: (n) => n.median_error_m ?? Infinity,
+    text: (n) => n.median_error_m?.toFixed(2) ?? "–",
+  },
+  {
+    name: "Map",
+    title: "Error of the intersection on the map, metres",
+    value: (n) => n.map_error_m ?? Infinity,
+    text: (n) => n.map_error_m?.toFixed(2) ?? "–",
+  },
 ];
 
 /** @param {import("../data/results.js").Result} result */
 export function nodeTable(result) {
   const places = new Map(result.nodes.map((node) => [node.properties.osm_id, node]));
-  const rows = result.report.nodes.map((/** @type {any} */ node) => ({ ...node, kind: kindOfNode({ lng: 0, lat: 0, properties: node }) }));
+  const rows = result.report.nodes.map((/** @type {any} */ node) => ({
+    ...node,
+    kind: kindOfNode({ lng: 0, lat: 0, properties: node }),
+  }));
   let column = 0;
   let down = false;
   const body = el("tbody", {});
   const heads = COLUMNS.map(({ name, title }, i) =>
-    el("th", { scope: "col", title }, el("button", { type: "button", "aria-label": name ? `${name}: ${title}` : title, onClick: () => sort(i) }, name, el("span", { "aria-hidden": "true" }))),
+    el(
+      "th",
+      { scope: "col", title },
+      el(
+        "button",
+        { type: "button", "aria-label": name ? `${name}: ${title}` : title, onClick: () => sort(i) },
+        name,
+        el("span", { "aria-hidden": "true" }),
+      ),
+    ),
   );
   /** @param {number} next */
   const sort = (next) => {
@@ -39,7 +82,9 @@ export function nodeTable(result) {
   };
   const update = () => {
     const { value } = COLUMNS[column];
-    rows.sort((/** @type {any} */ a, /** @type {any} */ b) => (value(a) - value(b)) * (down ? -1 : 1) || a.osm_id - b.osm_id);
+    rows.sort(
+      (/** @type {any} */ a, /** @type {any} */ b) => (value(a) - value(b)) * (down ? -1 : 1) || a.osm_id - b.osm_id,
+    );
     heads.forEach((head, i) => {
       head.setAttribute("aria-sort", i === column ? (down ? "descending" : "ascending") : "none");
       head.querySelector("span").textContent = i === column ? (down ? "▾" : "▴") : "";
@@ -55,7 +100,15 @@ export function nodeTable(result) {
         };
         return el(
           "tr",
-          { class: `can${node.osm_id === getState().node ? " is" : ""}`, dataset: { node: node.osm_id }, tabIndex: 0, title: "Show it on the map", onClick: go, onKeydown: (/** @type {KeyboardEvent} */ e) => (e.key === "Enter" || e.key === " ") && (e.preventDefault(), go()) },
+          {
+            class: `can${node.osm_id === getState().node ? " is" : ""}`,
+            dataset: { node: node.osm_id },
+            tabIndex: 0,
+            title: "Show it on the map",
+            onClick: go,
+            onKeydown: (/** @type {KeyboardEvent} */ e) =>
+              (e.key === "Enter" || e.key === " ") && (e.preventDefault(), go()),
+          },
           COLUMNS.map(({ text }) => el("td", {}, text(node))),
         );
       }),

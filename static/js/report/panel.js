@@ -29,8 +29,18 @@ function unscored(result) {
     { class: "stack" },
     el("h2", {}, "Not scored"),
     result.local
-      ? el("p", { class: "note" }, el("strong", {}, "No georeference"), "The drive has neither oxts/ nor geo.csv, so it cannot be laid over OpenStreetMap. Its intersections are on the map in metres of the drive’s own frame.")
-      : el("p", { class: "note" }, el("strong", {}, "No map"), "The job was submitted without a map. Run the drive again with one."),
+      ? el(
+          "p",
+          { class: "note" },
+          el("strong", {}, "No georeference"),
+          "The drive has neither oxts/ nor geo.csv, so it cannot be laid over OpenStreetMap. Its intersections are on the map in metres of the drive’s own frame.",
+        )
+      : el(
+          "p",
+          { class: "note" },
+          el("strong", {}, "No map"),
+          "The job was submitted without a map. Run the drive again with one.",
+        ),
     el("div", { class: "row" }, el("button", { onClick: () => setState({ panel: "job" }) }, "To the job")),
   );
 }
@@ -44,7 +54,10 @@ function sections(result, report) {
   const counts = el("p", { class: "small number" });
   const explain = (/** @type {number} */ d) => {
     const { tp, fp, fn } = at(report, d);
-    fill(counts, `${formatCount(tp)} true, ${formatCount(fp)} false; ${formatCount(fn)} times a node in the relevant zone without a detection.`);
+    fill(
+      counts,
+      `${formatCount(tp)} true, ${formatCount(fp)} false; ${formatCount(fn)} times a node in the relevant zone without a detection.`,
+    );
   };
   explain(D);
   return [
@@ -52,7 +65,14 @@ function sections(result, report) {
       "div",
       {},
       el("h2", { class: "cut" }, result.job.drive_name),
-      el("p", { class: "small" }, `Scored against ${report.osm.source}${report.osm.date ? ` of ${report.osm.date}` : ""}; ${plural(report.osm.nodes, "intersection")} under policy `, el("b", {}, report.policy), report.tolerance_m ? ` (merged within ${report.tolerance_m} m)` : "", "."),
+      el(
+        "p",
+        { class: "small" },
+        `Scored against ${report.osm.source}${report.osm.date ? ` of ${report.osm.date}` : ""}; ${plural(report.osm.nodes, "intersection")} under policy `,
+        el("b", {}, report.policy),
+        report.tolerance_m ? ` (merged within ${report.tolerance_m} m)` : "",
+        ".",
+      ),
     ),
     report.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
     el(
@@ -62,7 +82,11 @@ function sections(result, report) {
       figure(formatPercent(scores.precision), "precision", `D = ${D} m`),
       figure(formatPercent(scores.recall), "recall", `D = ${D} m`),
       figure(`${report.nodes_found} of ${report.nodes_in_zone}`, "OSM nodes found", "in the relevant zone"),
-      figure(formatPercent(level.precision), "of the map right", `${level.true} of ${level.true + level.false}, one to one`),
+      figure(
+        formatPercent(level.precision),
+        "of the map right",
+        `${level.true} of ${level.true + level.false}, one to one`,
+      ),
       figure(formatMetres(level.mean_m), "error of the map", `most ${formatMetres(level.max_m)}`),
     ),
     paperNote(result, report),
@@ -78,8 +102,15 @@ function sections(result, report) {
       ),
       counts,
     ),
-    section("Center errors", barChart(histogram(errors, 0.5, 20), { width: 0.5, limit: report.ace_tp_threshold_m ?? D })),
-    section("OSM intersections", nodeTable(result), el("p", { class: "small" }, "Errors in metres. A row leads to its place on the map.")),
+    section(
+      "Center errors",
+      barChart(histogram(errors, 0.5, 20), { width: 0.5, limit: report.ace_tp_threshold_m ?? D }),
+    ),
+    section(
+      "OSM intersections",
+      nodeTable(result),
+      el("p", { class: "small" }, "Errors in metres. A row leads to its place on the map."),
+    ),
     comparison(result),
   ];
 }
@@ -99,7 +130,13 @@ function paperNote(result, report) {
       if (!paper) return;
       holder.hidden = false;
       const { precision, recall } = at(report, D);
-      const row = (/** @type {string} */ name, /** @type {any[]} */ values) => el("tr", {}, el("td", {}, name), values.map((each) => el("td", {}, each)));
+      const row = (/** @type {string} */ name, /** @type {any[]} */ values) =>
+        el(
+          "tr",
+          {},
+          el("td", {}, name),
+          values.map((each) => el("td", {}, each)),
+        );
       fill(
         holder,
         section(
@@ -107,8 +144,25 @@ function paperNote(result, report) {
           el(
             "table",
             {},
-            el("thead", {}, el("tr", {}, ["", "ACE", "Precision", "Recall"].map((name) => el("th", { scope: "col" }, name)))),
-            el("tbody", {}, row("This job", [formatMetres(report.ace_m), formatPercent(precision), formatPercent(recall)]), row("Paper, RangeNet++ labels", [formatMetres(paper.ace_m), formatPercent(paper.precision), formatPercent(paper.recall)])),
+            el(
+              "thead",
+              {},
+              el(
+                "tr",
+                {},
+                ["", "ACE", "Precision", "Recall"].map((name) => el("th", { scope: "col" }, name)),
+              ),
+            ),
+            el(
+              "tbody",
+              {},
+              row("This job", [formatMetres(report.ace_m), formatPercent(precision), formatPercent(recall)]),
+              row("Paper, RangeNet++ labels", [
+                formatMetres(paper.ace_m),
+                formatPercent(paper.precision),
+                formatPercent(paper.recall),
+              ]),
+            ),
           ),
           el("p", { class: "small" }, "At D = 5 m. Other labels and another map than the paper’s make other figures."),
         ),

@@ -9,20 +9,39 @@
  */
 export function curve(report) {
   return Object.keys(report.precision)
-    .map((key) => ({ d: Number(key), precision: report.precision[key], recall: report.recall[key], f1: report.f1[key] }))
+    .map((key) => ({
+      d: Number(key),
+      precision: report.precision[key],
+      recall: report.recall[key],
+      f1: report.f1[key],
+    }))
     .sort((a, b) => a.d - b.d);
 }
 
 /** @param {any} report @param {number} d */
 export function at(report, d) {
   const key = d.toFixed(1);
-  return { precision: report.precision[key] ?? null, recall: report.recall[key] ?? null, f1: report.f1[key] ?? null, tp: report.tp[key] ?? 0, fp: report.fp[key] ?? 0, fn: report.fn[key] ?? 0 };
+  return {
+    precision: report.precision[key] ?? null,
+    recall: report.recall[key] ?? null,
+    f1: report.f1[key] ?? null,
+    tp: report.tp[key] ?? 0,
+    fp: report.fp[key] ?? 0,
+    fn: report.fn[key] ?? 0,
+  };
 }
 
 const RAW_DRIVES = /** @type {Record<string, string>} */ ({
-  "2011_10_03_drive_0027": "00", "2011_10_03_drive_0042": "01", "2011_10_03_drive_0034": "02", "2011_09_30_drive_0016": "04",
-  "2011_09_30_drive_0018": "05", "2011_09_30_drive_0020": "06", "2011_09_30_drive_0027": "07", "2011_09_30_drive_0028": "08",
-  "2011_09_30_drive_0033": "09", "2011_09_30_drive_0034": "10",
+  "2011_10_03_drive_0027": "00",
+  "2011_10_03_drive_0042": "01",
+  "2011_10_03_drive_0034": "02",
+  "2011_09_30_drive_0016": "04",
+  "2011_09_30_drive_0018": "05",
+  "2011_09_30_drive_0020": "06",
+  "2011_09_30_drive_0027": "07",
+  "2011_09_30_drive_0028": "08",
+  "2011_09_30_drive_0033": "09",
+  "2011_09_30_drive_0034": "10",
 });
 
 /**

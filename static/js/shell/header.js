@@ -3,10 +3,10 @@
  * @module shell/header
  */
 import { getJson, getToken, onTokenChange, ROOT, setToken } from "../api.js";
+import { lists, onListsChange, refreshLists } from "../data/lists.js";
+import { loadPresets, ownSettings } from "../data/presets.js";
 import { el, fill, formatAgo, icon } from "../dom.js";
 import { getState, setState, subscribe } from "../state.js";
-import { onListsChange, lists, refreshLists } from "../data/lists.js";
-import { loadPresets, ownSettings } from "../data/presets.js";
 import { getConfig } from "./config.js";
 import { showError } from "./messages.js";
 import { askForToken } from "./token.js";
@@ -14,12 +14,26 @@ import { askForToken } from "./token.js";
 /** @param {HTMLElement} header */
 export function mountHeader(header) {
   const drives = el("select", { "aria-label": "Drive", onChange: () => openDrive(drives.value) });
-  const jobs = el("select", { "aria-label": "Job", onChange: () => setState({ job: jobs.value || null, frame: null, view: null }) });
+  const jobs = el("select", {
+    "aria-label": "Job",
+    onChange: () => setState({ job: jobs.value || null, frame: null, view: null }),
+  });
   const token = el("button", { class: "plain", onClick: () => changeToken().catch(showError) });
   fill(
     header,
-    el("a", { class: "brand", href: "#", onClick: home }, el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 }), "InterLoc"),
-    el("nav", { class: "switcher", "aria-label": "Drive and job" }, drives, el("span", { class: "quiet", "aria-hidden": "true" }, "/"), jobs),
+    el(
+      "a",
+      { class: "brand", href: "#", onClick: home },
+      el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 }),
+      "InterLoc",
+    ),
+    el(
+      "nav",
+      { class: "switcher", "aria-label": "Drive and job" },
+      drives,
+      el("span", { class: "quiet", "aria-hidden": "true" }, "/"),
+      jobs,
+    ),
     el("span", { class: "grow" }),
     token,
     el("a", { class: "button plain", href: new URL("docs", ROOT).href, target: "_blank", rel: "noopener" }, "API"),
@@ -76,7 +90,9 @@ export function jobName(job) {
 
 /** @param {string} id Show a drive, with its newest job if there is one. */
 export function openDrive(id) {
-  const job = lists.jobs.find((each) => each.drive_id === id && each.state === "successful") ?? lists.jobs.find((each) => each.drive_id === id);
+  const job =
+    lists.jobs.find((each) => each.drive_id === id && each.state === "successful") ??
+    lists.jobs.find((each) => each.drive_id === id);
   setState({ drive: id || null, job: job?.id ?? null, frame: null, view: null, panel: job ? "job" : "drives" });
 }
 

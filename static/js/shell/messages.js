@@ -14,7 +14,14 @@ export function problemNote(error, ...more) {
   const problem = /** @type {any} */ (error);
   const title = problem.title ?? "Something went wrong";
   const detail = problem.detail ?? problem.message ?? String(error);
-  return el("div", { class: "note error" }, el("strong", {}, title), detail, fileProblems(problem.problems ?? []), more);
+  return el(
+    "div",
+    { class: "note error" },
+    el("strong", {}, title),
+    detail,
+    fileProblems(problem.problems ?? []),
+    more,
+  );
 }
 
 /** @param {Array<import("../api.js").FileProblem>} problems */
@@ -46,7 +53,11 @@ function toast(note, ms) {
   const region = document.getElementById("toasts");
   if (!region) return;
   if ([...region.children].some((other) => other.firstChild?.textContent === note.textContent)) return;
-  const close = el("button", { class: "plain square", "aria-label": "Close", onClick: () => box.remove() }, icon("close"));
+  const close = el(
+    "button",
+    { class: "plain square", "aria-label": "Close", onClick: () => box.remove() },
+    icon("close"),
+  );
   const box = el("div", { class: "toast" }, note, close);
   region.append(box);
   setTimeout(() => box.remove(), ms);
@@ -69,7 +80,12 @@ export function confirmAction(title, text, yes) {
         { method: "dialog" },
         el("h2", {}, title),
         el("p", { class: "quiet" }, text),
-        el("div", { class: "actions" }, el("button", { value: "no" }, "Keep"), el("button", { class: "danger", value: "yes" }, yes)),
+        el(
+          "div",
+          { class: "actions" },
+          el("button", { value: "no" }, "Keep"),
+          el("button", { class: "danger", value: "yes" }, yes),
+        ),
       ),
     );
     document.body.append(dialog);

@@ -34,7 +34,9 @@ export function mountTabs(panels) {
   const shown = () => (names.includes(getState().panel) ? getState().panel : names[0]);
   const update = () => {
     const current = shown();
-    const leaves = Object.entries(bodies).some(([name, body]) => name !== current && body.contains(document.activeElement));
+    const leaves = Object.entries(bodies).some(
+      ([name, body]) => name !== current && body.contains(document.activeElement),
+    );
     names.forEach((name, i) => {
       const needsJob = name === "job" || name === "report" || name === "export";
       tabs[i].disabled = needsJob && !getState().job && name !== current;
@@ -43,7 +45,12 @@ export function mountTabs(panels) {
       if (bodies[name]) bodies[name].hidden = name !== current;
     });
     if (!bodies[current]) {
-      const body = el("div", { role: "tabpanel", id: `panel-${current}`, "aria-labelledby": `tab-${current}`, class: "body" });
+      const body = el("div", {
+        role: "tabpanel",
+        id: `panel-${current}`,
+        "aria-labelledby": `tab-${current}`,
+        class: "body",
+      });
       bodies[current] = body;
       panel.append(body);
       panels[current].load().then(

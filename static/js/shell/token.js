@@ -23,8 +23,23 @@ export function askForToken(wrong) {
         "form",
         { method: "dialog", class: "stack" },
         el("h2", {}, "This server wants a token"),
-        wrong && el("p", { class: "note error" }, "The server refused this token. Was it copied whole, and is it still valid?"),
-        el("label", { class: "field" }, el("span", {}, "API token"), input, el("small", {}, "Its operator makes one with “interloc token add NAME”. It is kept until this tab is closed.")),
+        wrong &&
+          el(
+            "p",
+            { class: "note error" },
+            "The server refused this token. Was it copied whole, and is it still valid?",
+          ),
+        el(
+          "label",
+          { class: "field" },
+          el("span", {}, "API token"),
+          input,
+          el(
+            "small",
+            {},
+            "Its operator makes one with “interloc token add NAME”. It is kept until this tab is closed.",
+          ),
+        ),
         el(
           "div",
           { class: "actions" },

@@ -53,7 +53,9 @@ function checkLabels(drive, folder) {
   }
   const extra = [...labels.files.keys()].filter((number) => !scans.files.has(number));
   if (extra.length) {
-    problems.push(note(folder, `labels of ${extra.length.toLocaleString("en")} scans that are not there are not sent.`));
+    problems.push(
+      note(folder, `labels of ${extra.length.toLocaleString("en")} scans that are not there are not sent.`),
+    );
   }
   const wrong = [];
   for (const [number, file] of scans.files) {
@@ -63,7 +65,9 @@ function checkLabels(drive, folder) {
   }
   problems.push(...wrong.slice(0, MAX_SHOWN));
   if (wrong.length > MAX_SHOWN) {
-    problems.push(error(folder, `and ${(wrong.length - MAX_SHOWN).toLocaleString("en")} more files whose sizes do not fit.`));
+    problems.push(
+      error(folder, `and ${(wrong.length - MAX_SHOWN).toLocaleString("en")} more files whose sizes do not fit.`),
+    );
   }
   return problems;
 }
@@ -75,10 +79,13 @@ function checkSmall(drive, hasOxts) {
   const problems = [];
   const hasPoses = small.has("poses.txt") || (layout === "kitti360" && small.has("cam0_to_world.txt"));
   if (!hasPoses && !(layout === "kitti_raw" && hasFolder)) {
-    const message = "is missing. Expected one line of 12 numbers a scan: the pose of the camera (KITTI) or of the LiDAR (kiss-icp).";
+    const message =
+      "is missing. Expected one line of 12 numbers a scan: the pose of the camera (KITTI) or of the LiDAR (kiss-icp).";
     problems.push(error("poses.txt", `${message} Add the file below.`));
   } else if (layout === "semantickitti" && !small.has("calib.txt")) {
-    problems.push(warning("calib.txt", "is missing. It is needed where poses.txt holds camera poses, as those of KITTI do."));
+    problems.push(
+      warning("calib.txt", "is missing. It is needed where poses.txt holds camera poses, as those of KITTI do."),
+    );
   }
   if (!hasFolder && !small.has("geo.csv") && !hasOxts) {
     problems.push(
@@ -95,7 +102,12 @@ function checkSmall(drive, hasOxts) {
 /** @param {DriveFolder} drive @returns {FileProblem[]} */
 function checkReduced(drive) {
   if (drive.ground.size) return [];
-  return [error("ground", "holds no scan. Expected ground/labels/000000.ground and on beside reduced.json, as interloc reduce writes them.")];
+  return [
+    error(
+      "ground",
+      "holds no scan. Expected ground/labels/000000.ground and on beside reduced.json, as interloc reduce writes them.",
+    ),
+  ];
 }
 
 /**
@@ -106,12 +118,15 @@ function checkReduced(drive) {
  */
 export function noDriveReason(folder) {
   const paths = [...folder.files.keys()];
-  const expected = "Expected the folder of one drive: velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI), or velodyne_points/data/ and oxts/ (KITTI raw).";
+  const expected =
+    "Expected the folder of one drive: velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI), or velodyne_points/data/ and oxts/ (KITTI raw).";
   if (!paths.length) return `${folder.name} is empty. ${expected}`;
   const has = (/** @type {RegExp} */ pattern) => paths.some((path) => pattern.test(path));
   if (has(/^[^/]+\.bin$/)) return `${folder.name} holds the scans themselves: pick the folder above it. ${expected}`;
   if (has(/^[^/]+\.label$/)) return `${folder.name} holds labels only: pick the folder above it. ${expected}`;
-  if (has(/\.(zip|tar|tgz|tar\.\w+)$/i)) return `${folder.name} holds an archive: pick the archive itself, or unpack it first. ${expected}`;
-  if (has(/\.label$/)) return `${folder.name} holds labels but no scans: pick the folder that has velodyne/ too. ${expected}`;
+  if (has(/\.(zip|tar|tgz|tar\.\w+)$/i))
+    return `${folder.name} holds an archive: pick the archive itself, or unpack it first. ${expected}`;
+  if (has(/\.label$/))
+    return `${folder.name} holds labels but no scans: pick the folder that has velodyne/ too. ${expected}`;
   return `${folder.name} is not a drive. ${expected}`;
 }

@@ -44,7 +44,13 @@ export function select(choices, value, onChange) {
 export function radios(legend, choices, value, onChange) {
   const name = newId("choice");
   const rows = choices.map((choice) => {
-    const input = el("input", { type: "radio", name, value: choice.value, checked: choice.value === value, onChange: update });
+    const input = el("input", {
+      type: "radio",
+      name,
+      value: choice.value,
+      checked: choice.value === value,
+      onChange: update,
+    });
     const more = choice.more && el("div", { class: "more" }, choice.more);
     const text = el("span", {}, choice.title, choice.hint && el("small", {}, choice.hint));
     return { choice, input, more, element: el("div", {}, el("label", { class: "check" }, input, text), more) };
@@ -58,7 +64,12 @@ export function radios(legend, choices, value, onChange) {
     onChange?.(chosen());
   }
   show();
-  const element = el("fieldset", { class: "radios" }, el("legend", { class: "field-name" }, legend), rows.map((row) => row.element));
+  const element = el(
+    "fieldset",
+    { class: "radios" },
+    el("legend", { class: "field-name" }, legend),
+    rows.map((row) => row.element),
+  );
   return {
     element,
     value: chosen,

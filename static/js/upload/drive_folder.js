@@ -56,10 +56,14 @@ export async function findDrives(folder) {
     if (end > 0) byRoot.get(path.slice(0, end))?.set(path.slice(end + 1), file);
     else byRoot.get("")?.set(path, file);
   }
-  const calibration = [...folder.files.keys()].filter((path) => /(^|\/)(calib[^/]*|calibration\/[^/]+)\.txt$/.test(path));
+  const calibration = [...folder.files.keys()].filter((path) =>
+    /(^|\/)(calib[^/]*|calibration\/[^/]+)\.txt$/.test(path),
+  );
   const sorted = [...roots].sort(([a], [b]) => (a < b ? -1 : 1));
   return Promise.all(
-    sorted.map(([root, isReduced]) => readDrive({ folder, root, inside: byRoot.get(root) ?? new Map(), isReduced, calibration })),
+    sorted.map(([root, isReduced]) =>
+      readDrive({ folder, root, inside: byRoot.get(root) ?? new Map(), isReduced, calibration }),
+    ),
   );
 }
 
@@ -116,7 +120,8 @@ function sortFiles(drive, inside, isReduced) {
     if (isReduced && /^ground\/[^/]+\/\d+\.ground$/.test(path)) drive.ground.set(path, file);
     else if (folder && !isReduced && /\.(bin|label)$/.test(path)) folder.set(path.slice(cut + 1), file);
     else if (!path.includes("/") && OSM_FILE.test(path)) drive.maps.set(path, file);
-    else if ((isReduced && path === "reduced.json") || SMALL.some((pattern) => pattern.test(path))) drive.small.set(path, file);
+    else if ((isReduced && path === "reduced.json") || SMALL.some((pattern) => pattern.test(path)))
+      drive.small.set(path, file);
     else if (isReduced && /\.(txt|csv|gz)$/.test(path)) drive.small.set(path, file);
     else {
       drive.unused.files += 1;
@@ -139,7 +144,10 @@ function borrowBeside(drive, folder, calibration) {
   const wanted = []; // path in the folder, path in the drive
   for (const levels of [1, 2]) {
     if (parts.length < levels) break;
-    const above = parts.slice(0, -levels).map((part) => `${part}/`).join("");
+    const above = parts
+      .slice(0, -levels)
+      .map((part) => `${part}/`)
+      .join("");
     for (const path of calibration) {
       const rest = path.startsWith(above) ? path.slice(above.length) : "";
       const isNear = levels === 1 && !rest.includes("/");

@@ -161,7 +161,9 @@ async function walkEntry(entry, path, files, onCount) {
     if (!some.length) {
       return;
     }
-    await Promise.all(some.map((child) => walkEntry(child, path ? `${path}/${child.name}` : child.name, files, onCount)));
+    await Promise.all(
+      some.map((child) => walkEntry(child, path ? `${path}/${child.name}` : child.name, files, onCount)),
+    );
   }
 }
 

@@ -33,8 +33,17 @@ const ADDED = /^(poses|cam0_to_world|times|calib[^/]*)\.txt$|^geo\.csv$/;
  * @param {(drive: DriveFolder) => void} actions.onChoose Another drive of the folder.
  * @param {(begun: import("./memory.js").Remembered) => void} actions.onContinue
  */
-export function formView({ drive, drives, archive, handle, presets, begun, before }, { onStart, onBack, onChoose, onContinue }) {
-  const name = el("input", { type: "text", required: true, maxLength: 200, value: before?.name ?? drive?.name ?? baseName(archive), onInput: refresh });
+export function formView(
+  { drive, drives, archive, handle, presets, begun, before },
+  { onStart, onBack, onChoose, onContinue },
+) {
+  const name = el("input", {
+    type: "text",
+    required: true,
+    maxLength: 200,
+    value: before?.name ?? drive?.name ?? baseName(archive),
+    onInput: refresh,
+  });
   const facts = el("dl", { class: "figures" });
   const problems = el("div", { "aria-live": "polite" });
   const foot = el("div", { class: "stack-s foot" });
@@ -44,7 +53,7 @@ export function formView({ drive, drives, archive, handle, presets, begun, befor
 
   const labels = labelSection(before, !drive, { onChange: () => (judge(), refresh()), onFolder: addPredictions });
   const reading = readingSection(before, refresh);
-  const usual = canReduce ? before?.sending ?? "keyframes" : "raw";
+  const usual = canReduce ? (before?.sending ?? "keyframes") : "raw";
   const keepRaw = el("input", { type: "checkbox", checked: before?.keepRaw ?? false });
   const keep = el("label", { class: "check" }, keepRaw, el("span", {}, "Let the service keep the whole scans"));
   const sending = radios(
@@ -105,11 +114,15 @@ export function formView({ drive, drives, archive, handle, presets, begun, befor
     const places = [...new Set(found.map(([path]) => path.slice(0, path.lastIndexOf("/") + 1)))];
     const place = places.length > 1 ? places.find((path) => path.split("/").includes(drive.name)) : places[0];
     if (place === undefined) {
-      const text = places.length ? `${folder.name} holds labels of several drives; none of them is named ${drive.name}.` : `${folder.name} holds no .label file.`;
+      const text = places.length
+        ? `${folder.name} holds labels of several drives; none of them is named ${drive.name}.`
+        : `${folder.name} holds no .label file.`;
       added.textContent = text;
       return;
     }
-    const files = new Map(found.filter(([path]) => path.startsWith(place)).map(([path, file]) => [path.slice(place.length), file]));
+    const files = new Map(
+      found.filter(([path]) => path.startsWith(place)).map(([path, file]) => [path.slice(place.length), file]),
+    );
     /** @type {import("./numbered.js").FileProblem[]} */
     const faults = [];
     const numbered = numberedFiles(files, "predictions", ".label", faults);
@@ -148,17 +161,33 @@ export function formView({ drive, drives, archive, handle, presets, begun, befor
     if (drive) {
       job.setFolders(isWhole ? labelNames(drive) : labels.folders());
       job.setGeoreference(hasFix(drive) || fix !== null);
-      fill(facts, factsOf(drive, isWhole ? [] : labels.folders(), groundBytesOf(drive, judged), /** @type {any} */ (sending.value())));
+      fill(
+        facts,
+        factsOf(
+          drive,
+          isWhole ? [] : labels.folders(),
+          groundBytesOf(drive, judged),
+          /** @type {any} */ (sending.value()),
+        ),
+      );
     } else if (archive) {
       fill(facts, fact("Archive", archive.name), fact("Size", formatBytes(archive.size)));
     }
-    const list = drive ? sorted([...checkDrive(drive, isWhole ? [] : labels.folders(), fix !== null), ...labelProblems]) : [];
-    fill(problems, problemList(list), drive?.borrowed.map((text) => el("p", { class: "small" }, text)));
+    const list = drive
+      ? sorted([...checkDrive(drive, isWhole ? [] : labels.folders(), fix !== null), ...labelProblems])
+      : [];
+    fill(
+      problems,
+      problemList(list),
+      drive?.borrowed.map((text) => el("p", { class: "small" }, text)),
+    );
     const complaint = list.some(({ severity }) => severity === "error")
       ? "Mend what is listed as an error first: the service would refuse the drive."
       : !name.value.trim()
         ? "Give the drive a name."
-        : job.complaint() ?? reading.complaint() ?? (drive && !isWhole && !labels.folders().length ? "Choose a folder of labels." : null);
+        : (job.complaint() ??
+          reading.complaint() ??
+          (drive && !isWhole && !labels.folders().length ? "Choose a folder of labels." : null));
     run.disabled = only.disabled = complaint !== null;
     why.textContent = complaint ?? "";
   }
@@ -196,8 +225,15 @@ export function formView({ drive, drives, archive, handle, presets, begun, befor
     drives.length > 1 &&
     field(
       `${drives.length} drives are in the folder: which one?`,
-      select(Object.fromEntries(drives.map((each, i) => [String(i), `${each.root || each.name} (${plural(each.scans?.files.size ?? each.ground.size, "scan")})`])), String(drives.indexOf(/** @type {DriveFolder} */ (drive))), (i) =>
-        onChoose(drives[Number(i)]),
+      select(
+        Object.fromEntries(
+          drives.map((each, i) => [
+            String(i),
+            `${each.root || each.name} (${plural(each.scans?.files.size ?? each.ground.size, "scan")})`,
+          ]),
+        ),
+        String(drives.indexOf(/** @type {DriveFolder} */ (drive))),
+        (i) => onChoose(drives[Number(i)]),
       ),
     );
   const resume =
@@ -207,23 +243,50 @@ export function formView({ drive, drives, archive, handle, presets, begun, befor
       { class: "note" },
       el("strong", {}, "You began to upload this folder"),
       "What has arrived already is not sent again. ",
-      el("div", { class: "row go-on" }, el("button", { class: "primary", onClick: () => onContinue(begun) }, "Continue that upload")),
+      el(
+        "div",
+        { class: "row go-on" },
+        el("button", { class: "primary", onClick: () => onContinue(begun) }, "Continue that upload"),
+      ),
     );
-  const files = filePicker("Add files …", addFiles, { multiple: true, accept: ".txt,.csv", class: "link", name: "more-files" });
+  const files = filePicker("Add files …", addFiles, {
+    multiple: true,
+    accept: ".txt,.csv",
+    class: "link",
+    name: "more-files",
+  });
   const element = el(
     "div",
     { class: "stack upload-form" },
-    el("div", { class: "spread" }, el("h2", {}, "What to upload"), el("button", { class: "plain", onClick: onBack }, "Choose another")),
+    el(
+      "div",
+      { class: "spread" },
+      el("h2", {}, "What to upload"),
+      el("button", { class: "plain", onClick: onBack }, "Choose another"),
+    ),
     resume,
     chooser,
-    el("div", { class: "box stack-s" }, facts, drive && !isWhole && el("div", {}, files, " ", el("small", {}, "poses, calibration, times, geo.csv")), added),
+    el(
+      "div",
+      { class: "box stack-s" },
+      facts,
+      drive && !isWhole && el("div", {}, files, " ", el("small", {}, "poses, calibration, times, geo.csv")),
+      added,
+    ),
     problems,
     field("Name", name, "Shown in lists and results."),
     drive && !isWhole && labels.element,
     job.element,
     !(drive?.layout === "reduced") &&
-      el("details", {}, el("summary", {}, "How the files are read"), el("div", { class: "stack-s" }, !drive && labels.element, reading.element)),
-    drive && !isWhole && el("details", { open: usual !== "keyframes" }, el("summary", {}, "What is sent"), sending.element),
+      el(
+        "details",
+        {},
+        el("summary", {}, "How the files are read"),
+        el("div", { class: "stack-s" }, !drive && labels.element, reading.element),
+      ),
+    drive &&
+      !isWhole &&
+      el("details", { open: usual !== "keyframes" }, el("summary", {}, "What is sent"), sending.element),
     foot,
   );
   update();
@@ -235,13 +298,17 @@ export function fingerprintOfDrive(drive) {
   const numbered = [drive.scans, ...Object.values(drive.labels)].filter((each) => each !== null);
   /** @type {[string, File][]} */
   const files = [...drive.small, ...drive.ground];
-  for (const { folder, files: own } of numbered) for (const [number, file] of own) files.push([`${folder}/${number}`, file]);
+  for (const { folder, files: own } of numbered)
+    for (const [number, file] of own) files.push([`${folder}/${number}`, file]);
   return fingerprintOf(files);
 }
 
 /** @param {DriveFolder} drive */
 export function hasFix(drive) {
-  return drive.small.has("geo.csv") || [...drive.small.keys()].some((path) => path.startsWith("oxts/") || path.startsWith("georeference/"));
+  return (
+    drive.small.has("geo.csv") ||
+    [...drive.small.keys()].some((path) => path.startsWith("oxts/") || path.startsWith("georeference/"))
+  );
 }
 
 /** @param {DriveFolder} drive */

@@ -51,7 +51,9 @@ export function splitPlanes(bits) {
 export async function encodeGround(bits, roadCount) {
   const count = bits.length / 3;
   if (count > MAX_POINTS) {
-    throw new Error(`${count.toLocaleString("en")} ground points; no scan has more than ${MAX_POINTS.toLocaleString("en")}.`);
+    throw new Error(
+      `${count.toLocaleString("en")} ground points; no scan has more than ${MAX_POINTS.toLocaleString("en")}.`,
+    );
   }
   const header = new DataView(new ArrayBuffer(HEADER_BYTES));
   [MAGIC, VERSION, count, roadCount].forEach((value, i) => header.setUint32(4 * i, value, true));

@@ -35,24 +35,55 @@ export function jobForm(known, onChange) {
   );
   const choices = [
     ...known.maps.map((path) => ({ value: `file:${path}`, title: el("code", {}, path), hint: "In the folder." })),
-    ...(known.isArchive ? [{ value: "inside", title: "The map in the archive", hint: "If it holds an .osm file; else intersections are only found." }] : []),
-    { value: "other", title: "A file of mine", hint: ".osm, .osm.gz, .osm.bz2 or .osm.pbf", more: el("div", { class: "row" }, mapPicker, otherName) },
+    ...(known.isArchive
+      ? [
+          {
+            value: "inside",
+            title: "The map in the archive",
+            hint: "If it holds an .osm file; else intersections are only found.",
+          },
+        ]
+      : []),
+    {
+      value: "other",
+      title: "A file of mine",
+      hint: ".osm, .osm.gz, .osm.bz2 or .osm.pbf",
+      more: el("div", { class: "row" }, mapPicker, otherName),
+    },
     ...(getConfig().overpass
-      ? [{ value: "overpass", title: "Fetch the map of today", hint: "From a public Overpass server; tells it where the drive is." }]
+      ? [
+          {
+            value: "overpass",
+            title: "Fetch the map of today",
+            hint: "From a public Overpass server; tells it where the drive is.",
+          },
+        ]
       : []),
     { value: "none", title: "No map", hint: "Find intersections only." },
   ];
   const map = radios("OpenStreetMap to score against", choices, usualMap(known), () => (showPolicy(), onChange()));
 
   const policyHint = el("small", {});
-  const tolerance = el("input", { type: "number", min: 1, max: 100, step: "any", required: true, value: known.before?.tolerance_m ?? 15 });
+  const tolerance = el("input", {
+    type: "number",
+    min: 1,
+    max: 100,
+    step: "any",
+    required: true,
+    value: known.before?.tolerance_m ?? 15,
+  });
   const toleranceField = field("Merging reach [m]", tolerance);
   const policy = select(
     Object.fromEntries(Object.entries(POLICIES).map(([key, [title]]) => [key, title])),
     known.before?.policy ?? "drive",
     () => showPolicy(),
   );
-  const policyField = el("div", { class: "stack-s" }, el("label", { class: "field" }, el("span", {}, "Which nodes count"), policy, policyHint), toleranceField);
+  const policyField = el(
+    "div",
+    { class: "stack-s" },
+    el("label", { class: "field" }, el("span", {}, "Which nodes count"), policy, policyHint),
+    toleranceField,
+  );
   function showPolicy() {
     policyField.hidden = map.value() === "none";
     policyHint.textContent = POLICIES[/** @type {keyof typeof POLICIES} */ (policy.value)][1];
@@ -65,12 +96,21 @@ export function jobForm(known, onChange) {
   function setFolders(names) {
     folders = names;
     const before = labels.value || known.before?.labels;
-    fill(labels, names.map((name) => el("option", { value: name }, LABEL_FOLDERS[/** @type {keyof typeof LABEL_FOLDERS} */ (name)] ?? name)));
+    fill(
+      labels,
+      names.map((name) =>
+        el("option", { value: name }, LABEL_FOLDERS[/** @type {keyof typeof LABEL_FOLDERS} */ (name)] ?? name),
+      ),
+    );
     if (before && names.includes(before)) labels.value = before;
     labelsField.hidden = names.length < 2;
   }
 
-  const noFix = el("p", { class: "note warning" }, "Without a georeference nothing can be scored against a map: the job would refuse it.");
+  const noFix = el(
+    "p",
+    { class: "note warning" },
+    "Without a georeference nothing can be scored against a map: the job would refuse it.",
+  );
   /** @param {boolean} has */
   function setGeoreference(has) {
     noFix.hidden = has || known.isArchive;
@@ -84,7 +124,12 @@ export function jobForm(known, onChange) {
   const key = newKey();
 
   return {
-    element: el("div", { class: "stack" }, section("Map", map.element, noFix, policyField), section("Method", labelsField, settings.element)),
+    element: el(
+      "div",
+      { class: "stack" },
+      section("Map", map.element, noFix, policyField),
+      section("Method", labelsField, settings.element),
+    ),
     setFolders,
     setGeoreference,
     /** What stands in the way, in words. @returns {string | null} */
@@ -92,7 +137,10 @@ export function jobForm(known, onChange) {
       if (map.value() === "other" && !otherMap) return "Choose the OSM file, or another map.";
       return settings.isValid() && tolerance.validity.valid ? null : "A setting is out of its range.";
     },
-    keyframes: () => ({ distance_m: settings.value("keyframes.distance_m"), angle_deg: settings.value("keyframes.angle_deg") }),
+    keyframes: () => ({
+      distance_m: settings.value("keyframes.distance_m"),
+      angle_deg: settings.value("keyframes.angle_deg"),
+    }),
     /** @returns {{job: import("./job_request.js").JobSettings, map: File | null}} `map`: to be sent as `osm.file`. */
     read: () => ({
       job: {

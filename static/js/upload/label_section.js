@@ -15,16 +15,31 @@ export function labelSection(before, isUnknown, { onChange, onFolder }) {
   const boxes = new Map();
   const chosen = before?.options.label_scheme ?? "auto";
   const isCustom = !(chosen in SCHEMES);
-  const ids = el("input", { type: "text", placeholder: "40, 60", value: isCustom ? chosen : "", "aria-label": "Ids of road", hidden: !isCustom, onInput: onChange });
+  const ids = el("input", {
+    type: "text",
+    placeholder: "40, 60",
+    value: isCustom ? chosen : "",
+    "aria-label": "Ids of road",
+    hidden: !isCustom,
+    onInput: onChange,
+  });
   const scheme = select(SCHEMES, isCustom ? "custom" : chosen, (value) => {
     ids.hidden = value !== "custom";
     onChange();
   });
   const verdict = el("small", {});
-  const picker = filePicker("Predictions from another folder …", onFolder, { folder: true, class: "link", name: "prediction-folder" });
+  const picker = filePicker("Predictions from another folder …", onFolder, {
+    folder: true,
+    class: "link",
+    name: "prediction-folder",
+  });
 
   return {
-    element: section("Labels", !isUnknown && [rows, el("div", {}, picker)], el("div", { class: "stack-s" }, field("What their ids mean", scheme), ids, verdict)),
+    element: section(
+      "Labels",
+      !isUnknown && [rows, el("div", {}, picker)],
+      el("div", { class: "stack-s" }, field("What their ids mean", scheme), ids, verdict),
+    ),
 
     /** @param {Record<string, import("./numbered.js").NumberedFiles>} folders */
     setFolders(folders) {
@@ -35,7 +50,12 @@ export function labelSection(before, isUnknown, { onChange, onFolder }) {
         rows,
         names.map((name) => {
           const isOn = before ? before.folders.includes(name) || !boxes.size : !wasOff.has(name);
-          const box = el("input", { type: "checkbox", checked: isOn || names.length === 1, disabled: names.length === 1, onChange });
+          const box = el("input", {
+            type: "checkbox",
+            checked: isOn || names.length === 1,
+            disabled: names.length === 1,
+            onChange,
+          });
           boxes.set(name, box);
           const title = LABEL_FOLDERS[/** @type {keyof typeof LABEL_FOLDERS} */ (name)];
           const count = plural(folders[name].files.size, "file");
@@ -52,7 +72,10 @@ export function labelSection(before, isUnknown, { onChange, onFolder }) {
     /** @param {[string, import("./schemes.js").Judgement][]} judged */
     setVerdict(judged) {
       verdict.textContent = judged
-        .map(([folder, { scheme: found, roadShare }]) => `${folder}: read as ${found.name === "custom" ? "given" : found.name}, ${formatPercent(roadShare)} road.`)
+        .map(
+          ([folder, { scheme: found, roadShare }]) =>
+            `${folder}: read as ${found.name === "custom" ? "given" : found.name}, ${formatPercent(roadShare)} road.`,
+        )
         .join(" ");
     },
   };

@@ -8,7 +8,9 @@ export const placeOf = (name) => `georeference/${name}`;
 
 /** @param {File} file @returns {string | null} Why it cannot be one. */
 export function georeferenceComplaint(file) {
-  return /\.(txt|csv)(\.gz)?$/i.test(file.name) ? null : `${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`;
+  return /\.(txt|csv)(\.gz)?$/i.test(file.name)
+    ? null
+    : `${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`;
 }
 
 /**
@@ -21,10 +23,15 @@ export function georeferenceComplaint(file) {
 export async function oxtsRows(folder, onProgress = () => {}) {
   const found = [...folder.files].flatMap(([path, file]) => {
     const match = /^(?:(?:.*\/)?oxts\/)?(?:data\/)?(\d+)\.txt$/.exec(path);
-    return match && !/(^|\/)(image_\d\d|velodyne_points)\//.test(path) ? [{ number: Number(match[1]), path, file }] : [];
+    return match && !/(^|\/)(image_\d\d|velodyne_points)\//.test(path)
+      ? [{ number: Number(match[1]), path, file }]
+      : [];
   });
   const places = new Set(found.map(({ path }) => path.slice(0, path.lastIndexOf("/") + 1)));
-  if (places.size > 1) throw new Error(`${folder.name} holds several OXTS folders (${[...places].slice(0, 3).join(", ")}): pick one drive.`);
+  if (places.size > 1)
+    throw new Error(
+      `${folder.name} holds several OXTS folders (${[...places].slice(0, 3).join(", ")}): pick one drive.`,
+    );
   found.sort((a, b) => a.number - b.number);
   if (!found.length || found.some(({ number }, i) => number !== i)) {
     const what = found.length ? "frames are missing among its OXTS files" : "no OXTS file is in it";

@@ -1,8 +1,8 @@
 /** The upload panel: from a folder to a job. */
 
 import { ApiError, getJson, sendJson } from "../api.js";
+import { refreshLists, rememberJob } from "../data/lists.js";
 import { el, fill, plural } from "../dom.js";
-import { rememberJob, refreshLists } from "../data/lists.js";
 import { confirmAction, problemNote, showError, showMessage } from "../shell/messages.js";
 import { getState, setState } from "../state.js";
 import { noDriveReason } from "./checks.js";
@@ -34,7 +34,9 @@ export function mount(container) {
 /** @param {HTMLElement} container @param {any} [message] @param {Begun | null} [begun] An upload whose folder is to be picked again. */
 async function showStart(container, message = null, begun = null) {
   const uploads = await stillOpen();
-  const list = await Promise.all(uploads.map(async (upload) => ({ upload, hasHandle: (await handleOf(upload.driveId)) !== null })));
+  const list = await Promise.all(
+    uploads.map(async (upload) => ({ upload, hasHandle: (await handleOf(upload.driveId)) !== null })),
+  );
   const view = startView(
     {
       onFolder: (files) => run(container, () => showFolder(container, folderOfInput(files), begun)),
@@ -81,7 +83,16 @@ async function showHandle(container, handle, begun = null) {
 /** @param {HTMLElement} container @returns {(count: number) => void} */
 function counter(container) {
   const text = el("p", { role: "status" }, "Reading the folder …");
-  fill(container, el("div", { class: "stack" }, el("h2", {}, "Upload a drive"), el("progress", { "aria-label": "Reading the folder" }), text));
+  fill(
+    container,
+    el(
+      "div",
+      { class: "stack" },
+      el("h2", {}, "Upload a drive"),
+      el("progress", { "aria-label": "Reading the folder" }),
+      text,
+    ),
+  );
   return (count) => (text.textContent = `Reading the folder: ${plural(count, "file")} so far`);
 }
 
@@ -117,11 +128,13 @@ async function showArchive(container, file) {
 async function showForm(container, picked, begun) {
   const presets = await getJson("presets");
   const fingerprint = picked.drive && fingerprintOfDrive(picked.drive);
-  const match = begun || !fingerprint ? null : ((await stillOpen()).find((upload) => upload.fingerprint === fingerprint) ?? null);
+  const match =
+    begun || !fingerprint ? null : ((await stillOpen()).find((upload) => upload.fingerprint === fingerprint) ?? null);
   const view = formView(
     { ...picked, presets, begun: match, before: begun?.settings ?? null },
     {
-      onStart: (source, settings) => start(container, picked, new Upload(source, settings, () => {}, begun?.driveId ?? null)),
+      onStart: (source, settings) =>
+        start(container, picked, new Upload(source, settings, () => {}, begun?.driveId ?? null)),
       onBack: () => run(container, () => showStart(container)),
       onChoose: (drive) => run(container, () => showForm(container, { ...picked, drive }, null)),
       onContinue: (upload) => run(container, () => goOn(container, picked, upload)),
@@ -184,7 +197,14 @@ async function start(container, picked, upload) {
   const begun = () => (upload.driveId ? { driveId: upload.driveId, settings: upload.settings } : null);
   const view = progressView({
     onChange: () => run(container, () => showForm(container, picked, begun())),
-    onMend: () => run(container, () => showStart(container, el("p", { class: "note" }, "Pick the folder again. What did not change is not sent again."), begun())),
+    onMend: () =>
+      run(container, () =>
+        showStart(
+          container,
+          el("p", { class: "note" }, "Pick the folder again. What did not change is not sent again."),
+          begun(),
+        ),
+      ),
     onLeave: () => run(container, () => showStart(container)),
   });
   fill(container, view.element);
@@ -197,7 +217,13 @@ async function start(container, picked, upload) {
   current = null;
   if (upload.jobId) {
     rememberJob(await getJson(`jobs/${upload.jobId}`));
-    setState({ drive: upload.driveId, job: upload.jobId, frame: null, view: null, ...(getState().panel === "upload" ? { panel: "job" } : {}) });
+    setState({
+      drive: upload.driveId,
+      job: upload.jobId,
+      frame: null,
+      view: null,
+      ...(getState().panel === "upload" ? { panel: "job" } : {}),
+    });
     await showStart(container);
   } else {
     setState({ drive: upload.driveId });

@@ -75,7 +75,9 @@ export class WorkerPool {
       this.busy.delete(worker);
       this.idle = this.idle.filter((other) => other !== worker);
       worker.terminate();
-      item?.reject(new Error(`The part of the page that reduces scans stopped: ${event.message || "it did not load"}.`));
+      item?.reject(
+        new Error(`The part of the page that reduces scans stopped: ${event.message || "it did not load"}.`),
+      );
       this.#next();
     });
     return worker;

@@ -54,23 +54,36 @@ export function progressView({ onChange, onMend, onLeave }) {
     badge.textContent = text;
     const at = upload.steps.indexOf(step);
     const marks = JSON.stringify([status, step]);
-    if (marks !== shownSteps) fill(steps, upload.steps.map((each, i) => stepItem(each, status === "done" || i < at ? "done" : i > at ? "ahead" : status === "failed" ? "failed" : "now")));
+    if (marks !== shownSteps)
+      fill(
+        steps,
+        upload.steps.map((each, i) =>
+          stepItem(
+            each,
+            status === "done" || i < at ? "done" : i > at ? "ahead" : status === "failed" ? "failed" : "now",
+          ),
+        ),
+      );
     shownSteps = marks;
     const isSending = step === "files" || step === "scans" || step === "archive";
-    const fraction = status === "done" ? 1 : isSending ? transfer.meter.fraction : upload.total ? upload.done / upload.total : null;
+    const fraction =
+      status === "done" ? 1 : isSending ? transfer.meter.fraction : upload.total ? upload.done / upload.total : null;
     if (fraction === null) bar.removeAttribute("value");
     else bar.value = fraction;
     bar.hidden = status === "failed" || status === "stopped";
     line.hidden = bar.hidden;
-    line.textContent = transfer.waiting ?? (transfer.isPaused ? "Paused. What is on its way still arrives." : upload.message);
+    line.textContent =
+      transfer.waiting ?? (transfer.isPaused ? "Paused. What is on its way still arrives." : upload.message);
     fill(figures, figuresOf(upload, isSending));
     drawPlan(upload.plan);
     plan.hidden = status === "failed" && step === "plan";
     const faults = JSON.stringify(error);
-    if (faults !== shownFault) fill(fault, error && el("div", { class: "note error" }, el("strong", {}, error.title), error.detail));
+    if (faults !== shownFault)
+      fill(fault, error && el("div", { class: "note error" }, el("strong", {}, error.title), error.detail));
     shownFault = faults;
     const list = JSON.stringify(upload.problems);
-    if (list !== shownProblems) fill(problems, upload.problems.length > 0 && [el("h3", {}, "What was found"), problemList(upload.problems)]);
+    if (list !== shownProblems)
+      fill(problems, upload.problems.length > 0 && [el("h3", {}, "What was found"), problemList(upload.problems)]);
     shownProblems = list;
     drawButtons(upload);
   }
@@ -82,7 +95,11 @@ export function progressView({ onChange, onMend, onLeave }) {
     shownButtons = status;
     const stop = el("button", { onClick: () => upload.stop() }, "Stop");
     const isFiles = upload.problems.length > 0;
-    const again = el("button", { class: isFiles ? "" : "primary", onClick: () => upload.run() }, status === "stopped" ? "Continue" : "Try again");
+    const again = el(
+      "button",
+      { class: isFiles ? "" : "primary", onClick: () => upload.run() },
+      status === "stopped" ? "Continue" : "Try again",
+    );
     const change = el("button", { onClick: onChange }, "Change settings");
     const mend = el("button", { class: isFiles ? "primary" : "", onClick: onMend }, "Pick the mended folder");
     const leave = el("button", { class: "plain", onClick: onLeave }, "Back");
@@ -146,7 +163,12 @@ const BADGES = {
 /** @param {import("./upload.js").Step} step @param {"done" | "now" | "ahead" | "failed"} state */
 function stepItem(step, state) {
   const spoken = { done: "done", now: "under way", ahead: "to come", failed: "failed" }[state];
-  return el("li", { class: state, "aria-current": state === "now" ? "step" : null }, STEPS[step], el("span", { class: "unseen" }, `, ${spoken}`));
+  return el(
+    "li",
+    { class: state, "aria-current": state === "now" ? "step" : null },
+    STEPS[step],
+    el("span", { class: "unseen" }, `, ${spoken}`),
+  );
 }
 
 /** @param {Upload} upload @param {boolean} isSending */
@@ -155,9 +177,15 @@ function figuresOf(upload, isSending) {
   const { meter } = transfer;
   /** @type {any[]} */
   const rows = [];
-  const row = (/** @type {string} */ name, /** @type {string} */ value) => rows.push(el("dt", {}, name), el("dd", {}, value));
-  if (total) row(step === "scans" && source.drive?.scans && upload.settings.sending !== "raw" ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`);
-  if (meter.sent || meter.skipped) row("Sent", `${formatBytes(meter.sent)} of about ${formatBytes(Math.max(meter.total, meter.sent))}`);
+  const row = (/** @type {string} */ name, /** @type {string} */ value) =>
+    rows.push(el("dt", {}, name), el("dd", {}, value));
+  if (total)
+    row(
+      step === "scans" && source.drive?.scans && upload.settings.sending !== "raw" ? "Scans" : "Files",
+      `${formatCount(done)} of ${formatCount(total)}`,
+    );
+  if (meter.sent || meter.skipped)
+    row("Sent", `${formatBytes(meter.sent)} of about ${formatBytes(Math.max(meter.total, meter.sent))}`);
   if (meter.skipped) row("There already", formatBytes(meter.skipped));
   if (isSending && upload.status === "running") {
     if (meter.speed !== null) row("Speed", `${formatBytes(meter.speed)}/s`);

@@ -37,7 +37,10 @@ export function readingSection(before, onChange) {
       "div",
       { class: "row" },
       filePicker("A file …", ([file]) => take(file), { accept: ".txt,.csv,.gz", name: "georeference-file" }),
-      filePicker("A KITTI raw drive …", (list) => take(oxtsRows(folderOfInput(list), progress)), { folder: true, name: "raw-drive" }),
+      filePicker("A KITTI raw drive …", (list) => take(oxtsRows(folderOfInput(list), progress)), {
+        folder: true,
+        name: "raw-drive",
+      }),
     ),
     said,
   );
@@ -45,7 +48,12 @@ export function readingSection(before, onChange) {
     "Where it was on Earth",
     [
       { value: "drive", title: "What the folder says", hint: "oxts/ or geo.csv; without them, local metres only." },
-      { value: "other", title: "From elsewhere", hint: "A row of OXTS a frame, a geo.csv, or the KITTI raw drive of an odometry sequence.", more: pickers },
+      {
+        value: "other",
+        title: "From elsewhere",
+        hint: "A row of OXTS a frame, a geo.csv, or the KITTI raw drive of an odometry sequence.",
+        more: pickers,
+      },
     ],
     "drive",
     onChange,
@@ -69,6 +77,9 @@ export function readingSection(before, onChange) {
     read: () => ({ pose_frame: poseFrame.value, layout: layout.value }),
     georeference: () => (source.value() === "other" ? fix : null),
     /** @returns {string | null} */
-    complaint: () => (source.value() === "other" && !fix ? "Choose the georeference from elsewhere, or take what the folder says." : null),
+    complaint: () =>
+      source.value() === "other" && !fix
+        ? "Choose the georeference from elsewhere, or take what the folder says."
+        : null,
   };
 }

@@ -117,7 +117,10 @@ export function sizeComplaint(scanBytes, labelBytes, scanName, labelName) {
     };
   }
   if (labelBytes % LABEL_BYTES) {
-    return { path: labelName, message: `${text(labelBytes)} bytes, which is no multiple of 4. Expected one uint32 a point.` };
+    return {
+      path: labelName,
+      message: `${text(labelBytes)} bytes, which is no multiple of 4. Expected one uint32 a point.`,
+    };
   }
   const points = scanBytes / POINT_BYTES;
   const labels = labelBytes / LABEL_BYTES;
@@ -142,6 +145,8 @@ async function readWhole(blob, name) {
   try {
     return await blob.arrayBuffer();
   } catch {
-    throw new Error(`${name}: cannot be read. It was changed, moved or is on a disk that is gone; pick the folder again.`);
+    throw new Error(
+      `${name}: cannot be read. It was changed, moved or is on a disk that is gone; pick the folder again.`,
+    );
   }
 }

@@ -47,7 +47,8 @@ export async function judgeLabels(labels, frames, choice, isKitti360) {
   for (const frame of frames) {
     const file = labels.files.get(frame);
     if (!file) continue;
-    for (const [id, count] of await countLabels(file, pathOf(labels, frame))) counts.set(id, (counts.get(id) ?? 0) + count);
+    for (const [id, count] of await countLabels(file, pathOf(labels, frame)))
+      counts.set(id, (counts.get(id) ?? 0) + count);
   }
   const scheme = named ?? guessScheme(counts.keys(), isKitti360);
   const total = sum(counts.values());
@@ -69,7 +70,12 @@ function complaints(folder, scheme, counts, road, total) {
   const ids = [...counts.keys()].sort((a, b) => a - b);
   if (scheme.name !== "custom" && scheme.name !== LEARNING.name && guessScheme(ids, false) === LEARNING) {
     const text = `all ids are 19 or less (${listed(ids, 20)}), which looks like the learning scheme (0..19, road = 9), but they are to be read as ${scheme.name}.`;
-    return [error(folder, `${text} Choose scheme "learning". Usual cause: predictions that were not mapped back to the ids of the labels.`)];
+    return [
+      error(
+        folder,
+        `${text} Choose scheme "learning". Usual cause: predictions that were not mapped back to the ids of the labels.`,
+      ),
+    ];
   }
   const problems = [];
   const unknown = ids.filter((id) => scheme.known && !scheme.known.has(id));

@@ -3,8 +3,8 @@
 import { getConfig } from "../shell/config.js";
 import { sha256Hex } from "./digest.js";
 import { pathOf } from "./numbered.js";
-import { PARALLEL } from "./transfer.js";
 import { WorkerPool } from "./pool.js";
+import { PARALLEL } from "./transfer.js";
 
 /** @typedef {import("./transfer.js").Transfer} Transfer */
 /** @typedef {import("./numbered.js").NumberedFiles} NumberedFiles */
@@ -110,7 +110,8 @@ export async function sendFiles(transfer, files, present, isTrusted, onDone) {
   let done = 0;
   await transfer.each(files, PARALLEL, async ([path, file]) => {
     const there = present.get(path);
-    if (there && there.size_bytes === file.size && (isTrusted || (await isPresent(file, there)))) skip(transfer, file.size);
+    if (there && there.size_bytes === file.size && (isTrusted || (await isPresent(file, there))))
+      skip(transfer, file.size);
     else await transfer.put(path, file);
     done += 1;
     onDone(done);
@@ -228,5 +229,3 @@ export function manifestBytes(planned, drive, judged) {
   };
   return new TextEncoder().encode(`${JSON.stringify({ ...planned, labels, source }, null, 1)}\n`);
 }
-
-

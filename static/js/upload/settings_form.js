@@ -68,7 +68,10 @@ export function settingsForm(presets, before, onChange) {
   }
 
   function build() {
-    fill(main, MAIN.map(([path, title]) => control(path, title)));
+    fill(
+      main,
+      MAIN.map(([path, title]) => control(path, title)),
+    );
     fill(
       all,
       Object.entries(SECTIONS).map(([part, title]) => {
@@ -87,7 +90,11 @@ export function settingsForm(presets, before, onChange) {
   }
 
   build();
-  const reset = el("button", { type: "button", class: "link", onClick: () => (changed.clear(), build(), onChange()) }, "Back to the preset");
+  const reset = el(
+    "button",
+    { type: "button", class: "link", onClick: () => (changed.clear(), build(), onChange()) },
+    "Back to the preset",
+  );
   return {
     element: el(
       "div",
@@ -102,7 +109,8 @@ export function settingsForm(presets, before, onChange) {
     ),
     read: () => ({ preset: preset.name, config: changed.size ? nest(changed) : null }),
     /** @returns {any} The value that will be used. */
-    value: (/** @type {string} */ path) => (changed.has(path) ? changed.get(path) : path.split(".").reduce((at, name) => at?.[name], preset.config)),
+    value: (/** @type {string} */ path) =>
+      changed.has(path) ? changed.get(path) : path.split(".").reduce((at, name) => at?.[name], preset.config),
     isValid: () => !all.parentElement?.parentElement?.querySelector("input:invalid"),
   };
 }
@@ -128,9 +136,15 @@ function inputFor(schema, value, onChange) {
     return select({ true: "yes", false: "no" }, String(value), (next) => onChange(next === "true", true));
   }
   if (schema.enum) {
-    return select(Object.fromEntries(schema.enum.map((/** @type {string} */ each) => [each, words(each)])), value, (next) => onChange(next, true));
+    return select(
+      Object.fromEntries(schema.enum.map((/** @type {string} */ each) => [each, words(each)])),
+      value,
+      (next) => onChange(next, true),
+    );
   }
-  const number = (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.type === "number" || each.type === "integer") ?? {};
+  const number =
+    (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.type === "number" || each.type === "integer") ??
+    {};
   const mayBeNone = Boolean(schema.anyOf?.some((/** @type {any} */ each) => each.type === "null"));
   const input = el("input", {
     type: "number",
@@ -159,7 +173,8 @@ function rangeOf(schema) {
 }
 
 /** @param {any} value */
-const shown = (value) => (value === null ? "none" : typeof value === "boolean" ? (value ? "yes" : "no") : words(String(value)));
+const shown = (value) =>
+  value === null ? "none" : typeof value === "boolean" ? (value ? "yes" : "no") : words(String(value));
 
 /** @param {string} name "min_points" -> "Min points" */
 function words(name) {
@@ -181,6 +196,8 @@ function nest(values) {
 /** @param {Record<string, any>} nested @returns {Record<string, any>} */
 function flatten(nested) {
   return Object.fromEntries(
-    Object.entries(nested).flatMap(([part, values]) => Object.entries(values ?? {}).map(([name, value]) => [`${part}.${name}`, value])),
+    Object.entries(nested).flatMap(([part, values]) =>
+      Object.entries(values ?? {}).map(([name, value]) => [`${part}.${name}`, value]),
+    ),
   );
 }

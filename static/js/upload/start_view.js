@@ -33,12 +33,21 @@ export function startView({ onFolder, onHandle, onArchive, onContinue, onForget 
     "div",
     { class: "drop" },
     icon("upload"),
-    el("p", {}, el("strong", {}, "Drop the folder of a drive here"), el("br"), el("span", { class: "quiet" }, "or an archive: .zip, .tar, .tar.gz, .tar.zst")),
+    el(
+      "p",
+      {},
+      el("strong", {}, "Drop the folder of a drive here"),
+      el("br"),
+      el("span", { class: "quiet" }, "or an archive: .zip, .tar, .tar.gz, .tar.zst"),
+    ),
     el(
       "div",
       { class: "row" },
       el("button", { class: "primary", onClick: pick }, "Choose a folder"),
-      filePicker("Choose an archive", ([file]) => onArchive(file), { accept: ".zip,.tar,.tgz,.gz,.zst,.tzst", name: "archive" }),
+      filePicker("Choose an archive", ([file]) => onArchive(file), {
+        accept: ".zip,.tar,.tgz,.gz,.zst,.tzst",
+        name: "archive",
+      }),
     ),
     input,
   );
@@ -48,7 +57,11 @@ export function startView({ onFolder, onHandle, onArchive, onContinue, onForget 
     el("h2", {}, "Upload a drive"),
     message,
     zone,
-    el("p", { class: "small" }, "Nothing is sent before you say so. Scans are reduced to their ground points in the browser, so that a drive of 11 GB becomes some hundred MB."),
+    el(
+      "p",
+      { class: "small" },
+      "Nothing is sent before you say so. Scans are reduced to their ground points in the browser, so that a drive of 11 GB becomes some hundred MB.",
+    ),
     begun.length > 0 &&
       el(
         "section",
@@ -63,12 +76,27 @@ export function startView({ onFolder, onHandle, onArchive, onContinue, onForget 
               { class: "cut" },
               el("strong", { class: "cut" }, upload.name),
               el("br"),
-              el("small", {}, formatAgo(upload.at), upload.arrived && ` · ${plural(upload.arrived.files, "file")} there, ${formatBytes(upload.arrived.size_bytes)}`),
+              el(
+                "small",
+                {},
+                formatAgo(upload.at),
+                upload.arrived &&
+                  ` · ${plural(upload.arrived.files, "file")} there, ${formatBytes(upload.arrived.size_bytes)}`,
+              ),
             ),
             hasHandle
               ? el("button", { onClick: () => onContinue(upload) }, "Continue")
               : el("button", { onClick: () => input.click() }, "Pick it again"),
-            el("button", { class: "plain square", title: "Remove it from the service", "aria-label": `Remove ${upload.name}`, onClick: () => onForget(upload) }, icon("trash")),
+            el(
+              "button",
+              {
+                class: "plain square",
+                title: "Remove it from the service",
+                "aria-label": `Remove ${upload.name}`,
+                onClick: () => onForget(upload),
+              },
+              icon("trash"),
+            ),
           ),
         ),
       ),

@@ -117,23 +117,25 @@ export class Transfer {
   async send(path, data, options = {}) {
     const size = data instanceof Blob ? data.size : data.byteLength;
     await this.turn();
-    return this.insist(() => this.#inLine(async () => {
-      let counted = 0;
-      const count = (/** @type {number} */ sent) => {
-        const step = Math.min(sent, size) - counted;
-        counted += step;
-        this.meter.add(step);
-        this.onChange();
-      };
-      try {
-        const answer = await putFile(path, data, { ...options, onProgress: count, signal: this.signal });
-        count(size);
-        return answer;
-      } catch (error) {
-        count(0);
-        throw error;
-      }
-    }));
+    return this.insist(() =>
+      this.#inLine(async () => {
+        let counted = 0;
+        const count = (/** @type {number} */ sent) => {
+          const step = Math.min(sent, size) - counted;
+          counted += step;
+          this.meter.add(step);
+          this.onChange();
+        };
+        try {
+          const answer = await putFile(path, data, { ...options, onProgress: count, signal: this.signal });
+          count(size);
+          return answer;
+        } catch (error) {
+          count(0);
+          throw error;
+        }
+      }),
+    );
   }
 
   /**
@@ -185,7 +187,8 @@ export class Transfer {
         return result;
       } catch (error) {
         this.signal.throwIfAborted();
-        const isDamaged = error instanceof ApiError && error.status === 422 && /digest/i.test(error.title) && tries < DAMAGED_TRIES;
+        const isDamaged =
+          error instanceof ApiError && error.status === 422 && /digest/i.test(error.title) && tries < DAMAGED_TRIES;
         const isPassing = error instanceof ApiError && error.isPassing && Date.now() - began < GIVE_UP_MS;
         if (!isDamaged && !isPassing) throw error;
         const wait = waitFor(tries, /** @type {ApiError} */ (error).retryAfter);
@@ -216,6 +219,8 @@ async function readWhole(blob, path) {
   try {
     return await blob.arrayBuffer();
   } catch {
-    throw new Error(`${path}: cannot be read. It was changed, moved or is on a disk that is gone; pick the folder again.`);
+    throw new Error(
+      `${path}: cannot be read. It was changed, moved or is on a disk that is gone; pick the folder again.`,
+    );
   }
 }

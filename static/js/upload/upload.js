@@ -72,7 +72,11 @@ export class Upload {
   get steps() {
     const { archive, drive } = this.source;
     /** @type {Step[]} */
-    const sending = archive ? ["archive"] : drive?.layout === "reduced" ? ["files", "scans"] : ["files", "plan", "scans"];
+    const sending = archive
+      ? ["archive"]
+      : drive?.layout === "reduced"
+        ? ["files", "scans"]
+        : ["files", "plan", "scans"];
     return [...sending, "check", ...(this.settings.job ? [/** @type {Step} */ ("run")] : [])];
   }
 
@@ -208,14 +212,18 @@ export class Upload {
       return;
     }
     const schemes = new Map([...judged].map(([folder, { scheme }]) => [folder, scheme]));
-    const keys = Object.fromEntries([...schemes].map(([folder, scheme]) => [folder, JSON.stringify([scheme.road, scheme.confusable])]));
+    const keys = Object.fromEntries(
+      [...schemes].map(([folder, scheme]) => [folder, JSON.stringify([scheme.road, scheme.confusable])]),
+    );
     const before = remembered(/** @type {string} */ (this.driveId))?.schemes ?? {};
     const trusted = new Set(isTrusted ? folders.filter((folder) => before[folder] === keys[folder]) : []);
     this.#remember(isTrusted ? this.source.fingerprint : "", keys);
     const { frames, manifest } = plan;
     this.#say({ step: "scans", message: "", done: 0, total: frames.length * schemes.size });
     const groundBytes = groundBytesOf(drive, judged.values()) / schemes.size;
-    await sendReduced(this.transfer, { drive, frames, schemes, groundBytes, present, trusted }, (done) => this.#say({ done }));
+    await sendReduced(this.transfer, { drive, frames, schemes, groundBytes, present, trusted }, (done) =>
+      this.#say({ done }),
+    );
     await this.transfer.put("reduced.json", manifestBytes(manifest, drive, judged));
   }
 
@@ -238,7 +246,11 @@ export class Upload {
     const { body } = await this.transfer.ask(`drives/${this.driveId}/plan`, { method: "POST", json });
     this.#say({ plan: body, problems: sorted(body.problems) });
     if (body.problems.some((/** @type {FileProblem} */ each) => each.severity === "error") || !body.manifest) {
-      throw new Refusal("This drive cannot be used yet", "Nothing but small files was sent so far. Mend what is listed, then go on.", body.problems);
+      throw new Refusal(
+        "This drive cannot be used yet",
+        "Nothing but small files was sent so far. Mend what is listed, then go on.",
+        body.problems,
+      );
     }
     return body;
   }
@@ -248,12 +260,21 @@ export class Upload {
     const frames = plan.frames_to_look_into;
     const judged = new Map();
     for (const folder of this.settings.folders) {
-      const found = await judgeLabels(drive.labels[folder], frames, this.settings.options.label_scheme, plan.layout === "kitti360");
+      const found = await judgeLabels(
+        drive.labels[folder],
+        frames,
+        this.settings.options.label_scheme,
+        plan.layout === "kitti360",
+      );
       judged.set(folder, found);
       this.problems = sorted([...this.problems, ...found.problems]);
     }
     if (this.problems.some((each) => each.severity === "error")) {
-      throw new Refusal("The labels do not fit", "Nothing but small files was sent so far. Choose another label scheme, then go on.", this.problems);
+      throw new Refusal(
+        "The labels do not fit",
+        "Nothing but small files was sent so far. Choose another label scheme, then go on.",
+        this.problems,
+      );
     }
     return judged;
   }
@@ -265,7 +286,9 @@ export class Upload {
     const headers = { "Content-Type": "application/octet-stream" };
     const answer = await this.transfer.send(`drives/${this.driveId}/archive`, archive, { method: "POST", headers });
     this.#say({ message: "Unpacking" });
-    await waitForWork(this.transfer, "unpack", (job) => this.#say({ done: job.progress.done, total: job.progress.total ?? 0 }));
+    await waitForWork(this.transfer, "unpack", (job) =>
+      this.#say({ done: job.progress.done, total: job.progress.total ?? 0 }),
+    );
     this.#say({ message: answer?.files ? `${answer.files} files` : "" });
   }
 
@@ -274,7 +297,11 @@ export class Upload {
     const { options, keepRaw } = this.settings;
     const request = { options, keep_raw: keepRaw };
     const drive = await checkAndKeep(this.transfer, request, (job) => {
-      this.#say({ done: job.progress.done, total: job.progress.total ?? 0, message: job.message ?? "Checking the drive" });
+      this.#say({
+        done: job.progress.done,
+        total: job.progress.total ?? 0,
+        message: job.message ?? "Checking the drive",
+      });
     });
     this.#say({ report: drive.report, problems: sorted(drive.report?.problems ?? []) });
   }

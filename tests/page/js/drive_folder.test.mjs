@@ -25,22 +25,26 @@ function scans(root, numbers, { bins = "velodyne", labels = "labels", points = 3
   return files;
 }
 
-const texts = (problems, severity) => problems.filter((each) => each.severity === severity).map((each) => `${each.path} ${each.message}`);
+const texts = (problems, severity) =>
+  problems.filter((each) => each.severity === severity).map((each) => `${each.path} ${each.message}`);
 
 test("a SemanticKITTI sequence is found with all its parts", async () => {
   const [drive, ...others] = await findDrives(
-    folder({
-      ...scans("", [0, 1, 2]),
-      "predictions/000000.label": 12,
-      "predictions/000001.label": 12,
-      "predictions/000002.label": 12,
-      "poses.txt": POSE,
-      "calib.txt": "Tr: 1",
-      "times.txt": "0",
-      "geo.csv": "frame",
-      "map.osm.gz": "x",
-      "image_2/000000.png": 100,
-    }, "07"),
+    folder(
+      {
+        ...scans("", [0, 1, 2]),
+        "predictions/000000.label": 12,
+        "predictions/000001.label": 12,
+        "predictions/000002.label": 12,
+        "poses.txt": POSE,
+        "calib.txt": "Tr: 1",
+        "times.txt": "0",
+        "geo.csv": "frame",
+        "map.osm.gz": "x",
+        "image_2/000000.png": 100,
+      },
+      "07",
+    ),
   );
   assert.equal(others.length, 0);
   assert.equal(drive.name, "07");
@@ -65,7 +69,13 @@ test("several drives are told apart, each with its own files", async () => {
       "README.md": "x",
     }),
   );
-  assert.deepEqual(drives.map((drive) => [drive.root, drive.name, drive.scans.files.size]), [["sequences/00", "00", 1], ["sequences/07", "07", 2]]);
+  assert.deepEqual(
+    drives.map((drive) => [drive.root, drive.name, drive.scans.files.size]),
+    [
+      ["sequences/00", "00", 1],
+      ["sequences/07", "07", 2],
+    ],
+  );
   assert.deepEqual([...drives[0].small.keys()], ["poses.txt"]);
   assert.deepEqual([...drives[1].small.keys()].sort(), ["calib.txt", "poses.txt"]); // that of KITTI odometry beside
   assert.match(drives[1].borrowed[0], /poses\/07\.txt is taken as poses\.txt/);
@@ -74,15 +84,18 @@ test("several drives are told apart, each with its own files", async () => {
 test("a KITTI raw drive takes the calibration of its day", async () => {
   const root = "2011_09_26_drive_0001_sync/";
   const [drive] = await findDrives(
-    folder({
-      ...scans(root, [0, 1], { bins: "velodyne_points/data", labels: null, digits: 10 }),
-      ...{ [`${root}labels/0000000000.label`]: 12, [`${root}labels/0000000001.label`]: 12 },
-      [`${root}oxts/data/0000000000.txt`]: "1",
-      [`${root}oxts/dataformat.txt`]: "lat",
-      [`${root}velodyne_points/timestamps.txt`]: "t",
-      "calib_imu_to_velo.txt": "R: 1",
-      "calib_velo_to_cam.txt": "R: 1",
-    }, "2011_09_26"),
+    folder(
+      {
+        ...scans(root, [0, 1], { bins: "velodyne_points/data", labels: null, digits: 10 }),
+        ...{ [`${root}labels/0000000000.label`]: 12, [`${root}labels/0000000001.label`]: 12 },
+        [`${root}oxts/data/0000000000.txt`]: "1",
+        [`${root}oxts/dataformat.txt`]: "lat",
+        [`${root}velodyne_points/timestamps.txt`]: "t",
+        "calib_imu_to_velo.txt": "R: 1",
+        "calib_velo_to_cam.txt": "R: 1",
+      },
+      "2011_09_26",
+    ),
   );
   assert.equal(drive.layout, "kitti_raw");
   assert.deepEqual([...drive.small.keys()].sort(), [
@@ -102,7 +115,13 @@ test("pose lines that start with the frame number are KITTI-360's", async () => 
 
 test("a reduced drive is sent as it is", async () => {
   const [drive] = await findDrives(
-    folder({ "reduced.json": "{}", "ground/labels/000000.ground": 30, "ground/predictions/000000.ground": 30, "poses.txt": POSE, "oxts/data/0.txt": "1" }),
+    folder({
+      "reduced.json": "{}",
+      "ground/labels/000000.ground": 30,
+      "ground/predictions/000000.ground": 30,
+      "poses.txt": POSE,
+      "oxts/data/0.txt": "1",
+    }),
   );
   assert.equal(drive.layout, "reduced");
   assert.equal(drive.ground.size, 2);
@@ -127,7 +146,9 @@ test("missing labels, poses and sizes that do not fit are told before anything i
 });
 
 test("names that are no scan numbers are told", async () => {
-  const [drive] = await findDrives(folder({ ...scans("", [0, 1]), "velodyne/scan.bin": 16, "velodyne/7.bin": 16, "poses.txt": POSE }));
+  const [drive] = await findDrives(
+    folder({ ...scans("", [0, 1]), "velodyne/scan.bin": 16, "velodyne/7.bin": 16, "poses.txt": POSE }),
+  );
   const errors = texts(drive.problems, "error");
   assert.match(errors[0], /velodyne\/scan\.bin is not named by its scan number/);
   assert.match(errors[1], /numbered otherwise than its neighbours/);
@@ -148,8 +169,19 @@ test("a folder that is no drive is explained", async () => {
 });
 
 test("ten thousand scans are sorted at once", async () => {
-  const [drive] = await findDrives(folder(scans("a/b/", Array.from({ length: 10_000 }, (_, i) => i), { points: 0 })));
+  const [drive] = await findDrives(
+    folder(
+      scans(
+        "a/b/",
+        Array.from({ length: 10_000 }, (_, i) => i),
+        { points: 0 },
+      ),
+    ),
+  );
   assert.equal(drive.scans.files.size, 10_000);
   assert.deepEqual(runsOf(drive.scans.files.keys()), [[0, 10_000]]);
-  assert.deepEqual(runsOf([3, 4, 9]), [[3, 2], [9, 1]]);
+  assert.deepEqual(runsOf([3, 4, 9]), [
+    [3, 2],
+    [9, 1],
+  ]);
 });

@@ -18,7 +18,15 @@ test("labels are judged as the service judges them", async () => {
   assert.equal(good.scheme.name, "semantickitti");
   assert.equal(good.roadShare, 0.32);
   assert.deepEqual(good.problems, []);
-  assert.deepEqual([...good.counts].sort(([a], [b]) => a - b), [[40, 30], [48, 10], [60, 2], [70, 58]]);
+  assert.deepEqual(
+    [...good.counts].sort(([a], [b]) => a - b),
+    [
+      [40, 30],
+      [48, 10],
+      [60, 2],
+      [70, 58],
+    ],
+  );
 
   const learning = await judgeLabels(labels({ 9: 3, 11: 2, 15: 5 }), [0], "auto", false);
   assert.equal(learning.scheme.name, "learning");
@@ -34,7 +42,10 @@ test("a wrong scheme is named before anything is sent", async () => {
   const [none] = (await judgeLabels(labels({ 50: 5, 70: 5 }), [0], "auto", false)).problems;
   assert.match(none.message, /no point of the scans looked at is road: the ids are 50, 70; road would be 40, 60/);
   const few = (await judgeLabels(labels({ 40: 1, 70: 999 }), [0], "auto", false)).problems;
-  assert.deepEqual(few.map(({ severity }) => severity), ["warning"]);
+  assert.deepEqual(
+    few.map(({ severity }) => severity),
+    ["warning"],
+  );
   const unknown = (await judgeLabels(labels({ 40: 50, 333: 50 }), [0], "auto", false)).problems;
   assert.match(unknown[0].message, /50\.0 % of the points have ids that semantickitti does not know \(333\)/);
 });
@@ -51,12 +62,33 @@ test("samples are spread from the first to the last", () => {
 
 test("the fingerprint of a folder tells its files, whatever their order", () => {
   const file = (text, lastModified) => new File([text], "x", { lastModified });
-  const files = [["a", file("1", 5)], ["b", file("22", 6)]];
+  const files = [
+    ["a", file("1", 5)],
+    ["b", file("22", 6)],
+  ];
   const mark = fingerprintOf(files);
   assert.equal(fingerprintOf([...files].reverse()), mark);
-  assert.notEqual(fingerprintOf([["a", file("1", 5)], ["b", file("22", 7)]]), mark);
-  assert.notEqual(fingerprintOf([["a", file("1", 5)], ["b", file("2", 6)]]), mark);
-  assert.notEqual(fingerprintOf([["a", file("1", 5)], ["c", file("22", 6)]]), mark);
+  assert.notEqual(
+    fingerprintOf([
+      ["a", file("1", 5)],
+      ["b", file("22", 7)],
+    ]),
+    mark,
+  );
+  assert.notEqual(
+    fingerprintOf([
+      ["a", file("1", 5)],
+      ["b", file("2", 6)],
+    ]),
+    mark,
+  );
+  assert.notEqual(
+    fingerprintOf([
+      ["a", file("1", 5)],
+      ["c", file("22", 6)],
+    ]),
+    mark,
+  );
 });
 
 test("the OXTS of a raw drive become one row a frame, from the first frame of the sequence", async () => {

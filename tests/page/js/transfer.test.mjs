@@ -14,14 +14,21 @@ test("some items are worked on at once, each one once", async () => {
   const seen = [];
   let busy = 0;
   let most = 0;
-  await transfer.each(Array.from({ length: 50 }, (_, i) => i), 4, async (item) => {
-    busy += 1;
-    most = Math.max(most, busy);
-    await new Promise((resolve) => setImmediate(resolve));
-    seen.push(item);
-    busy -= 1;
-  });
-  assert.deepEqual(seen.sort((a, b) => a - b), Array.from({ length: 50 }, (_, i) => i));
+  await transfer.each(
+    Array.from({ length: 50 }, (_, i) => i),
+    4,
+    async (item) => {
+      busy += 1;
+      most = Math.max(most, busy);
+      await new Promise((resolve) => setImmediate(resolve));
+      seen.push(item);
+      busy -= 1;
+    },
+  );
+  assert.deepEqual(
+    seen.sort((a, b) => a - b),
+    Array.from({ length: 50 }, (_, i) => i),
+  );
   assert.equal(most, 4);
 });
 
@@ -33,7 +40,14 @@ test("the first failure ends it, and is told", async () => {
     if (item === 3) throw new Error("velodyne/000003.bin: is damaged");
     await new Promise((resolve) => setImmediate(resolve));
   };
-  await assert.rejects(transfer.each(Array.from({ length: 100 }, (_, i) => i), 2, work), /000003\.bin: is damaged/);
+  await assert.rejects(
+    transfer.each(
+      Array.from({ length: 100 }, (_, i) => i),
+      2,
+      work,
+    ),
+    /000003\.bin: is damaged/,
+  );
   assert.ok(begun < 100);
 });
 
