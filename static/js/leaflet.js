@@ -20,7 +20,7 @@ export const {
   latLngBounds,
   Layer,
   LayerGroup,
-  Map,
+  Map: LeafletMap,
   Marker,
   Polygon,
   Polyline,

@@ -6,6 +6,7 @@
  * @module main
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
+import { mountDrawer } from "./bev/drawer.js";
 import { mountStage } from "./map/stage.js";
 import { setConfig } from "./shell/config.js";
 import { mountHeader } from "./shell/header.js";
@@ -35,6 +36,7 @@ async function start() {
     event.preventDefault(); // what stands behind "#" is the state of the page
     document.getElementById("panel")?.focus();
   });
+  mountDrawer(/** @type {HTMLElement} */ (document.getElementById("drawer")));
   await mountStage();
   subscribe(["drive", "job"], () => (document.title = getState().job ? "InterLoc – result" : "InterLoc"));
 }

@@ -4,7 +4,7 @@
  */
 import { el, fill, formatMetres, icon, plural } from "../dom.js";
 import { TurnedImage } from "../map/overlay.js";
-import { onResult, shownMap, shownResult } from "../map/stage.js";
+import { onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { firstSight } from "../map/timeline.js";
 import { problemNote } from "../shell/messages.js";
@@ -30,7 +30,7 @@ export function mountDrawer(drawer) {
   const seen = el("div", {});
   const rejected = el("div", {});
   const step = (/** @type {number} */ by) => {
-    const result = shownResult();
+    const result = shown.result;
     const row = result?.frame.rows.get(getState().frame);
     const next = row === undefined ? null : result?.keyframes[row + by];
     if (next) setState({ frame: next.properties.frame });
@@ -114,7 +114,7 @@ export function mountDrawer(drawer) {
               class: "square plain",
               title: "Wider",
               "aria-label": "Wider",
-              onClick: () => (drawer.classList.toggle("wide"), shownMap()?.invalidateSize()),
+              onClick: () => (drawer.classList.toggle("wide"), shown.map?.invalidateSize()),
             },
             icon("wide"),
           ),
@@ -155,11 +155,11 @@ export function mountDrawer(drawer) {
   };
 
   const update = () => {
-    const result = shownResult();
+    const result = shown.result;
     const { drawer: open, frame } = getState();
     const wasHidden = drawer.hidden;
     drawer.hidden = !(open && result);
-    if (wasHidden !== drawer.hidden) shownMap()?.invalidateSize({ pan: false });
+    if (wasHidden !== drawer.hidden) shown.map?.invalidateSize({ pan: false });
     stop.abort();
     clearTimeout(timer);
     if (drawer.hidden || !result) return clearOverlays();
@@ -180,7 +180,7 @@ export function mountDrawer(drawer) {
   };
 
   const load = async () => {
-    const result = shownResult();
+    const result = shown.result;
     const { frame } = getState();
     if (!result || frame === null || drawer.hidden) return;
     stop.abort();
@@ -216,7 +216,7 @@ export function mountDrawer(drawer) {
       const at = [0, 1, 3].map((i) => /** @type {[number, number]} */ ([corners[i][1], corners[i][0]]));
       for (const { layer } of STEPS) {
         if (!onMap.has(layer)) continue;
-        fresh.set(layer, new TurnedImage(urls.get(layer) ?? "", at, { opacity }).addTo(shownMap()));
+        fresh.set(layer, new TurnedImage(urls.get(layer) ?? "", at, { opacity }).addTo(shown.map));
       }
     }
     clearOverlays();

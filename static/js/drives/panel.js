@@ -85,7 +85,7 @@ export function mount(container) {
   };
   const learn = async () => {
     const current = lists.drives.find((drive) => drive.id === getState().drive);
-    if (!current || current.state !== "ready" || reports.has(current.id)) return;
+    if (current?.state !== "ready" || reports.has(current.id)) return;
     reports.set(current.id, null);
     reports.set(current.id, (await getJson(`drives/${current.id}`)).report);
     update();

@@ -4,7 +4,7 @@
  */
 import { address, download, getToken, onTokenChange } from "../api.js";
 import { el, fill, icon } from "../dom.js";
-import { onResult } from "../map/stage.js";
+import { onResult } from "../map/shown.js";
 import { showError } from "../shell/messages.js";
 import { permalink, subscribe } from "../state.js";
 

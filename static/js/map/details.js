@@ -6,6 +6,7 @@
 import { el } from "../dom.js";
 import { CircleMarker, Popup, SVG, Tooltip } from "../leaflet.js";
 import { getState, setState } from "../state.js";
+import { shown } from "./shown.js";
 import { View } from "./surface.js";
 import { factsOf, summaryOf, titleOf } from "./words.js";
 
@@ -102,4 +103,16 @@ export function openDetails(map, hit, local) {
     .setLatLng([item.lat, item.lng])
     .setContent(content)
     .openOn(map);
+}
+
+/**
+ * Go to a thing and open its details.
+ * @param {import("./scene.js").Hit} hit
+ */
+export function goTo(hit) {
+  const { map, result } = shown;
+  if (!map || !result) return;
+  const zoom = Math.max(map.getZoom(), result.local ? 2.5 : 18.5);
+  map.once("moveend", () => openDetails(map, hit, result.local)); // on the way there the box would not find its room
+  map.setView([hit.item.lat, hit.item.lng], zoom, { animate: true });
 }

@@ -7,45 +7,23 @@ import { getJson } from "../api.js";
 import { lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadResult, loadWay } from "../data/results.js";
 import { el, fill, icon } from "../dom.js";
-import { CRS, control, Map as LeafletMap, latLngBounds } from "../leaflet.js";
+import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
 import { problemNote } from "../shell/messages.js";
 import { getState, setState, subscribe } from "../state.js";
-import { openDetails, watchPointer } from "./details.js";
+import { watchPointer } from "./details.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
 import { Scene } from "./scene.js";
+import { setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
 import { makeTiles, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
 
-/** @type {import("../data/results.js").Result|null} */
-let result = null;
-/** @type {any} */
-let map = null;
 /** @type {Scene|null} */
 let scene = null;
 /** Whether the map shows a place of the result, worth a permalink. */
 let isPlaced = false;
-/** @type {Set<(result: import("../data/results.js").Result|null) => void>} */
-const listeners = new Set();
-
-/** @returns {import("../data/results.js").Result|null} What is on the map. */
-export function shownResult() {
-  return result;
-}
-
-/** @returns {any} */
-export function shownMap() {
-  return map;
-}
-
-/** @param {(result: import("../data/results.js").Result|null) => void} call Called now and whenever another result is shown. */
-export function onResult(call) {
-  listeners.add(call);
-  call(result);
-  return () => listeners.delete(call);
-}
 
 /** Put map, legend and timeline on the page. */
 export async function mountStage() {
@@ -60,10 +38,10 @@ export async function mountStage() {
   /** @param {boolean} local */
   const build = (local) => {
     if (parts?.local === local) return;
-    map?.remove();
+    shown.map?.remove();
     parts = makeMap(holder, local, () => scene);
-    map = parts.map;
-    map.on("moveend", () => isPlaced && setState({ view: viewText() }));
+    shown.map = parts.map;
+    shown.map.on("moveend", () => isPlaced && setState({ view: viewText() }));
   };
 
   const showDrive = async () => {
@@ -86,7 +64,7 @@ export async function mountStage() {
         if (!isOver(job)) await showWay(job, mine);
         return;
       }
-      if (result?.job.id === id) return;
+      if (shown.result?.job.id === id) return;
       fill(cover, el("p", {}, "Loading the result…"));
       const next = await loadResult(job);
       if (mine === token) show(next);
@@ -103,14 +81,11 @@ export async function mountStage() {
     if (mine !== token || !way) return;
     fill(cover);
     build(way.local);
-    scene = new Scene(way, map);
+    scene = new Scene(way, shown.map);
     scene.on = new Set(["track"]);
     scene.progress = job.progress.fraction;
-    fit(
-      way.trajectory.map(([lng, lat]) => [lat, lng]),
-      false,
-      way.local,
-    );
+    const places = way.trajectory.map(([lng, lat]) => [lat, lng]);
+    fit(places, false, way.local);
     parts.redraw();
   };
 
@@ -118,15 +93,14 @@ export async function mountStage() {
   const show = (next) => {
     fill(cover);
     build(next.local);
-    result = next;
-    scene = new Scene(next, map);
+    scene = new Scene(next, shown.map);
     updateLayers();
     parts.legend.show(next);
     parts.setAttribution(next);
     isPlaced = false;
     timeline.show(next);
-    for (const call of listeners) call(next);
-    map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
+    setResult(next);
+    shown.map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
     isPlaced = true;
@@ -136,47 +110,43 @@ export async function mountStage() {
 
   const clear = () => {
     isPlaced = false;
-    result = null;
     scene = null;
     parts?.legend.show(null);
     parts?.redraw();
     parts?.keyframe.show(null, null, false);
-    map?.closePopup();
+    shown.map?.closePopup();
     parts?.setTiles(false);
     timeline.show(null);
-    for (const call of listeners) call(null);
+    setResult(null);
   };
 
   const updateLayers = () => {
     if (!scene) return;
     scene.on = layersOn(getState().layers);
-    parts.setTiles(scene.on.has("tiles") && !result?.local);
+    parts.setTiles(scene.on.has("tiles") && !scene.result.local);
     parts.redraw();
   };
 
   const updateKeyframe = () => {
-    if (!result) return;
-    const row = result.frame.rows.get(getState().frame);
-    const keyframe = row === undefined ? null : result.keyframes[row];
-    parts.keyframe.show(result, keyframe, layersOn(getState().layers).has("zone"));
+    if (!shown.result) return;
+    const row = shown.result.frame.rows.get(getState().frame);
+    const keyframe = row === undefined ? null : shown.result.keyframes[row];
+    parts.keyframe.show(shown.result, keyframe, layersOn(getState().layers).has("zone"));
     if (keyframe && timeline.isFollowing) keepInView([keyframe.lat, keyframe.lng]);
   };
 
   subscribe(["job", "drive"], () => void showDrive());
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
-  subscribe(["frame"], updateKeyframe);
+  subscribe(["frame", "drawer"], updateKeyframe);
   onTilesChange(() => (parts?.setTiles(false), updateLayers()));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
   document.addEventListener("job-finished", () => void showDrive());
   onListsChange(() => {
     const job = lists.jobs.find((each) => each.id === getState().job);
-    if (!job || !scene || result || scene.progress === job.progress.fraction) return;
+    if (!job || !scene || shown.result || scene.progress === job.progress.fraction) return;
     scene.progress = job.progress.fraction;
     parts.redraw();
   });
-  const { mountDrawer } = await import("../bev/drawer.js");
-  mountDrawer(/** @type {HTMLElement} */ (document.getElementById("drawer")));
-  subscribe(["drawer"], updateKeyframe);
   await showDrive();
 }
 
@@ -276,25 +246,23 @@ function addFit(made) {
 }
 
 /** @param {boolean} animate */
-export function fitDrive(animate) {
-  if (!map || !result) return;
-  fit(
-    [...result.keyframes, ...result.intersections].map(({ lat, lng }) => [lat, lng]),
-    animate,
-    result.local,
-  );
+function fitDrive(animate) {
+  const { result } = shown;
+  if (!result) return;
+  const places = [...result.keyframes, ...result.intersections].map(({ lat, lng }) => [lat, lng]);
+  fit(places, animate, result.local);
 }
 
 /** @param {number[][]} places lat, lng @param {boolean} animate @param {boolean} local */
 function fit(places, animate, local) {
   if (!places.length) return;
   const [paddingTopLeft, paddingBottomRight] = margins();
-  map.fitBounds(latLngBounds(places), { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
+  shown.map.fitBounds(latLngBounds(places), { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
 }
 
 /** @returns {number[][]} What the controls cover: left and top, right and bottom, pixels. */
 function margins() {
-  const hasLegend = map.getSize().x >= 640 && localStorage.getItem("interloc.legend") !== "no";
+  const hasLegend = shown.map.getSize().x >= 640 && localStorage.getItem("interloc.legend") !== "no";
   return [
     [56, 40],
     [hasLegend ? 232 : 40, 40],
@@ -304,37 +272,25 @@ function margins() {
 /** @param {[number, number]} place */
 function keepInView(place) {
   const [[left, top], [right, bottom]] = margins();
-  const { x, y } = map.latLngToContainerPoint(place);
-  const size = map.getSize();
+  const { x, y } = shown.map.latLngToContainerPoint(place);
+  const size = shown.map.getSize();
   if (x > left && y > top && x < size.x - right && y < size.y - bottom) return;
   const target = [left + (size.x - left - right) / 2, top + (size.y - top - bottom) / 2];
-  map.panBy([x - target[0], y - target[1]], { animate: false });
-}
-
-/**
- * Go to a thing and open its details.
- * @param {import("./scene.js").Hit} hit
- */
-export function goTo(hit) {
-  if (!map || !result) return;
-  const zoom = Math.max(map.getZoom(), result.local ? 2.5 : 18.5);
-  const { local } = result;
-  map.once("moveend", () => openDetails(map, hit, local)); // on the way there the box would not find its room
-  map.setView([hit.item.lat, hit.item.lng], zoom, { animate: true });
+  shown.map.panBy([x - target[0], y - target[1]], { animate: false });
 }
 
 /** @returns {string} */
 function viewText() {
-  const { lat, lng } = map.getCenter();
-  const digits = result?.local ? 1 : 6;
-  return `${Number(map.getZoom().toFixed(2))}/${lat.toFixed(digits)}/${lng.toFixed(digits)}`;
+  const { lat, lng } = shown.map.getCenter();
+  const digits = shown.result?.local ? 1 : 6;
+  return `${Number(shown.map.getZoom().toFixed(2))}/${lat.toFixed(digits)}/${lng.toFixed(digits)}`;
 }
 
 /** @param {string} text @returns {boolean} */
 function applyView(text) {
   const [zoom, lat, lng] = text.split("/").map(Number);
   if (![zoom, lat, lng].every(Number.isFinite)) return false;
-  map.setView([lat, lng], zoom, { animate: false });
+  shown.map.setView([lat, lng], zoom, { animate: false });
   return true;
 }
 

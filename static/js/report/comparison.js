@@ -5,7 +5,8 @@
 import { getJson } from "../api.js";
 import { lists } from "../data/lists.js";
 import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
-import { goTo, shownResult } from "../map/stage.js";
+import { goTo } from "../map/details.js";
+import { shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { jobName } from "../shell/header.js";
 import { problemNote } from "../shell/messages.js";
@@ -123,7 +124,7 @@ function outcome(name) {
 
 /** @param {any} node */
 function show(node) {
-  const item = shownResult()?.nodes.find((each) => each.properties.osm_id === node.osm_id);
+  const item = shown.result?.nodes.find((each) => each.properties.osm_id === node.osm_id);
   if (item) goTo({ kind: "node", item });
 }
 

@@ -3,8 +3,8 @@
  * @module report/nodes
  */
 import { el, fill } from "../dom.js";
+import { goTo } from "../map/details.js";
 import { kindOfNode } from "../map/layers.js";
-import { goTo } from "../map/stage.js";
 import { signIcon } from "../map/symbols.js";
 import { getState, setState, subscribe } from "../state.js";
 

@@ -4,7 +4,7 @@
  */
 import { getJson } from "../api.js";
 import { el, fill, formatCount, formatMetres, formatPercent, plural } from "../dom.js";
-import { onResult } from "../map/stage.js";
+import { onResult } from "../map/shown.js";
 import { setState } from "../state.js";
 import { barChart, lineChart } from "./chart.js";
 import { comparison } from "./comparison.js";

@@ -2,7 +2,7 @@
 
 import { el, fill, formatBytes, icon, plural } from "../dom.js";
 import { checkDrive } from "./checks.js";
-import { field, filePicker, problemList, radios, section, select } from "./controls.js";
+import { field, filePicker, problemList, radios, select } from "./controls.js";
 import { layoutOf, OSM_FILE } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
 import { jobForm } from "./job_form.js";
