@@ -10,28 +10,15 @@ import errno
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from interloc.errors import OutputError
-from interloc.output.layout import RESULT_NAMES, RUN_FILE
 
-_REASONS = {
-    errno.ENOSPC: "no space left on the disk",
-    errno.EDQUOT: "the disk quota is used up",
-    errno.EFBIG: "the file is larger than the file size limit",
-    errno.EACCES: "permission denied",
-    errno.EPERM: "permission denied",
-    errno.EROFS: "the file system is read-only",
-    errno.ENOENT: "the folder does not exist",
-    errno.ENOTDIR: "a part of the path is a file, not a folder",
-    errno.EISDIR: "there is a folder of that name",
-    errno.ENAMETOOLONG: "the name is too long",
-    errno.EMFILE: "too many files are open",
-    errno.EIO: "the disk reports an input/output error",
-}
+_DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO}
+"""What a failed write to an open file can be; other errors without a file name come from pipes and the network."""
 
 
 @contextmanager
@@ -75,16 +62,18 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def atomic_folder(out: Path, *, marker: str = RUN_FILE) -> Iterator[Path]:
+def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Iterator[Path]:
     """Build a folder that takes its name only once it is complete.
 
     Parameters
     ----------
     out
         The folder. It must not exist, be empty, or hold `marker`: then it is replaced when the new one is complete.
-        Files in it that InterLoc did not write (`RESULT_NAMES`) move to the new one.
+        What is in it and neither in `names` nor in the new folder is the user's and moves to the new one.
     marker
-        Name of the file by which a folder is known as one of ours.
+        Name of the file by which such a folder is known.
+    names
+        Names of all files and folders that may be part of such a folder: none of an older one survives.
 
     Yields
     ------
@@ -114,9 +103,9 @@ def atomic_folder(out: Path, *, marker: str = RUN_FILE) -> Iterator[Path]:
         yield temporary
         ours = True
         if in_place:
-            _move_into(temporary, target, marker)
+            _move_into(temporary, target, marker, names)
         else:
-            _swap(temporary, target)
+            _swap(temporary, target, names)
             _sync_folder(target.parent)
     except BaseException as error:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -133,8 +122,9 @@ def atomic_folder(out: Path, *, marker: str = RUN_FILE) -> Iterator[Path]:
 
 
 def reason_of(error: OSError) -> str:
-    """Say in words why the system refused."""
-    return _REASONS.get(error.errno or 0, error.strerror or str(error))
+    """Return why the system refused, to stand within a sentence: "no space left on device"."""
+    reason = error.strerror or str(error)
+    return reason[:1].lower() + reason[1:]
 
 
 def _temporary_name(path: Path) -> Path:
@@ -145,7 +135,7 @@ def _temporary_name(path: Path) -> Path:
 def _concerns(error: OSError, temporary: Path) -> bool:
     """Tell whether an error arose from writing there; a failed write to an open file names no file."""
     if not isinstance(error.filename, str | bytes):
-        return error.errno in _REASONS  # others come from pipes and the network
+        return error.errno in _DISK_ERRORS
     return Path(os.fsdecode(error.filename)).is_relative_to(temporary)
 
 
@@ -176,7 +166,7 @@ def _make_parents(temporary: Path, created: list[Path]) -> None:
         created.append(folder)
 
 
-def _swap(temporary: Path, target: Path) -> None:
+def _swap(temporary: Path, target: Path, names: Collection[str]) -> None:
     """Put the new folder in place of the old one, which comes back if that fails."""
     if not target.exists():
         temporary.rename(target)
@@ -191,24 +181,24 @@ def _swap(temporary: Path, target: Path) -> None:
         raise
     with suppress(OSError):  # the new result is in place: what fails from here on loses nothing
         for entry in old.iterdir():
-            if not _is_ours(entry) and not (target / entry.name).exists():
+            if not _is_ours(entry, names) and not (target / entry.name).exists():
                 entry.rename(target / entry.name)
         shutil.rmtree(old)
 
 
-def _move_into(temporary: Path, target: Path, marker: str) -> None:
+def _move_into(temporary: Path, target: Path, marker: str, names: Collection[str]) -> None:
     """Replace the results in `target` by those of `temporary`, file by file; without `marker` meanwhile."""
     (target / marker).unlink(missing_ok=True)
     for entry in list(target.iterdir()):
-        if entry != temporary and _is_ours(entry):
+        if entry != temporary and _is_ours(entry, names):
             shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
     for entry in sorted(temporary.iterdir(), key=lambda e: e.name == marker):
         entry.replace(target / entry.name)
     temporary.rmdir()
 
 
-def _is_ours(entry: Path) -> bool:
-    return entry.name in RESULT_NAMES or entry.name.startswith(".partial-")
+def _is_ours(entry: Path, names: Collection[str]) -> bool:
+    return entry.name in names or entry.name.startswith(".partial-")
 
 
 def _sync_folder(folder: Path) -> None:

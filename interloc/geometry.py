@@ -54,7 +54,7 @@ def rotation_angle(a: FloatArray, b: FloatArray) -> float:
 
 
 def rotate_2d(xy: FloatArray, angle_rad: ArrayLike) -> FloatArray:
-    """Turn (..., 2) points counter-clockwise by one angle, or by one angle a point."""
+    """Turn (..., 2) points counter-clockwise by one angle, or by one angle per point."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = xy[..., 0], xy[..., 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
@@ -91,7 +91,7 @@ def invert_transform(transform: FloatArray) -> FloatArray:
 
 
 def _metres_per_degree(lat_deg: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return (north, east) metres a degree of latitude and of longitude at a latitude, from the radii of curvature."""
+    """Return metres per degree of latitude and of longitude at a latitude, from the radii of curvature."""
     lat = np.radians(np.asarray(lat_deg, dtype=np.float64))
     w2 = 1.0 - WGS84_E2 * np.sin(lat) ** 2
     meridian = WGS84_A_M * (1.0 - WGS84_E2) / w2**1.5
@@ -103,6 +103,15 @@ def _curvature(lat_deg: ArrayLike) -> FloatArray:
     """Return tan(latitude) / prime vertical radius, 1/m: how fast meridians turn towards each other going east."""
     lat = np.radians(np.asarray(lat_deg, dtype=np.float64))
     return np.tan(lat) * np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2) / WGS84_A_M
+
+
+def ecef_from_geodetic(lat_deg: ArrayLike, lon_deg: ArrayLike, alt_m: ArrayLike = 0.0) -> FloatArray:
+    """Return (..., 3) metres in the earth-centred, earth-fixed frame of points over the ellipsoid."""
+    lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+    prime_vertical = WGS84_A_M / np.sqrt(1 - WGS84_E2 * np.sin(lat) ** 2)
+    height = prime_vertical + np.asarray(alt_m, dtype=np.float64)
+    x, y = height * np.cos(lat) * np.cos(lon), height * np.cos(lat) * np.sin(lon)
+    return np.stack([x, y, (height - WGS84_E2 * prime_vertical) * np.sin(lat)], axis=-1)
 
 
 def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: FloatArray) -> FloatArray:
@@ -135,7 +144,7 @@ def lonlat_from_enu(lat_deg: ArrayLike, lon_deg: ArrayLike, enu_xy: FloatArray) 
 
 
 def enu_from_lonlat(lat_deg: ArrayLike, lon_deg: ArrayLike, lonlat: FloatArray) -> FloatArray:
-    """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes: `lonlat_from_enu` undone."""
+    """Return (..., 2) east, north in metres of (..., 2) longitudes, latitudes: inverse of `lonlat_from_enu`."""
     north_scale, east_scale = _metres_per_degree(lat_deg)
     curvature = _curvature(lat_deg)
     east_arc = (lonlat[..., 0] - np.asarray(lon_deg, dtype=np.float64)) * east_scale

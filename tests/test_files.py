@@ -4,13 +4,16 @@ import errno
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from interloc import files
 from interloc.errors import DriveError, OutputError
-from interloc.files import atomic_folder, atomic_write
+from interloc.files import atomic_write
+
+atomic_folder = partial(files.atomic_folder, marker="run.json", names={"run.json", "report.json", "figures"})
 
 is_root = hasattr(os, "geteuid") and os.geteuid() == 0
 
@@ -65,7 +68,7 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     path = tmp_path / "none" / "a.json"
     with pytest.raises(OutputError) as caught, atomic_write(path):
         pass
-    assert str(caught.value) == f"{path} could not be written: the folder does not exist."
+    assert str(caught.value) == f"{path} could not be written: no such file or directory."
 
 
 def test_an_error_about_another_file_stays_what_it_is(tmp_path: Path) -> None:
@@ -101,9 +104,7 @@ try:
 except OutputError as error:
     print(error)
 """
-    assert run_limited(code, tmp_path, limit=4096) == (
-        "a.json could not be written: the file is larger than the file size limit.\n"
-    )
+    assert run_limited(code, tmp_path, limit=4096) == ("a.json could not be written: file too large.\n")
     assert contents(tmp_path) == {"a.json": b"old"}
 
 
@@ -115,7 +116,7 @@ from pathlib import Path
 from interloc.errors import OutputError
 from interloc.files import atomic_folder, atomic_write
 try:
-    with atomic_folder(Path("out")) as folder:
+    with atomic_folder(Path("out"), marker="run.json") as folder:
         (folder / "figures").mkdir()
         (folder / "figures" / "a.png").write_bytes(b"small")
         with atomic_write(folder / "detections.geojson") as handle:
@@ -123,9 +124,7 @@ try:
 except OutputError as error:
     print(error)
 """
-    assert run_limited(code, tmp_path, limit=4096) == (
-        "out/detections.geojson could not be written: the file is larger than the file size limit.\n"
-    )
+    assert run_limited(code, tmp_path, limit=4096) == ("out/detections.geojson could not be written: file too large.\n")
     assert contents(tmp_path) == before
 
 
@@ -135,12 +134,12 @@ from pathlib import Path
 from interloc.errors import OutputError
 from interloc.files import atomic_folder
 try:
-    with atomic_folder(Path("deep/er/out")) as folder:
+    with atomic_folder(Path("deep/er/out"), marker="run.json") as folder:
         (folder / "a.png").write_bytes(b"x" * 100_000)
 except OutputError as error:
     print(error)
 """
-    assert run_limited(code, tmp_path, limit=4096).startswith("deep/er/out could not be written: the file is larger")
+    assert run_limited(code, tmp_path, limit=4096).startswith("deep/er/out could not be written: file too large")
     assert list(tmp_path.iterdir()) == []  # the folders made on the way are gone as well
 
 
@@ -230,7 +229,7 @@ def test_a_file_in_the_way_is_not_touched(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is a file"), atomic_folder(tmp_path / "out"):
         pass
     assert contents(tmp_path) == {"out": b"mine"}
-    with pytest.raises(OutputError, match="a part of the path is a file"), atomic_folder(tmp_path / "out" / "deeper"):
+    with pytest.raises(OutputError, match="not a directory"), atomic_folder(tmp_path / "out" / "deeper"):
         pass
 
 
@@ -256,7 +255,7 @@ def test_the_old_result_comes_back_when_the_last_rename_fails(
     rename = Path.rename
 
     def failing(self: Path, target: Path) -> Path:
-        if target == out and self.name != files.RUN_FILE and (self / "new").exists():
+        if target == out and self.name != "run.json" and (self / "new").exists():
             raise error
         return rename(self, target)
 
@@ -272,7 +271,7 @@ def test_leftovers_of_a_killed_run_do_not_hinder(tmp_path: Path) -> None:
 import os
 from pathlib import Path
 from interloc.files import atomic_folder
-with atomic_folder(Path("out")) as folder:
+with atomic_folder(Path("out"), marker="run.json") as folder:
     (folder / "run.json").write_bytes(b"half")
     os._exit(0)
 """
@@ -294,6 +293,6 @@ def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
 
 def test_a_marker_of_another_kind(tmp_path: Path) -> None:
     for text in (b"1", b"2"):
-        with atomic_folder(tmp_path / "out", marker="explain.json") as folder:
+        with files.atomic_folder(tmp_path / "out", marker="explain.json") as folder:
             (folder / "explain.json").write_bytes(text)
     assert contents(tmp_path) == {"out/explain.json": b"2"}

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.http.problems import ProblemDocument
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
-from interloc.osm.policies import POLICY_HELP, Policy
+from interloc.osm.policies import POLICY_HELP, TOLERANCE_HELP, Policy
 
 JobState = Literal["accepted", "running", "successful", "failed", "dismissed"]
 JobKind = Literal["intersections", "commit", "unpack", "demo"]
@@ -50,12 +50,7 @@ class NewJob(BaseModel):
     labels: LabelFolder | None = Field(None, description="Folder of the labels; the one that is there by default.")
     osm: Annotated[OsmFile | OsmOverpass | None, Field(description="Map to score against; none: only detect.")] = None
     policy: Policy = Field("drive", description=POLICY_HELP)
-    tolerance_m: float = Field(
-        15.0,
-        gt=0,
-        le=100,
-        description="For policy consolidated: nodes whose circles of this radius overlap are merged.",
-    )
+    tolerance_m: float = Field(15.0, gt=0, le=100, description=TOLERANCE_HELP)
     name: str | None = Field(None, max_length=200, description="Shown in lists.")
 
 

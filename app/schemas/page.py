@@ -11,7 +11,7 @@ from app.settings import Settings
 from interloc.drives.labels import SCHEMES
 from interloc.drives.options import LabelFolder
 from interloc.drives.parts import SCAN_FOLDERS
-from interloc.osm.policies import POLICIES, POLICY_MEANINGS, POLICY_TITLES
+from interloc.osm.policies import POLICIES
 from interloc.output.layers import LAYERS
 
 _LIMITS = (
@@ -96,12 +96,7 @@ class PageConfig(BaseModel):
 
 
 _POLICIES = [
-    PolicyModel(
-        name=name,
-        title=POLICY_TITLES[name],
-        description=f"{POLICY_MEANINGS[name][0].upper()}{POLICY_MEANINGS[name][1:]}.",
-    )
-    for name in POLICIES
+    PolicyModel(name=name, title=wording.title, description=wording.meaning) for name, wording in POLICIES.items()
 ]
 _LAYERS = [
     LayerModel(

@@ -22,9 +22,9 @@ from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.evaluation.coverage import track_bounds
-from interloc.files import atomic_folder
 from interloc.mapping.fusion import FusionConfig
 from interloc.osm.graph import Bounds, RoadGraph
+from interloc.output.layout import result_folder
 from interloc.output.write import write_results
 from interloc.pipeline import RangeResult, assemble, detect_range
 from interloc.results import DriveResult
@@ -87,7 +87,7 @@ def finish(task: Task, plan: Plan) -> Outcome:
         seconds=max(0.0, time.time() - plan.notes["began"]),
     )
     report = None
-    with atomic_folder(task.result) as folder:
+    with result_folder(task.result) as folder:
         write_results(result, folder)
         if task.request.get("osm") is not None:
             board.tell("evaluating")

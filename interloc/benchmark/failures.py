@@ -11,7 +11,8 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.geometry import enu_from_lonlat
-from interloc.osm.policies import Policy, intersection_nodes
+from interloc.osm.intersections import intersection_nodes
+from interloc.osm.policies import Policy
 from interloc.output.geojson import DEGREE_DECIMALS, rounded
 
 GROUP_M = 6.0

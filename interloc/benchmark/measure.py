@@ -20,7 +20,8 @@ from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.robustness import parse_level
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph
-from interloc.osm.policies import Policy, road_ways
+from interloc.osm.intersections import road_ways
+from interloc.osm.policies import Policy
 from interloc.pipeline import detect, detect_range
 from interloc.results import DriveResult
 

@@ -34,14 +34,14 @@ def command(
     Example:
       interloc detect sequences/07 -o out --labels predictions --oxts 2011_09_30_drive_0027_sync
     """
-    from interloc.files import atomic_folder
+    from interloc.output.layout import result_folder
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
     console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
     source = options.open_drive(drive, drive_)
-    with atomic_folder(out) as folder:
+    with result_folder(out) as folder:
         with console.progress("detect", "keyframe", quiet=quiet) as bar:
             result = detect(source, config, workers=workers, progress=bar)
         write_results(result, folder)

@@ -30,8 +30,8 @@ def command(
     from interloc.evaluation.evaluate import evaluate
     from interloc.evaluation.record import report_record
     from interloc.evaluation.report import write_report
-    from interloc.files import atomic_folder, atomic_write
-    from interloc.output.layout import RUN_FILE, file_names
+    from interloc.files import atomic_write
+    from interloc.output.layout import RUN_FILE, file_names, result_folder
     from interloc.output.write import read_results
 
     options.check_map_choice(osm, overpass=overpass)
@@ -41,7 +41,7 @@ def command(
     if graph is None:
         graph = options.fetch_map(result, quiet=quiet)
     evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
-    with atomic_folder(out) as folder:  # all of the new report, or the folder as it was
+    with result_folder(out) as folder:  # all of the new report, or the folder as it was
         for name in (*file_names(georeferenced=True).values(), RUN_FILE):
             with atomic_write(folder / name) as file:
                 file.write((out / name).read_bytes())

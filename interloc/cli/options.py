@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from interloc.osm.policies import POLICIES, POLICY_HELP, TOLERANCE_HELP
+
 if TYPE_CHECKING:
     from interloc.config import DetectorConfig
     from interloc.drives import Drive
@@ -21,29 +23,14 @@ DRIVE = click.argument("drive", type=click.Path(path_type=Path))
 OUT = click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Result folder to write.")
 QUIET = click.option("--quiet", is_flag=True, help="No progress, no notes; warnings and errors only.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON.")
-
-
-class _PolicyOption(click.Option):
-    """Explains each policy in its help, and imports the library for that only when the help is shown."""
-
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        """Return the option and its help."""
-        from interloc.osm.policies import POLICY_HELP
-
-        self.help = POLICY_HELP
-        return super().get_help_record(ctx)
-
-
 POLICY = click.option(
     "--policy",
-    cls=_PolicyOption,
     default="drive",
     show_default=True,
-    type=click.Choice(["drive", "drive+service", "all", "consolidated"]),
+    type=click.Choice(list(POLICIES)),
+    help=POLICY_HELP,
 )
-TOLERANCE = click.option(
-    "--tolerance", "tolerance_m", default=15.0, show_default=True, help="Merging reach of policy consolidated, metres."
-)
+TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, show_default=True, help=TOLERANCE_HELP)
 OSM = click.option("--osm", type=click.Path(path_type=Path), help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 

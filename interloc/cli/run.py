@@ -45,7 +45,7 @@ def command(
     from interloc.evaluation.evaluate import evaluate
     from interloc.evaluation.record import report_record
     from interloc.evaluation.report import write_report
-    from interloc.files import atomic_folder
+    from interloc.output.layout import result_folder
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
@@ -55,7 +55,7 @@ def command(
     source = options.open_drive(drive, drive_)
     options.require_georeference(source)
     graph = options.read_map(osm)
-    with atomic_folder(out) as folder:
+    with result_folder(out) as folder:
         with console.progress("detect", "keyframe", quiet=quiet) as bar:
             result = detect(source, config, workers=workers, progress=bar)
         write_results(result, folder)

@@ -10,8 +10,7 @@ from urllib.parse import quote
 from interloc.client.answers import Refusal, ResultFileAnswer, ResultFilesAnswer
 from interloc.client.connection import Connection
 from interloc.errors import NetworkError
-from interloc.files import atomic_folder
-from interloc.output.layout import RUN_FILE
+from interloc.output.layout import RUN_FILE, result_folder
 
 OnBytes = Callable[[int, int], None]
 """Told how many bytes of how many are there; may raise to give up."""
@@ -47,7 +46,7 @@ def fetch(connection: Connection, job_id: str, out: Path, *, on_bytes: OnBytes |
     if Path(RUN_FILE) not in names:
         raise NetworkError(f"{connection.server}: job {job_id} has no {RUN_FILE}, so it is no result of a drive.")
     total, done = sum(file.size_bytes for file in files), 0
-    with atomic_folder(out) as folder:
+    with result_folder(out) as folder:
         for file, name in zip(files, names, strict=True):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             _fetch_file(connection, f"{address}/{quote(file.name)}", file, folder / name)

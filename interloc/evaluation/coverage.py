@@ -9,10 +9,9 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import MapError
-from interloc.evaluation.matching import earth_centred
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, lonlat_from_enu
 from interloc.osm.graph import Bounds, RoadGraph, within
-from interloc.osm.policies import road_ways
+from interloc.osm.intersections import road_ways
 from interloc.results import DriveResult
 
 logger = logging.getLogger(__name__)
@@ -112,7 +111,8 @@ def check_coverage(track_lonlat: FloatArray, graph: RoadGraph, *, roi_m: float) 
 def _elsewhere(track_lonlat: FloatArray, graph: RoadGraph) -> str:
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 
-    distance_m, _ = cKDTree(earth_centred(graph.lonlat)).query(earth_centred(track_lonlat))
+    highways, track = (ecef_from_geodetic(lonlat[:, 1], lonlat[:, 0]) for lonlat in (graph.lonlat, track_lonlat))
+    distance_m, _ = cKDTree(highways).query(track)
     nearest_km = np.min(distance_m) / 1000.0
     west, south, east, north = graph.extent
     (lon0, lat0), (lon1, lat1) = track_lonlat.min(axis=0), track_lonlat.max(axis=0)

@@ -15,7 +15,8 @@ from interloc.evaluation.matching import Matching, match
 from interloc.evaluation.metrics import ErrorSummary, Scores, score, summarize_errors
 from interloc.evaluation.nodes import NodeTable, tabulate_nodes
 from interloc.osm.graph import RoadGraph, within
-from interloc.osm.policies import IntersectionNodes, Policy, intersection_nodes
+from interloc.osm.intersections import IntersectionNodes, intersection_nodes
+from interloc.osm.policies import Policy
 from interloc.results import DetectionTable, DriveResult, KeyframeTable
 
 PAPER_ROI_M = 120.0

@@ -25,7 +25,7 @@ from interloc.drawing import (
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.geometry import enu_from_lonlat
-from interloc.osm.policies import road_ways
+from interloc.osm.intersections import road_ways
 from interloc.results import DriveResult
 
 if TYPE_CHECKING:

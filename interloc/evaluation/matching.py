@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.geometry import WGS84_A_M, WGS84_E2, enu_from_lonlat, rotate_2d
+from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, rotate_2d
 from interloc.results import DetectionTable, KeyframeTable
 
 UNMATCHED = -1
@@ -132,22 +132,9 @@ def pairs_within(centre_lonlat: FloatArray, lonlat: FloatArray, radius_m: float)
     if len(centre_lonlat) == 0 or len(lonlat) == 0:
         return empty, empty
     # Straight lines through the Earth: no projection to choose, hence none that a long drive could outgrow.
-    tree = cKDTree(earth_centred(lonlat))
-    near: Any = tree.query_ball_point(earth_centred(centre_lonlat), radius_m * 1.001 + 0.1, return_sorted=True)
+    tree = cKDTree(ecef_from_geodetic(lonlat[:, 1], lonlat[:, 0]))
+    centres = ecef_from_geodetic(centre_lonlat[:, 1], centre_lonlat[:, 0])
+    near: Any = tree.query_ball_point(centres, radius_m * 1.001 + 0.1, return_sorted=True)
     centre = np.repeat(np.arange(len(centre_lonlat)), [len(rows) for rows in near])
     point = np.concatenate([np.asarray(rows, dtype=np.int64) for rows in near])
     return centre, point
-
-
-def earth_centred(lonlat: FloatArray) -> FloatArray:
-    """Return (N, 3) metres of points on the WGS84 ellipsoid."""
-    lon, lat = np.radians(lonlat[:, 0]), np.radians(lonlat[:, 1])
-    prime_vertical = WGS84_A_M / np.sqrt(1.0 - WGS84_E2 * np.sin(lat) ** 2)
-    return np.stack(
-        [
-            prime_vertical * np.cos(lat) * np.cos(lon),
-            prime_vertical * np.cos(lat) * np.sin(lon),
-            prime_vertical * (1.0 - WGS84_E2) * np.sin(lat),
-        ],
-        axis=-1,
-    )

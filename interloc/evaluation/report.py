@@ -15,7 +15,7 @@ from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.record import report_record, threshold_name
 from interloc.files import atomic_write, reason_of
-from interloc.osm.policies import POLICY_MEANINGS
+from interloc.osm.policies import POLICIES
 from interloc.output.geojson import encode, point, positions, rounded, write_collection
 from interloc.results import DriveResult
 
@@ -72,7 +72,7 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         at={name: record[name][standard] for name in ("tp", "fp", "fn", "precision", "recall", "f1")},
         standard=standard,
         threshold=f"{STANDARD_THRESHOLD_M:g}\N{NO-BREAK SPACE}m",
-        policy_meaning=POLICY_MEANINGS[record["policy"]],
+        policy_meaning=POLICIES[record["policy"]].meaning,
         nodes=nodes,
         pictures=pictures,
         # Read by people only, so what JSON does not know may appear as its text.

@@ -11,7 +11,8 @@ from interloc.drive import Georeference
 from interloc.explain.evidence import Evidence
 from interloc.geometry import enu_from_lonlat, rotate_2d, yaw_of
 from interloc.osm.graph import RoadGraph
-from interloc.osm.policies import Policy, intersection_nodes, road_ways
+from interloc.osm.intersections import intersection_nodes, road_ways
+from interloc.osm.policies import Policy
 
 _NEAR_DEG = 0.1  # the plane of a fix has an end
 

@@ -12,9 +12,6 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 Bounds = tuple[float, float, float, float]
 """West, south, east, north in degrees."""
 
-MIN_DEGREE = 3
-"""Neighbours that make a node an intersection."""
-
 
 @dataclass(frozen=True)
 class Ways:

@@ -19,6 +19,11 @@ Bearings and headings are degrees clockwise from north, or from +y of W without 
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+from interloc.files import atomic_folder
+
 FORMAT = "interloc-result"
 FORMAT_VERSION = 1
 RUN_FILE = "run.json"
@@ -50,3 +55,8 @@ RESULT_NAMES = frozenset(
     ]
 )
 """What InterLoc itself puts into a result folder. All else in there is the user's and survives a new run."""
+
+
+def result_folder(out: Path) -> AbstractContextManager[Path]:
+    """Build a result folder that takes its name once it is complete; see `interloc.files.atomic_folder`."""
+    return atomic_folder(out, marker=RUN_FILE, names=RESULT_NAMES)

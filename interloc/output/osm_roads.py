@@ -9,7 +9,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.osm.graph import Bounds, RoadGraph
-from interloc.osm.policies import road_ways
+from interloc.osm.intersections import road_ways
 from interloc.output.geojson import positions, write_collection
 
 ROADS_FILE = "osm_roads.geojson"

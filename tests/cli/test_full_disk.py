@@ -48,8 +48,7 @@ def limited(environment: dict[str, str]) -> Callable[..., subprocess.CompletedPr
 def test_detect_with_files_limited(limited: Callable, drive: Path, tmp_path: Path) -> None:
     process = limited(10_000, "detect", drive, "-o", tmp_path / "new" / "out")
     assert only_line(process) == (
-        f"interloc: {tmp_path}/new/out/detections.geojson could not be written: "
-        "the file is larger than the file size limit."
+        f"interloc: {tmp_path}/new/out/detections.geojson could not be written: file too large."
     )
     assert not list(tmp_path.iterdir())  # not even the folder above
 
@@ -61,7 +60,7 @@ def test_evaluate_with_files_limited(limited: Callable, drive: Path, osm: Path, 
     limit = max(path.stat().st_size for path in out.glob("*.*json")) + 1000
     assert limit < (out / "report.html").stat().st_size
     process = limited(limit, "evaluate", out, "--osm", osm, "--policy", "all")
-    assert "could not be written: the file is larger than the file size limit." in only_line(process)
+    assert "could not be written: file too large." in only_line(process)
     assert contents(out) == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
@@ -90,7 +89,7 @@ def test_a_full_disk(interloc: Callable, drive: Path, small_disk: Path) -> None:
     before = contents(small_disk)
     (small_disk / "ballast").write_bytes(bytes(64 * 1024 - sum(map(len, before.values())) - 24 * 1024))
     outcome = interloc("detect", drive, "-o", out)
-    assert "could not be written: no space left on the disk." in outcome.complaint
+    assert "could not be written: no space left on device." in outcome.complaint
     assert str(out) in outcome.complaint
     assert contents(out) == {name.removeprefix("out/"): content for name, content in before.items()}
     assert sorted(path.name for path in small_disk.iterdir()) == ["ballast", "out"]
@@ -101,5 +100,5 @@ def test_a_disk_that_is_the_result_folder(interloc: Callable, drive: Path, small
     assert interloc("detect", drive, "-o", small_disk, "--set", "keyframes.distance_m=8").code == 0
     before = contents(small_disk)
     outcome = interloc("detect", drive, "-o", small_disk, "--set", "keyframes.distance_m=0.5")
-    assert "could not be written: no space left on the disk." in outcome.complaint
+    assert "could not be written: no space left on device." in outcome.complaint
     assert contents(small_disk) == before

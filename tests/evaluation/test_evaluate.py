@@ -12,7 +12,7 @@ from interloc.evaluation.coverage import drive_bounds, track_to_road
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.record import report_record
 from interloc.osm.graph import RoadGraph
-from interloc.osm.policies import intersection_nodes
+from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
 from interloc.results import DriveResult
 

@@ -17,8 +17,8 @@ import pytest
 
 from interloc.errors import MapError, NetworkError, OutputError
 from interloc.osm import overpass
+from interloc.osm.intersections import intersection_nodes
 from interloc.osm.overpass import download_roads
-from interloc.osm.policies import intersection_nodes
 
 BOUNDS = (8.395, 48.995, 8.405, 49.005)
 

@@ -9,7 +9,7 @@ import pytest
 
 from interloc.errors import MapError
 from interloc.osm.graph import RoadGraph
-from interloc.osm.policies import intersection_nodes
+from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
 
 

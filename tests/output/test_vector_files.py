@@ -185,7 +185,7 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
         write_vector_file(scored, tmp_path / "a.shp")
     with pytest.raises(ConfigError, match="'streets' is no layer"):
         write_vector_file(scored, tmp_path / "a.fgb", layer="streets")
-    with pytest.raises(OutputError, match="the folder does not exist"):
+    with pytest.raises(OutputError, match="no such file or directory"):
         write_vector_file(scored, tmp_path / "nowhere" / "a.fgb")
     with pytest.raises(OutputError, match=r"run\.json is missing"):
         write_vector_file(tmp_path, tmp_path / "a.fgb")

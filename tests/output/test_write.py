@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.errors import OutputError
-from interloc.files import atomic_folder
+from interloc.output.layout import result_folder
 from interloc.output.write import read_results, thin, write_results
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 
@@ -414,27 +414,25 @@ def test_a_full_disk_leaves_no_result_folder(tmp_path: Path) -> None:
 import resource, sys
 from pathlib import Path
 from interloc.errors import OutputError
+from interloc.output.layout import result_folder
 from interloc.output.write import read_results, write_results
-from interloc.files import atomic_folder
 result = read_results(Path("small"))
 resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))
 try:
-    with atomic_folder(Path("out")) as folder:
+    with result_folder(Path("out")) as folder:
         write_results(result, folder)
 except OutputError as error:
     print(error)
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout == (
-        "out/detections.geojson could not be written: the file is larger than the file size limit.\n"
-    )
+    assert done.stdout == ("out/detections.geojson could not be written: file too large.\n")
     assert [p.name for p in tmp_path.iterdir()] == ["small"]
 
 
 def test_an_interrupted_run_leaves_the_old_result(tmp_path: Path) -> None:
-    with atomic_folder(tmp_path / "out") as folder:
+    with result_folder(tmp_path / "out") as folder:
         write_results(small_result(), folder)
-    with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "out") as folder:  # noqa: PT012
+    with pytest.raises(KeyboardInterrupt), result_folder(tmp_path / "out") as folder:  # noqa: PT012
         write_results(small_result(local=True), folder)
         raise KeyboardInterrupt
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
@@ -445,6 +443,6 @@ def test_a_result_is_not_complete_before_its_run_file(tmp_path: Path) -> None:
     write_results(small_result(), tmp_path)
     (tmp_path / "keyframes.geojson").unlink()
     (tmp_path / "keyframes.geojson").mkdir()
-    with pytest.raises(OutputError, match=r"keyframes.geojson could not be written: there is a folder of that name"):
+    with pytest.raises(OutputError, match=r"keyframes.geojson could not be written: is a directory"):
         write_results(small_result(), tmp_path)
     assert not (tmp_path / "run.json").exists()

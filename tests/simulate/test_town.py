@@ -9,7 +9,7 @@ import pytest
 
 from interloc.errors import ConfigError
 from interloc.geometry import enu_from_lonlat
-from interloc.osm.policies import intersection_nodes
+from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
 from interloc.simulate.config import LidarConfig, TrackConfig
 from interloc.simulate.town import Town, simulate_town

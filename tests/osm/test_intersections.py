@@ -6,7 +6,8 @@ import pytest
 
 from interloc.errors import ConfigError
 from interloc.osm.graph import RoadGraph, Ways
-from interloc.osm.policies import POLICIES, Policy, intersection_nodes
+from interloc.osm.intersections import intersection_nodes
+from interloc.osm.policies import POLICIES, Policy
 from interloc.osm.reader import read_osm
 
 
