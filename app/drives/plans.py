@@ -11,11 +11,14 @@ from app.context import Context
 from app.drives.records import files_key, find_drive
 from app.http.problems import FileProblem
 from app.results.workers import in_worker
-from app.schemas.drives import DriveOptionsModel, PlanRequest, ReductionPlanModel
+from app.schemas.drives import DriveOptionsModel, JudgedLabels, PlanRequest, ReductionPlanModel
 from app.work.plan import plan
 
 if TYPE_CHECKING:
-    from interloc.drives.reduction.plan import ReductionPlan
+    from interloc.drives.findings import Finding
+    from interloc.drives.options import LabelFolder
+    from interloc.drives.scans.labels import LabelJudgement
+    from interloc.reduction.plan import ReductionPlan
 
 
 async def plan_upload(context: Context, drive_id: str, request: PlanRequest) -> ReductionPlanModel:
@@ -27,7 +30,8 @@ async def plan_upload(context: Context, drive_id: str, request: PlanRequest) -> 
         404: no such drive.
     """
     name, root, options = await run_in_threadpool(_look_up, context, drive_id, request)
-    return _shown(await in_worker(context, plan, root, request.numbers(), options), str(root), name)
+    made, judged = await in_worker(context, plan, root, request.numbers(), options, request.label_counts)
+    return _shown(made, judged, str(root), name)
 
 
 def _look_up(context: Context, drive_id: str, request: PlanRequest) -> tuple[str, Path, dict[str, Any]]:
@@ -53,9 +57,16 @@ def _look_up(context: Context, drive_id: str, request: PlanRequest) -> tuple[str
     )
 
 
-def _shown(made: ReductionPlan, root: str, name: str) -> ReductionPlanModel:
+def _shown(
+    made: ReductionPlan, judged: dict[LabelFolder, tuple[LabelJudgement, list[Finding]]], root: str, name: str
+) -> ReductionPlanModel:
     def named(text: str) -> str:
         return text.replace(f"{root}/", "").replace(root, name)
+
+    def problems(found: list[Finding]) -> list[FileProblem]:
+        return [
+            FileProblem(severity=each.severity, path=named(each.path), message=named(each.message)) for each in found
+        ]
 
     return ReductionPlanModel(
         layout=made.layout,
@@ -67,9 +78,20 @@ def _shown(made: ReductionPlan, root: str, name: str) -> ReductionPlanModel:
         scans=made.scans,
         frames=made.frames_to_send.tolist(),
         frames_to_look_into=made.frames_to_look_into.tolist(),
+        labels=[_judged(folder, labels, problems(found)) for folder, (labels, found) in judged.items()],
         manifest=None if made.manifest is None else made.manifest.model_dump(mode="json"),
-        problems=[
-            FileProblem(severity=each.severity, path=named(each.path), message=named(each.message))
-            for each in made.problems
-        ],
+        problems=problems(made.problems),
+    )
+
+
+def _judged(folder: LabelFolder, labels: LabelJudgement, problems: list[FileProblem]) -> JudgedLabels:
+    scheme = labels.scheme
+    return JudgedLabels(
+        folder=folder,
+        scheme=None if scheme is None else scheme.name,
+        road=[] if scheme is None else sorted(scheme.road),
+        confusable=[] if scheme is None else sorted(scheme.confusable),
+        road_share=labels.road_share,
+        ground_share=labels.ground_share,
+        problems=problems,
     )

@@ -11,15 +11,20 @@ from app.http.problems import FileProblem
 from app.paths import BadNameError, check_path
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
-from interloc.drives.labels import named_scheme
+from interloc.drives.layouts import ScanFolder
 from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
-from interloc.drives.parts import ScanFolder
+from interloc.drives.scans.labels import named_scheme
 from interloc.errors import ConfigError
 
 Name = Annotated[
     str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
 ]
 MAX_SCANS = 1_000_000
+LabelCounts = Annotated[
+    dict[Annotated[int, Field(ge=0, le=65535)], Annotated[int, Field(ge=1, le=2**62)]], Field(max_length=65536)
+]
+"""Label id -> number of points that carry it."""
+
 DriveState = Literal["uploading", "checking", "ready"]
 
 
@@ -144,6 +149,11 @@ class PlanRequest(BaseModel):
     )
     label_folders: list[LabelFolder] = Field(["labels"], min_length=1, max_length=2)
     scan_folder: ScanFolder | None = Field(None, description="Where the scans lie; told from the small files if null.")
+    label_counts: dict[LabelFolder, LabelCounts] = Field(
+        {},
+        description="For each label folder, how many points of the scans `frames_to_look_into` carry each label id.",
+        examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
+    )
     options: DriveOptionsModel | None = Field(None, description="Those of the drive by default.")
     keyframes: KeyframeConfig | None = Field(
         default_factory=KeyframeConfig,
@@ -164,6 +174,20 @@ class PlanRequest(BaseModel):
         return self.scans
 
 
+class JudgedLabels(BaseModel):
+    """What the label ids of a folder mean."""
+
+    folder: LabelFolder
+    scheme: str | None = Field(description="Name of the label scheme; null where there is nothing to tell it from.")
+    road: list[int] = Field(description="Ids of road.")
+    confusable: list[int] = Field(description="Ids of sidewalk, parking and other ground.")
+    road_share: float | None = Field(description="Share of road among the points counted.")
+    ground_share: float | None = Field(
+        description="Share of road, sidewalk, parking and other ground among the points counted: what is to be sent."
+    )
+    problems: list[FileProblem] = Field(description="Errors, warnings and notes about these labels.")
+
+
 class ReductionPlanModel(BaseModel):
     """Which scans to send, and all that is known of the drive without them."""
 
@@ -176,8 +200,10 @@ class ReductionPlanModel(BaseModel):
     scans: int = Field(description="Number of all scans.")
     frames: list[int] = Field(description="Numbers of the scans to send.")
     frames_to_look_into: list[int] = Field(description="Numbers of the scans whose labels tell the label scheme.")
+    labels: list[JudgedLabels] = Field(description="What the label ids mean, for each folder of `label_counts`.")
     manifest: dict[str, Any] | None = Field(
-        description="reduced.json, to be completed with `labels`; null where the poses cannot be read."
+        description="reduced.json, to be completed with the label folders that `label_counts` left out; "
+        "null where the poses cannot be read."
     )
     problems: list[FileProblem]
 

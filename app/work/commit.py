@@ -20,17 +20,17 @@ from app.paths import is_map
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.drive import GroundPoints
-from interloc.drives.faults import DriveFileError, Findings, Problem
+from interloc.drives.findings import DriveFileError, Finding, Findings
 from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
-from interloc.drives.reduction.contents import GroundFiles
-from interloc.drives.reduction.manifest import MANIFEST, ground_path, is_reduced, read_manifest
-from interloc.drives.reduction.reduce import Reduction, label_folders_in, prepare_reduction
+from interloc.drives.scans.reduced import GroundFiles
+from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.errors import InterLocError
 from interloc.mapping.georeferencing import trajectory
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
+from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction
 
 PART_SCANS = 200
 MAX_PROBLEMS = 500
@@ -103,7 +103,7 @@ def finish(task: Task, plan: Plan) -> Outcome:
         return Outcome({"ok": report.ok}, report.to_dict())
     folders = [task.scratch / f"part-{part.number}" for part in plan.parts]
     problems = [
-        Problem("error", path, message)
+        Finding("error", path, message)
         for folder in folders
         for path, message in json.loads((folder / _PROBLEMS).read_text())
     ]
@@ -151,7 +151,7 @@ def check(task: Task) -> DriveReport:
     return first.model_copy(update={"path": name, "name": name, "problems": _tidied(problems, root, task.drive_name)})
 
 
-def _unknown_files(task: Task, problems: list[Problem]) -> list[Problem]:
+def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
     """Tell which files will not be kept because nothing reads them."""
     root = task.drive / "files"
     if task.request.get("keep_raw") or any(problem.severity == "error" for problem in problems):
@@ -166,7 +166,7 @@ def _unknown_files(task: Task, problems: list[Problem]) -> list[Problem]:
     if not unknown:
         return []
     names = ", ".join(unknown[:_SHOWN]) + (", ..." if len(unknown) > _SHOWN else "")
-    return [Problem("note", unknown[0], f"not needed, so not kept ({len(unknown):,} in all: {names}).")]
+    return [Finding("note", unknown[0], f"not needed, so not kept ({len(unknown):,} in all: {names}).")]
 
 
 def _known_files(task: Task) -> set[str]:
@@ -177,7 +177,7 @@ def _known_files(task: Task) -> set[str]:
     return {path.relative_to(root).as_posix() for path in _small_files(root)}
 
 
-def _tidied(problems: list[Problem], root: Path, name: str) -> list[Problem]:
+def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:
     """Sort problems, leave some of very many, and name the folder of the drive as its owner does."""
 
     def named(text: str) -> str:
@@ -185,21 +185,21 @@ def _tidied(problems: list[Problem], root: Path, name: str) -> list[Problem]:
 
     order = ("error", "warning", "note")
     problems = sorted(problems, key=lambda problem: order.index(problem.severity))
-    kept = [Problem(each.severity, named(each.path), named(each.message)) for each in problems[:MAX_PROBLEMS]]
+    kept = [Finding(each.severity, named(each.path), named(each.message)) for each in problems[:MAX_PROBLEMS]]
     if len(problems) > MAX_PROBLEMS:
-        kept.append(Problem("note", "", f"And {len(problems) - MAX_PROBLEMS:,} more problems."))
+        kept.append(Finding("note", "", f"And {len(problems) - MAX_PROBLEMS:,} more problems."))
     return kept
 
 
-def _with_errors(report: DriveReport, problems: list[Problem], task: Task) -> DriveReport:
+def _with_errors(report: DriveReport, problems: list[Finding], task: Task) -> DriveReport:
     every = list(dict.fromkeys([*problems, *report.problems]))
     return report.model_copy(update={"problems": _tidied(every, task.drive / "files", task.drive_name)})
 
 
-def _problems_of(error: InterLocError) -> list[Problem]:
+def _problems_of(error: InterLocError) -> list[Finding]:
     findings = Findings(stop_at_first=False)
     findings.error(error)
-    return findings.problems
+    return findings.found
 
 
 def _options(task: Task) -> Options:

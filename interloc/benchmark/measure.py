@@ -14,7 +14,7 @@ from interloc.benchmark.row import Cell, MapPicture, Point, Row
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
-from interloc.drives.noise import NoisyDrive
+from interloc.drives.label_errors import MislabelledDrive
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.robustness import parse_level
@@ -77,7 +77,7 @@ def measure(
         The drive is damaged, or does not fit its map.
     """
     r_fpr, r_fnr = parse_level(cell.noise)
-    source = NoisyDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
+    source = MislabelledDrive(drive, r_fpr, r_fnr, cell.seed) if r_fpr or r_fnr else drive
     _warm_up(source, config)
     began = time.process_time()
     result = detect(source, config, progress=progress)

@@ -13,7 +13,7 @@ from interloc.osm.policies import POLICIES, POLICY_HELP, TOLERANCE_HELP
 
 if TYPE_CHECKING:
     from interloc.config import DetectorConfig
-    from interloc.drives import Drive
+    from interloc.drive import Drive
     from interloc.osm.graph import RoadGraph
     from interloc.results import DriveResult
 
@@ -133,7 +133,7 @@ server_options = _together(
 
 def open_drive(drive: Path, options: dict[str, Any]) -> Drive:
     """Open a drive by the values of `drive_options`."""
-    from interloc.drives import open_drive as open_it
+    from interloc.drives.open import open_drive as open_it
 
     return open_it(drive, **options)
 

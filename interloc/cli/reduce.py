@@ -41,7 +41,7 @@ def command(
       interloc run small -o out --osm map.osm.gz
     """
     from interloc.config import DEFAULT
-    from interloc.drives.reduction.reduce import reduce_drive
+    from interloc.reduction.reduce import reduce_drive
 
     console.set_up_log(quiet=quiet)
     with console.progress("reduce", "scan", quiet=quiet) as bar:

@@ -50,7 +50,7 @@ def command(
     Example:
       interloc robustness sequences/07 -o out --osm map.osm.gz
     """
-    from interloc.drives import NoisyDrive
+    from interloc.drives.label_errors import MislabelledDrive
     from interloc.evaluation.evaluate import Evaluation, evaluate
     from interloc.evaluation.robustness import (
         parse_level,
@@ -72,7 +72,7 @@ def command(
     with atomic_folder(out, marker="robustness.json") as folder:
         for name, (r_fpr, r_fnr) in zip(names, shares, strict=True):
             with console.progress(name, "keyframe", quiet=quiet) as bar:
-                noisy = NoisyDrive(source, r_fpr, r_fnr, seed)
+                noisy = MislabelledDrive(source, r_fpr, r_fnr, seed)
                 result = detect(noisy, config, workers=workers, progress=bar)
             if graph is None:
                 graph = options.fetch_map(result, quiet=quiet)

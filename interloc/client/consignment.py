@@ -14,10 +14,10 @@ from interloc.config import DEFAULT, KeyframeConfig
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
-from interloc.drives.reduction.manifest import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
-from interloc.drives.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduce_scan
-from interloc.drives.scans import RawScans
+from interloc.drives.scans.raw import RawScans
+from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
 from interloc.errors import ConfigError, DriveError, InterLocError
+from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduce_scan
 
 _MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
 

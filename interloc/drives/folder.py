@@ -8,8 +8,8 @@ from typing import Protocol
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference, GroundPoints
-from interloc.drives.labels import LabelScheme
-from interloc.drives.parts import LayoutName
+from interloc.drives.options import LayoutName
+from interloc.drives.scans.labels import LabelScheme
 
 
 class GroundSource(Protocol):

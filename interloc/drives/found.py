@@ -9,11 +9,11 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.faults import Findings
+from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, GroundSource
-from interloc.drives.labels import LabelScheme
+from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
-from interloc.drives.parts import DriveParts
+from interloc.drives.scans.labels import LabelJudgement
 
 
 class Contents(Protocol):
@@ -36,7 +36,7 @@ class Contents(Protocol):
         ...
 
     def look_into_labels(self, found: Survey, options: DriveOptions, findings: Findings) -> None:
-        """Find the ids that occur in the sampled scans, and what they mean (`label_counts`, `scheme`)."""
+        """Find the ids that occur in the sampled scans, and what they mean (`labels`)."""
         ...
 
     def ground(self, found: Survey) -> GroundSource | None:
@@ -74,9 +74,8 @@ class Survey:
         Why there is none.
     drive : FolderDrive or None
         The drive, where its parts are all there.
-    scheme : LabelScheme or None
-    label_counts : dict of int to int
-        How many points of the sampled scans carry each id.
+    labels : LabelJudgement
+        Of the sampled scans.
     flatness_m : float or None
         Median difference in height of the same piece of road seen from two scans.
     georeference_error : float or None
@@ -96,7 +95,6 @@ class Survey:
     georeference: Georeference | None = None
     georeference_reason: str = "the drive has neither oxts/ nor geo.csv"
     drive: FolderDrive | None = None
-    scheme: LabelScheme | None = None
-    label_counts: dict[int, int] = field(default_factory=dict)
+    labels: LabelJudgement = field(default_factory=LabelJudgement)
     flatness_m: float | None = None
     georeference_error: float | None = None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from interloc.drives.faults import Findings, Problem
+from interloc.drives.findings import Finding, Findings
 from interloc.drives.found import Survey
 from interloc.drives.open import drive_options
 from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
@@ -82,7 +82,7 @@ class DriveReport(BaseModel):
         Median difference in height of the same road seen from two scans, at the worst place looked at.
     looked_into : int
         Number of scans whose contents were looked at.
-    problems : list of Problem
+    problems : list of Finding
         Errors first, then warnings and notes.
     """
 
@@ -116,7 +116,7 @@ class DriveReport(BaseModel):
     georeference_error: float | None = None
     flatness_m: float | None = None
     looked_into: int = 0
-    problems: list[Problem] = []
+    problems: list[Finding] = []
 
     @property
     def ok(self) -> bool:
@@ -164,7 +164,7 @@ def inspect_drive(
         path=str(root),
         name=found.contents.name if found.contents else name or root.absolute().name,
         layout=found.parts.layout if found.parts else None,
-        problems=sorted(findings.problems, key=lambda problem: order.index(problem.severity)),
+        problems=sorted(findings.found, key=lambda problem: order.index(problem.severity)),
         looked_into=len(found.sample),
         **({} if found.contents is None else found.contents.report(found)),
         **_motion(found),
@@ -191,16 +191,13 @@ def _motion(found: Survey) -> dict[str, Any]:
 
 def _labels(found: Survey) -> dict[str, Any]:
     """Report what the labels mean."""
-    labels: dict[str, Any] = {"label_scheme": found.scheme.name if found.scheme else None}
-    total = sum(found.label_counts.values())
-    if total and found.scheme is not None:
-        known = found.scheme.known
-        labels |= {
-            "label_ids": {label: found.label_counts[label] / total for label in sorted(found.label_counts)},
-            "road_share": sum(found.label_counts.get(label, 0) for label in found.scheme.road) / total,
-            "unknown_ids": [] if known is None else sorted(set(found.label_counts) - known),
-        }
-    return labels
+    labels = found.labels
+    return {
+        "label_scheme": labels.scheme.name if labels.scheme else None,
+        "label_ids": labels.id_shares if labels.scheme else {},
+        "road_share": labels.road_share,
+        "unknown_ids": labels.unknown_ids,
+    }
 
 
 def _georeference(found: Survey) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Collection
 from pathlib import Path
 
-from interloc.drives.faults import Findings
+from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.options import DriveOptions, LabelFolder, LayoutChoice, PoseFrame
 from interloc.drives.survey import survey
@@ -29,7 +29,7 @@ def open_drive(
     ----------
     path
         Folder of the drive: a SemanticKITTI / KITTI odometry sequence, a KITTI raw drive, or KITTI-360 scans with its
-        pose lines; or a reduced drive (`interloc.drives.reduction`).
+        pose lines; or a reduced drive (`interloc.drives.scans.reduced_format`).
     labels : {"labels", "predictions"}
         Folder of the labels.
     label_scheme

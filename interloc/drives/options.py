@@ -10,6 +10,7 @@ from interloc.errors import ConfigError
 
 LabelFolder = Literal["labels", "predictions"]
 PoseFrame = Literal["auto", "camera", "lidar"]
+LayoutName = Literal["semantickitti", "kitti_raw", "kitti360"]
 LayoutChoice = Literal["auto", "semantickitti", "kitti_raw", "kitti360"]
 LabelSchemeChoice = str | frozenset[int]
 """auto, semantickitti, learning, kitti360, or ids of road: a set, or a text such as "40,60"."""

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from interloc.drives.faults import Findings
+from interloc.drives.checks import check_flat_road, check_georeference, sample_indices
 from interloc.drives.files import shown
+from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
 from interloc.drives.found import Contents, Survey
-from interloc.drives.labels import SEMANTICKITTI, named_scheme
-from interloc.drives.layout import find_layout
+from interloc.drives.layouts import find_layout
 from interloc.drives.options import DriveOptions
-from interloc.drives.plausibility import check_flat_road, check_georeference, sample_indices
-from interloc.drives.raw import RawContents
-from interloc.drives.reduction.contents import ReducedContents
-from interloc.drives.reduction.manifest import is_reduced
-from interloc.drives.track import read_track
+from interloc.drives.scans.labels import SEMANTICKITTI, named_scheme
+from interloc.drives.scans.raw import RawContents
+from interloc.drives.scans.reduced import ReducedContents
+from interloc.drives.scans.reduced_format import is_reduced
+from interloc.drives.trajectory import read_track
 
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
@@ -71,7 +71,7 @@ def _assemble(found: Survey) -> FolderDrive | None:
         times_s=found.times_s,
         georeference=found.georeference,
         ground=ground,
-        scheme=found.scheme or SEMANTICKITTI,
+        scheme=found.labels.scheme or SEMANTICKITTI,
         pose_frame=found.pose_frame,
         pose_frame_reason=found.pose_frame_reason,
     )

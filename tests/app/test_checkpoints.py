@@ -21,9 +21,9 @@ from app.work.task import Cancelled, Part, Task
 from interloc.config import preset
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
-from interloc.drives.reduction.reduce import reduce_drive
 from interloc.errors import InterLocError, OutputError
 from interloc.pipeline import RangeResult
+from interloc.reduction.reduce import reduce_drive
 from tests.app.street import write_street
 
 REALS = st.floats(allow_nan=False, width=64)

@@ -18,7 +18,7 @@ import pytest
 
 from interloc.cli.main import run
 from interloc.config import KeyframeConfig
-from interloc.drives.reduction.reduce import reduce_drive
+from interloc.reduction.reduce import reduce_drive
 from tests.app.conftest import running_server
 from tests.app.street import write_street
 
@@ -385,6 +385,30 @@ def test_a_client_that_reduces_asks_what_to_send(client: httpx.Client, street: P
     gaps = client.post(f"{drive}/plan", json={"scans": [0, 1, 2, 10]}).json()
     assert "7 scans are missing between 0 and 10" in gaps["problems"][0]["message"]
     assert gaps["problems"][0]["severity"] == "error"
+
+
+def test_a_client_that_reduces_asks_what_its_labels_mean(client: httpx.Client, street: Path) -> None:
+    drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
+    assert client.put(f"{drive}/files/poses.txt", content=(street / "poses.txt").read_bytes()).status_code == 201
+    counts = {"labels": {"9": 50, "11": 30, "15": 20}, "predictions": {"70": 5}}
+    request = {"scans": {"first": 0, "last": 59}, "label_folders": list(counts), "label_counts": counts}
+    plan = client.post(f"{drive}/plan", json=request).json()
+    labels, predictions = plan["labels"]
+    (note,) = labels.pop("problems")
+    assert labels == {
+        "folder": "labels",
+        "scheme": "learning",
+        "road": [9],
+        "confusable": [10, 11, 12],
+        "road_share": 0.5,
+        "ground_share": 0.8,
+    }
+    assert note["severity"] == "note"
+    assert [(each["severity"], each["path"]) for each in predictions["problems"]] == [("error", "predictions")]
+    assert "no point of the scans looked at is road" in predictions["problems"][0]["message"]
+    assert [each["folder"] for each in plan["manifest"]["labels"]] == ["labels", "predictions"]
+    assert plan["manifest"]["labels"][0]["counts"] == counts["labels"]
+    assert client.post(f"{drive}/plan", json={**request, "label_counts": {"labels": {"65536": 1}}}).status_code == 422
 
 
 def test_a_plan_is_made_by_a_worker(client: httpx.Client, street: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
-from interloc.drives.fixes import poses_of
+from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.open import open_drive
 from interloc.geometry import rotation_from_rpy
 from interloc.pipeline import detect

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interloc.drives import open_drive
+from interloc.drives.open import open_drive
 
 FEW = ("--max-scans", 4, "--columns", 90)
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from interloc.drives.reduction.ground import decode_ground
+from interloc.drives.scans.reduced_format import decode_ground
 from tests.app.processes import ServerProcess, started, wait_until
 
 API = "/api/v1"

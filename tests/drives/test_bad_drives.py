@@ -9,9 +9,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from interloc.drives import open_drive
-from interloc.drives.faults import Findings
-from interloc.drives.plausibility import check_flat_road, check_georeference
+from interloc.drives.checks import check_flat_road, check_georeference
+from interloc.drives.findings import Findings
+from interloc.drives.open import open_drive
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.geometry import invert_transform
 

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from interloc.drives import DriveReport, inspect_drive
+from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.errors import ConfigError
 
 

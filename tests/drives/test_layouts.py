@@ -8,7 +8,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from interloc.drives import inspect_drive, open_drive
+from interloc.drives.inspect import inspect_drive
+from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interloc.drives import inspect_drive, open_drive
-from interloc.drives.faults import Findings
-from interloc.drives.plausibility import check_flat_road
-from interloc.drives.poses import read_poses
+from interloc.drives.checks import check_flat_road
+from interloc.drives.findings import Findings
+from interloc.drives.inspect import inspect_drive
+from interloc.drives.open import open_drive
+from interloc.drives.poses.lines import read_poses
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.geometry import invert_transform
 

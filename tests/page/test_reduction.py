@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
-from interloc.drives.labels import SEMANTICKITTI, guess_scheme, named_scheme
-from interloc.drives.reduction.ground import decode_ground
-from interloc.drives.scans import read_label_ids
+from interloc.drives.scans.labels import SEMANTICKITTI, guess_scheme, named_scheme
+from interloc.drives.scans.raw import read_label_ids
+from interloc.drives.scans.reduced_format import decode_ground
 from interloc.kernels.points import select_points
 
 NODE = shutil.which("node")

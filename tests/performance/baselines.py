@@ -15,7 +15,7 @@ from interloc.detection.candidates import Candidates, merge_until_stable
 from interloc.detection.centerline import Centerline
 from interloc.detection.image import BinaryImage
 from interloc.detection.refinement import refine
-from interloc.drives import open_drive
+from interloc.drives.open import open_drive
 
 ROAD_IDS = (40, 60)
 

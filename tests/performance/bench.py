@@ -35,8 +35,8 @@ from interloc.detection.candidates import harris_corners
 from interloc.detection.detector import Detector, Steps
 from interloc.detection.occupancy import infer_occupancy
 from interloc.drive import Drive, scans_of
-from interloc.drives import open_drive
 from interloc.drives.folder import FolderDrive
+from interloc.drives.open import open_drive
 from interloc.kernels.thinning import DELETABLE, thin
 from interloc.output.write import write_results
 from interloc.pipeline import detect

@@ -15,7 +15,6 @@ from app.store.database import Database
 from app.store.models import Drive, Job
 from interloc.config import preset
 from interloc.drives.open import open_drive
-from interloc.drives.reduction.reduce import reduce_drive
 from interloc.evaluation.coverage import drive_bounds
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
@@ -23,6 +22,7 @@ from interloc.osm.reader import read_osm
 from interloc.output.osm_roads import write_roads
 from interloc.output.write import write_results
 from interloc.pipeline import detect
+from interloc.reduction.reduce import reduce_drive
 from tests.app.conftest import running_server
 from tests.app.street import write_street
 

@@ -1,0 +1,199 @@
+"""Do labels, poses and georeference of a drive fit together? Judged from a few scans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from interloc.arrays import Float32Array, FloatArray, IntArray
+from interloc.drive import Georeference
+from interloc.drives.findings import DriveFileError, Findings, GeoreferenceFileError
+from interloc.drives.folder import FolderDrive
+from interloc.drives.georeference.geodetic import ecef_poses
+from interloc.geometry import invert_transform, rotation_angle
+
+MAX_STEP_M, MAX_STEP_SLOPE = 0.6, 0.02
+"""Allowed difference in height at no distance, and more for every metre between the scans. Real drives stay under 0.3 m
+(scans 20 m apart); with the poses of the camera the road climbs one metre with every metre driven."""
+
+MAX_TILT_RAD = np.radians(40.0)
+
+MAX_GEOREFERENCE_ERROR = 0.1
+"""Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
+
+_CELL_M = 1.0
+_RANGE_M = 25.0
+_PAIR_STEP_M = 6.0
+_FAR_M = 30.0
+_PLACES = 3
+
+
+def sample_indices(usable: IntArray, count: int) -> list[int]:
+    """Return some of many positions, evenly spread from the first to the last."""
+    if len(usable) <= count:
+        return [int(index) for index in usable]
+    return [int(usable[row]) for row in np.linspace(0, len(usable) - 1, count).round().astype(np.int64)]
+
+
+def check_flat_road(
+    drive: FolderDrive, usable: Sequence[int] | IntArray, pose_file: str, findings: Findings
+) -> float | None:
+    """Check that the road of neighbouring scans is one level surface: it is not if the poses are in another frame.
+
+    Parameters
+    ----------
+    usable : sequence of int
+        Positions of the scans that can be read.
+    pose_file : str
+        Name of the pose file in messages.
+
+    Returns
+    -------
+    float or None
+        Median difference in height of the road of two scans in the same cells, metres, at the worst place; None where
+        no two scans saw the same road.
+    """
+    position = drive.T_world_lidar[:, :3, 3]
+    steps: list[tuple[float, float, int, int]] = []  # in height, its share of what is allowed, the two scans
+    tilts: list[tuple[float, int]] = []
+    for i, j in _pairs(drive.T_world_lidar, np.asarray(usable, dtype=np.int64)):
+        with findings.stage():
+            here, there = _near(drive.ground_points(i).road), _near(drive.ground_points(j).road)
+            relative = invert_transform(drive.T_world_lidar[i]) @ drive.T_world_lidar[j]
+            tilt = _tilt(here)
+            if tilt is not None:
+                tilts.append((tilt, i))
+            step = _height_step(here, there @ relative[:3, :3].T + relative[:3, 3])
+            if step is not None:
+                distance = float(np.linalg.norm(position[j] - position[i]))
+                steps.append((step, step / (MAX_STEP_M + MAX_STEP_SLOPE * distance), i, j))
+    if steps:
+        step, share, i, j = max(steps, key=lambda pair: pair[1])
+        text = (
+            f"scans {drive.frames[i]} and {drive.frames[j]}, {np.linalg.norm(position[j] - position[i]):.1f} m apart, "
+            f"see the same road {step:.2f} m apart in height (usual: under 0.1 m). "
+        )
+        if np.median([pair[1] for pair in steps]) > 1:  # one bad place is a jump of the poses, most are a wrong frame
+            findings.error(DriveFileError(pose_file, f"the road is not flat: {text}{_dialect(drive)}"))
+        elif share > 1:
+            findings.warning(pose_file, f"the poses jump: {text}Usual cause: an outage of GNSS or odometry there.")
+    if tilts and min(tilts)[0] > MAX_TILT_RAD:
+        tilt, i = min(tilts)
+        findings.error(
+            DriveFileError(
+                drive.ground.name(int(drive.frames[i])),
+                f"its road is tilted by {np.degrees(tilt):.0f} degrees against the sensor. Expected points "
+                "of a LiDAR with x forward, y left, z up. Usual cause: points in the frame of the camera, or labels of "
+                "another scan.",
+            )
+        )
+    return max(step for step, *_ in steps) if steps else None
+
+
+def _dialect(drive: FolderDrive) -> str:
+    """Say how the poses were read, and what else they may be."""
+    if drive.pose_frame == "oxts":
+        return "Poses were taken from OXTS. Usual cause: OXTS of another drive, or angles in another convention."
+    other = "lidar" if drive.pose_frame == "camera" else "camera"
+    return (
+        f"Poses were read as {drive.pose_frame} poses: {drive.pose_frame_reason}. Usual cause: a wrong pose dialect "
+        f"(try pose frame {other!r}), a calib.txt of another vehicle, inverted poses, or scans of another drive."
+    )
+
+
+def _pairs(poses: FloatArray, usable: IntArray) -> list[tuple[int, int]]:
+    """Choose pairs of scans some metres apart: at places spread over the drive, and where it turns most."""
+    if len(usable) < 2:
+        return []
+    position = poses[usable, :3, 3]
+    steps = [0]
+    for row in range(1, len(usable)):
+        if np.linalg.norm(position[row] - position[steps[-1]]) >= _PAIR_STEP_M:
+            steps.append(row)
+    if len(steps) < 2:
+        return [(int(usable[0]), int(usable[-1]))]
+    candidates = [
+        (int(usable[a]), int(usable[b]))
+        for a, b in pairwise(steps)
+        if np.linalg.norm(position[b] - position[a]) < _FAR_M
+    ]
+    if not candidates:
+        return []
+    spread = [candidates[row] for row in np.linspace(0, len(candidates) - 1, _PLACES).round().astype(int)]
+    turned = max(candidates, key=lambda pair: rotation_angle(poses[pair[0], :3, :3], poses[pair[1], :3, :3]))
+    return sorted({*spread, turned})
+
+
+def _near(road: Float32Array) -> FloatArray:
+    """Return the road points around the sensor, where heights are sure."""
+    return road[np.hypot(road[:, 0], road[:, 1]) < _RANGE_M].astype(np.float64)
+
+
+def _height_step(a: FloatArray, b: FloatArray) -> float | None:
+    """Return the median difference in height of two (N, 3) sets of points in the cells that both cover, or None."""
+    if not len(a) or not len(b):
+        return None
+    (cells_a, heights_a), (cells_b, heights_b) = _cell_heights(a), _cell_heights(b)
+    _, at_a, at_b = np.intersect1d(cells_a, cells_b, assume_unique=True, return_indices=True)
+    if len(at_a) < 5:
+        return None
+    return float(np.median(np.abs(heights_a[at_a] - heights_b[at_b])))
+
+
+def _cell_heights(points: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the cells that hold at least three of (N, 3) points, and the mean height of each."""
+    column, row = np.floor(points[:, :2] / _CELL_M).astype(np.int64).T
+    cells, member, count = np.unique(column * (1 << 32) + row, return_inverse=True, return_counts=True)
+    enough = count >= 3
+    return cells[enough], (np.bincount(member, weights=points[:, 2]) / count)[enough]
+
+
+def _tilt(points: FloatArray) -> float | None:
+    """Return the angle between the plane of (N, 3) points and the x-y plane, radians; None for too few or a line."""
+    if len(points) < 50:
+        return None
+    centred = points - points.mean(axis=0)
+    values, vectors = np.linalg.eigh(centred.T @ centred / len(points))
+    if values[1] < 1.0:  # a strip under a metre wide has no sure plane
+        return None
+    return float(np.arccos(min(1.0, abs(vectors[2, 0]))))
+
+
+def check_georeference(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:
+    """Check that the georeference tells the same motion as the poses, piece by piece (drift does not matter).
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        T_world_lidar.
+
+    Returns
+    -------
+    float or None
+        Median error of the motion over pieces of some metres, as a share of their length; None where it hardly moves.
+    """
+    rows = [0]
+    for row in range(1, len(poses)):
+        if np.linalg.norm(poses[row, :3, 3] - poses[rows[-1], :3, 3]) >= 10.0:
+            rows.append(row)
+    if len(rows) < 2:
+        return None
+    errors = []
+    ecef = ecef_poses(georeference)[rows]
+    for a, b, ecef_a, ecef_b in zip(rows[:-1], rows[1:], ecef[:-1], ecef[1:], strict=True):
+        ours = (poses[b, :3, 3] - poses[a, :3, 3]) @ poses[a, :3, :3]
+        theirs = (ecef_b[:3, 3] - ecef_a[:3, 3]) @ ecef_a[:3, :3]
+        errors.append(float(np.linalg.norm(theirs - ours) / np.linalg.norm(ours)))
+    error = float(np.median(errors))
+    if error > MAX_GEOREFERENCE_ERROR:
+        findings.error(
+            GeoreferenceFileError(
+                georeference.source,
+                f"tells another motion than the poses: off by {error:.0%} of the way, piece by piece "
+                "(usual: under 2 %). Usual cause: the georeference of another drive, rows that start at another frame, "
+                "or angles in another convention (expected: yaw 0 = east, counter-clockwise, radians).",
+            )
+        )
+    return error

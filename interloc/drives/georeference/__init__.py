@@ -1,0 +1,1 @@
+"""Georeference of a drive: OXTS (GNSS/INS of KITTI) and geo.csv."""

@@ -1,0 +1,170 @@
+"""Georeference of the LiDAR at every scan: OXTS (GNSS/INS of KITTI) or geo.csv."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.drive import Georeference
+from interloc.drives.files import shown
+from interloc.drives.findings import GeoreferenceFileError
+from interloc.drives.georeference.geo_csv import read_geo_csv
+from interloc.drives.georeference.oxts import raw_offset, read_oxts_folder, read_oxts_rows
+from interloc.drives.layouts import DriveParts
+from interloc.drives.poses.calibration import (
+    IMU_CALIBRATION,
+    KITTI_T_VELO_IMU,
+    locate_imu_calibration,
+    read_imu_calibration,
+)
+from interloc.errors import DriveError
+from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_rpy
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class GeoreferenceFiles:
+    """Where a georeference lies on disk.
+
+    Attributes
+    ----------
+    kind : {"geo", "folder", "rows"}
+        A geo.csv, a folder with one OXTS file a frame, or a file with one OXTS row a frame.
+    path : Path
+    first : int
+        Number of the OXTS file of frame 0.
+    imu_calibration : Path or None
+        The calib_imu_to_velo.txt that goes with OXTS.
+    """
+
+    kind: Literal["geo", "folder", "rows"]
+    path: Path
+    first: int = 0
+    imu_calibration: Path | None = None
+
+
+def locate_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -> GeoreferenceFiles | None:
+    """Find the files of the georeference of a drive, without reading them.
+
+    Parameters
+    ----------
+    parts : DriveParts
+    frames : (N,) int64
+        Scan numbers.
+    given : Path or None
+        A georeference from elsewhere (file with a row a frame, KITTI raw drive, geo.csv); it comes first.
+
+    Returns
+    -------
+    GeoreferenceFiles or None
+        None where the drive has none.
+
+    Raises
+    ------
+    GeoreferenceError
+        The given one does not exist, or belongs to another sequence.
+    """
+    if given is not None:
+        return _locate_given(given, parts, frames)
+    if parts.geo is not None:
+        return GeoreferenceFiles("geo", parts.geo)
+    if parts.oxts is None:
+        return None
+    imu = locate_imu_calibration(parts)
+    if parts.oxts.is_file():
+        return GeoreferenceFiles("rows", parts.oxts, imu_calibration=imu)
+    return GeoreferenceFiles("folder", _data_folder(parts.oxts), imu_calibration=imu)
+
+
+def read_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -> Georeference | None:
+    """Read the georeference of a drive; parameters as of `locate_georeference`.
+
+    Raises
+    ------
+    GeoreferenceError
+        It is damaged, has no fix for a scan, or belongs to another sequence.
+    """
+    files = locate_georeference(parts, frames, given)
+    if files is None:
+        return None
+    root, name = parts.root, shown(files.path, parts.root)
+    try:
+        if files.kind == "geo":
+            return read_geo_csv(files.path, root, frames)
+        if files.kind == "rows":
+            rows = read_oxts_rows(files.path, root, frames)
+        else:
+            rows = read_oxts_folder(files.path, root, frames + files.first)
+        return georeference_of_lidar(rows, _lever_arm(parts, files.imu_calibration), name)
+    except GeoreferenceFileError:
+        raise
+    except DriveError as error:
+        path, message = error.args if len(error.args) == 2 else ("", str(error))
+        raise GeoreferenceFileError(path, message) from error
+
+
+def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> GeoreferenceFiles:
+    """Find the files of a georeference that was named by the user."""
+    if not given.exists():
+        raise GeoreferenceFileError(
+            shown(given, parts.root), "does not exist. Expected a KITTI raw drive, a file of OXTS rows, or a geo.csv."
+        )
+    if given.is_dir():
+        if (given / "geo.csv").is_file() and not (given / "oxts").exists():
+            return GeoreferenceFiles("geo", given / "geo.csv")
+        folder = _data_folder(given / "oxts" if (given / "oxts").is_dir() else given)
+        first = raw_offset(given, parts.drive_name, frames)
+        return GeoreferenceFiles("folder", folder, first, _imu_calibration_near(given, parts))
+    if given.name.endswith((".csv", ".csv.gz")):
+        return GeoreferenceFiles("geo", given)
+    near = given.absolute().parent
+    return GeoreferenceFiles("rows", given, imu_calibration=_imu_calibration_near(near, parts))
+
+
+def _imu_calibration_near(folder: Path, parts: DriveParts) -> Path | None:
+    """Return the calibration beside a georeference from elsewhere, or else that of the drive."""
+    beside = (folder / IMU_CALIBRATION, folder.absolute().parent / IMU_CALIBRATION)
+    return next((path for path in beside if path.is_file()), None) or locate_imu_calibration(parts)
+
+
+def _data_folder(folder: Path) -> Path:
+    """Return the folder of OXTS files in oxts/ (itself, or its data/)."""
+    return folder / "data" if (folder / "data").is_dir() else folder
+
+
+def _lever_arm(parts: DriveParts, path: Path | None) -> tuple[FloatArray, str]:
+    """Return T_lidar_imu and where it came from."""
+    if path is not None:
+        return read_imu_calibration(path, parts.root), f"lever arm of {shown(path, parts.root)}"
+    _log.info("%s: no calib_imu_to_velo.txt; the lever arm that KITTI publishes is used", parts.root.name)
+    return KITTI_T_VELO_IMU, "lever arm as published by KITTI"
+
+
+def georeference_of_lidar(rows: FloatArray, lever_arm: tuple[FloatArray, str], name: str) -> Georeference:
+    """Move fixes of the IMU to the LiDAR.
+
+    Parameters
+    ----------
+    rows : (N, 30) float64
+        OXTS: latitude, longitude in degrees, altitude in metres, roll, pitch, yaw of the IMU in radians, ...
+    lever_arm : tuple of (4, 4) float64 and str
+        T_lidar_imu and where it came from.
+    name : str
+        Source of the rows.
+    """
+    T_lidar_imu, arm_source = lever_arm
+    T_imu_lidar = invert_transform(T_lidar_imu)
+    R_enu_imu = rotation_from_rpy(rows[:, 3], rows[:, 4], rows[:, 5])
+    offset = R_enu_imu @ T_imu_lidar[:3, 3]
+    lonlat = lonlat_from_enu(rows[:, 0], rows[:, 1], offset[:, :2])
+    return Georeference(
+        lat_deg=lonlat[:, 1].copy(),
+        lon_deg=lonlat[:, 0].copy(),
+        alt_m=rows[:, 2] + offset[:, 2],
+        R_enu_lidar=R_enu_imu @ T_imu_lidar[:3, :3],
+        source=f"{name}, {arm_source}",
+    )

@@ -1,0 +1,209 @@
+"""The layouts of drives: where their scans, labels, poses, times, calibration and georeference lie.
+
+A new layout of folders is a function here, and its line in `_LAYOUTS`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+from interloc.drives.findings import DriveFileError
+from interloc.drives.options import DriveOptions, LayoutName
+from interloc.drives.poses.lines import INDEXED_LENGTHS
+
+PoseOwner = Literal["camera", "lidar", "imu", "oxts"]
+"""Whose poses a drive has; those of OXTS are the LiDAR's, taken from the georeference."""
+
+ScanFolder = Literal["velodyne", "velodyne_points/data"]
+SCAN_FOLDERS: tuple[ScanFolder, ...] = ("velodyne", "velodyne_points/data")
+"""Where the layouts have their scans."""
+
+
+@dataclass(frozen=True)
+class DriveParts:
+    """Files and folders of a drive, as its layout names them; they are not looked into yet.
+
+    Attributes
+    ----------
+    layout : {"semantickitti", "kitti_raw", "kitti360"}
+    root : Path
+        Folder of the drive.
+    scans, labels : Path
+        Folders of .bin and .label files.
+    poses : Path or None
+        Pose lines; None where the poses come from OXTS.
+    times : Path or None
+        Seconds, or date and time, one line per frame.
+    calibration : tuple of Path
+        Calibration files, or folders that they may lie in, the nearest first.
+    oxts, geo : Path or None
+        Georeference of the drive: folder of OXTS files or file of OXTS rows; geo.csv.
+    name : str
+        Of the drive, where it is not that of the folder.
+    pose_frame : tuple of str and str, or None
+        Whose poses the pose file holds, and why, where that was found out before.
+    """
+
+    layout: LayoutName
+    root: Path
+    scans: Path
+    labels: Path
+    poses: Path | None
+    times: Path | None
+    calibration: tuple[Path, ...]
+    oxts: Path | None
+    geo: Path | None
+    name: str = ""
+    pose_frame: tuple[PoseOwner, str] | None = None
+
+    @property
+    def drive_name(self) -> str:
+        """Name of the drive."""
+        return self.name or self.root.absolute().name
+
+
+def _semantickitti(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
+    """SemanticKITTI and KITTI odometry: velodyne/, labels/ or predictions/, poses.txt, calib.txt."""
+    if "velodyne" not in scan_folders:
+        return None
+    return DriveParts(
+        layout="semantickitti",
+        root=root,
+        scans=root / "velodyne",
+        labels=root / labels,
+        poses=root / "poses.txt",
+        times=_existing(root / "times.txt"),
+        calibration=(root,),
+        oxts=_existing(root / "oxts"),
+        geo=_existing(root / "geo.csv"),
+    )
+
+
+def _kitti_raw(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
+    """KITTI raw: velodyne_points/data/, oxts/data/, calibration beside or one folder above."""
+    if "velodyne_points/data" not in scan_folders:
+        return None
+    return DriveParts(
+        layout="kitti_raw",
+        root=root,
+        scans=root / "velodyne_points" / "data",
+        labels=root / labels,
+        poses=_existing(root / "poses.txt"),
+        times=_existing(root / "velodyne_points" / "timestamps.txt", root / "oxts" / "timestamps.txt"),
+        calibration=(root, root.absolute().parent),
+        oxts=_existing(root / "oxts"),
+        geo=_existing(root / "geo.csv"),
+    )
+
+
+def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
+    """KITTI-360: pose lines that start with the frame number, those of the left camera or of the IMU (poses.txt)."""
+    scans = next((root / folder for folder in SCAN_FOLDERS if folder in scan_folders), None)
+    poses = _existing(root / "poses.txt", root / "cam0_to_world.txt")
+    if scans is None or poses is None or _fields_of_first_line(poses) not in INDEXED_LENGTHS:
+        return None
+    above = root.absolute().parent
+    return DriveParts(
+        layout="kitti360",
+        root=root,
+        scans=scans,
+        labels=root / labels,
+        poses=poses,
+        times=_existing(root / "times.txt", scans.parent / "timestamps.txt"),
+        calibration=(root, root / "calibration", above, above / "calibration", above.parent / "calibration"),
+        oxts=_existing(root / "oxts"),
+        geo=_existing(root / "geo.csv"),
+    )
+
+
+def _existing(*paths: Path) -> Path | None:
+    """Return the first path that exists."""
+    return next((path for path in paths if path.exists()), None)
+
+
+def _fields_of_first_line(path: Path) -> int:
+    """Count the numbers of the first line; 0 where it cannot be read (its reader will say why)."""
+    try:
+        with path.open("rb") as file:
+            return len(file.readline(4096).split())
+    except OSError:
+        return 0
+
+
+_Find = Callable[[Path, str, Collection[str]], DriveParts | None]
+_LAYOUTS: dict[LayoutName, tuple[_Find, str]] = {  # the first that fits, in this order
+    "kitti360": (  # the others know nothing of frame numbers in pose lines
+        _kitti360,
+        "velodyne/ or velodyne_points/data/ with pose lines that start with the frame number (KITTI-360)",
+    ),
+    "semantickitti": (
+        _semantickitti,
+        "velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI, KITTI odometry)",
+    ),
+    "kitti_raw": (_kitti_raw, "velodyne_points/data/0000000000.bin, oxts/data/0000000000.txt (KITTI raw)"),
+}
+
+_USUAL_MISTAKES: tuple[tuple[str, str], ...] = (
+    (r"ground", "It is a reduced drive without its reduced.json, which is written last: reduce or send it again. "),
+    (r"sequences", "It is the root of a data set: give one sequence, such as sequences/00. "),
+    (r"\d\d", "It holds sequences: give one of them, such as 00. "),
+    (r".*_sync", "It holds drives: give one of them (..._sync). "),
+    (r".*\.bin", "It holds the scans themselves: give the folder above it. "),
+    (r".*\.label", "It holds labels: give the folder above it. "),
+    (r".*\.(zip|tar|tgz|tar\.\w+)", "It holds an archive: unpack it first. "),
+)
+
+
+def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts:
+    """Detect the layout of a drive folder and find its parts.
+
+    Parameters
+    ----------
+    announced : str or None
+        Folder of the scans where they are still to come.
+
+    Raises
+    ------
+    DriveError
+        There is no such folder, it is not a drive, or it could be two.
+    """
+    name = str(root)
+    if not root.exists():
+        raise DriveFileError(name, "does not exist. Expected the folder of one drive.")
+    if not root.is_dir():
+        raise DriveFileError(
+            name, "is a file. Expected the folder of one drive; unpack an archive first, and give the folder."
+        )
+    inside = {entry.name for entry in root.iterdir()}
+    if not inside and announced is None:
+        raise DriveFileError(name, f"is an empty folder. Expected {_LAYOUTS['semantickitti'][1]}.")
+    parts = _choose(root, inside, options, announced)
+    return parts if options.name is None else replace(parts, name=options.name)
+
+
+def _choose(root: Path, inside: set[str], options: DriveOptions, announced: ScanFolder | None) -> DriveParts:
+    """Return the parts under the one layout that fits."""
+    name = str(root)
+    scan_folders = {folder for folder in SCAN_FOLDERS if folder == announced or (root / folder).is_dir()}
+    if options.layout != "auto":
+        find, expected = _LAYOUTS[options.layout]
+        chosen = find(root, options.labels, scan_folders)
+        if chosen is None:
+            raise DriveFileError(name, f"is not of layout {options.layout}. Expected {expected}.")
+        return chosen
+    if announced is None and "velodyne" in inside and "velodyne_points" in inside:
+        raise DriveFileError(
+            name,
+            "holds both velodyne/ (KITTI odometry) and velodyne_points/ (KITTI raw), so it could be two drives. "
+            "Name the layout (semantickitti or kitti_raw), or remove one.",
+        )
+    for find, _ in _LAYOUTS.values():
+        if (parts := find(root, options.labels, scan_folders)) is not None:
+            return parts
+    usual = next((text for pattern, text in _USUAL_MISTAKES if any(re.fullmatch(pattern, each) for each in inside)), "")
+    expected = ", or ".join(_LAYOUTS[layout][1] for layout in get_args(LayoutName))
+    raise DriveFileError(name, f"is not a drive. {usual}Expected {expected}.")

@@ -1,0 +1,213 @@
+"""Whose poses a pose file holds: those of the camera (KITTI) or of the LiDAR (most LiDAR odometries).
+
+A vehicle moves where it looks. In the frame of a camera (x right, y down, z forward) it moves along z and turns about
+y; in that of a LiDAR (x forward, y left, z up) it moves along x and turns about z. Hills do not matter: the
+vehicle, and its sensors with it, pitches along.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.drives.files import shown
+from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.layouts import DriveParts, PoseOwner
+from interloc.drives.options import PoseFrame
+from interloc.drives.poses.calibration import find_camera_calibration, find_camera_to_pose
+from interloc.drives.poses.motion import MIN_MOTION_M, TURNED_RAD, body_motion
+from interloc.geometry import invert_transform
+
+Frame = Literal["camera", "lidar", "imu"]
+
+_CLEAR = 0.65
+_STEADY = 0.8
+_ENOUGH_M = 20.0
+
+
+def guess_frame(poses: FloatArray) -> tuple[Frame | None, str]:
+    """Guess whose poses these are.
+
+    Parameters
+    ----------
+    poses : (P, 4, 4) float64
+        T_world_body, as they stand in the file.
+
+    Returns
+    -------
+    {"camera", "lidar"} or None
+        None where the motion does not tell.
+    str
+        Why.
+    """
+    motion = body_motion(poses)
+    if motion is None:
+        return None, f"the vehicle moves less than {MIN_MOTION_M:g} m, which does not tell camera from LiDAR"
+    if motion.along[2] > _CLEAR:
+        return "camera", f"{motion.describe()}, as a camera that looks ahead (z forward, y down)"
+    if motion.along[2] < 1 - _CLEAR:
+        return "lidar", f"{motion.describe()}, as a LiDAR (x forward, z up)"
+    if motion.turned_rad > TURNED_RAD and motion.turning_axis in "yz":
+        frame: Frame = "camera" if motion.turning_axis == "y" else "lidar"
+        return (
+            frame,
+            f"it turns about its {motion.turning_axis} axis, as a {'camera' if frame == 'camera' else 'LiDAR'}",
+        )
+    return None, f"{motion.describe()}, which fits neither a camera nor a LiDAR"
+
+
+def to_lidar(
+    poses: FloatArray, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
+) -> tuple[FloatArray, PoseOwner, str]:
+    """Turn the poses of a file into those of the LiDAR.
+
+    Parameters
+    ----------
+    poses : (P, 4, 4) float64
+        As they stand in the file.
+    parts : DriveParts
+        Where calibrations are looked for, and whose poses these are where that is settled.
+    pose_file : str
+        Its name in messages.
+    declared : {"auto", "camera", "lidar"}
+    findings : Findings
+        Gets the doubts about the guess.
+
+    Returns
+    -------
+    (P, 4, 4) float64
+        Poses of the LiDAR in the world of the file.
+    {"camera", "lidar", "imu"}
+        Whose poses the file holds.
+    str
+        Why that is thought.
+
+    Raises
+    ------
+    DriveError
+        The poses are inverted, the declared frame contradicts the motion, or the calibration that is needed is missing
+        or does not fit.
+    """
+    _look_for_inverted(poses, pose_file, findings)
+    owner: PoseOwner
+    if parts.pose_frame is None:
+        owner, why = _decide(poses, parts, pose_file, declared, findings)
+    else:
+        owner, why = parts.pose_frame
+        if declared not in {"auto", owner}:
+            raise DriveFileError(pose_file, _settled(declared, owner, why))
+    if owner == "camera":
+        return _from_camera(poses, parts, pose_file, why), owner, why
+    if owner == "imu":
+        return _from_imu(poses, parts, pose_file), owner, why
+    return poses, owner, why
+
+
+def _decide(
+    poses: FloatArray, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
+) -> tuple[Frame, str]:
+    """Return whose poses these are, and why."""
+    guess, why = guess_frame(poses)
+    if declared != "auto":
+        if guess is not None and guess != declared:
+            raise DriveFileError(pose_file, _contradiction(declared, guess, why))
+        return declared, f"declared so ({why})"
+    if guess is None:
+        has_calibration = find_camera_calibration(parts) is not None
+        guess = "camera" if has_calibration else "lidar"
+        calibration = "there is a camera calibration" if has_calibration else "there is no camera calibration"
+        why = f"{why}; {calibration}, so they are taken for {guess} poses"
+        findings.note(pose_file, f"{why}. Name the pose frame (camera or lidar) if that is wrong.")
+    if guess == "lidar" and parts.layout == "kitti360" and _points_down(poses):
+        return "imu", f"{why}, but its z axis points down, as KITTI-360's IMU"
+    return guess, why
+
+
+def _look_for_inverted(poses: FloatArray, pose_file: str, findings: Findings) -> None:
+    """Refuse poses of the world in the vehicle: they move in ever other directions, and their inverses do not."""
+    motion = body_motion(poses)
+    if motion is None or motion.distance_m < _ENOUGH_M:
+        return
+    inverse = body_motion(invert_transform(poses))
+    if inverse is not None and motion.steadiness < _STEADY and inverse.steadiness > max(0.9, motion.steadiness + 0.1):
+        raise DriveFileError(
+            pose_file,
+            "holds inverted poses: read as they are, the vehicle slides sideways through its turns; inverted, it "
+            "drives straight ahead. Expected the pose of the sensor in the world (p_world = T p_sensor). "
+            "Usual cause: transforms from the world to the sensor; invert each.",
+        )
+    if motion.forward < -_STEADY:
+        findings.warning(
+            pose_file,
+            f"the vehicle drives backwards: along -{motion.axis} of its own frame. "
+            "Usual cause: inverted poses, or a sensor that is mounted backwards.",
+        )
+
+
+def _contradiction(declared: Frame, guess: Frame, why: str) -> str:
+    """Say that the declared frame does not fit."""
+    usual = {
+        "lidar": "poses.txt of KITTI and SemanticKITTI, which are camera poses (those of kiss-icp are not)",
+        "camera": "poses of a LiDAR odometry, or poses that were already multiplied by the calibration",
+    }[declared]
+    return (
+        f"declared as poses of the {_device(declared)} (pose frame {declared!r}), but they are those of the "
+        f"{_device(guess)}: {why}. "
+        f"Give pose frame 'auto' or {guess!r}. Usual cause: {usual}."
+    )
+
+
+def _settled(declared: PoseFrame, owner: PoseOwner, why: str) -> str:
+    """Say that a reduced drive cannot be read otherwise than it was made."""
+    return (
+        f"declared as poses of the {_device(declared)} (pose frame {declared!r}), but the drive was reduced with them "
+        f"as those of the {_device(owner)} ({why}), and its scans were chosen accordingly. "
+        f"Give pose frame 'auto', or reduce the drive again with pose frame {declared!r}."
+    )
+
+
+def _device(frame: str) -> str:
+    """Name the device of a frame."""
+    return {"camera": "camera", "lidar": "LiDAR", "imu": "IMU"}[frame]
+
+
+def _from_camera(poses: FloatArray, parts: DriveParts, pose_file: str, why: str) -> FloatArray:
+    """Return the LiDAR poses of camera poses: T_world_lidar = P Tr."""
+    found = find_camera_calibration(parts)
+    if found is None:
+        raise DriveFileError(
+            pose_file,
+            f"holds camera poses ({why}), and there is no calib.txt to turn them into LiDAR poses. "
+            "Put the calib.txt of the sequence beside poses.txt (its line 'Tr:' is needed), "
+            "or give pose frame 'lidar' if they are the LiDAR's after all.",
+        )
+    path, T_cam_lidar = found
+    lidar = poses @ T_cam_lidar
+    before, after = body_motion(poses), body_motion(lidar)
+    if before is not None and after is not None and before.axis == "z" and after.axis != "x":
+        raise DriveFileError(
+            shown(path, parts.root),
+            f"does not lead from the LiDAR to the camera: with it the LiDAR moves along its {after.axis} axis, not x. "
+            "Expected 'Tr' that maps points of the LiDAR (x forward, z up) into the camera (z forward, y down). "
+            "Usual cause: the inverse transform, or an identity as a placeholder.",
+        )
+    return lidar
+
+
+def _from_imu(poses: FloatArray, parts: DriveParts, pose_file: str) -> FloatArray:
+    """Return the LiDAR poses of KITTI-360's IMU poses: T_world_lidar = P T_imu_cam T_cam_lidar."""
+    camera, to_pose = find_camera_calibration(parts), find_camera_to_pose(parts)
+    if camera is None or to_pose is None:
+        raise DriveFileError(
+            pose_file,
+            "holds poses of KITTI-360's IMU (x forward, z down), and no calibration leads from there to the LiDAR. "
+            "Put calib_cam_to_velo.txt and calib_cam_to_pose.txt of KITTI-360 beside it.",
+        )
+    return poses @ to_pose[1] @ camera[1]
+
+
+def _points_down(poses: FloatArray) -> bool:
+    """Say whether the z axis of the body points down in the world of the file."""
+    return float(np.median(poses[:, 2, 2])) < -0.7

@@ -1,0 +1,173 @@
+"""Pose lines: 12 or 16 numbers, with or without the frame number in front."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.drives.files import MAX_NUMBER, numbers_of, read_text, shown
+from interloc.drives.findings import DriveFileError
+
+INDEXED_LENGTHS = (13, 17)
+"""Numbers a line that starts with a frame number."""
+
+_LENGTHS = (12, 13, 16, 17)
+_ORTHONORMAL = 1e-3
+_MAX_FRAME = 10**15
+
+
+@dataclass(frozen=True)
+class PoseLines:
+    """The poses of a file.
+
+    Attributes
+    ----------
+    poses : (P, 4, 4) float64
+        Rigid transforms from the frame of the file (camera, LiDAR or IMU) into its world, metres.
+    frames : (P,) int64 or None
+        Frame number of each, ascending, where the lines carry it; else line i belongs to frame i.
+    """
+
+    poses: FloatArray
+    frames: IntArray | None
+
+
+def read_poses(path: Path, root: Path) -> PoseLines:
+    """Read and check pose lines.
+
+    Raises
+    ------
+    DriveError
+        A line has another count of numbers than 12, 13, 16 or 17 or than the first, a number is not finite or absurd,
+        a rotation is none, or a frame number comes twice.
+    """
+    if not path.exists():
+        raise DriveFileError(
+            shown(path, root),
+            "is missing. Expected one line of 12 numbers a scan: the pose of the camera (KITTI) or of the LiDAR "
+            "(kiss-icp and others). For KITTI odometry it comes with the labels of SemanticKITTI.",
+        )
+    rows, lines = _read_rows(path, root)
+    values = np.array(rows, dtype=np.float64)
+    frames = None
+    if values.shape[1] in INDEXED_LENGTHS:
+        frames, values = _split_frames(values, lines, path, root), values[:, 1:]
+    poses = np.tile(np.eye(4), (len(values), 1, 1))
+    poses[:, :3, :] = values[:, :12].reshape(-1, 3, 4)
+    if values.shape[1] == 16 and (wrong := np.abs(values[:, 12:] - (0, 0, 0, 1)).max(axis=1) > _ORTHONORMAL).any():
+        line = lines[int(np.argmax(wrong))]
+        raise DriveFileError(
+            shown(path, root),
+            f"line {line}: the last four of 16 numbers are not 0 0 0 1. Expected a 4x4 matrix, row by row. "
+            "Usual cause: a matrix written column by column.",
+        )
+    large = np.abs(poses[:, :3, 3]).max(axis=1) > MAX_NUMBER
+    if large.any():
+        line = lines[int(np.argmax(large))]
+        raise DriveFileError(
+            shown(path, root),
+            f"line {line}: a position is more than {MAX_NUMBER / 1000:,.0f} km from the origin. Expected metres. "
+            "Usual cause: millimetres, or an odometry that diverged.",
+        )
+    proper, bad_row = orthonormalised(poses)
+    if bad_row is not None:
+        raise DriveFileError(shown(path, root), f"line {lines[bad_row]}: {rotation_complaint(poses[bad_row, :3, :3])}")
+    if frames is not None:
+        order = np.argsort(frames, kind="stable")
+        return PoseLines(proper[order], frames[order])
+    return PoseLines(proper, None)
+
+
+def orthonormalised(poses: FloatArray) -> tuple[FloatArray, int | None]:
+    """Bring nearly proper rotations to SO(3).
+
+    Parameters
+    ----------
+    poses : (P, 4, 4) float64
+
+    Returns
+    -------
+    (P, 4, 4) float64
+        With the nearest proper rotations.
+    int or None
+        The first row whose rotation is further than 1e-3 from orthonormal, or mirrors; None where all are fine.
+    """
+    rotation = poses[:, :3, :3]
+    gram = np.einsum("nji,njk->nik", rotation, rotation)
+    wrong = (np.abs(gram - np.eye(3)).max(axis=(1, 2)) > _ORTHONORMAL) | (np.linalg.det(rotation) < 0)
+    if wrong.any():
+        return poses, int(np.argmax(wrong))
+    u, _, vt = np.linalg.svd(rotation)
+    proper = poses.copy()
+    proper[:, :3, :3] = u @ vt
+    return proper, None
+
+
+def rotation_complaint(rotation: FloatArray) -> str:
+    """Say what is wrong with a (3, 3) rotation."""
+    off = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if off <= _ORTHONORMAL:
+        return (
+            "its 3x3 part mirrors (determinant -1); a rotation was expected. "
+            "Usual cause: an axis flipped by hand between two conventions."
+        )
+    return (
+        f"its 3x3 part is no rotation (off by {off:.2g}, allowed 0.001). "
+        "Expected r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz. "
+        "Usual cause: another order of the numbers, or quaternions (TUM format) instead of matrices."
+    )
+
+
+def _read_rows(path: Path, root: Path) -> tuple[list[list[float]], list[int]]:
+    """Return the numbers of every line that is not blank, and its line number."""
+    rows: list[list[float]] = []
+    lines: list[int] = []
+    for line, text in enumerate(read_text(path, root).splitlines(), start=1):
+        fields = text.split()
+        if not fields or fields[0].startswith("#"):
+            continue
+        if len(fields) not in _LENGTHS or (rows and len(fields) != len(rows[0])):
+            raise DriveFileError(shown(path, root), f"line {line}: {_length_complaint(fields, rows)}")
+        rows.append(numbers_of(fields, path, root, line))
+        lines.append(line)
+    if not rows:
+        raise DriveFileError(shown(path, root), "holds comments only. Expected one line of 12 numbers a scan.")
+    return rows, lines
+
+
+def _length_complaint(fields: list[str], rows: list[list[float]]) -> str:
+    """Say what is wrong with the count of numbers in a line."""
+    if any("," in field for field in fields):
+        return "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
+    expected = (
+        f"{len(rows[0])} as in the lines above" if rows else "12 (3x4 matrix), 16 (4x4), 13 or 17 (frame number first)"
+    )
+    usual = "a file cut off while it was written or copied, or a line edited by hand"
+    if len(fields) == 8:
+        usual = "TUM format (time, position, quaternion); export the poses in KITTI format"
+    elif len(fields) == 4 and not rows:
+        usual = "4x4 matrices written over four lines; write one matrix a line"
+    return f"{len(fields)} numbers; expected {expected}. Usual cause: {usual}."
+
+
+def _split_frames(values: FloatArray, lines: list[int], path: Path, root: Path) -> IntArray:
+    """Return the frame numbers in front of the lines."""
+    first = values[:, 0]
+    wrong = (first != np.floor(first)) | (first < 0) | (first > _MAX_FRAME)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise DriveFileError(
+            shown(path, root),
+            f"line {lines[row]}: {values.shape[1]} numbers start with a frame number, but {first[row]:g} is none. "
+            "Usual cause: times instead of frame numbers.",
+        )
+    frames = first.astype(np.int64)
+    unique, counts = np.unique(frames, return_counts=True)
+    if (counts > 1).any():
+        raise DriveFileError(
+            shown(path, root), f"frame {unique[np.argmax(counts > 1)]} has two poses. Expected one a frame."
+        )
+    return frames

@@ -1,0 +1,1 @@
+"""Scans of a drive: as recorded with their labels, or reduced to their ground points."""

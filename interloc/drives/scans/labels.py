@@ -1,0 +1,257 @@
+"""Label schemes: which ids are road, which are the ground most often confused with it, and which scheme ids are of."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from interloc.arrays import UInt8Array
+from interloc.drives.files import listed
+from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.options import LabelSchemeChoice
+from interloc.errors import ConfigError
+
+ROAD, CONFUSABLE = 1, 2
+"""Groups of the selection kernel."""
+
+MIN_ROAD_SHARE = 0.005
+MAX_UNKNOWN_SHARE = 0.05
+
+_LABEL_COUNT = 1 << 16
+
+
+@dataclass(frozen=True)
+class LabelScheme:
+    """Meaning of the label ids.
+
+    Attributes
+    ----------
+    name : str
+    road : frozenset of int
+        Ids of road.
+    confusable : frozenset of int
+        Ids of sidewalk, parking and other ground: what the paper's noise takes for road (section V-C).
+    known : frozenset of int or None
+        All ids of the scheme; None where they are not known (custom ids).
+    """
+
+    name: str
+    road: frozenset[int]
+    confusable: frozenset[int] = field(default_factory=frozenset)
+    known: frozenset[int] | None = None
+
+    def means_the_same(self, other: LabelScheme) -> bool:
+        """Say whether the same ids are road, and the same are confused with it."""
+        return (self.road, self.confusable) == (other.road, other.confusable)
+
+    def groups(self) -> UInt8Array:
+        """Return the (65536,) uint8 table from id to group: 1 road, 2 confusable, 0 neither."""
+        table = np.zeros(_LABEL_COUNT, dtype=np.uint8)
+        table[sorted(self.confusable)] = CONFUSABLE
+        table[sorted(self.road)] = ROAD
+        return table
+
+
+SEMANTICKITTI = LabelScheme(
+    name="semantickitti",
+    road=frozenset({40, 60}),  # road and lane-marking: the learning map folds the second into the first
+    confusable=frozenset({44, 48, 49}),  # parking, sidewalk, other-ground
+    known=frozenset(
+        {0, 1, 10, 11, 13, 15, 16, 18, 20, 30, 31, 32, 40, 44, 48, 49, 50, 51, 52, 60, 70, 71, 72, 80, 81, 99}
+        | set(range(252, 260))
+    ),
+)
+LEARNING = LabelScheme(
+    name="learning",
+    road=frozenset({9}),
+    confusable=frozenset({10, 11, 12}),  # parking, sidewalk, other-ground
+    known=frozenset(range(20)),
+)
+KITTI360 = LabelScheme(
+    name="kitti360",
+    road=frozenset({7}),
+    confusable=frozenset({6, 8, 9}),  # ground, sidewalk, parking
+    known=frozenset({*range(45), 65535}),  # 65535: -1, the licence plates
+)
+SCHEMES = {scheme.name: scheme for scheme in (SEMANTICKITTI, LEARNING, KITTI360)}
+
+
+def named_scheme(choice: LabelSchemeChoice) -> LabelScheme | None:
+    """Return the scheme that was asked for; None for "auto".
+
+    Raises
+    ------
+    ConfigError
+        No such scheme, or custom ids that are none.
+    """
+    if isinstance(choice, str):
+        if choice == "auto":
+            return None
+        if choice in SCHEMES:
+            return SCHEMES[choice]
+        fields = choice.replace(",", " ").split()
+        if not fields or not all(text.isascii() and text.isdigit() for text in fields):
+            raise ConfigError(
+                f"label scheme {choice!r}: expected auto, {', '.join(SCHEMES)}, "
+                "or the ids of road separated by commas (40,60)."
+            )
+        choice = frozenset(int(text) for text in fields)
+    if not choice or any(not 0 <= label < _LABEL_COUNT for label in choice):
+        raise ConfigError("label scheme: the ids of road must be numbers from 0 to 65535, at least one.")
+    return LabelScheme(name="custom", road=frozenset(int(label) for label in choice))
+
+
+def guess_scheme(ids: Iterable[int], *, kitti360: bool) -> LabelScheme:
+    """Tell the scheme from the ids that occur.
+
+    Parameters
+    ----------
+    ids : iterable of int
+        Distinct label ids of some scans.
+    kitti360 : bool
+        The pose lines are KITTI-360's.
+
+    Notes
+    -----
+    Raw ids have gaps: 2 to 9 are no SemanticKITTI ids. Ids up to 19 with a 9 (road) are the learning scheme; in a
+    KITTI-360 drive ids up to 44 are its own, unless SemanticKITTI explains them all (a network trained on it).
+    """
+    found = {int(label) for label in ids}
+    if _looks_like_learning(found):
+        return LEARNING
+    if kitti360 and found <= (KITTI360.known or found) and not found <= (SEMANTICKITTI.known or found):
+        return KITTI360
+    return SEMANTICKITTI
+
+
+def _looks_like_learning(ids: Collection[int]) -> bool:
+    """Return whether the ids fit the 20 classes of the learning scheme (its road, 9, is no raw id of SemanticKITTI)."""
+    return 9 in ids and max(ids) <= 19
+
+
+@dataclass(frozen=True)
+class LabelJudgement:
+    """What the label ids of some scans mean.
+
+    Attributes
+    ----------
+    scheme : LabelScheme or None
+        None where nothing was counted, and no scheme was named.
+    counts : dict of int to int
+        How many points carry each id.
+    """
+
+    scheme: LabelScheme | None = None
+    counts: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def road_share(self) -> float | None:
+        """Share of road among the points."""
+        return None if self.scheme is None else self._share(self.scheme.road)
+
+    @property
+    def ground_share(self) -> float | None:
+        """Share of road, sidewalk, parking and other ground among the points: what is left of a reduced scan."""
+        return None if self.scheme is None else self._share(self.scheme.road | self.scheme.confusable)
+
+    @property
+    def id_shares(self) -> dict[int, float]:
+        """Share of the points that carry each id."""
+        total = sum(self.counts.values())
+        return {label: self.counts[label] / total for label in sorted(self.counts)} if total else {}
+
+    @property
+    def unknown_ids(self) -> list[int]:
+        """Ids that the scheme does not know."""
+        known = None if self.scheme is None else self.scheme.known
+        return [] if known is None else sorted(set(self.counts) - known)
+
+    def _share(self, ids: Iterable[int]) -> float | None:
+        total = sum(self.counts.values())
+        return sum(self.counts.get(label, 0) for label in ids) / total if total else None
+
+
+def judge_labels(
+    folder: str, counts: dict[int, int], choice: LabelSchemeChoice, *, kitti360: bool, check: bool, findings: Findings
+) -> LabelJudgement:
+    """Tell what the label ids of some scans mean, and whether that makes sense.
+
+    Parameters
+    ----------
+    folder : str
+        Of the labels, in messages.
+    counts : dict of int to int
+        How many points carry each id.
+    choice
+        The scheme that was asked for, or "auto".
+    kitti360 : bool
+        The pose lines are KITTI-360's.
+    check : bool
+        Check the share of road, and that the ids belong to the scheme.
+
+    Raises
+    ------
+    DriveError
+        No point is road, or the ids are of another scheme; where `findings` stops at it.
+    """
+    scheme = named_scheme(choice)
+    if scheme is None and counts:
+        scheme = guess_scheme(counts, kitti360=kitti360)
+        if scheme is not SEMANTICKITTI:
+            findings.note(folder, f"the ids look like scheme {scheme.name} and are read as such.")
+    judgement = LabelJudgement(scheme, counts)
+    if check:
+        check_labels(folder, judgement, findings)
+    return judgement
+
+
+def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> None:
+    """Check the share of road, and that the ids belong to the scheme.
+
+    Parameters
+    ----------
+    folder : str
+        Of the labels, in messages.
+    """
+    scheme, counts, total = judgement.scheme, judgement.counts, sum(judgement.counts.values())
+    if scheme is None or not total:
+        return
+    ids = np.array(sorted(counts), dtype=np.int64)
+    if scheme.name not in {"custom", "learning"} and _looks_like_learning(counts):
+        findings.error(
+            DriveFileError(
+                folder,
+                f"all ids are 19 or less ({listed(ids, 20)}), which looks like the learning scheme (0..19, road = 9), "
+                f"but they are read as {scheme.name}. Use label scheme 'learning' (--label-scheme learning). "
+                "Usual cause: predictions that were not mapped back to the ids of the labels.",
+            )
+        )
+        return
+    unknown = sum(counts[label] for label in judgement.unknown_ids)
+    if unknown:
+        message = (
+            f"{unknown / total:.1%} of the points have ids that {scheme.name} does not know "
+            f"({listed(np.array(judgement.unknown_ids), 12)})."
+        )
+        if unknown > MAX_UNKNOWN_SHARE * total:
+            findings.warning(folder, f"{message} Usual cause: another label scheme; name it, or give the ids of road.")
+        else:
+            findings.note(folder, message)
+    road = sum(counts.get(label, 0) for label in scheme.road)
+    wanted = listed(np.array(sorted(scheme.road)), 12)
+    if road == 0:
+        findings.error(
+            DriveFileError(
+                folder,
+                f"no point of the scans looked at is road: the ids are {listed(ids, 20)}; road would be {wanted} "
+                f"(scheme {scheme.name}). Usual cause: another label scheme; name it, or give the ids of road.",
+            )
+        )
+    elif road < MIN_ROAD_SHARE * total:
+        findings.warning(
+            folder,
+            f"only {road / total:.2%} of the points are road (ids {wanted}); 10 to 40 % are usual. "
+            "Usual cause: another label scheme, or labels of other scans.",
+        )

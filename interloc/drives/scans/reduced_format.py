@@ -1,0 +1,430 @@
+"""Reduced drives: the ground points of the scans that the method looks at, and nothing else of the scans.
+
+The method needs the road points of keyframes, and the sidewalk, parking and other ground that is confused with road. A
+*reduced drive* is a folder that holds just these and the small files of the drive. Every command reads it like the
+drive that it was made of, with the same results, bit by bit. This is the format, version 1::
+
+    reduced.json                          the manifest, which makes the folder a reduced drive: write it last
+    ground/labels/NNNNNN.ground           the ground points of one scan by the labels in labels/
+    ground/predictions/NNNNNN.ground      likewise by those in predictions/
+    poses.txt calib.txt times.txt geo.csv oxts/data/*.txt ...
+                                          the small files of the drive, as they were
+
+``NNNNNN`` is the scan number, with zeros in front to at least six digits.
+
+**A .ground file** begins with 16 bytes: the letters ``ILGP``, then three unsigned 32-bit numbers, the lowest byte
+first: the version (1), the count n of points (at most 4,000,000), and how many of them are road. The rest of the file
+is one zlib stream (RFC 1950; in a browser ``CompressionStream("deflate")``) of exactly 12 n bytes.
+
+Points come in the order of the scan, those of road first, then sidewalk, parking and other ground. To make the bytes,
+
+1. take the float32 coordinates x, y, z (L, metres) as their 32 bits;
+2. replace each by its difference to the same coordinate of the point before, modulo 2^32 (the first point: to 0);
+3. fold the sign, so that -1, 1, -2 become 1, 2, 3: ``(d << 1) ^ (d >> 31)``, d as a signed 32-bit number;
+4. write the highest byte of x of all points, then those of y, then those of z; then the next lower bytes of x, ...:
+   twelve planes of n bytes.
+
+In JavaScript, for a ``Uint32Array`` of n coordinates x (c = 0), y (c = 1) or z (c = 2) and a ``Uint8Array`` of 12 n::
+
+    for (let i = 0, before = 0; i < n; before = bits[i++]) {
+      const d = (bits[i] - before) | 0, folded = (d << 1) ^ (d >> 31);
+      for (let k = 0; k < 4; k++) planes[(3 * k + c) * n + i] = folded >>> (24 - 8 * k);
+    }
+
+**reduced.json** is JSON of the model `ReducedManifest`, whose fields are described
+there. Scan numbers are written as runs, ``[first, count]``. An example, 1101 scans of which three were kept::
+
+    {
+      "format": "interloc-reduced-drive", "format_version": 1,
+      "name": "07", "layout": "semantickitti",
+      "scans": [[0, 1101]], "kept": [[0, 1], [19, 1], [31, 1]],
+      "keyframes": {"distance_m": 2.0, "angle_deg": 5.0},
+      "pose_frame": "camera", "pose_frame_reason": "it moves along its z axis ...",
+      "files": {"poses": "poses.txt", "times": "times.txt", "calibration": ["calib.txt"], "oxts": null, "geo": null},
+      "labels": [{"folder": "labels", "scheme": "semantickitti", "road": [40, 60], "confusable": [44, 48, 49],
+                  "counts": {"0": 12, "40": 98765}, "label_bytes": 539000000}],
+      "source": {"scan_bytes": 2156000000, "points_per_scan": 122515, "least_points": 118000, "most_points": 125000}
+    }
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from interloc.arrays import IntArray
+from interloc.drive import GroundPoints
+from interloc.drives.files import os_reason
+from interloc.drives.findings import DriveFileError
+from interloc.drives.layouts import PoseOwner
+from interloc.drives.options import LabelFolder, LayoutName
+from interloc.drives.scans.labels import SCHEMES, LabelScheme
+from interloc.kernels.planes import join_planes, split_planes
+
+MANIFEST = "reduced.json"
+MAX_SCANS = 1_000_000
+MAX_MANIFEST_BYTES = 32 * 1024 * 1024
+GROUND_FOLDER = "ground"
+
+
+def _runs_in_order(runs: list[Run]) -> list[Run]:
+    if any(first + count > after for (first, count), (after, _) in pairwise(runs)):
+        raise ValueError("scan numbers must ascend, and none may come twice")
+    if sum(count for _, count in runs) > MAX_SCANS:
+        raise ValueError(f"more than {MAX_SCANS:,} scans")
+    return runs
+
+
+def _path_inside(path: str) -> str:
+    parts = path.split("/")
+    odd = any(ord(char) < 32 or char in "\\:" for char in path)
+    if odd or any(part in {"", ".", ".."} for part in parts):
+        raise ValueError("expected a plain path inside the folder, such as poses.txt or oxts/data")
+    return path
+
+
+def _plain_name(name: str) -> str:
+    if any(ord(char) < 32 for char in name) or "/" in name:
+        raise ValueError("expected the name of a drive, such as 07")
+    return name
+
+
+_Number = Annotated[int, Field(ge=0, le=10**15)]
+_Count = Annotated[int, Field(ge=1, le=MAX_SCANS)]
+_Runs = Annotated[
+    list[tuple[_Number, _Count]], Field(min_length=1, max_length=MAX_SCANS // 2), AfterValidator(_runs_in_order)
+]
+_PathInside = Annotated[str, Field(min_length=1, max_length=255), AfterValidator(_path_inside)]
+_Label = Annotated[int, Field(ge=0, le=65535)]
+_Total = Annotated[int, Field(ge=0, le=2**62)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Thinning(_Model):
+    """Keyframe settings by which scans were left out."""
+
+    distance_m: float = Field(ge=0, le=1000, description="A scan was kept after more than this way ...")
+    angle_deg: float = Field(ge=0, le=180, description="... or this turn since the last one.")
+
+    def __str__(self) -> str:
+        return f"keyframes of {self.distance_m:g} m, {self.angle_deg:g} degrees"
+
+
+class SmallFiles(_Model):
+    """The other files of the drive, as paths inside the folder."""
+
+    poses: _PathInside | None = Field(None, description="Pose lines; none where the poses are those of OXTS.")
+    times: _PathInside | None = Field(None, description="A time a line.")
+    calibration: list[_PathInside] = Field([], max_length=8, description="calib.txt, calib_imu_to_velo.txt, ...")
+    oxts: _PathInside | None = Field(
+        None, description="Folder with one OXTS file a frame, or file with one row a frame."
+    )
+    geo: _PathInside | None = Field(None, description="geo.csv.")
+
+    @property
+    def paths(self) -> list[str]:
+        """All that are there."""
+        single = (self.poses, self.times, self.oxts, self.geo)
+        return [*(path for path in single if path is not None), *self.calibration]
+
+
+class ReducedLabels(_Model):
+    """By which labels the ground points of a folder were chosen."""
+
+    folder: LabelFolder = Field(description="Folder of the labels, and of the points under ground/.")
+    scheme: str = Field(min_length=1, max_length=64, description="Name of the label scheme.")
+    road: list[_Label] = Field(min_length=1, max_length=65536, description="Ids of road.")
+    confusable: list[_Label] = Field([], max_length=65536, description="Ids of sidewalk, parking and other ground.")
+    counts: dict[_Label, _Total] = Field(
+        {}, max_length=65536, description="How many points of the scans looked into carry each id."
+    )
+    label_bytes: _Total | None = Field(None, description="Size of all label files.")
+
+    @classmethod
+    def of(
+        cls, folder: LabelFolder, scheme: LabelScheme, counts: dict[int, int], label_bytes: int | None = None
+    ) -> ReducedLabels:
+        """Describe the labels of a folder."""
+        return cls(
+            folder=folder,
+            scheme=scheme.name,
+            road=sorted(scheme.road),
+            confusable=sorted(scheme.confusable),
+            counts={label: counts[label] for label in sorted(counts)},
+            label_bytes=label_bytes,
+        )
+
+    @property
+    def label_scheme(self) -> LabelScheme:
+        """What the ids mean."""
+        scheme = LabelScheme(self.scheme, frozenset(self.road), frozenset(self.confusable))
+        known = SCHEMES.get(self.scheme)
+        return known if known is not None and known.means_the_same(scheme) else scheme
+
+
+class SourceScans(_Model):
+    """The scans that a reduced drive was made of."""
+
+    scan_bytes: _Total
+    points_per_scan: _Total = Field(description="Median.")
+    least_points: _Total
+    most_points: _Total
+
+
+class ReducedManifest(_Model):
+    """A reduced drive."""
+
+    format: Literal["interloc-reduced-drive"] = "interloc-reduced-drive"
+    format_version: Literal[1] = 1
+    name: Annotated[str, Field(min_length=1, max_length=255), AfterValidator(_plain_name)] = Field(
+        description="Name of the drive that it was made of."
+    )
+    layout: LayoutName = Field(description="Layout of that drive.")
+    scans: _Runs = Field(description="Numbers of all its scans, as runs: [first, count].")
+    kept: _Runs = Field(description="Numbers of the scans whose ground points are here.")
+    keyframes: Thinning | None = Field(None, description="Settings by which they were chosen; none: every scan.")
+    pose_frame: PoseOwner = Field(description="Whose poses the pose file holds.")
+    pose_frame_reason: str = Field("", max_length=2000, description="Why that is thought.")
+    files: SmallFiles = SmallFiles()
+    labels: list[ReducedLabels] = Field([], max_length=2)
+    source: SourceScans | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ReducedManifest:
+        if not np.isin(self.kept_frames, self.frames).all():
+            raise ValueError("kept: holds numbers that are not among the scans")
+        if (self.files.poses is None) != (self.pose_frame == "oxts"):
+            raise ValueError("files.poses: expected a file, or pose_frame 'oxts' where there is none")
+        if len({labels.folder for labels in self.labels}) < len(self.labels):
+            raise ValueError("labels: a folder comes twice")
+        return self
+
+    @property
+    def frames(self) -> IntArray:
+        """(N,) int64 numbers of all scans."""
+        return from_runs(self.scans)
+
+    @property
+    def kept_frames(self) -> IntArray:
+        """(K,) int64 numbers of the scans whose ground points are here."""
+        return from_runs(self.kept)
+
+    def with_labels(self, labels: Iterable[ReducedLabels], source: SourceScans | None = None) -> ReducedManifest:
+        """Complete a plan once it is known what the labels mean."""
+        return ReducedManifest.model_validate({**dict(self), "labels": list(labels), "source": source})
+
+    def to_bytes(self) -> bytes:
+        """Write it as JSON, a field a line."""
+        fields = self.model_dump(mode="json")
+        lines = [f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
+        return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
+
+
+def ground_path(folder: LabelFolder, frame: int) -> str:
+    """Return the file of a scan, relative to the reduced drive."""
+    return f"{GROUND_FOLDER}/{folder}/{frame:06d}.ground"
+
+
+def is_reduced(root: Path) -> bool:
+    """Tell a reduced drive by its manifest."""
+    return (root / MANIFEST).is_file()
+
+
+def read_manifest(root: Path) -> ReducedManifest:
+    """Read the manifest of a reduced drive; nothing in it is trusted.
+
+    Raises
+    ------
+    DriveError
+        It cannot be read, is not of this format or version, or names files outside the folder.
+    """
+    path = root / MANIFEST
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_MANIFEST_BYTES + 1)
+    except OSError as error:
+        raise DriveFileError(MANIFEST, f"cannot be read: {os_reason(error)}.") from error
+    if len(data) > MAX_MANIFEST_BYTES:
+        raise DriveFileError(MANIFEST, f"is larger than {MAX_MANIFEST_BYTES // 1024**2} MB, which no manifest is.")
+    manifest = parse_manifest(data)
+    inside = root.resolve()
+    for name in manifest.files.paths:
+        if not (root / name).resolve().is_relative_to(inside):
+            raise DriveFileError(name, "is a link that leads out of the folder. Expected the file itself.")
+    return manifest
+
+
+def parse_manifest(data: bytes) -> ReducedManifest:
+    """Read the text of a manifest.
+
+    Raises
+    ------
+    DriveError
+        It is not of this format or version.
+    """
+    with _refusals():
+        return ReducedManifest.model_validate_json(data)
+
+
+def make_manifest(fields: dict[str, Any]) -> ReducedManifest:
+    """Make a manifest of its fields.
+
+    Raises
+    ------
+    DriveError
+        One of them cannot be, such as a name with line breaks.
+    """
+    with _refusals():
+        return ReducedManifest.model_validate(fields)
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Say in words what is wrong with a manifest."""
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part)[:40] for part in first["loc"])
+        what = first["msg"].removeprefix("Value error, ")
+        raise DriveFileError(
+            MANIFEST,
+            f"{place + ': ' if place else ''}{what}. Expected the manifest of a reduced drive, format "
+            "interloc-reduced-drive version 1. Usual cause: a file of another program or of a later InterLoc, or one "
+            "edited by hand.",
+        ) from None
+
+
+Run = tuple[int, int]
+"""First number and count."""
+
+
+def to_runs(numbers: IntArray) -> list[Run]:
+    """Write (N,) ascending numbers as runs."""
+    if not len(numbers):
+        return []
+    starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) != 1)
+    counts = np.diff(starts, append=len(numbers))
+    return [(int(numbers[start]), int(count)) for start, count in zip(starts, counts, strict=True)]
+
+
+def from_runs(runs: Sequence[Run]) -> IntArray:
+    """Return the (N,) numbers of runs."""
+    first, count = np.array(runs, dtype=np.int64).reshape(-1, 2).T
+    begin = np.cumsum(count) - count
+    numbers: IntArray = np.repeat(first - begin, count) + np.arange(count.sum(), dtype=np.int64)
+    return numbers
+
+
+MAX_POINTS = 4_000_000
+"""A scan has 0.1 to 0.3 million; nothing larger is allocated."""
+
+_HEADER = struct.Struct("<4sIII")
+_MAGIC, _VERSION = b"ILGP", 1
+_POINT_BYTES = 12
+MIN_BYTES = _HEADER.size + 8
+MAX_BYTES = _HEADER.size + MAX_POINTS * _POINT_BYTES * 9 // 8 + 1024
+"""No file is larger, however badly its maker compresses."""
+
+_CUT = "Usual cause: an upload or copy that did not finish."
+
+
+def encode_ground(points: GroundPoints) -> bytes:
+    """Write the ground points of a scan.
+
+    Raises
+    ------
+    ValueError
+        More than `MAX_POINTS` points, or not (N, 3) float32.
+    """
+    xyz = np.ascontiguousarray(points.xyz)
+    if xyz.dtype != np.float32 or xyz.ndim != 2 or xyz.shape[1] != 3 or not 0 <= points.road_count <= len(xyz):
+        raise ValueError(f"expected (N, 3) float32 points, at most N of them road; got {xyz.shape} {xyz.dtype}")
+    if len(xyz) > MAX_POINTS:
+        raise ValueError(f"{len(xyz):,} ground points; no scan has more than {MAX_POINTS:,}")
+    # Runs are all that deflate finds in the planes: looking for nothing else is as small, and five times as fast.
+    deflate = zlib.compressobj(strategy=zlib.Z_RLE)
+    planes = split_planes(xyz.view(np.uint32))
+    header = _HEADER.pack(_MAGIC, _VERSION, len(xyz), points.road_count)
+    return b"".join((header, deflate.compress(planes.data), deflate.flush()))
+
+
+def decode_ground(data: bytes, name: str) -> GroundPoints:
+    """Read what `encode_ground` wrote; nothing in it is trusted.
+
+    Parameters
+    ----------
+    data : bytes
+    name : str
+        Of the file, in messages.
+
+    Raises
+    ------
+    DriveError
+        It is no such file, cut short, damaged, or holds a point that is not finite.
+    """
+    count, road_count = _counts(data, name)
+    size = count * _POINT_BYTES
+    inflate = zlib.decompressobj()
+    try:
+        raw = inflate.decompress(memoryview(data)[_HEADER.size :], size + 1)  # never more than the header promises
+    except zlib.error as error:
+        raise DriveFileError(name, f"is damaged: {error}. {_CUT}") from None
+    if len(raw) != size:
+        found = f"more than {size:,}" if len(raw) > size else f"{len(raw):,} of {size:,}"
+        raise DriveFileError(name, f"is damaged: its {count:,} points unpack to {found} bytes. {_CUT}")
+    if not inflate.eof:
+        raise DriveFileError(name, f"is damaged: the end of its {count:,} points is missing. {_CUT}")
+    if inflate.unused_data:
+        raise DriveFileError(
+            name, f"{len(inflate.unused_data):,} bytes follow after its points. Expected nothing more."
+        )
+    bits, bad_point = join_planes(np.frombuffer(raw, np.uint8))
+    xyz = bits.view(np.float32)
+    if bad_point >= 0:
+        x, y, z = xyz[bad_point]
+        raise DriveFileError(
+            name, f"point {bad_point:,} of {count:,} is not finite ({x:g}, {y:g}, {z:g}). Expected x y z in metres."
+        )
+    return GroundPoints(xyz, road_count)
+
+
+def _counts(data: bytes, name: str) -> tuple[int, int]:
+    """Return the counts of points and of road points that the header promises."""
+    if not MIN_BYTES <= len(data) <= MAX_BYTES:
+        raise DriveFileError(name, size_complaint(len(data)))
+    magic, version, count, road_count = _HEADER.unpack_from(data)
+    if magic != _MAGIC:
+        raise DriveFileError(
+            name, f"starts with {magic!r}; expected {_MAGIC!r}. Usual cause: another kind of file under this name."
+        )
+    if version != _VERSION:
+        raise DriveFileError(
+            name, f"is of version {version}; this InterLoc reads version {_VERSION}. Reduce the drive again with it."
+        )
+    if count > MAX_POINTS:
+        raise DriveFileError(name, f"promises {count:,} points; no scan has more than {MAX_POINTS:,}.")
+    if road_count > count:
+        raise DriveFileError(name, f"promises {road_count:,} road points among {count:,} points.")
+    return count, road_count
+
+
+def size_complaint(size: int) -> str:
+    """Say what is wrong with the size of a file."""
+    if size == 0:
+        return f"is empty. {_CUT}"
+    if size < MIN_BYTES:
+        return f"holds {size:,} bytes; expected at least {MIN_BYTES}. {_CUT}"
+    return f"is larger than {MAX_BYTES // 1024**2} MB, which the ground points of one scan never are."

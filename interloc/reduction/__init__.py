@@ -1,0 +1,1 @@
+"""Reduction of drives to the ground points that the method looks at: the plan, and the writing."""

@@ -1,0 +1,229 @@
+"""Georeference: OXTS, geo.csv, raw drives, and their lever arm."""
+
+from __future__ import annotations
+
+import gzip
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pyproj
+import pytest
+
+from interloc.arrays import FloatArray
+from interloc.drive import Georeference
+from interloc.drives.georeference.geo_csv import read_geo_csv
+from interloc.drives.georeference.geodetic import ecef_poses, poses_of
+from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW, raw_offset, read_oxts_rows
+from interloc.drives.georeference.read import georeference_of_lidar, read_georeference
+from interloc.drives.layouts import DriveParts
+from interloc.drives.poses.calibration import KITTI_T_VELO_IMU
+from interloc.drives.poses.lines import read_poses
+from interloc.errors import GeoreferenceError
+from interloc.geometry import invert_transform
+
+FRAMES = np.arange(12)
+
+
+def parts(root: Path, *, oxts: Path | None = None, geo: Path | None = None) -> DriveParts:
+    return DriveParts("semantickitti", root, root, root, None, None, (root,), oxts, geo)
+
+
+def test_oxts_folder_with_lever_arm(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_kitti_raw(tmp_path / "raw")
+    georeference = read_georeference(parts(root, oxts=root / "oxts"), FRAMES, None)
+    assert georeference is not None
+    assert georeference.source == "oxts/data, lever arm of calib_imu_to_velo.txt"
+    np.testing.assert_allclose(poses_of(georeference), make.lidar_poses(), atol=0.02)
+
+
+def test_published_lever_arm_is_said(tmp_path: Path, make: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
+    rows = tmp_path / "07.txt"
+    rows.write_text("\n".join(make.oxts_lines(make.lidar_poses(), T_lidar_imu=KITTI_T_VELO_IMU)))
+    with caplog.at_level(logging.INFO):
+        georeference = read_georeference(parts(tmp_path), FRAMES, rows)
+    assert georeference is not None
+    assert "published by KITTI" in georeference.source
+    assert "lever arm that KITTI publishes" in caplog.text
+
+
+def test_rows_map_by_frame_number(tmp_path: Path, make: ModuleType) -> None:
+    rows = tmp_path / "07.txt.gz"
+    rows.write_bytes(gzip.compress("\n".join(make.oxts_lines(make.lidar_poses(), T_lidar_imu=np.eye(4))).encode()))
+    every, some = (read_oxts_rows(rows, tmp_path, frames) for frames in (FRAMES, np.array([3, 7])))
+    np.testing.assert_array_equal(some, every[[3, 7]])
+
+
+def test_too_few_rows(tmp_path: Path, make: ModuleType) -> None:
+    rows = tmp_path / "07.txt"
+    rows.write_text("\n".join(make.oxts_lines(make.lidar_poses(5), T_lidar_imu=np.eye(4))))
+    with pytest.raises(GeoreferenceError, match=r"5 rows, but the drive has the frames 0 to 11 \(12 scans\)"):
+        read_georeference(parts(tmp_path), FRAMES, rows)
+
+
+def test_missing_oxts_file(tmp_path: Path, make: ModuleType) -> None:
+    root = make.write_kitti_raw(tmp_path / "raw")
+    (root / "oxts" / "data" / "0000000004.txt").unlink()
+    with pytest.raises(GeoreferenceError, match=r"oxts/data: 1 of 12 scans have no fix: frames 4"):
+        read_georeference(parts(root, oxts=root / "oxts"), FRAMES, None)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "words"),
+    [
+        (0, "95", "no place to drive"),
+        (2, "1e6", "no place to drive"),
+        (5, "90", "Usual cause: degrees"),
+        (0, "nan", "not finite"),
+        (0, "north", "not a number"),
+    ],
+)
+def test_bad_oxts_values(tmp_path: Path, make: ModuleType, column: int, value: str, words: str) -> None:
+    fields = make.oxts_lines(make.lidar_poses(1), T_lidar_imu=np.eye(4))[0].split()
+    fields[column] = value
+    rows = tmp_path / "07.txt"
+    rows.write_text(" ".join(fields))
+    with pytest.raises(GeoreferenceError, match=words):
+        read_georeference(parts(tmp_path), np.array([0]), rows)
+
+
+def test_oxts_row_of_another_length(tmp_path: Path) -> None:
+    rows = tmp_path / "07.txt"
+    rows.write_text("1 2 3")
+    with pytest.raises(GeoreferenceError, match="line 1: 3 values; expected 30"):
+        read_georeference(parts(tmp_path), np.array([0]), rows)
+
+
+def test_no_fix(tmp_path: Path) -> None:
+    rows = tmp_path / "07.txt"
+    rows.write_text(" ".join(["0"] * 30))
+    with pytest.raises(GeoreferenceError, match="no fix"):
+        read_georeference(parts(tmp_path), np.array([0]), rows)
+
+
+def test_geo_csv_is_the_lidar_itself(tmp_path: Path, make: ModuleType) -> None:
+    (tmp_path / "geo.csv").write_text(make.geo_csv(make.lidar_poses()))
+    georeference = read_georeference(parts(tmp_path, geo=tmp_path / "geo.csv"), FRAMES, None)
+    assert georeference is not None
+    np.testing.assert_allclose(poses_of(georeference), make.lidar_poses(), atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda text: text.replace("lat_deg", "latitude"), "no column lat_deg"),
+        (lambda text: "\n".join(text.splitlines()[:-1]), "1 of 12 scans have no row: frames 11"),
+        (lambda text: text.splitlines()[0], "header only"),
+        (lambda text: text + "12,1,2\n", "line 14: 3 fields"),
+    ],
+)
+def test_damaged_geo_csv(tmp_path: Path, make: ModuleType, edit: Callable[[str], str], words: str) -> None:
+    (tmp_path / "geo.csv").write_text(edit(make.geo_csv(make.lidar_poses())))
+    with pytest.raises(GeoreferenceError, match=words):
+        read_geo_csv(tmp_path / "geo.csv", tmp_path, FRAMES)
+
+
+def test_georeference_that_does_not_exist(tmp_path: Path) -> None:
+    with pytest.raises(GeoreferenceError, match="does not exist"):
+        read_georeference(parts(tmp_path), FRAMES, tmp_path / "gone")
+
+
+def test_drive_without_georeference(tmp_path: Path) -> None:
+    assert read_georeference(parts(tmp_path), FRAMES, None) is None
+
+
+def test_raw_drive_of_an_odometry_sequence(tmp_path: Path, make: ModuleType) -> None:
+    """Sequence 08 starts at raw frame 1100."""
+    raw = tmp_path / "2011_09_30_drive_0028_sync"
+    (raw / "oxts" / "data").mkdir(parents=True)
+    for frame, row in enumerate(make.oxts_lines(make.lidar_poses(), T_lidar_imu=np.eye(4)), start=1100):
+        (raw / "oxts" / "data" / f"{frame:010d}.txt").write_text(row)
+    (raw.parent / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: 0 0 0\n")
+    georeference = read_georeference(parts(tmp_path / "08"), FRAMES, raw)
+    assert georeference is not None
+    np.testing.assert_allclose(poses_of(georeference), make.lidar_poses(), atol=0.02)
+    assert "calib_imu_to_velo.txt" in georeference.source
+
+
+def test_raw_drive_of_another_sequence(tmp_path: Path) -> None:
+    raw = tmp_path / "2011_10_03_drive_0027_sync"
+    with pytest.raises(
+        GeoreferenceError, match=r"sequence 00, not of 07; the raw drive of 07 is 2011_09_30_drive_0027"
+    ):
+        raw_offset(raw, "07", FRAMES)
+    with pytest.raises(GeoreferenceError, match="03 was never published"):
+        raw_offset(raw, "03", FRAMES)
+    with pytest.raises(GeoreferenceError, match="frames 0 to 4540"):
+        raw_offset(raw, "00", np.array([4541]))
+    assert raw_offset(raw, "my_drive", FRAMES) == 0
+    assert raw_offset(tmp_path / "elsewhere", "07", FRAMES) == 0
+
+
+def test_the_published_table_is_whole() -> None:
+    assert sorted(sequence for sequence, _, _ in ODOMETRY_OF_RAW.values()) == [f"{n:02d}" for n in range(11) if n != 3]
+    assert ODOMETRY_OF_RAW["2011_09_30_drive_0028"] == ("08", 1100, 5170)
+
+
+def test_earth_fixed_poses_agree_with_proj() -> None:
+    georeference = Georeference(
+        lat_deg=np.array([49.0, -33.5]),
+        lon_deg=np.array([8.4, 151.2]),
+        alt_m=np.array([110.0, 12.0]),
+        R_enu_lidar=np.tile(np.eye(3), (2, 1, 1)),
+        source="",
+    )
+    to_ecef = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
+    expected = np.stack(to_ecef.transform(georeference.lon_deg, georeference.lat_deg, georeference.alt_m), axis=1)
+    poses = ecef_poses(georeference)
+    np.testing.assert_allclose(poses[:, :3, 3], expected, atol=1e-6)
+    np.testing.assert_allclose(poses[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2), poses_identity(2), atol=1e-12)
+
+
+def poses_identity(count: int) -> FloatArray:
+    return np.tile(np.eye(3), (count, 1, 1))
+
+
+def plane_positions(georeference: Georeference) -> FloatArray:
+    """East and north on a transverse Mercator plane through the first fix."""
+    plane = f"+proj=tmerc +lat_0={georeference.lat_deg[0]} +lon_0={georeference.lon_deg[0]} +k=1 +datum=WGS84"
+    project = pyproj.Transformer.from_crs("EPSG:4326", plane, always_xy=True)
+    return np.stack(project.transform(georeference.lon_deg, georeference.lat_deg), axis=1)
+
+
+def rigid_rmse(a: FloatArray, b: FloatArray) -> float:
+    """Root mean square distance of two (N, 2) tracks after the best rotation and shift of one."""
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    u, _, vt = np.linalg.svd(b.T @ a)
+    rotation = u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return float(np.sqrt(((b @ rotation - a) ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("sequence", ["00", "05", "07", "09"])
+def test_oxts_agrees_with_the_ground_truth_and_the_lever_arm_has_the_right_sign(
+    data: Callable[[str], Path], sequence: str
+) -> None:
+    path = data(f"kitti/poses_gt/{sequence}.txt")
+    line = next(s for s in data(f"kitti/calib/{sequence}.txt").read_text().splitlines() if s.startswith("Tr:"))
+    T_cam_lidar = np.vstack([np.array(line.split()[1:], float).reshape(3, 4), [0, 0, 0, 1]])
+    lidar = invert_transform(T_cam_lidar) @ read_poses(path, path.parent).poses @ T_cam_lidar
+    rows = read_oxts_rows(data(f"kitti/oxts/{sequence}.txt.gz"), path.parent, np.arange(len(lidar)))
+    error = {
+        name: rigid_rmse(plane_positions(georeference_of_lidar(rows, (arm, ""), "")), lidar[:, :2, 3])
+        for name, arm in (
+            ("right", KITTI_T_VELO_IMU),
+            ("none", np.eye(4)),
+            ("inverse", invert_transform(KITTI_T_VELO_IMU)),
+        )
+    }
+    assert error["right"] < 0.5
+    assert error["right"] < error["none"] - 0.2 < error["inverse"] - 0.4
+
+
+def test_geo_csv_of_kitti360_agrees_with_its_poses(data: Callable[[str], Path]) -> None:
+    root = data("kitti360_0009")
+    poses = read_poses(root / "poses.txt", root).poses
+    georeference = read_geo_csv(root / "geo.csv", root, np.arange(len(poses)))
+    assert rigid_rmse(plane_positions(georeference), poses[:, :2, 3]) < 0.5
+    np.testing.assert_allclose(poses_of(georeference)[:, :3, 3], poses[:, :3, 3], atol=2.0)

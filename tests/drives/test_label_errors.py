@@ -1,0 +1,72 @@
+"""Segmentation errors on purpose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.drive import Drive
+from interloc.drives.label_errors import MislabelledDrive
+from interloc.drives.open import open_drive
+from interloc.errors import ConfigError
+
+
+def test_no_noise_changes_nothing(sequence: Path) -> None:
+    drive = open_drive(sequence)
+    np.testing.assert_array_equal(MislabelledDrive(drive, 0.0, 0.0).ground_points(2).road, drive.ground_points(2).road)
+
+
+def test_all_noise_swaps_road_and_the_rest(sequence: Path) -> None:
+    drive = open_drive(sequence)
+    np.testing.assert_array_equal(
+        MislabelledDrive(drive, 1.0, 1.0).ground_points(2).road, drive.ground_points(2).confusable
+    )
+
+
+def test_shares_are_kept(sequence: Path) -> None:
+    drive = open_drive(sequence)
+    noisy = MislabelledDrive(drive, 0.2, 0.05, seed=3)
+    missed = taken = road = rest = 0
+    for index in range(len(drive.frames)):
+        clean, points = drive.ground_points(index), noisy.ground_points(index)
+        kept = len(set(map(tuple, points.road)) & set(map(tuple, clean.road)))
+        road, rest = road + len(clean.road), rest + len(clean.confusable)
+        missed, taken = missed + len(clean.road) - kept, taken + len(points.road) - kept
+    assert missed / road == pytest.approx(0.05, abs=0.01)
+    assert taken / rest == pytest.approx(0.2, abs=0.02)
+
+
+def test_the_same_points_err_whatever_the_order(sequence: Path) -> None:
+    drive = open_drive(sequence)
+    one, other = MislabelledDrive(drive, 0.2, 0.2, seed=1), MislabelledDrive(drive, 0.2, 0.2, seed=1)
+    forward = [one.ground_points(index).road for index in range(4)]
+    backward = [other.ground_points(index).road for index in reversed(range(4))]
+    for a, b in zip(forward, reversed(backward), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_another_seed_and_another_scan_err_otherwise(sequence: Path) -> None:
+    drive = open_drive(sequence)
+    a = MislabelledDrive(drive, 0.2, 0.2, seed=1)
+    b = MislabelledDrive(drive, 0.2, 0.2, seed=2)
+    assert len(a.ground_points(0).road) != len(b.ground_points(0).road)
+    assert len(a.ground_points(0).road) != len(a.ground_points(1).road)
+
+
+def test_it_is_a_drive(sequence: Path) -> None:
+    drive = open_drive(sequence)
+    noisy = MislabelledDrive(drive, 0.1, 0.1)
+    assert isinstance(noisy, Drive)
+    assert noisy.name == drive.name
+    assert noisy.frames is drive.frames
+    assert noisy.T_world_lidar is drive.T_world_lidar
+    assert noisy.times_s is drive.times_s
+    assert noisy.georeference is drive.georeference
+
+
+@pytest.mark.parametrize(("r_fpr", "r_fnr", "seed"), [(5, 0, 0), (0, -0.1, 0), (float("nan"), 0, 0), (0, 0, -1)])
+def test_shares_that_are_none(sequence: Path, r_fpr: float, r_fnr: float, seed: int) -> None:
+    with pytest.raises(ConfigError):
+        MislabelledDrive(open_drive(sequence), r_fpr, r_fnr, seed)
