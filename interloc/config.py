@@ -1,4 +1,4 @@
-"""Configuration of the method: one frozen model a concern, two presets.
+"""Configuration of the method: one frozen model per concern, two presets.
 
 Lengths are metres, angles degrees (the suffix says so). A configuration is saved with every result and is the body of
 a request to the service.
@@ -16,8 +16,8 @@ from interloc.errors import ConfigError
 
 Preset = Literal["default", "paper"]
 
-_MAX_FAULTS_SHOWN = 20  # faults in one message ...
-_MAX_VALUE_CHARS = 100  # ... and characters of each value
+_MAX_FAULTS_SHOWN = 20  # in one message
+_MAX_VALUE_CHARS = 100  # of each value in a message
 
 
 class _Config(BaseModel):
@@ -27,11 +27,19 @@ class _Config(BaseModel):
 class KeyframeConfig(_Config):
     """Which scans are used, and how many of them make one image (paper, section III-B.2)."""
 
-    distance_m: float = Field(2.0, ge=0, le=1000, description="A scan is a keyframe after more than this way ...")
-    angle_deg: float = Field(5.0, ge=0, le=180, description="... or this turn since the last one.")
+    distance_m: float = Field(
+        2.0, ge=0, le=1000, description="A scan is a keyframe if it lies farther than this from the last keyframe."
+    )
+    angle_deg: float = Field(
+        5.0, ge=0, le=180, description="A scan is also a keyframe if it is turned by more than this."
+    )
     window: int = Field(20, ge=0, le=500, description="n: keyframes before the current one that are accumulated.")
     lookahead: int | None = Field(
-        None, ge=0, le=500, description="Keyframes after the current one; none: as many as before. 0 is causal."
+        None,
+        ge=0,
+        le=500,
+        description="Keyframes after the current one that are accumulated; without a value as many as before it. "
+        "0 is causal.",
     )
 
     @property
@@ -45,14 +53,18 @@ class BevConfig(_Config):
 
     size_m: float = Field(120.0, ge=20, le=400, description="S: side of the region of interest.")
     resolution_m: float = Field(0.16, ge=0.05, le=2.0, description="r: side of a cell.")
-    min_points: int = Field(5, ge=1, le=10000, description="m: points that make a cell road, in a full window.")
+    min_points: int = Field(
+        5, ge=1, le=10000, description="m: number of points from which a cell is road, in a full window."
+    )
     adaptive: bool = Field(
-        True, description="Lower m where fewer keyframes than a full window reach into the region of interest."
+        True, description="Lower m where fewer keyframes than a full window lie in the region of interest."
     )
     vote: bool = Field(
-        False, description="Points of sidewalk, parking and other ground in a cell take as many road points back."
+        False, description="Each point of sidewalk, parking or other ground in a cell cancels one of its road points."
     )
-    max_range_m: float = Field(150.0, ge=10, le=1000, description="Points farther from the sensor are left out.")
+    max_range_m: float = Field(
+        150.0, ge=10, le=1000, description="Points farther than this from the sensor are left out."
+    )
 
     @property
     def cells(self) -> int:
@@ -63,7 +75,7 @@ class BevConfig(_Config):
     def _bounded(self) -> BevConfig:
         if not 64 <= self.cells <= 4096:
             raise ValueError(
-                f"size_m / resolution_m makes {self.cells} cells a side; expected 64 to 4096. "
+                f"size_m / resolution_m makes {self.cells} cells per side; expected 64 to 4096. "
                 "Raise resolution_m or lower size_m."
             )
         return self
@@ -72,8 +84,12 @@ class BevConfig(_Config):
 class OccupancyConfig(_Config):
     """Closing, then opening, by discs (paper, section III-B.4)."""
 
-    closing_m: float = Field(2.4, ge=0, le=20, description="Diameter of the disc that closes gaps between road cells.")
-    opening_m: float = Field(2.4, ge=0, le=20, description="Diameter of the disc that removes what is too small.")
+    closing_m: float = Field(
+        2.4, ge=0, le=20, description="Diameter of the disc that closes the gaps between road cells."
+    )
+    opening_m: float = Field(
+        2.4, ge=0, le=20, description="Diameter of the disc that removes what is too small to be road."
+    )
 
 
 class CenterlineConfig(_Config):
@@ -82,17 +98,27 @@ class CenterlineConfig(_Config):
     spur_widths: float = Field(
         0.0, ge=0, le=10, description="Dead ends shorter than this many local road widths are removed; 0 keeps all."
     )
+    max_width_share: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Widest road whose width is measured, as a share of the side of the region of interest.",
+    )
 
 
 class HarrisCandidates(_Config):
     """Candidates by the Harris corner score on the centerline (paper, section III-B.6)."""
 
     kind: Literal["harris"] = "harris"
-    block_px: int = Field(9, ge=3, le=63, description="Side of the window that gradients are summed over; odd.")
+    block_px: int = Field(9, ge=3, le=63, description="Side of the window over which gradients are summed; odd.")
     k: float = Field(0.04, gt=0, lt=0.25, description="Harris' k.")
     peak_px: int = Field(21, ge=3, le=199, description="Side of the window in which a candidate is the maximum; odd.")
-    min_score: float = Field(0.3, ge=0, le=1, description="Least score, as a share of the best one in the image.")
-    merge_m: float = Field(10.0, ge=0, le=50, description="Candidates nearer than this are averaged, until stable.")
+    min_score: float = Field(
+        0.3, ge=0, le=1, description="Minimum score of a candidate, as a share of the best one in the image."
+    )
+    merge_m: float = Field(
+        10.0, ge=0, le=50, description="Candidates closer together than this are averaged, until none are."
+    )
 
     @model_validator(mode="after")
     def _odd(self) -> HarrisCandidates:
@@ -103,50 +129,88 @@ class HarrisCandidates(_Config):
 
 
 class CrossingCandidates(_Config):
-    """Candidates by the crossing number of the centerline; those joined within about a road width are one."""
+    """Candidates where lines of the centerline meet; those joined within about a road width are one."""
 
     kind: Literal["crossing"] = "crossing"
     merge_widths: float = Field(
         1.0, ge=0, le=5, description="Junctions of the centerline joined within this many local road widths are one."
     )
-    merge_min_m: float = Field(4.0, ge=0, le=50, description="... and within this length in any case.")
-    merge_max_m: float = Field(20.0, ge=0, le=100, description="... and not beyond this length in any case.")
+    merge_min_m: float = Field(
+        4.0, ge=0, le=50, description="Junctions joined within this length are one, however narrow the road."
+    )
+    merge_max_m: float = Field(
+        20.0, ge=0, le=100, description="Junctions joined by more than this length are two, however wide the road."
+    )
 
 
 class BranchConfig(_Config):
     """Branches around a candidate, and the point where they meet (paper, section III-C)."""
 
-    inner_radius_m: float = Field(10.0, gt=0, le=100, description="a_i: inner circle, and the most a point may move.")
+    inner_radius_m: float = Field(
+        10.0,
+        gt=0,
+        le=100,
+        description="a_i: radius of the inner circle, where branches start and which the refined point does not leave.",
+    )
     inner_widths: float | None = Field(
         None,
         gt=0,
         le=5,
-        description="Inner circle in local road widths instead of a fixed one; a_i is its upper bound.",
+        description="Radius of the inner circle in local road widths; a_i is then its upper bound. Without a value the "
+        "radius is a_i.",
     )
-    outer_radius_m: float = Field(40.0, gt=0, le=200, description="a_o: outer circle.")
+    outer_radius_m: float = Field(
+        40.0, gt=0, le=200, description="a_o: radius of the outer circle, where branches end."
+    )
     margin_m: float = Field(
-        0.0, ge=0, le=50, description="Candidates nearer than this to the border of the window are left out."
+        0.0, ge=0, le=50, description="Candidates closer than this to the border of the image are left out."
     )
-    min_branches: int = Field(3, ge=2, le=8, description="Branches that make an intersection.")
+    min_branches: int = Field(3, ge=2, le=8, description="Number of branches that make an intersection.")
     min_reach_m: float = Field(
-        14.0, ge=0, le=200, description="A branch reaches this far from its candidate, unless another one is nearer."
+        14.0,
+        ge=0,
+        le=200,
+        description="Distance from its candidate that a branch must reach, unless it ends at another candidate.",
     )
     stop_m: float = Field(1.0, gt=0, le=50, description="A branch ends this far before another candidate.")
     end_at_rejected: bool = Field(
-        True, description="A branch also ends before a candidate that is no intersection itself."
+        True, description="A branch also ends before a candidate that has too few branches itself."
     )
     line: Literal["start_and_mean", "least_squares"] = Field(
-        "start_and_mean", description="How a line is laid through a branch."
+        "start_and_mean",
+        description="The line of a branch: through its start and its mean (the paper), or fitted by least squares.",
     )
-    fit_length_m: float = Field(30.0, gt=0, le=200, description="Most of a branch that a least squares line uses ...")
-    fit_least_m: float = Field(8.0, gt=0, le=200, description="... and least; in between ...")
+    fit_length_m: float = Field(
+        30.0, gt=0, le=200, description="Longest part of a branch that is used for the line fit."
+    )
+    fit_least_m: float = Field(
+        8.0, gt=0, le=200, description="Shortest part of a branch at which the line fit stops where the branch bends."
+    )
     straight_m: float = Field(
-        0.3, gt=0, le=10, description="... as far as the centerline is straight: root mean square distance from it."
+        0.3,
+        gt=0,
+        le=10,
+        description="Root mean square distance between branch and line at which the branch counts as bent.",
+    )
+    min_fit_m: float = Field(
+        3.0, ge=0, le=200, description="Branches fitted over less than this have no line: it would point anywhere."
+    )
+    full_fit_m: float = Field(
+        15.0, gt=0, le=200, description="Length of the line fit beyond which a line gains no more weight."
+    )
+    trim_m: float = Field(
+        0.0,
+        ge=0,
+        le=20,
+        description="Centerline closer than this to a dead end or to the border of the image is not used for the fit.",
     )
     candidate_std_m: float | None = Field(
-        None, gt=0, le=50, description="How well the candidate itself is placed, beside its lines; none: not counted."
+        None,
+        gt=0,
+        le=50,
+        description="Standard deviation of the candidate's own position, which then counts beside the lines. Without a "
+        "value only the lines count.",
     )
-    trim_m: float = Field(0.0, ge=0, le=20, description="Centerline nearer than this to a tip or the border is unused.")
 
     @model_validator(mode="after")
     def _ordered(self) -> BranchConfig:
@@ -160,10 +224,117 @@ class BranchConfig(_Config):
 class CompoundConfig(_Config):
     """Intersections side by side in one blob of road (beyond the paper: its section V-E)."""
 
-    separation_m: float = Field(7.0, gt=0, le=50, description="Nearer intersections are one.")
-    straight_deg: float = Field(25.0, gt=0, le=60, description="Most that two branches of a through road may bend ...")
-    offset_m: float = Field(4.0, gt=0, le=20, description="... and pass each other by.")
-    crossing_deg: float = Field(30.0, gt=0, le=90, description="Least angle at which roads cross.")
+    separation_m: float = Field(7.0, gt=0, le=50, description="Intersections closer together than this are one.")
+    straight_deg: float = Field(
+        25.0, gt=0, le=60, description="Two branches of a through road differ in direction by at most this angle."
+    )
+    offset_m: float = Field(
+        4.0, gt=0, le=20, description="Two branches of a through road pass each other at no more than this distance."
+    )
+    crossing_deg: float = Field(30.0, gt=0, le=90, description="Smallest angle at which roads cross.")
+
+
+class ScoreConfig(_Config):
+    """How sure the detector is of an intersection, 0 to 1: its lines meet in a point, and each branch is a road."""
+
+    spread_m: float = Field(
+        2.0,
+        gt=0,
+        le=50,
+        description="Distance at which lines pass the point (root mean square) for an agreement of 1/e; 0 m gives 1.",
+    )
+    rated_branch: int = Field(
+        3, ge=1, le=8, description="Rank of the branch, from the longest, whose length is part of the score."
+    )
+    full_length_m: float = Field(
+        15.0, gt=0, le=200, description="Length of the rated branch from which it adds no more to the score."
+    )
+    agreement_share: float = Field(
+        0.5, ge=0, le=1, description="Share of the agreement in the score; the rated branch has the rest."
+    )
+
+
+class FusionConfig(_Config):
+    """How the detections of all keyframes become one map of intersections (beyond the paper)."""
+
+    bandwidth_m: float = Field(
+        2.0,
+        ge=0.1,
+        le=50,
+        description="Scatter of the detections of one intersection; also the scale of the robust position.",
+    )
+    merge_radius_m: float = Field(
+        10.0,
+        gt=0,
+        le=100,
+        description="Detections farther apart are never one intersection; closer ones are, unless seen side by side.",
+    )
+    together: float = Field(
+        0.15,
+        ge=0,
+        lt=1,
+        description="Two places are two intersections if more than this share of the keyframes that saw the rarer one "
+        "saw both.",
+    )
+    range_scale_m: float = Field(
+        15.0,
+        gt=0,
+        le=1000,
+        description="Distance from the LiDAR at which a detection has twice the variance of a near one.",
+    )
+    visible_radius_m: float = Field(
+        20.0, gt=0, le=1000, description="Distance within which an intersection should be seen."
+    )
+    visible_limit_m: float = Field(
+        50.0, gt=0, le=1000, description="Distance beyond which not seeing an intersection says nothing about it."
+    )
+    prior_seen: float = Field(
+        0.5, gt=0, le=1000, description="Sightings that each intersection starts with (Beta prior of the confidence)."
+    )
+    prior_missed: float = Field(
+        1.5,
+        gt=0,
+        le=1000,
+        description="Missed sightings that each intersection starts with (Beta prior of the confidence).",
+    )
+    score_influence: float = Field(
+        0.3, ge=0, le=1, description="Part of the confidence that a score of zero takes away."
+    )
+    min_observations: int = Field(
+        2,
+        ge=1,
+        le=10000,
+        description="Number of detections that make an intersection, where that many keyframes were within reach.",
+    )
+    min_confidence: float = Field(0.3, ge=0, le=1, description="Intersections of lower confidence are dropped.")
+    correlation_length_m: float = Field(
+        80.0,
+        gt=0,
+        le=10000,
+        description="Distance driven after which two windows share no scan, so that their errors are independent.",
+    )
+    prior_std_m: float = Field(
+        0.7,
+        gt=0,
+        le=100,
+        description="Typical error of one independent sighting (prior of the position's uncertainty).",
+    )
+    branch_spread_deg: float = Field(8.0, gt=0, le=90, description="Scatter of the bearing of a branch.")
+    branch_separation_deg: float = Field(
+        25.0, gt=0, lt=120, description="Smallest angle between two branches of an intersection."
+    )
+    branch_support: float = Field(
+        0.4, ge=0, le=1, description="Share of the sightings, by weight, that must have seen a branch."
+    )
+
+    @model_validator(mode="after")
+    def _limits_are_in_order(self) -> FusionConfig:
+        if self.visible_limit_m <= self.visible_radius_m:
+            raise ValueError(
+                f"visible_limit_m ({self.visible_limit_m:g}) must be greater than visible_radius_m "
+                f"({self.visible_radius_m:g})"
+            )
+        return self
 
 
 class DetectorConfig(_Config):
@@ -176,7 +347,11 @@ class DetectorConfig(_Config):
     centerline: CenterlineConfig = CenterlineConfig()
     candidates: Annotated[HarrisCandidates | CrossingCandidates, Field(discriminator="kind")] = CrossingCandidates()
     branches: BranchConfig = BranchConfig()
-    compound: CompoundConfig | None = Field(None, description="None: a candidate is one intersection, as in the paper.")
+    compound: CompoundConfig | None = Field(
+        None, description="Without a value a candidate is one intersection, as in the paper."
+    )
+    score: ScoreConfig = ScoreConfig()
+    fusion: FusionConfig = FusionConfig()
 
     @model_validator(mode="after")
     def _fits(self) -> DetectorConfig:
@@ -235,7 +410,7 @@ def preset(name: str) -> DetectorConfig:
 def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorConfig:
     """Return a configuration with some settings replaced, each given as ``section.name=value``.
 
-    The value is JSON; what is none is text. A new ``kind`` sets its section back to the defaults of that kind, whatever
+    The value is JSON, or else text. A new ``kind`` sets its section back to the defaults of that kind, whatever
     the order of the settings; ``section=null`` leaves out a step that may be left out.
 
     Raises

@@ -17,7 +17,7 @@ from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive, scans_of
 from interloc.errors import DriveError
-from interloc.mapping.fusion import FusionConfig, fuse
+from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
 from interloc.processes import cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult
@@ -104,7 +104,6 @@ def detect(
     drive: Drive,
     config: DetectorConfig = DEFAULT,
     *,
-    fusion: FusionConfig | None = None,
     workers: int | None = 1,
     progress: Progress | None = None,
 ) -> DriveResult:
@@ -114,9 +113,7 @@ def detect(
     ----------
     drive
     config
-        Settings of the method; see `interloc.config.preset`.
-    fusion
-        Settings of the fusion of detections into intersections.
+        Settings of the method, those of the fusion too; see `interloc.config.preset`.
     workers : int or None
         Processes; None: as many as pay off. The result does not depend on it.
     progress
@@ -147,7 +144,6 @@ def detect(
         keyframes,
         results,
         config,
-        fusion or FusionConfig(),
         workers=min(workers, len(ranges)),
         seconds=time.perf_counter() - began,
     )
@@ -158,7 +154,6 @@ def assemble(
     keyframes: IntArray,
     parts: Sequence[RangeResult],
     config: DetectorConfig,
-    fusion: FusionConfig,
     *,
     workers: int,
     seconds: float,
@@ -172,9 +167,9 @@ def assemble(
         Positions of all keyframes in the drive.
     parts
         The ranges in their order; together they are all keyframes.
-    config, fusion
+    config
     workers : int
-        Processes that worked on the ranges; only told.
+        Number of processes used; recorded in run.json only.
     seconds : float
         Time that this took so far.
     """
@@ -186,14 +181,14 @@ def assemble(
     found = [detections for part in parts for detections in part.detections]
     keyframe_table, detection_table = build_tables(found, keyframes, drive.georeference)
     stopwatch.lap("georeference")
-    intersections, intersection = fuse(keyframe_table, detection_table, fusion)
+    intersections, intersection = fuse(keyframe_table, detection_table, config.fusion)
     detection_table = replace(detection_table, intersection=intersection)
     stopwatch.lap("fusion")
     world_xy, lonlat = trajectory(drive.T_world_lidar, drive.georeference)
     run = {
         "drive": drive.name,
         "config": config.model_dump(mode="json"),
-        "fusion": fusion.model_dump(mode="json"),
+        "fusion": config.fusion.model_dump(mode="json"),  # part of config too; kept for older readers
         "versions": versions(),
         "scans": len(drive.frames),
         "keyframes": len(keyframes),

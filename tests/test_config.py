@@ -132,7 +132,7 @@ def test_later_setting_wins() -> None:
         ("bev.resolution_m=1e999", "bev.resolution_m: Input should be"),
         ("bev.resolution_m=0", "bev.resolution_m: Input should be greater than or equal to 0.05"),
         ("bev.resolution_m=-1", r"greater than or equal to 0.05 \(found -1\)"),
-        ("bev.resolution_m=2", "makes 60 cells a side; expected 64 to 4096. Raise resolution_m or lower size_m"),
+        ("bev.resolution_m=2", "makes 60 cells per side; expected 64 to 4096. Raise resolution_m or lower size_m"),
         ("bev.size_m=1e9", "bev.size_m: Input should be less than or equal to 400"),
         ("bev.min_points=2.5", "bev.min_points: Input should be a valid integer"),
         ("bev.min_points=99999999999999999999999", "bev.min_points: Input should be"),
@@ -170,6 +170,11 @@ def test_all_faults_are_named_at_once() -> None:
 def test_body_that_is_no_object_is_refused() -> None:
     with pytest.raises(ConfigError, match="configuration: Input should be a valid dictionary"):
         parse_config([1, 2])
+
+
+def test_configuration_from_before_a_section_opens_with_its_defaults() -> None:
+    values = DEFAULT.model_dump(mode="json", exclude={"score": True, "fusion": True, "branches": {"full_fit_m"}})
+    assert parse_config(values) == DEFAULT
 
 
 def test_empty_body_is_the_plain_configuration() -> None:

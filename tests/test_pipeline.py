@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from interloc.arrays import Float32Array, IntArray
-from interloc.config import DEFAULT, DetectorConfig
+from interloc.config import DEFAULT, DetectorConfig, with_settings
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import scans_of
@@ -120,6 +120,15 @@ def test_run_is_recorded(result: DriveResult) -> None:
     assert {"python", "interloc", "numpy", "numba"} <= set(run["versions"])
     assert 0 < sum(run["stage_seconds"].values()) <= run["seconds"]
     assert run["peak_memory_bytes"] > 10_000_000
+
+
+def test_the_fusion_follows_the_configuration(drive: FolderDrive) -> None:
+    picky = with_settings(CONFIG, ["fusion.min_observations=100", "fusion.min_confidence=0"])
+    result = detect(drive, picky)
+    assert len(result.detections) > 0
+    assert len(result.intersections) == 0
+    assert result.run["config"]["fusion"] == result.run["fusion"]
+    assert result.run["fusion"]["min_observations"] == 100
 
 
 # --- one code path ---------------------------------------------------------------------------------------------------

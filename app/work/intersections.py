@@ -22,7 +22,6 @@ from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.evaluation.coverage import track_bounds
-from interloc.mapping.fusion import FusionConfig
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.output.layout import result_folder
 from interloc.output.write import write_results
@@ -82,7 +81,6 @@ def finish(task: Task, plan: Plan) -> Outcome:
         keyframes,
         [_found(task, part) for part in plan.parts],
         config_of(task),
-        FusionConfig(),
         workers=min(int(task.limits.get("workers", 1)), len(plan.parts)),
         seconds=max(0.0, time.time() - plan.notes["began"]),
     )

@@ -12,9 +12,6 @@ from interloc.detection.candidates import Candidates
 from interloc.detection.centerline import BORDER_PX, Centerline
 from interloc.kernels import skeleton as sk
 
-FULL_FIT_M = 15.0  # a longer line counts no more
-MIN_FIT_M = 3.0  # a shorter piece says nothing about the direction of a road
-
 
 @dataclass(frozen=True)
 class Branches:
@@ -161,7 +158,7 @@ def segment_branches(
         config.stop_m / resolution_m,
         config.fit_length_m / resolution_m,
         config.fit_least_m / resolution_m,
-        FULL_FIT_M / resolution_m,
+        config.full_fit_m / resolution_m,
         config.straight_m / resolution_m,
         config.trim_m / resolution_m,
         centerline.image.height,
@@ -177,7 +174,7 @@ def segment_branches(
         weights = np.ones(len(table))
     else:
         points = table[:, [sk.FIT_ROW, sk.FIT_COL]]
-        has_line = table[:, sk.FIT_LENGTH] * resolution_m >= MIN_FIT_M
+        has_line = table[:, sk.FIT_LENGTH] * resolution_m >= config.min_fit_m
         fitted = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
         directions = np.where(has_line[:, None], fitted, _unit(means - candidates.positions[which]))
         weights = np.where(has_line, table[:, sk.WEIGHT] / resolution_m**2, 0.0)

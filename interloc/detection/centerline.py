@@ -28,6 +28,8 @@ class Centerline:
         The pixels that each one is joined to, as positions in ``rows``; -1 for none.
     occupancy
         The road that it is the axis of; gives the local width.
+    max_width : int
+        Pixels; a wider road counts as this wide.
     """
 
     image: BinaryImage
@@ -35,12 +37,14 @@ class Centerline:
     cols: Int32Array
     neighbours: Int32Array
     occupancy: BinaryImage
+    max_width: int
 
     @classmethod
-    def of(cls, image: BinaryImage, occupancy: BinaryImage) -> Centerline:
-        """Build the graph of a thinned image."""
+    def of(cls, image: BinaryImage, occupancy: BinaryImage, max_width: int | None = None) -> Centerline:
+        """Build the graph of a thinned image; roads are measured up to half the image's side unless said otherwise."""
         rows, cols = image.pixels()
-        return cls(image, rows, cols, skeleton.neighbours_of(image.words, rows, cols), occupancy)
+        neighbours = skeleton.neighbours_of(image.words, rows, cols)
+        return cls(image, rows, cols, neighbours, occupancy, image.height // 2 if max_width is None else max_width)
 
     @cached_property
     def degrees(self) -> Int32Array:
@@ -54,7 +58,7 @@ class Centerline:
             self.rows[pixels],
             self.cols[pixels],
             self.occupancy.height,
-            self.occupancy.height // 4,
+            self.max_width // 2,
         )
 
 
@@ -66,7 +70,7 @@ def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Cent
     occupancy
         Set where the ground is road.
     config
-        Longest dead end to drop, in local road widths.
+        Longest dead end to drop, and widest road to measure.
 
     Notes
     -----
@@ -74,7 +78,7 @@ def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Cent
     """
     image = BinaryImage(occupancy.words.copy(), occupancy.height, occupancy.width)
     thin(image.words, DELETABLE)
-    centerline = Centerline.of(image, occupancy)
+    centerline = Centerline.of(image, occupancy, int(config.max_width_share * occupancy.height))
     if config.spur_widths > 0:
         centerline = _without_spurs(centerline, config.spur_widths)
     return centerline
@@ -88,9 +92,10 @@ def _without_spurs(centerline: Centerline, widths: float) -> Centerline:
         centerline.occupancy.words,
         centerline.image.height,
         widths,
+        centerline.max_width // 2,
         BORDER_PX,
     )
     if keep.all():
         return centerline
     skeleton.clear_pixels(centerline.image.words, centerline.rows[~keep], centerline.cols[~keep])
-    return Centerline.of(centerline.image, centerline.occupancy)
+    return Centerline.of(centerline.image, centerline.occupancy, centerline.max_width)

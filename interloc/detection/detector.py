@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.config import DEFAULT, DetectorConfig
+from interloc.config import DEFAULT, DetectorConfig, ScoreConfig
 from interloc.detection.accumulation import RoadAccumulator
 from interloc.detection.branches import segment_all
 from interloc.detection.candidates import Candidates, find_candidates
@@ -106,7 +106,7 @@ class Detector:
     def detect(self, keyframe: Keyframe) -> KeyframeDetections:
         """Return the detections of the keyframe that was completed last."""
         steps = self.steps(keyframe)
-        return locate(steps.junctions, steps.roi, keyframe)
+        return locate(steps.junctions, steps.roi, keyframe, self.config.score)
 
     def steps(self, keyframe: Keyframe) -> Steps:
         """Run the steps of the paper on what is accumulated around the keyframe that was completed last."""
@@ -129,19 +129,21 @@ class Detector:
         return Steps(roi, bev, occupancy, centerline, candidates, enders, junctions)
 
 
-def locate(junctions: list[Junction], roi: Roi, keyframe: Keyframe) -> KeyframeDetections:
+def locate(junctions: list[Junction], roi: Roi, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDetections:
     """Turn junctions of the image into positions in W and in L (paper, eq. 12)."""
     positions = np.array([j.position for j in junctions], np.float64).reshape(-1, 2)
     world_xy = roi.world(positions[:, 0], positions[:, 1])
     T = keyframe.T_world_lidar
     lidar_xy = rotate_2d(world_xy - T[:2, 3], -yaw_of(T[:3, :3]))
     angles = [np.arctan2(-j.directions[:, 0], j.directions[:, 1]) for j in junctions]  # rows go against +y
-    score = np.array([_score(j, roi.resolution_m) for j in junctions], np.float64)
+    score = np.array([_score(j, roi.resolution_m, config) for j in junctions], np.float64)
     return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score)
 
 
-def _score(junction: Junction, resolution_m: float) -> float:
+def _score(junction: Junction, resolution_m: float, config: ScoreConfig) -> float:
     """Rate a junction 0..1: its lines meet in a point, and its third branch is long enough to be a road."""
-    agreement = math.exp(-((junction.residual * resolution_m / 2.0) ** 2))
-    third = np.sort(junction.branches.lengths)[-3] if junction.branches.count >= 3 else 0.0
-    return float(0.5 * agreement + 0.5 * min(1.0, third * resolution_m / 15.0))
+    agreement = math.exp(-((junction.residual * resolution_m / config.spread_m) ** 2))
+    lengths, rank = np.sort(junction.branches.lengths), config.rated_branch
+    rated = lengths[-rank] if len(lengths) >= rank else 0.0
+    is_road = min(1.0, rated * resolution_m / config.full_length_m)
+    return float(config.agreement_share * agreement + (1.0 - config.agreement_share) * is_road)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -76,10 +77,16 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         nodes=nodes,
         pictures=pictures,
         # Read by people only, so what JSON does not know may appear as its text.
-        config=json.dumps({key: result.run[key] for key in SETTINGS if key in result.run}, indent=2, default=str),
+        config=json.dumps(_settings(result.run), indent=2, default=str),
         facts=_flatten({key: value for key, value in result.run.items() if key not in SETTINGS}),
     )
     return page
+
+
+def _settings(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a run; those of the fusion stood beside the others in older ones."""
+    beside = {key: run[key] for key in ("fusion",) if key not in run.get("config", {}) and key in run}
+    return {**run.get("config", {}), **beside}
 
 
 def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late

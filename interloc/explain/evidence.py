@@ -149,7 +149,7 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
         min_points=road_map.min_points(keyframe),
         steps=steps,
         verdicts=judge(steps, keyframe.T_world_lidar[:2, 3], config),
-        detections=locate(steps.junctions, steps.roi, keyframe),
+        detections=locate(steps.junctions, steps.roi, keyframe, config.score),
     )
 
 

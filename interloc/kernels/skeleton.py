@@ -79,6 +79,7 @@ def prune_spurs(
     occupancy: UInt64Array,
     size: int,
     widths: float,
+    limit: int,
     border: int,
 ) -> BoolArray:
     """Find the dead ends that are shorter than a multiple of the road width where they leave the road.
@@ -90,9 +91,11 @@ def prune_spurs(
     occupancy
         Packed image of the road; gives the width.
     size : int
-        Pixels a side of the image.
+        Pixels per side of the image.
     widths : float
         Longest spur in local road widths.
+    limit : int
+        Greatest half width of a road that is measured, pixels.
     border : int
         A tip nearer than this to the image's border is where the window cuts the road: it is kept.
 
@@ -138,7 +141,7 @@ def prune_spurs(
                     break
             if junction < 0:
                 continue
-            width = 2.0 * nearest_clear(occupancy, rows[junction], cols[junction], size, size, 200)
+            width = 2.0 * nearest_clear(occupancy, rows[junction], cols[junction], size, size, limit)
             if length >= widths * width:
                 continue
             for k in range(count):
@@ -283,7 +286,7 @@ def follow_branches(
         square distance from the line stays within ``straight``. Its weight is its length, as far as ``full_fit``
         counts, over its variance.
     size, border : int
-        Pixels a side of the image; width of the margin that counts as its border.
+        Pixels per side of the image; width of the margin that counts as its border.
 
     Returns
     -------

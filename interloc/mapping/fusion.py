@@ -1,13 +1,13 @@
-"""From the detections of all keyframes to a map: one point a physical intersection."""
+"""From the detections of all keyframes to a map: one point per physical intersection."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.config import FusionConfig
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import (
@@ -19,75 +19,6 @@ from interloc.mapping.estimation import (
     visibility,
 )
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
-
-
-class FusionConfig(BaseModel):
-    """How detections become intersections."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    bandwidth_m: float = Field(
-        default=2.0, gt=0, description="Scatter of the detections of one intersection; scale of the robust position."
-    )
-    merge_radius_m: float = Field(
-        default=10.0,
-        gt=0,
-        description="Detections further apart are never one intersection; nearer ones are unless seen side by side.",
-    )
-    together: float = Field(
-        default=0.15,
-        ge=0,
-        lt=1,
-        description="Share of the keyframes of the rarer of two places beyond which seeing both makes them two.",
-    )
-    range_scale_m: float = Field(
-        default=15.0,
-        gt=0,
-        description="Range from the LiDAR at which a detection has twice the variance of a near one.",
-    )
-    visible_radius_m: float = Field(
-        default=20.0, gt=0, description="Range within which an intersection should be seen."
-    )
-    visible_limit_m: float = Field(
-        default=50.0, gt=0, description="Range beyond which not seeing an intersection says nothing."
-    )
-    prior_seen: float = Field(
-        default=0.5, gt=0, description="Sightings that each intersection starts with (Beta prior of the confidence)."
-    )
-    prior_missed: float = Field(
-        default=1.5, gt=0, description="Missed sightings that each intersection starts with (Beta prior)."
-    )
-    score_influence: float = Field(
-        default=0.3, ge=0, le=1, description="Part of the confidence that a score of zero takes away."
-    )
-    min_observations: int = Field(
-        default=2, ge=1, description="Fewer detections make no intersection where that many keyframes were in range."
-    )
-    min_confidence: float = Field(default=0.3, ge=0, le=1, description="Intersections below are dropped.")
-    correlation_length_m: float = Field(
-        default=80.0, gt=0, description="Way driven after which two windows share no scan: errors are independent."
-    )
-    prior_std_m: float = Field(
-        default=0.7,
-        gt=0,
-        description="Typical error of one independent sighting (prior of the position's uncertainty).",
-    )
-    branch_spread_deg: float = Field(default=8.0, gt=0, description="Scatter of the bearing of a branch.")
-    branch_separation_deg: float = Field(
-        default=25.0, gt=0, lt=120, description="Branches lie at least this far apart."
-    )
-    branch_support: float = Field(
-        default=0.4, ge=0, le=1, description="Share of the sightings, by weight, that must have seen a branch."
-    )
-
-    @model_validator(mode="after")
-    def _limits_are_in_order(self) -> FusionConfig:
-        if self.visible_limit_m <= self.visible_radius_m:
-            raise ValueError(
-                f"visible_limit_m ({self.visible_limit_m:g}) must be greater than visible_radius_m "
-                f"({self.visible_radius_m:g})"
-            )
-        return self
 
 
 def fuse(

@@ -145,7 +145,7 @@ def comb(spur: int, size: int = 100) -> tuple[BinaryImage, BinaryImage]:
 
 def kept(line: BinaryImage, road: BinaryImage, widths: float, border: int) -> list[Pixel]:
     rows, cols, neighbours = graph(line)
-    keep = sk.prune_spurs(rows, cols, neighbours, road.words, line.height, widths, border)
+    keep = sk.prune_spurs(rows, cols, neighbours, road.words, line.height, widths, 200, border)
     return list(zip(rows[keep].tolist(), cols[keep].tolist(), strict=True))
 
 
@@ -199,7 +199,7 @@ def test_spur_on_a_spur_goes_with_it() -> None:
 def test_pruning_keeps_every_piece_and_leaves_no_short_spur(seed: int, widths: float) -> None:
     line, shape = thinned_blobs(seed)
     rows, cols, neighbours = graph(line)
-    keep = sk.prune_spurs(rows, cols, neighbours, shape.words, 130, widths, 12)
+    keep = sk.prune_spurs(rows, cols, neighbours, shape.words, 130, widths, 200, 12)
     pieces = cv2.connectedComponents(line.to_array(), connectivity=8)[0]
     sk.clear_pixels(line.words, rows[~keep], cols[~keep])
     assert cv2.connectedComponents(line.to_array(), connectivity=8)[0] == pieces

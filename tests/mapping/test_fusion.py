@@ -16,13 +16,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.arrays import FloatArray
+from interloc.config import FusionConfig
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
 from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import fuse_bearings, position_std, robust_centres
-from interloc.mapping.fusion import FusionConfig, fuse
+from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
 

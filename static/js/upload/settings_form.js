@@ -21,6 +21,8 @@ const SECTIONS = {
   candidates: "Candidates",
   branches: "Branches",
   compound: "Compound intersections",
+  score: "Score of a detection",
+  fusion: "Map of intersections",
 };
 
 const UNITS = { m: "m", deg: "°", px: "px", widths: "road widths" };
