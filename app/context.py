@@ -1,4 +1,4 @@
-"""What all requests share: settings, database, storage."""
+"""What all parts of the service share: settings, database, storage, tokens, metrics, and two signals."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from app.jobs.runner import Runner
-from app.jobs.watcher import JobWatcher
 from app.metrics import Metrics
 from app.settings import Settings
 from app.store.database import Database
@@ -23,7 +21,16 @@ from interloc.errors import OutputError
 
 @dataclass(frozen=True)
 class Context:
-    """The parts of a running service."""
+    """What the parts of a running service share; those that use it (runner, watcher, routes) are made in `app.main`.
+
+    Attributes
+    ----------
+    settings, database, storage, tokens, metrics
+    stopping : threading.Event
+        Set when the server begins to stop: streams and waits that would go on must end.
+    jobs_changed : threading.Event
+        Set when a job was submitted, was cancelled or has ended: the runner looks for the next one at once.
+    """
 
     settings: Settings
     database: Database
@@ -31,9 +38,7 @@ class Context:
     tokens: TokenBook
     metrics: Metrics
     stopping: threading.Event = field(default_factory=threading.Event)
-    """Set when the server begins to stop: streams and waits that would go on must end."""
-    runner: Runner = field(default_factory=Runner)
-    watcher: JobWatcher = field(default_factory=JobWatcher)
+    jobs_changed: threading.Event = field(default_factory=threading.Event)
 
     @classmethod
     def open(cls, settings: Settings) -> Context:

@@ -10,9 +10,14 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.context import Context
 from app.drives.cleanup import Sweeper
+from app.drives.finish import finish_drive
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.http.problems import ProblemDocument, add_handlers
+from app.jobs.runner import Runner
+from app.jobs.watcher import JobWatcher
+from app.results.exports import Exports
+from app.results.keyframes import KeyframeViews
 from app.routes import (
     archive,
     commit,
@@ -53,7 +58,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     ----------
     settings
         Read from the environment (``INTERLOC_*``) by default.
-    service
+    context
         Opened already; otherwise at start. It is closed at the end.
     """
     settings = settings or Settings()
@@ -63,14 +68,18 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         with _remembering_faults(app):
             opened = context or Context.open(settings)
             app.state.context = opened
-            opened.runner.start(opened)
-        sweeper = Sweeper()
-        sweeper.start(opened)
+            app.state.runner = runner = Runner(opened, finish_drive)
+            app.state.watcher = JobWatcher(opened)
+            app.state.keyframe_views = KeyframeViews(runner)
+            app.state.exports = Exports(runner)
+            runner.start()
+        sweeper = Sweeper(opened)
+        sweeper.start()
         try:
             yield
         finally:
             await run_in_threadpool(sweeper.stop)
-            await run_in_threadpool(opened.runner.stop)
+            await run_in_threadpool(runner.stop)
             opened.close()
 
     app = FastAPI(

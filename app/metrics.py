@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily, Metric, SummaryMetricFamily
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from app.store.database import Database
 from app.store.models import Drive, Job
-
-if TYPE_CHECKING:
-    from app.context import Context
+from app.store.storage import Storage
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -53,23 +52,24 @@ class Metrics:
             self._seconds.labels(known, route).observe(seconds)
         self._received.inc(received_bytes)
 
-    def render(self, context: Context) -> bytes:
+    def render(self, database: Database, storage: Storage) -> bytes:
         """Return all of it in the text format of Prometheus."""
-        return generate_latest(self.registry) + generate_latest(_StateRegistry(context))
+        return generate_latest(self.registry) + generate_latest(_StateRegistry(database, storage))
 
 
 class _StateRegistry(CollectorRegistry):
     """What the database and the disk say at this moment."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, database: Database, storage: Storage) -> None:
         super().__init__()
-        self._context = context
+        self._database = database
+        self._storage = storage
 
     def collect(self) -> Iterable[Metric]:
         """Read it."""
-        yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._context.storage.free_bytes())
-        with self._context.database.reading() as session:
-            now = self._context.database.clock(session)
+        yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
+        with self._database.reading() as session:
+            now = self._database.clock(session)
             yield from _drives(session)
             yield from _jobs(session, now)
             yield from _stages(session)

@@ -15,9 +15,9 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.intake import INCOMING
+from app.drives.finish import tidy_drive
 from app.drives.records import delete_drive, drive_key
-from app.drives.settle import tidy_drive
+from app.http.intake import INCOMING
 from app.http.problems import Problem
 from app.jobs.queue import FINAL
 from app.store.models import Base, Drive, Job
@@ -123,13 +123,14 @@ def _is_old(path: Path) -> bool:
 class Sweeper:
     """Cleans up now and then, from `start` to `stop`."""
 
-    def __init__(self) -> None:
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
-    def start(self, context: Context) -> None:
+    def start(self) -> None:
         """Begin, in the background."""
-        self._thread = threading.Thread(target=self._run, args=(context,), name="sweeper", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="sweeper", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -138,10 +139,10 @@ class Sweeper:
         if self._thread is not None:
             self._thread.join(5)
 
-    def _run(self, context: Context) -> None:
+    def _run(self) -> None:
         while True:
             try:
-                sweep(context)
+                sweep(self._context)
             except (SQLAlchemyError, OSError) as error:
                 _log.warning("clean-up: %s", error)
             if self._stopping.wait(PERIOD_S):

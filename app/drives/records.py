@@ -204,7 +204,7 @@ def delete_drive(context: Context, drive_id: str, *, only_if: Callable[[Session,
 
     Parameters
     ----------
-    service
+    context
     drive_id
     only_if
         Asked in the transaction that removes it.

@@ -72,7 +72,7 @@ def check_drive(context: Context, files: int, size: int) -> None:
 
     Parameters
     ----------
-    service
+    context
     files, size
         What the drive would have.
 

@@ -9,7 +9,7 @@ from python_multipart.exceptions import MultipartParseError
 from python_multipart.multipart import MultipartParser, parse_options_header
 
 from app.context import Context
-from app.drives.intake import Arrival, Intake
+from app.http.intake import Arrival, Intake
 from app.http.limits import CLOSE, too_large
 from app.http.problems import Problem
 from app.paths import check_path
@@ -83,7 +83,7 @@ class BatchReader:
 
     Parameters
     ----------
-    service
+    context
     boundary
     fields
         Names of the parts that are taken, and where each goes.

@@ -8,14 +8,17 @@ from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
 
+from app.context import Context
 from app.http.problems import Problem
 from app.jobs import failures
-from app.jobs.executors import WorkerLostError, WorkExecutor
+from app.jobs.executors import WorkExecutor
 from app.jobs.folders import place_result, task_of, tidy, without_paths
+from app.jobs.processes import WorkerLostError
 from app.jobs.queue import Claim, JobQueue, State, not_ready
 from app.store.models import Drive, Job
 from app.work import calls
@@ -23,8 +26,8 @@ from app.work.kinds import KINDS
 from app.work.progress import Board
 from app.work.task import Cancelled, Outcome, Part, Plan
 
-if TYPE_CHECKING:
-    from app.context import Context
+FinishDrive = Callable[[Session, Context, Job, Outcome | Problem], None]
+"""Writes what the end of a job, good or bad, means for its drive, within the transaction that ends the job."""
 
 Stop = Literal["cancelled", "lost", "shutdown"]
 
@@ -42,15 +45,19 @@ class Attempt:
 
     Parameters
     ----------
-    service
-    queue, executor
+    context, queue, executor
     claim
+    finish_drive
+        Called at the end of a job that changes its drive.
     """
 
-    def __init__(self, context: Context, queue: JobQueue, executor: WorkExecutor, claim: Claim) -> None:
+    def __init__(
+        self, context: Context, queue: JobQueue, executor: WorkExecutor, claim: Claim, finish_drive: FinishDrive
+    ) -> None:
         self._context = context
         self._queue = queue
         self._executor = executor
+        self._finish_drive = finish_drive
         self.claim = claim
         self._kind = KINDS[claim.job.kind]
         self._task = task_of(context, claim, executor.slots)
@@ -98,7 +105,7 @@ class Attempt:
             raise _StoppedError
         if job.attempts > self._context.settings.max_attempts:
             raise failures.lost_servers(job.attempts - 1)
-        if not self._kind.is_quick and self.claim.drive_state == "uploading":
+        if not self._kind.changes_drive and self.claim.drive_state == "uploading":
             raise not_ready(Drive(id=job.drive_id, name=self.claim.drive_name))
         self._board.open()
         plan: Plan = self._call("the preparation", calls.prepare, self._task)
@@ -200,7 +207,7 @@ class Attempt:
         job_id, storage = self.claim.job.id, self._context.storage
         for wait_s in (0.5, 1, 2, 4, 8, 0):
             try:
-                if self._stop == "lost" or not self._settle(state, outcome):
+                if self._stop == "lost" or not self._finish(state, outcome):
                     return self._leave()
                 break
             except SQLAlchemyError as error:
@@ -211,9 +218,7 @@ class Attempt:
         tidy(storage, job_id, keep_result=state == "successful")
         return state
 
-    def _settle(self, state: State, outcome: Outcome | Problem) -> bool:
-        from app.drives.settle import settle  # noqa: PLC0415 - it needs the service, of which this is a part
-
+    def _finish(self, state: State, outcome: Outcome | Problem) -> bool:
         job_id = self.claim.job.id
         error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
         summary = None if isinstance(outcome, Problem) else outcome.summary
@@ -222,10 +227,10 @@ class Attempt:
                 return False
             if state == "successful":
                 place_result(self._context.storage, self._task)
-            if self._kind.is_quick:
+            if self._kind.changes_drive:
                 job = session.get(Job, job_id)
                 assert job is not None
-                settle(session, self._context, job, outcome)
+                self._finish_drive(session, self._context, job, outcome)
         return True
 
     def _leave(self) -> str:

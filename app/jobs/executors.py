@@ -9,6 +9,7 @@ from concurrent.futures import CancelledError, Executor, Future
 from contextlib import suppress
 from typing import Any, Protocol, TypeVar
 
+from app.jobs.processes import ProcessExecutor, WorkerLostError
 from app.settings import Settings
 from interloc.errors import ConfigError
 from interloc.processes import cores
@@ -17,10 +18,6 @@ _ASK_AGAIN_S = 5.0
 _log = logging.getLogger(__name__)
 
 Result = TypeVar("Result")
-
-
-class WorkerLostError(Exception):
-    """The worker that did a piece of work is gone, and the work with it; it can be tried again."""
 
 
 class WorkExecutor(Protocol):
@@ -65,8 +62,6 @@ def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExe
     """
     if settings.dask is not None:
         return DaskExecutor(settings.dask, count_loss)
-    from app.jobs.processes import ProcessExecutor  # noqa: PLC0415 - not needed beside Dask
-
     return ProcessExecutor(settings.workers or cores(), count_loss)
 
 

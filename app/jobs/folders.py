@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from app.context import Context
 from app.http.problems import Problem
 from app.jobs.queue import Claim
 from app.store.storage import Storage
 from app.work.task import Task
-
-if TYPE_CHECKING:
-    from app.context import Context
 
 _ATTEMPT = "result-"
 

@@ -17,13 +17,16 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
-from app.jobs.executors import WorkerLostError
 from interloc.processes import end_with_parent, interrupts_held_back
 
 _log = logging.getLogger(__name__)
 _context = get_context("spawn")  # nothing of the server's threads, locks and connections gets into a worker
 
 Result = TypeVar("Result")
+
+
+class WorkerLostError(Exception):
+    """The worker that did a piece of work is gone, and the work with it; it can be tried again."""
 
 
 @dataclass

@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session, aliased
 from app.http.problems import Problem
 from app.store.database import Database
 from app.store.models import Drive, Job
-from app.work.kinds import QUICK
+from app.work.kinds import DRIVE_CHANGING, URGENT
 
 FINAL = ("successful", "failed", "dismissed")
 """States that do not change any more."""
@@ -65,12 +65,12 @@ class JobQueue:
         self._lease_s = lease_s
         self._server = f"{socket.gethostname()[:64]}-{secrets.token_hex(4)}"
 
-    def claim(self, *, quick_only: bool = False) -> Claim | None:
+    def claim(self, *, urgent_only: bool = False) -> Claim | None:
         """Take the job that is next: one that somebody waits for, else one of the client with the fewest running.
 
         Parameters
         ----------
-        quick_only
+        urgent_only
             Only kinds that somebody waits for.
 
         Notes
@@ -79,11 +79,11 @@ class JobQueue:
         over, which counts as another attempt.
         """
         with self._database.reading() as session:  # an idle server must not take the write lock twice a second
-            if session.execute(self._claimable(self._database.clock(session), quick_only=quick_only)).first() is None:
+            if session.execute(self._claimable(self._database.clock(session), urgent_only=urgent_only)).first() is None:
                 return None
         with self._database.writing() as session:
             now = self._database.clock(session)
-            query = self._claimable(now, quick_only=quick_only)
+            query = self._claimable(now, urgent_only=urgent_only)
             if not self._database.is_sqlite:
                 query = query.with_for_update(skip_locked=True, of=Job)
             found = session.execute(query).first()
@@ -101,7 +101,7 @@ class JobQueue:
             return Claim(job, drive_name, drive_state, job.lease_owner)
 
     @staticmethod
-    def _claimable(now: float, *, quick_only: bool) -> Any:  # noqa: ANN401 - a Select of several columns
+    def _claimable(now: float, *, urgent_only: bool) -> Any:  # noqa: ANN401 - a Select of several columns
         other = aliased(Job)
         running = (
             select(func.count())
@@ -110,18 +110,18 @@ class JobQueue:
             .correlate(Job)
             .scalar_subquery()
         )
-        is_quick = Job.kind.in_(QUICK)
+        is_urgent = Job.kind.in_(URGENT)
         query = (
             select(Job, Drive.name, Drive.state)
             .join(Drive, Drive.id == Job.drive_id)
             .where(
                 or_(Job.state == "accepted", (Job.state == "running") & (Job.lease_until <= now)),
-                or_(is_quick, Drive.state != "checking"),
+                or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != "checking"),
             )
-            .order_by(case((is_quick, 0), else_=1), running, Job.created_at, Job.id)
+            .order_by(case((is_urgent, 0), else_=1), running, Job.created_at, Job.id)
             .limit(1)
         )
-        return query.where(is_quick) if quick_only else query
+        return query.where(is_urgent) if urgent_only else query
 
     def heartbeat(self, leases: Iterable[str]) -> dict[str, Held]:
         """Say that this server is at work, and learn which of its leases are lost and which jobs were cancelled."""
@@ -245,7 +245,7 @@ def submit(
     drive = session.get(Drive, drive_id)
     if drive is None:
         raise Problem(404, "Drive not found", f"There is no drive {drive_id}. GET /api/v1/drives lists them.")
-    if kind not in QUICK and drive.state == "uploading":
+    if kind not in DRIVE_CHANGING and drive.state == "uploading":
         raise not_ready(drive)
     if limit is not None:
         _check_room(session, kind, owner, limit)
@@ -255,7 +255,7 @@ def submit(
         owner=owner,
         request=request,
         idempotency_key=key,
-        message=_WAITS_FOR_CHECK if kind not in QUICK and drive.state == "checking" else None,
+        message=_WAITS_FOR_CHECK if kind not in DRIVE_CHANGING and drive.state == "checking" else None,
         created_at=database.clock(session),
     )
     session.add(job)
@@ -279,7 +279,7 @@ def cancel(session: Session, database: Database, job: Job) -> None:
         return
     job.version += 1
     job.cancel_requested = True
-    if job.state == "accepted" and job.kind not in QUICK:  # those have a drive to settle: the runner does it
+    if job.state == "accepted" and job.kind not in DRIVE_CHANGING:  # the runner ends those, and their drive with them
         job.state = "dismissed"
         job.stage = "finished"
         job.message = None

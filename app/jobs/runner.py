@@ -2,56 +2,54 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import threading
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import Annotated, Any, TypeVar
 
+from fastapi import Depends, Request
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
-from app.jobs.attempt import Attempt
+from app.context import Context
+from app.http.problems import Problem
+from app.jobs.attempt import Attempt, FinishDrive
 from app.jobs.executors import WorkExecutor, open_executor
 from app.jobs.folders import jobs_with_scratch, tidy
+from app.jobs.processes import WorkerLostError
 from app.jobs.queue import FINAL, JobQueue
 from app.store.models import Job
-from app.work.kinds import QUICK
-
-if TYPE_CHECKING:
-    from app.context import Context
+from app.work.kinds import URGENT
 
 _POLL_S = 0.5
 _JOBS_AT_ONCE = 2
-_QUICK_AT_ONCE = 4  # besides: nobody who uploads waits for somebody's long job
+_URGENT_AT_ONCE = 4  # besides: nobody who uploads waits for somebody's long job
 _log = logging.getLogger(__name__)
+
+Returned = TypeVar("Returned")
 
 
 class Runner:
-    """Works on jobs from `start` to `stop`."""
+    """Works on jobs from `start` to `stop`.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    context
+    finish_drive
+        Writes what the end of a job means for its drive (`app.drives.finish`).
+    """
+
+    def __init__(self, context: Context, finish_drive: FinishDrive) -> None:
+        self._context = context
+        self._finish_drive = finish_drive
+        self._queue = JobQueue(context.database, context.settings.lease_s)
         self._threads: list[threading.Thread] = []
         self._attempts: dict[str, tuple[Attempt, threading.Thread]] = {}
         self._lock = threading.Lock()
-        self._wake = threading.Event()
         self._stopping = threading.Event()
         self._executor: WorkExecutor | None = None
-
-    @property
-    def executor(self) -> WorkExecutor:
-        """Where the work is done; for short work of requests too."""
-        assert self._executor is not None, "the runner has not been started"
-        return self._executor
-
-    @property
-    def is_stopping(self) -> bool:
-        """True once `stop` was called: who waits for a job should not wait on."""
-        return self._stopping.is_set()
-
-    @property
-    def running(self) -> int:
-        """Jobs that this server works on."""
-        return len(self._attempts)
 
     def ailment(self) -> str | None:
         """Return why no job could be worked on, None where all is well."""
@@ -59,7 +57,7 @@ class Runner:
             return "the runner does not run"
         return None if self._executor.alive else "there is no worker"
 
-    def start(self, context: Context) -> None:
+    def start(self) -> None:
         """Begin; workers start in the background.
 
         Raises
@@ -67,21 +65,36 @@ class Runner:
         ConfigError
             The Dask cluster of the settings cannot be used.
         """
-        self._executor = open_executor(context.settings, context.metrics.worker_restarts.inc)
-        queue = JobQueue(context.database, context.settings.lease_s)
+        self._executor = open_executor(self._context.settings, self._context.metrics.worker_restarts.inc)
         for target in (self._claim_jobs, self._keep_leases):
-            thread = threading.Thread(target=target, args=(context, queue), name=target.__name__, daemon=True)
+            thread = threading.Thread(target=target, name=target.__name__, daemon=True)
             thread.start()
             self._threads.append(thread)
 
-    def wake(self) -> None:
-        """Look for new jobs at once."""
-        self._wake.set()
+    async def run_in_worker(self, function: Callable[..., Returned], *args: Any) -> Returned:  # noqa: ANN401
+        """Call a function in a worker process, before all that waits; once more where the worker dies.
+
+        For short work that a request waits for: the server itself stays quick.
+
+        Raises
+        ------
+        Problem
+            503 where two workers died of it.
+        """
+        assert self._executor is not None, "the runner has not been started"
+        for attempt in (1, 2):
+            try:
+                return await asyncio.wrap_future(self._executor.submit_urgent(function, *args))
+            except WorkerLostError as error:
+                if attempt == 2:
+                    detail = f"The work for this request could not be done: {error}. Usual cause: too little memory."
+                    raise Problem(503, "Worker lost", detail, headers={"Retry-After": "5"}) from error
+        raise AssertionError
 
     def stop(self) -> None:
         """End soon: work that runs is given up, its job given back to the queue with all parts that are done."""
         self._stopping.set()
-        self._wake.set()
+        self._context.jobs_changed.set()
         with self._lock:
             attempts = list(self._attempts.values())
         for attempt, _ in attempts:
@@ -91,30 +104,31 @@ class Runner:
         for thread in [*self._threads, *(thread for _, thread in attempts)]:
             thread.join(5)
 
-    def _claim_jobs(self, context: Context, queue: JobQueue) -> None:
-        self._tidy_scratch(context)
+    def _claim_jobs(self) -> None:
+        self._tidy_scratch()
         while not self._stopping.is_set():
             try:
-                found = self._claim(context, queue)
+                found = self._claim()
             except SQLAlchemyError as error:
                 _log.warning("no job could be claimed: %s", error)
                 found = False
             if not found:
-                self._wake.wait(_POLL_S)
-                self._wake.clear()
+                self._context.jobs_changed.wait(_POLL_S)
+                self._context.jobs_changed.clear()
 
-    def _claim(self, context: Context, queue: JobQueue) -> bool:
+    def _claim(self) -> bool:
         """Take one job, where there is room for it; tell whether there was one."""
         with self._lock:
             kinds = [attempt.claim.job.kind for attempt, _ in self._attempts.values()]
-        quick = sum(kind in QUICK for kind in kinds)
-        room = len(kinds) - quick < (context.settings.jobs_at_once or _JOBS_AT_ONCE)
-        if not room and quick >= _QUICK_AT_ONCE:
+        urgent = sum(kind in URGENT for kind in kinds)
+        room = len(kinds) - urgent < (self._context.settings.jobs_at_once or _JOBS_AT_ONCE)
+        if not room and urgent >= _URGENT_AT_ONCE:
             return False
-        claim = queue.claim(quick_only=not room)
+        claim = self._queue.claim(urgent_only=not room)
         if claim is None:
             return False
-        attempt = Attempt(context, queue, self.executor, claim)
+        assert self._executor is not None
+        attempt = Attempt(self._context, self._queue, self._executor, claim, self._finish_drive)
         thread = threading.Thread(target=self._work, args=(attempt,), name=f"job-{claim.job.id}", daemon=True)
         with self._lock:
             self._attempts[claim.lease] = attempt, thread
@@ -131,12 +145,12 @@ class Runner:
         finally:
             with self._lock:
                 del self._attempts[attempt.claim.lease]
-            self.wake()
+            self._context.jobs_changed.set()
 
-    def _keep_leases(self, context: Context, queue: JobQueue) -> None:
-        """Say that this server lives, and hear what was cancelled or lost."""
-        lease_s = context.settings.lease_s
-        heard = said = time.monotonic()
+    def _keep_leases(self) -> None:
+        """Renew the leases of this server, and stop what was cancelled or lost."""
+        lease_s = self._context.settings.lease_s
+        heard = renewed = time.monotonic()
         while not self._stopping.wait(_POLL_S):
             with self._lock:
                 attempts = {lease: attempt for lease, (attempt, _) in self._attempts.items()}
@@ -145,11 +159,11 @@ class Runner:
                 heard = now
                 continue
             try:
-                if now - said >= lease_s / 5:
-                    held = queue.heartbeat(attempts)
-                    heard = said = now
+                if now - renewed >= lease_s / 5:
+                    held = self._queue.heartbeat(attempts)
+                    heard = renewed = now
                 else:
-                    held = queue.look(attempts)
+                    held = self._queue.look(attempts)
             except SQLAlchemyError as error:
                 _log.warning("the leases of %d jobs could not be renewed: %s", len(attempts), error)
                 if now - heard > lease_s:  # others have taken the jobs over, or will
@@ -160,15 +174,22 @@ class Runner:
                 if state != "held":
                     attempts[lease].stop(state)
 
-    @staticmethod
-    def _tidy_scratch(context: Context) -> None:
+    def _tidy_scratch(self) -> None:
         """Remove what a server left behind that was killed between the end of a job and its tidying."""
         try:
-            found = jobs_with_scratch(context.storage)
-            with context.database.reading() as session:
+            found = jobs_with_scratch(self._context.storage)
+            with self._context.database.reading() as session:
                 ended = session.execute(select(Job.id, Job.state).where(Job.id.in_(found), Job.state.in_(FINAL))).all()
         except (SQLAlchemyError, OSError) as error:
             _log.warning("left-over scratch folders could not be looked for: %s", error)
             return
         for job_id, state in ended:
-            tidy(context.storage, job_id, keep_result=state == "successful")
+            tidy(self._context.storage, job_id, keep_result=state == "successful")
+
+
+async def _runner(request: Request) -> Runner:
+    runner: Runner = request.app.state.runner
+    return runner
+
+
+RunnerDep = Annotated[Runner, Depends(_runner)]

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Annotated
 
+from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
 
+from app.context import Context
 from app.jobs.queue import FINAL
-from app.jobs.view import job_model
+from app.jobs.view import find_job, job_model
 from app.schemas.jobs import JobModel
 from app.store.models import Drive, Job
 
-if TYPE_CHECKING:
-    from app.context import Context
-
 _POLL_S = 0.5
+_FIRST_LOOK_S, _LAST_LOOK_S = 0.05, 0.5
 _log = logging.getLogger(__name__)
 
 
@@ -48,20 +49,21 @@ class Change:
 
 
 class JobWatcher:
-    """Tells the changes of jobs; to be used in the event loop."""
+    """Reports the changes of jobs; to be used in the event loop."""
 
-    def __init__(self) -> None:
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self._listeners: dict[str, set[asyncio.Queue[Change | None]]] = {}
         self._versions: dict[str, int] = {}
         self._polling: asyncio.Task[None] | None = None
 
-    async def follow(self, context: Context, job_id: str, version: int) -> AsyncIterator[Change]:
+    async def follow(self, job_id: str, version: int) -> AsyncIterator[Change]:
         """Yield the changes of a job after a version, until it has ended, is deleted, or the server stops."""
         queue: asyncio.Queue[Change | None] = asyncio.Queue()
         self._listeners.setdefault(job_id, set()).add(queue)
         self._versions[job_id] = min(version, self._versions.get(job_id, version))
         if self._polling is None or self._polling.done():
-            self._polling = asyncio.create_task(self._poll(context))
+            self._polling = asyncio.create_task(self._poll())
         try:
             while (change := await queue.get()) is not None:
                 if change.version > version:
@@ -74,24 +76,24 @@ class JobWatcher:
             if not self._listeners[job_id]:
                 del self._listeners[job_id], self._versions[job_id]
 
-    async def _poll(self, context: Context) -> None:
+    async def _poll(self) -> None:
         try:
-            await self._tell_changes(context)
+            await self._pass_on_changes()
         except Exception:  # noqa: BLE001 - the listeners must hear of it
-            _log.exception("changes of jobs could not be told")
+            _log.exception("changes of jobs could not be passed on")
         finally:  # whatever happened, nobody listens to silence
             for queues in self._listeners.values():
                 for queue in queues:
                     queue.put_nowait(None)
 
-    async def _tell_changes(self, context: Context) -> None:
-        while self._listeners and not context.stopping.is_set():
+    async def _pass_on_changes(self) -> None:
+        while self._listeners and not self._context.stopping.is_set():
             known = dict(self._versions)
             try:
-                changes = await run_in_threadpool(_changes, context, known)
+                changes = await run_in_threadpool(_changes, self._context, known)
             except OperationalError as error:
                 _log.warning("changes of jobs could not be read: %s", error)
-                changes = {}  # the next look says it all
+                changes = {}  # the next look finds them all
             for job_id, change in changes.items():
                 if change is not None and job_id in self._versions:
                     self._versions[job_id] = change.version
@@ -114,3 +116,35 @@ def _changes(context: Context, known: dict[str, int]) -> dict[str, Change | None
         now = context.database.clock(session)
     root_path = context.settings.root_path
     return gone | {job.id: Change.of(job_model(job, name, root_path, now)) for job, name in found}
+
+
+async def _watcher(request: Request) -> JobWatcher:
+    watcher: JobWatcher = request.app.state.watcher
+    return watcher
+
+
+WatcherDep = Annotated[JobWatcher, Depends(_watcher)]
+
+
+async def wait_for_job(context: Context, job_id: str, seconds: float) -> Job:
+    """Return a job when it has ended, or as it is after some seconds, or when the server is to stop.
+
+    Raises
+    ------
+    Problem
+        404 there is no such job (any more).
+    """
+    end = time.monotonic() + seconds
+    pause_s = _FIRST_LOOK_S
+    while True:
+        job = await run_in_threadpool(_look, context, job_id)
+        left_s = end - time.monotonic()
+        if job.state in FINAL or left_s <= 0 or context.stopping.is_set():
+            return job
+        await asyncio.sleep(min(pause_s, left_s))
+        pause_s = min(1.3 * pause_s, _LAST_LOOK_S)
+
+
+def _look(context: Context, job_id: str) -> Job:
+    with context.database.reading() as session:
+        return find_job(session, job_id)[0]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from app.context import Context
 from app.http.problems import Problem
+from app.jobs.runner import Runner
 from app.results.folder import Result
-from app.results.workers import in_worker
-from app.work.keyframe import VIEW, draw_keyframe
+from app.work.on_demand import VIEW, draw_keyframe
 from app.work.task import Task
 
 _AT_ONCE = 2  # workers that a server lends to pictures: jobs go on meanwhile
@@ -19,11 +18,12 @@ _WAITING = 64
 class KeyframeViews:
     """Draws each keyframe once, however many ask for it at the same time."""
 
-    def __init__(self) -> None:
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
         self._drawing: dict[Path, asyncio.Task[int]] = {}
         self._turn = asyncio.Semaphore(_AT_ONCE)
 
-    async def open(self, context: Context, result: Result, frame: int) -> Path:
+    async def open(self, result: Result, frame: int) -> Path:
         """Return the folder of the pictures of a keyframe.
 
         Raises
@@ -38,7 +38,7 @@ class KeyframeViews:
         if drawing is None:
             if len(self._drawing) >= _WAITING:
                 raise Problem(503, "Busy", "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
-            drawing = asyncio.create_task(self._draw(context, _task_of(result), frame, folder))
+            drawing = asyncio.create_task(self._draw(_task_of(result), frame, folder))
             self._drawing[folder] = drawing
             drawing.add_done_callback(lambda _: self._drawing.pop(folder, None))
         nearest = await asyncio.shield(drawing)
@@ -52,9 +52,9 @@ class KeyframeViews:
             )
         return folder
 
-    async def _draw(self, context: Context, task: Task, frame: int, folder: Path) -> int:
+    async def _draw(self, task: Task, frame: int, folder: Path) -> int:
         async with self._turn:
-            return await in_worker(context, draw_keyframe, task, frame, folder)
+            return await self._runner.run_in_worker(draw_keyframe, task, frame, folder)
 
 
 def _task_of(result: Result) -> Task:

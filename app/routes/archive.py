@@ -9,14 +9,14 @@ from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.context import Context, ContextDep
-from app.drives.archives import check_magic, queue_archive, unpacked
-from app.drives.intake import Arrival, Intake, receive
-from app.drives.placement import check_upload
+from app.drives.archive import check_magic, queue_archive, unpacked
+from app.drives.upload import check_upload
+from app.http.intake import Arrival, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.multipart import BatchReader, boundary_of
 from app.http.prefer import wait_of
 from app.jobs.queue import FINAL
-from app.jobs.waiting import wait_for_async
+from app.jobs.watcher import wait_for_job
 from app.routes.files import UPLOAD
 from app.schemas.drives import UnpackedArchive
 from app.security import ClientDep
@@ -73,7 +73,7 @@ async def post_archive(
     finally:
         await run_in_threadpool(intake.discard)
     wait_s = wait_of(prefer)
-    job = await wait_for_async(context, job.id, wait_s)
+    job = await wait_for_job(context, job.id, wait_s)
     if job.state not in FINAL:
         response.status_code = 202
         response.headers["Location"] = f"{context.settings.root_path}/api/v1/jobs/{job.id}"

@@ -8,13 +8,14 @@ from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.context import ContextDep
-from app.drives.commits import begin_commit, committed
-from app.drives.plans import plan_upload
+from app.drives.commit import begin_commit, committed
+from app.drives.plan import plan_upload
 from app.drives.tracks import trajectory_file
 from app.http.delivery import WholeFile
 from app.http.prefer import wait_of
 from app.http.problems import ProblemDocument
-from app.jobs.waiting import wait_for_async
+from app.jobs.runner import RunnerDep
+from app.jobs.watcher import wait_for_job
 from app.routes.archive import PreferHeader
 from app.routes.drives import NOT_FOUND
 from app.schemas.drives import CommitRequest, DriveModel, PlanRequest, ReductionPlanModel
@@ -29,13 +30,13 @@ _CONFLICT: dict[int | str, dict[str, Any]] = {
 
 @router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive")
 async def plan_reduction(
-    drive_id: str, request: PlanRequest, context: ContextDep, _client: ClientDep
+    drive_id: str, request: PlanRequest, context: ContextDep, runner: RunnerDep, _client: ClientDep
 ) -> ReductionPlanModel:
     """Tell which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
 
     For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
     """
-    return await plan_upload(context, drive_id, request)
+    return await plan_upload(context, runner, drive_id, request)
 
 
 @router.post(
@@ -68,7 +69,7 @@ async def commit_drive(
     job = await run_in_threadpool(begin_commit, context, drive_id, client, request or CommitRequest())
     wait_s = wait_of(prefer)
     if job is not None:
-        job = await wait_for_async(context, job.id, wait_s)
+        job = await wait_for_job(context, job.id, wait_s)
     drive = await run_in_threadpool(committed, context, drive_id, job)
     if drive.state == "checking":
         response.status_code = 202

@@ -9,12 +9,12 @@ from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.context import ContextDep
-from app.drives.archives import raise_failure
-from app.drives.commits import begin_commit, committed
-from app.drives.demos import begin_demo
+from app.drives.archive import raise_failure
+from app.drives.commit import begin_commit, committed
+from app.drives.demo import begin_demo
 from app.http.prefer import wait_of
 from app.http.problems import ProblemDocument
-from app.jobs.waiting import wait_for_async
+from app.jobs.watcher import wait_for_job
 from app.routes.archive import PreferHeader
 from app.schemas.drives import CommitRequest, DriveModel
 from app.security import ClientDep
@@ -39,12 +39,12 @@ async def make_demo(
     end = time.monotonic() + wait_s
     job = await run_in_threadpool(begin_demo, context, client)
     drive_id, check = job.drive_id, None
-    job = await wait_for_async(context, job.id, wait_s)
+    job = await wait_for_job(context, job.id, wait_s)
     raise_failure(job)
     if job.state == "successful":
         check = await run_in_threadpool(begin_commit, context, drive_id, client, CommitRequest())
         if check is not None:
-            check = await wait_for_async(context, check.id, max(0.0, end - time.monotonic()))
+            check = await wait_for_job(context, check.id, max(0.0, end - time.monotonic()))
     drive = await run_in_threadpool(committed, context, drive_id, check)
     if drive.state != "ready":
         response.status_code = 202

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Header
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from app.context import ContextDep
-from app.jobs.watcher import Change
+from app.jobs.watcher import Change, WatcherDep
 from app.routes.jobs import NOT_FOUND, show_job
 from app.schemas.jobs import JobModel
 
@@ -20,6 +20,7 @@ router = APIRouter(tags=["Jobs"])
 async def follow_job(
     job: Annotated[JobModel, Depends(show_job)],
     context: ContextDep,
+    watcher: WatcherDep,
     last_event_id: Annotated[
         str | None, Header(max_length=40, description="Id of the last event that arrived; that state is not repeated.")
     ] = None,
@@ -35,7 +36,7 @@ async def follow_job(
             yield _event(current)
         if current.is_final:
             return
-        async for change in context.watcher.follow(context, job.id, current.version):
+        async for change in watcher.follow(job.id, current.version):
             yield _event(change)
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request, Response
@@ -13,10 +11,9 @@ from fastapi.concurrency import run_in_threadpool
 from app.context import Context, ContextDep
 from app.http.delivery import MEDIA_TYPES, deliver
 from app.http.problems import ProblemDocument
-from app.results.folder import Result, open_result
-from app.results.workers import in_worker
+from app.results.exports import Exports
+from app.results.folder import open_result
 from app.routes.results import PROBLEMS, JobId, answers
-from interloc.output.vector_files import write_vector_file
 
 Layer = Literal["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]
 LayerQuery = Annotated[Layer, Query(description="Which layer.")]
@@ -91,25 +88,7 @@ async def _export(request: Request, context: Context, job_id: str, suffix: str, 
             result.require_georeference(f"Its files are in {result.address}/files")
         else:
             result.layer(layer)
-        await _build(request, context, result, path, layer)
+        exports: Exports = request.app.state.exports
+        await exports.write(result, path, layer)
     file_name = f"{result.slug}{suffix}" if layer is None else f"{result.slug}-{name}{suffix}"
     return await run_in_threadpool(deliver, request, path, name=file_name, download=True)
-
-
-async def _build(request: Request, context: Context, result: Result, path: Path, layer: Layer | None) -> None:
-    """Write the file in a worker; once, however many ask for it at the same time."""
-    state = request.app.state
-    if not hasattr(state, "exports_being_built"):
-        state.exports_being_built = {}
-    running: dict[Path, asyncio.Task[None]] = state.exports_being_built
-    if path not in running:
-        task = asyncio.create_task(in_worker(context, write_export, result.folder, path, layer))
-        running[path] = task
-        task.add_done_callback(lambda _: running.pop(path, None))
-    await asyncio.shield(running[path])
-
-
-def write_export(folder: Path, path: Path, layer: str | None) -> None:
-    """Write an export into the cache of a job, in a worker."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_vector_file(folder, path, layer=layer)

@@ -9,10 +9,10 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.context import ContextDep
 from app.drives import records
-from app.drives.intake import PIECE_BYTES, Intake, receive
-from app.drives.placement import check_upload, keep
+from app.drives.upload import check_upload, keep
 from app.http.delivery import WholeFile
 from app.http.digest import sha256_of
+from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.problems import ProblemDocument
 from app.paths import check_path

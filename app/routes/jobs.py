@@ -75,7 +75,7 @@ def create_job(
         )
         _, drive_name = find_job(session, job.id)
         model = job_model(job, drive_name, settings.root_path, database.clock(session))
-    context.runner.wake()
+    context.jobs_changed.set()
     response.status_code = 202 if is_new else 200
     response.headers["Location"] = model.links["self"]
     return model
@@ -156,7 +156,7 @@ def delete_job(
     if purge:
         tidy(context.storage, job_id, keep_result=False)
         return Response(status_code=204)
-    context.runner.wake()
+    context.jobs_changed.set()
     response.status_code = 200 if model.state in FINAL else 202
     return model
 

@@ -8,13 +8,13 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.context import ContextDep
+from app.context import Context, ContextDep
 from app.http.delivery import deliver
 from app.http.problems import ProblemDocument
 from app.results.folder import open_result
 from app.results.keyframes import KeyframeViews
 from app.routes.results import PROBLEMS, JobId, answers
-from app.work.keyframe import VIEW
+from app.work.on_demand import VIEW
 
 _KEEP = "private, max-age=86400"  # the same request to the same job always gives the same picture
 
@@ -79,18 +79,11 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-def _views(request: Request) -> KeyframeViews:
-    state = request.app.state
-    if not hasattr(state, "keyframe_views"):
-        state.keyframe_views = KeyframeViews()
-    views: KeyframeViews = state.keyframe_views
-    return views
-
-
-async def _answer(request: Request, context: ContextDep, job_id: str, frame: int, file: str) -> Response:
+async def _answer(request: Request, context: Context, job_id: str, frame: int, file: str) -> Response:
+    views: KeyframeViews = request.app.state.keyframe_views
     for attempt in (1, 2):
         result = await run_in_threadpool(open_result, context, job_id)
-        folder = await _views(request).open(context, result, frame)
+        folder = await views.open(result, frame)
         try:
             return await run_in_threadpool(
                 deliver, request, folder / file, name=f"{result.slug}-{frame}-{file}", cache_control=_KEEP

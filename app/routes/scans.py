@@ -6,8 +6,8 @@ from fastapi import APIRouter, Request
 from fastapi.concurrency import run_in_threadpool
 
 from app.context import ContextDep
-from app.drives.intake import receive
-from app.drives.placement import check_upload, keep
+from app.drives.upload import check_upload, keep
+from app.http.intake import receive
 from app.http.limits import check_free_space, declared_length
 from app.http.multipart import FIELDS, BatchReader, boundary_of
 from app.routes.files import UPLOAD

@@ -11,6 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep
 from app.http.problems import ProblemDocument
+from app.jobs.runner import Runner, RunnerDep
 from app.metrics import CONTENT_TYPE
 from app.security import ClientDep
 from app.store.models import Drive
@@ -45,9 +46,9 @@ async def show_health() -> Health:
     summary="Tell whether the service can work",
     responses={503: {"model": Readiness, "description": "It cannot; the reasons are named."}},
 )
-def show_readiness(context: ContextDep, response: Response) -> Readiness:
+def show_readiness(context: ContextDep, runner: RunnerDep, response: Response) -> Readiness:
     """Ask the database, the disk and the workers. For load balancers: no request comes while it says 503."""
-    reasons = {part: reason for part, reason in _ailments(context).items() if reason is not None}
+    reasons = {part: reason for part, reason in _ailments(context, runner).items() if reason is not None}
     if reasons:
         response.status_code = 503
     return Readiness(ready=not reasons, reasons=reasons)
@@ -64,15 +65,15 @@ def show_readiness(context: ContextDep, response: Response) -> Readiness:
 )
 def show_metrics(context: ContextDep, _client: ClientDep) -> Response:
     """Show requests, uploads, jobs by state, queue wait, time of the stages, worker restarts, free disk."""
-    return Response(context.metrics.render(context), media_type=CONTENT_TYPE)
+    return Response(context.metrics.render(context.database, context.storage), media_type=CONTENT_TYPE)
 
 
-def _ailments(context: Context) -> dict[str, str | None]:
+def _ailments(context: Context, runner: Runner) -> dict[str, str | None]:
     return {
         "server": "it is being stopped" if context.stopping.is_set() else None,
         "database": _ailment_of_database(context),
         "disk": _ailment_of_disk(context),
-        "workers": context.runner.ailment(),
+        "workers": runner.ailment(),
     }
 
 

@@ -17,13 +17,16 @@ class Kind:
         It has the functions `prepare`, `run` and `finish` (see `app.work.task`).
     stages : tuple of str
         What the work is doing meanwhile, for the client.
-    is_quick : bool
+    urgent : bool
         Somebody waits for it: it goes first, and never behind long work.
+    changes_drive : bool
+        It works on a drive that is not ready yet, and its end is written into the drive (`app.drives.finish`).
     """
 
     module: str
     stages: tuple[str, str, str]
-    is_quick: bool = True
+    urgent: bool = True
+    changes_drive: bool = True
 
     def load(self) -> ModuleType:
         """Import the module; workers do that, the server need not."""
@@ -31,11 +34,13 @@ class Kind:
 
 
 KINDS: dict[str, Kind] = {
-    "intersections": Kind("app.work.intersections", ("preparing", "detecting", "mapping"), is_quick=False),
+    "intersections": Kind(
+        "app.work.intersections", ("preparing", "detecting", "mapping"), urgent=False, changes_drive=False
+    ),
     "commit": Kind("app.work.commit", ("checking", "reducing", "storing")),
     "unpack": Kind("app.work.unpack", ("checking", "unpacking", "storing")),
     "demo": Kind("app.work.demo", ("preparing", "simulating", "storing")),
 }
 
-QUICK = tuple(name for name, kind in KINDS.items() if kind.is_quick)
-"""Kinds that somebody waits for."""
+URGENT = tuple(name for name, kind in KINDS.items() if kind.urgent)
+DRIVE_CHANGING = tuple(name for name, kind in KINDS.items() if kind.changes_drive)

@@ -12,10 +12,10 @@ from sqlalchemy import update
 
 from app.context import Context
 from app.drives.cleanup import LEFT_ALONE_S, sweep
-from app.drives.intake import Arrival
-from app.drives.placement import keep
+from app.drives.finish import finish_drive
 from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
-from app.drives.settle import settle
+from app.drives.upload import keep
+from app.http.intake import Arrival
 from app.jobs.queue import submit
 from app.schemas.drives import NewDrive
 from app.settings import Settings
@@ -171,7 +171,7 @@ def test_the_end_of_a_commit_is_written_again_where_the_database_failed(context:
 
     def end(*, fails: bool) -> None:
         with context.database.writing() as session:
-            settle(session, context, session.merge(job), outcome)
+            finish_drive(session, context, session.merge(job), outcome)
             if fails:
                 raise ConnectionError
 

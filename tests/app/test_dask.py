@@ -14,7 +14,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.jobs.executors import DaskExecutor, WorkerLostError
+from app.jobs.executors import DaskExecutor
+from app.jobs.processes import WorkerLostError
 from interloc.cli.main import run
 from tests.app.processes import ended, half_way, submit, upload, wait_until
 from tests.app.street import write_street

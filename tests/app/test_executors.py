@@ -14,8 +14,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from app.jobs.executors import DaskExecutor, WorkerLostError, open_executor
-from app.jobs.processes import ProcessExecutor
+from app.jobs.executors import DaskExecutor, open_executor
+from app.jobs.processes import ProcessExecutor, WorkerLostError
 from app.settings import Settings
 from interloc.errors import ConfigError, DriveError
 from tests.app.processes import wait_until

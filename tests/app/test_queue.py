@@ -111,9 +111,9 @@ def test_uploads_go_before_long_work(database: Database, drive: str) -> None:
 def test_only_quick_jobs_where_there_is_no_room_for_others(database: Database, drive: str) -> None:
     add_job(database, drive)
     queue = JobQueue(database, 60)
-    assert queue.claim(quick_only=True) is None
+    assert queue.claim(urgent_only=True) is None
     commit = add_job(database, add_drive(database, "checking"), kind="commit")
-    claim = queue.claim(quick_only=True)
+    claim = queue.claim(urgent_only=True)
     assert claim is not None
     assert claim.job.id == commit
 

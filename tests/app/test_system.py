@@ -90,7 +90,7 @@ def test_jobs_are_counted_in_the_database(tmp_path: Path) -> None:
             outcome = {"seconds": seconds, "keyframes": keyframes, "stage_seconds": {"detecting": seconds / 2}}
             times = {"created_at": now - 20, "started_at": now - 18, "finished_at": now - 18 + seconds}
             session.add(Job(**common, **times, state="successful", summary=outcome))
-    found = figures(context.metrics.render(context).decode())
+    found = figures(context.metrics.render(context.database, context.storage).decode())
     database.close()
     assert found["interloc_jobs", "kind=intersections", "state=successful"] == 2
     assert found["interloc_jobs", "kind=intersections", "state=accepted"] == 1

@@ -1,17 +1,26 @@
-"""The pictures of one keyframe of a job: short work for a request that waits for it."""
+"""Short work that a request waits for: pictures of a keyframe, files for other programs, the plan of an upload."""
 
 from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from app.work.intersections import config_of, open_input
 from app.work.task import Task
+from interloc.drives.findings import Finding
+from interloc.drives.options import LabelFolder
+from interloc.drives.scans.labels import LabelJudgement
+from interloc.drives.scans.reduced_format import ReducedLabels
 from interloc.files import atomic_folder, atomic_write
+from interloc.output.vector_files import write_vector_file
+from interloc.reduction.plan import ReductionPlan, judge_counts, plan_reduction
 
 VIEW = "view.json"
 """Where the pictures of a keyframe lie, and the numbers behind them; the file that makes the folder complete."""
@@ -67,3 +76,25 @@ def _forget_oldest(views: Path) -> None:
         folders = sorted(views.iterdir(), key=lambda folder: folder.stat().st_mtime)
         for folder in folders[:-_KEPT]:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def write_export(folder: Path, path: Path, layer: str | None) -> None:
+    """Write a layer of a result, or all of them, as a file for other programs; its suffix says which format."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_vector_file(folder, path, layer=layer)
+
+
+def plan_and_judge(
+    root: Path, numbers: Sequence[int], options: dict[str, Any], label_counts: dict[LabelFolder, dict[int, int]]
+) -> tuple[ReductionPlan, dict[LabelFolder, tuple[LabelJudgement, list[Finding]]]]:
+    """Plan the reduction of a drive, and judge the label ids that were counted in its scans."""
+    made = plan_reduction(root, numbers, **options)
+    judged = {folder: judge_counts(made, folder, counts) for folder, counts in label_counts.items()}
+    if made.manifest is not None:
+        known = [
+            ReducedLabels.of(folder, labels.scheme, labels.counts)
+            for folder, (labels, _) in judged.items()
+            if labels.scheme is not None
+        ]
+        made = replace(made, manifest=made.manifest.with_labels(known))
+    return made, judged

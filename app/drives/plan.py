@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fastapi.concurrency import run_in_threadpool
 
 from app.context import Context
 from app.drives.records import files_key, find_drive
 from app.http.problems import FileProblem
-from app.results.workers import in_worker
+from app.jobs.runner import Runner
 from app.schemas.drives import DriveOptionsModel, JudgedLabels, PlanRequest, ReductionPlanModel
-from app.work.plan import plan
-
-if TYPE_CHECKING:
-    from interloc.drives.findings import Finding
-    from interloc.drives.options import LabelFolder
-    from interloc.drives.scans.labels import LabelJudgement
-    from interloc.reduction.plan import ReductionPlan
+from app.work.on_demand import plan_and_judge
+from interloc.drives.findings import Finding
+from interloc.drives.options import LabelFolder
+from interloc.drives.scans.labels import LabelJudgement
+from interloc.reduction.plan import ReductionPlan
 
 
-async def plan_upload(context: Context, drive_id: str, request: PlanRequest) -> ReductionPlanModel:
+async def plan_upload(context: Context, runner: Runner, drive_id: str, request: PlanRequest) -> ReductionPlanModel:
     """Plan the reduction from the small files that were uploaded so far.
 
     Raises
@@ -30,7 +28,7 @@ async def plan_upload(context: Context, drive_id: str, request: PlanRequest) -> 
         404: no such drive.
     """
     name, root, options = await run_in_threadpool(_look_up, context, drive_id, request)
-    made, judged = await in_worker(context, plan, root, request.numbers(), options, request.label_counts)
+    made, judged = await runner.run_in_worker(plan_and_judge, root, request.numbers(), options, request.label_counts)
     return _shown(made, judged, str(root), name)
 
 

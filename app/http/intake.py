@@ -53,7 +53,7 @@ class Intake:
 
     Parameters
     ----------
-    service
+    context
     path
         Name of the file in the drive.
     limit

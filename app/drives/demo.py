@@ -52,5 +52,5 @@ def begin_demo(context: Context, owner: str) -> Job:
     for drive_id in dead:  # of demos that failed or were cancelled
         with suppress(Problem):
             delete_drive(context, drive_id)
-    context.runner.wake()
+    context.jobs_changed.set()
     return job

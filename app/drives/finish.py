@@ -13,10 +13,10 @@ from sqlalchemy import event, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.commits import queue_commit
-from app.drives.intake import INCOMING, Arrival
-from app.drives.placement import Placement, lock_standing, refuse_unless_open, register, sizes_of
+from app.drives.commit import queue_commit
 from app.drives.records import drive_key, files_key, reduced_key
+from app.drives.upload import Placement, lock_standing, refuse_unless_open, register, sizes_of
+from app.http.intake import INCOMING, Arrival
 from app.http.problems import Problem
 from app.paths import is_map
 from app.store.models import Drive, DriveFile, Job
@@ -26,14 +26,14 @@ from app.work.task import Outcome
 _log = logging.getLogger(__name__)
 
 
-def settle(session: Session, context: Context, job: Job, outcome: Outcome | Problem) -> None:
+def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome | Problem) -> None:
     """Write what a job did to its drive.
 
     Parameters
     ----------
     session
         The transaction in which the job ends.
-    service
+    context
     job
         Its end is written already; it is changed where its outcome cannot be taken.
     outcome

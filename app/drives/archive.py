@@ -5,9 +5,9 @@ from __future__ import annotations
 import secrets
 
 from app.context import Context
-from app.drives.intake import Arrival
-from app.drives.placement import refuse_unless_open
 from app.drives.records import drive_key, lock_drive
+from app.drives.upload import refuse_unless_open
+from app.http.intake import Arrival
 from app.http.problems import Problem
 from app.jobs.queue import submit
 from app.schemas.drives import UnpackedArchive
@@ -55,7 +55,7 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
     except BaseException:
         place.unlink(missing_ok=True)
         raise
-    context.runner.wake()
+    context.jobs_changed.set()
     return job
 
 

@@ -8,7 +8,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.archives import raise_failure
+from app.drives.archive import raise_failure
 from app.drives.records import drive_model, find_drive, lock_drive
 from app.http.limits import check_free_space
 from app.http.problems import Problem
@@ -54,7 +54,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
         job = queue_commit(session, context, drive, owner, check_only=request.check_only)
-    context.runner.wake()
+    context.jobs_changed.set()
     return job
 
 

@@ -15,8 +15,8 @@ from sqlalchemy import Table, bindparam, delete, insert, select, update
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.intake import INCOMING, Arrival
 from app.drives.records import files_key, find_drive, no_drive, remove_empty
+from app.http.intake import INCOMING, Arrival
 from app.http.limits import check_drive, check_free_space
 from app.http.problems import Problem
 from app.paths import is_map
@@ -46,7 +46,7 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
 
     Parameters
     ----------
-    service
+    context
     drive_id
     arrivals
         Files of different names.
