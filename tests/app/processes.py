@@ -6,8 +6,6 @@ import io
 import os
 import re
 import signal
-import subprocess
-import sys
 import tarfile
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +15,8 @@ from typing import Any
 
 import httpx
 import psutil
+
+from tests.forks import Command
 
 API = "/api/v1"
 FINAL = {"successful", "failed", "dismissed"}
@@ -40,25 +40,19 @@ def files_below(folder: Path) -> list[Path]:
 
 
 class ServerProcess:
-    """`interloc serve` in a process group of its own; `port` 0 is any free one."""
+    """`interloc serve` as a process of its own; `port` 0 is any free one."""
 
     def __init__(self, data_dir: Path, log: Path, *, port: int = 0, **settings: Any) -> None:
         self.log = log
         variables = {f"INTERLOC_{name.upper()}": str(value) for name, value in settings.items()}
         clean = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
         base = {"INTERLOC_MIN_FREE_BYTES": "0", "INTERLOC_LEASE_S": "5", "INTERLOC_DATA_DIR": str(data_dir)}
-        with log.open("ab") as stderr:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", "from interloc.cli.main import main; main()", "serve", "--port", str(port)],
-                env={**clean, **base, **variables},
-                stdout=subprocess.PIPE,
-                stderr=stderr,
-                text=True,
-            )
-        assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        found = re.search(r"http://\S+?:\d+", line)
-        assert found, f"the server did not start: {line!r} {log.read_text()}"
+        out = log.with_name(f"{log.name}.out")
+        out.write_bytes(b"")
+        self.process = Command(["serve", "--port", port], {**clean, **base, **variables}, out, log)
+        wait_until(lambda: out.read_bytes().endswith(b"\n") or self.process.poll() is not None, "the server to start")
+        found = re.search(r"http://\S+?:\d+", out.read_text())
+        assert found, f"the server did not start: {out.read_text()!r} {log.read_text()}"
         self.address = found.group()
         self.client = httpx.Client(base_url=self.address, timeout=60)
 
@@ -82,12 +76,9 @@ class ServerProcess:
         self.client.close()
         if self.process.poll() is None:
             children = psutil.Process(self.process.pid).children(recursive=True)
-            self.process.kill()
-            self.process.wait()
+            self.kill()
             for child in children:
-                with_suppressed_kill(child)
-        if self.process.stdout is not None:
-            self.process.stdout.close()
+                kill_if_there(child)
 
 
 def _command_line(process: psutil.Process) -> list[str]:
@@ -97,7 +88,7 @@ def _command_line(process: psutil.Process) -> list[str]:
         return []
 
 
-def with_suppressed_kill(process: psutil.Process) -> None:
+def kill_if_there(process: psutil.Process) -> None:
     """Kill a process that may have ended already."""
     try:
         process.kill()

@@ -29,7 +29,7 @@ from tests.app.processes import (
     submit,
     upload,
     wait_until,
-    with_suppressed_kill,
+    kill_if_there,
 )
 from tests.app.street import write_street
 
@@ -82,7 +82,7 @@ def test_a_killed_worker_is_replaced_and_its_part_done_again(start: Start, stree
     half_way(server.client, job)
     before = {worker.pid for worker in server.workers()}
     for worker in server.workers():
-        with_suppressed_kill(worker)
+        kill_if_there(worker)
     assert_result(server.client, ended(server.client, job), expected)
     assert before.isdisjoint(worker.pid for worker in server.workers())
 
@@ -166,7 +166,7 @@ def test_a_job_that_kills_every_worker_fails_with_the_reason(start: Start, stree
         state = job_of(server.client, job)
         if state["state"] == "running" and state["progress"]["total"]:
             for worker in server.workers():
-                with_suppressed_kill(worker)
+                kill_if_there(worker)
         return state if state["state"] in {"failed", "successful"} else None
 
     end = wait_until(look, "the end of the job")

@@ -31,7 +31,7 @@ from tests.app.processes import (
     started,
     submit,
     wait_until,
-    with_suppressed_kill,
+    kill_if_there,
 )
 from tests.app.street import write_street
 
@@ -92,7 +92,7 @@ def kill_all(server: ServerProcess) -> None:
     workers = server.workers()
     server.kill()
     for worker in workers:
-        with_suppressed_kill(worker)
+        kill_if_there(worker)
     wait_until(lambda: not any(worker.is_running() for worker in workers), "the workers to end")
 
 

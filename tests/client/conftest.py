@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import os
 import socket
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -20,6 +20,7 @@ import pytest
 from interloc.client.connection import Connection
 from tests.app.processes import ServerProcess, started
 from tests.app.street import write_street
+from tests.forks import Command
 
 Reply = Callable[[BaseHTTPRequestHandler], None]
 
@@ -129,19 +130,25 @@ class Here:
         clean = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
         own = {"XDG_CACHE_HOME": str(cache), "PYTHONWARNINGS": "error", "INTERLOC_SERVER": server}
         self.environment = {**clean, **own, **variables}
+        self._outputs = cache.with_name(f"{cache.name}.written")
+        self._outputs.mkdir(exist_ok=True)
 
-    def start(self, *arguments: object) -> subprocess.Popen[str]:
-        """Start a command."""
-        command = [sys.executable, "-c", "from interloc.cli.main import main; main()", *map(str, arguments)]
-        return subprocess.Popen(
-            command, env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+    @contextmanager
+    def start(self, *arguments: object) -> Iterator[Command]:
+        """Start a command, and see its end."""
+        name = f"{len(list(self._outputs.iterdir()))}"
+        process = Command(arguments, self.environment, self._outputs / f"{name}.out", self._outputs / f"{name}.err")
+        try:
+            yield process
+        finally:
+            process.wait(300)
 
     def __call__(self, *arguments: object) -> Outcome:
         """Run a command to its end."""
         with self.start(*arguments) as process:
             out, err = process.communicate(timeout=300)
         assert "Traceback" not in err
+        assert process.returncode is not None
         return Outcome(process.returncode, out, err)
 
 

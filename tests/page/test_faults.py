@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import API, ended, half_way, started, submit, upload, with_suppressed_kill
+from tests.app.processes import API, ended, half_way, started, submit, upload, kill_if_there
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, needs_page
 from tests.page.results import SCANS, Done, show
@@ -177,7 +177,7 @@ def test_a_job_is_watched_through_a_restart_of_the_server(browser: Browser, watc
         page.get_by_role("progressbar", name="Progress").wait_for()
         first.kill()
         for worker in workers:
-            with_suppressed_kill(worker)
+            kill_if_there(worker)
         told = page.locator("#panel-job [role=status]", has_text="The server does not answer")
         told.wait_for()
         port = int(first.address.rsplit(":", 1)[1])

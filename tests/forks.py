@@ -1,0 +1,83 @@
+"""Commands in processes of their own, forked from one that has imported everything: they start at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from multiprocessing import get_context
+from pathlib import Path
+
+from interloc.cli.main import COMMANDS, main
+
+_context = get_context("forkserver")
+_context.set_forkserver_preload(
+    ["pytest", "app.server", "app.work.intersections", *(f"interloc.cli.{name}" for name in COMMANDS.values())]
+)
+
+
+class Command:
+    """`interloc ...` in a process of its own, with the methods of `subprocess.Popen`; it writes into files."""
+
+    def __init__(
+        self, arguments: Sequence[object], environment: Mapping[str, str], out: Path, err: Path, cwd: Path | None = None
+    ) -> None:
+        self.out, self.err = out, err
+        self._process = _context.Process(
+            target=_run, args=([str(each) for each in arguments], dict(environment), out, err, cwd)
+        )
+        self._process.start()
+
+    @property
+    def pid(self) -> int:
+        assert self._process.pid is not None
+        return self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.exitcode
+
+    def poll(self) -> int | None:
+        return self._process.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end; returns the exit code."""
+        self._process.join(timeout)
+        if self._process.exitcode is None:
+            raise subprocess.TimeoutExpired("interloc", timeout or 0)
+        return self._process.exitcode
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """Wait for the end; returns what was written."""
+        self.wait(timeout)
+        return self.out.read_text(), self.err.read_text()
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send a signal, unless the process has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+
+
+def _run(arguments: list[str], environment: dict[str, str], out: Path, err: Path, cwd: Path | None) -> None:
+    """Become the command: its variables, its folder, its streams."""
+    os.environ.clear()
+    os.environ.update(environment)
+    if cwd is not None:
+        os.chdir(cwd)
+    for path, stream in ((out, 1), (err, 2)):
+        target = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        os.dup2(target, stream)
+        os.close(target)
+    sys.argv = ["interloc", *arguments]
+    if environment.get("PYTHONWARNINGS") == "error":
+        warnings.simplefilter("error")
+    main()
