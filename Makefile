@@ -7,9 +7,13 @@ SERVE ?= yes
 # Waits for real servers and browsers can run out on a machine that is busy: once more, only those.
 AGAIN := --reruns 1 --only-rerun Timeout --only-rerun "in vain"
 READY := $(VENV)/.ready
+# Two halves, of which the faster one helps the other; bytecode is kept, for the processes that the tests start.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
+# The kernels are compiled once, and not by all processes at the same time.
+COMPILE := $(BIN)/python -m tests.compile
 BIOME := static/node_modules/.bin/biome
 
-.PHONY: install serve demo test lint format types bench load bench-page screenshots clean
+.PHONY: install serve demo test test-quick lint format types bench load bench-page screenshots clean
 
 install: $(READY)
 
@@ -45,7 +49,13 @@ endif
 
 test: lint types
 	@if command -v npm >/dev/null && [ ! -x $(BIOME) ]; then npm ci --silent --prefix static; fi
-	$(BIN)/python -m pytest -n auto --cov --cov-report=term:skip-covered $(AGAIN)
+	$(COMPILE)
+	$(PYTEST) --cov --cov-report=term:skip-covered $(AGAIN)
+
+# What needs neither a server nor a browser: within a minute.
+test-quick: $(READY)
+	$(COMPILE)
+	$(PYTEST) $(addprefix --ignore=tests/,app chain cli client page performance test_demo.py)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -2,6 +2,7 @@
 
 import logging
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,6 +12,17 @@ from hypothesis import settings
 # No test measures time. CI draws the same examples each time; everyone else helps to find new ones.
 settings.register_profile("interloc", deadline=None, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("interloc")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Report, once and last, which tests were not run and why: missing tools and missing real data."""
+    reports = terminalreporter.stats.get("skipped", [])
+    reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in reports)
+    if reasons:
+        terminalreporter.section(f"skipped: {reasons.total()} tests were not run", yellow=True, bold=True)
+        for reason, count in reasons.most_common():
+            terminalreporter.line(f"skipped: {count:3d} because of: {reason}", yellow=True)
 
 
 @pytest.fixture(autouse=True)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from interloc.cli.main import COMMANDS, main
 
-_context = get_context("forkserver")
-_context.set_forkserver_preload(
+context = get_context("forkserver")
+context.set_forkserver_preload(
     ["pytest", "app.server", "app.work.intersections", *(f"interloc.cli.{name}" for name in COMMANDS.values())]
 )
 
@@ -26,7 +26,7 @@ class Command:
         self, arguments: Sequence[object], environment: Mapping[str, str], out: Path, err: Path, cwd: Path | None = None
     ) -> None:
         self.out, self.err = out, err
-        self._process = _context.Process(
+        self._process = context.Process(
             target=_run, args=([str(each) for each in arguments], dict(environment), out, err, cwd)
         )
         self._process.start()

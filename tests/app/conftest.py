@@ -12,11 +12,16 @@ from typing import Any
 import httpx
 import pytest
 
+import app.jobs.processes
 from app.main import create_app
 from app.server import Server
 from app.settings import Settings
+from tests import forks
 
 API = "/api/v1"
+
+# Workers of servers in this process start at once; those of servers that are processes start as they really do.
+app.jobs.processes._context = forks.context
 
 
 @contextmanager
@@ -50,12 +55,6 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
         yield start
 
 
-@pytest.fixture
-def client(serve: Callable[..., httpx.Client]) -> httpx.Client:
-    """A client of a server with default settings."""
-    return serve()
-
-
 @pytest.fixture(scope="module")
 def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., httpx.Client]]:
     """Start a server for all tests of a module, which must not mind what others left there."""
@@ -68,7 +67,14 @@ def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[...
         yield start
 
 
-@pytest.fixture(scope="module")
-def shared(serve_all: Callable[..., httpx.Client]) -> httpx.Client:
-    """A client of a server with default settings, for all tests of a module."""
-    return serve_all()
+@pytest.fixture(scope="session")
+def shared_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Data folder of the server that the tests share: each looks at what belongs to its own drives."""
+    return tmp_path_factory.mktemp("shared")
+
+
+@pytest.fixture(scope="session")
+def client(shared_data: Path) -> Iterator[httpx.Client]:
+    """A client of a server with default settings, for all tests that do not mind what others left there."""
+    with running_server(shared_data) as address, httpx.Client(base_url=address, timeout=120) as client:
+        yield client

@@ -24,20 +24,9 @@ LISTENERS = 200
 
 
 @pytest.fixture
-def data_dir(tmp_path: Path) -> Path:
-    return tmp_path / "data"
-
-
-@pytest.fixture
-def client(data_dir: Path) -> Iterator[httpx.Client]:
-    with running_server(data_dir) as address, httpx.Client(base_url=address, timeout=60) as client:
-        yield client
-
-
-@pytest.fixture
-def database(client: httpx.Client, data_dir: Path) -> Iterator[Database]:
+def database(client: httpx.Client, shared_data: Path) -> Iterator[Database]:
     """The server's, to change jobs by hand."""
-    database = Database(Settings(data_dir=data_dir).sqlalchemy_url)
+    database = Database(Settings(data_dir=shared_data).sqlalchemy_url)
     yield database
     database.close()
 
@@ -133,9 +122,9 @@ def test_an_unknown_job_has_no_events(client: httpx.Client) -> None:
     assert "There is no job nothing" in answer.json()["detail"]
 
 
-def test_a_server_that_stops_ends_its_events(data_dir: Path) -> None:
-    with running_server(data_dir) as address, httpx.Client(base_url=address, timeout=60) as client:
-        database = Database(Settings(data_dir=data_dir).sqlalchemy_url)
+def test_a_server_that_stops_ends_its_events(tmp_path: Path) -> None:
+    with running_server(tmp_path) as address, httpx.Client(base_url=address, timeout=60) as client:
+        database = Database(Settings(data_dir=tmp_path).sqlalchemy_url)
         with database.writing() as session:
             now = database.clock(session)
             drive = Drive(name="town", owner="ann", state="checking", options={}, created_at=now, touched_at=now)

@@ -25,11 +25,11 @@ from tests.app.processes import (
     files_below,
     half_way,
     job_of,
+    kill_if_there,
     started,
     submit,
     upload,
     wait_until,
-    kill_if_there,
 )
 from tests.app.street import write_street
 

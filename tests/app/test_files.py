@@ -38,12 +38,10 @@ def digest(data: bytes) -> str:
     return f"sha-256=:{base64.b64encode(hashlib.sha256(data).digest()).decode()}:"
 
 
-def stored(tmp_path: Path) -> list[str]:
-    """All files below the data folder but the database."""
-    data = tmp_path / "data"
-    return sorted(
-        path.relative_to(data).as_posix() for path in files_below(data) if not path.name.startswith("interloc.sqlite3")
-    )
+def stored(data: Path, drive: str) -> list[str]:
+    """All files of a drive, and what is on its way into any."""
+    places = (data / "incoming", data / "drives" / drive.rpartition("/")[2])
+    return sorted(path.relative_to(data).as_posix() for place in places for path in files_below(place))
 
 
 @pytest.mark.parametrize("data", [b"", b"one", BIG], ids=["empty", "small", "big"])
@@ -62,21 +60,21 @@ def test_a_file_comes_back_as_it_went(client: httpx.Client, drive: str, data: by
     assert (shown["files"], shown["size_bytes"], shown["stored_bytes"]) == (1, len(data), len(data))
 
 
-def test_a_file_is_replaced(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+def test_a_file_is_replaced(client: httpx.Client, drive: str, shared_data: Path) -> None:
     address = f"{drive}/files/poses.txt"
     assert client.put(address, content=b"first").status_code == 201
     assert client.put(address, content=b"the second").status_code == 200
     assert client.get(address).content == b"the second"
     assert client.get(drive).json()["size_bytes"] == 10
-    assert [name.split("/", 2)[2] for name in stored(tmp_path)] == ["files/poses.txt"]
+    assert [name.split("/", 2)[2] for name in stored(shared_data, drive)] == ["files/poses.txt"]
 
 
-def test_a_file_is_deleted(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+def test_a_file_is_deleted(client: httpx.Client, drive: str, shared_data: Path) -> None:
     assert client.put(f"{drive}/files/a/b/c.txt", content=b"1234").status_code == 201
     assert client.delete(f"{drive}/files/a/b/c.txt").status_code == 204
     assert client.delete(f"{drive}/files/a/b/c.txt").status_code == 404
     assert client.get(drive).json()["size_bytes"] == 0
-    assert stored(tmp_path) == []
+    assert stored(shared_data, drive) == []
     assert client.put(f"{drive}/files/a", content=b"now a file").status_code == 201
 
 
@@ -122,14 +120,14 @@ def test_files_are_listed_in_order_page_by_page(client: httpx.Client, drive: str
         ("/".join(["a" * 100] * 6), "512"),
     ],
 )
-def test_a_bad_name_is_refused(client: httpx.Client, drive: str, tmp_path: Path, raw: str, reason: str) -> None:
+def test_a_bad_name_is_refused(client: httpx.Client, drive: str, shared_data: Path, raw: str, reason: str) -> None:
     """By a raw request: clients tidy such addresses up."""
     for method in ("PUT", "GET", "DELETE"):
         status, answer = exchange(client, f"{method} {drive}/files/{raw} HTTP/1.1", b"1" if method == "PUT" else b"")
         assert status == 422, answer
         assert "Bad file name" in answer
         assert reason in answer
-    assert stored(tmp_path) == []
+    assert stored(shared_data, drive) == []
 
 
 def exchange(client: httpx.Client, line: str, body: bytes = b"", *headers: str) -> tuple[int, str]:
@@ -194,11 +192,11 @@ def test_names_that_differ_in_case_are_different_files(client: httpx.Client, dri
     ],
 )
 @pytest.mark.parametrize("field", ["Content-Digest", "Repr-Digest"])
-def test_a_wrong_digest_is_refused(client: httpx.Client, drive: str, tmp_path: Path, field: str, value: str) -> None:
+def test_a_wrong_digest_is_refused(client: httpx.Client, drive: str, shared_data: Path, field: str, value: str) -> None:
     answer = client.put(f"{drive}/files/poses.txt", content=b"data", headers={field: value})
     assert answer.status_code == 422
     assert answer.json()["title"] in {"Wrong digest", "Bad digest"}
-    assert stored(tmp_path) == []
+    assert stored(shared_data, drive) == []
 
 
 def test_one_good_digest_among_others(client: httpx.Client, drive: str) -> None:
@@ -270,19 +268,19 @@ def test_a_body_in_chunks_is_counted(serve: Callable[..., httpx.Client], tmp_pat
 
     assert client.put(f"{drive}/files/a", content=pieces(20)).status_code == 201
     assert client.put(f"{drive}/files/b", content=pieces(21)).status_code == 413
-    assert [Path(name).name for name in stored(tmp_path)] == ["a"]
+    assert [Path(name).name for name in stored(tmp_path / "data", drive)] == ["a"]
 
 
 @pytest.mark.parametrize("sent", [0, 10, 2_500_000])
-def test_a_client_that_vanishes_leaves_nothing(client: httpx.Client, drive: str, tmp_path: Path, sent: int) -> None:
+def test_a_client_that_vanishes_leaves_nothing(client: httpx.Client, drive: str, shared_data: Path, sent: int) -> None:
     for head in ("Content-Length: 3000000", "Transfer-Encoding: chunked"):
         with connection(client) as link:
             link.sendall(f"PUT {drive}/files/a HTTP/1.1\r\nHost: localhost\r\n{head}\r\n\r\n".encode())
             link.sendall(f"{sent:x}\r\n".encode() if "chunked" in head and sent else b"")
             link.sendall(bytes(sent))
             if sent > 1_000_000:
-                wait_until(lambda: any(name.startswith("incoming/") for name in stored(tmp_path)))
-    wait_until(lambda: stored(tmp_path) == [])
+                wait_until(lambda: any(name.startswith("incoming/") for name in stored(shared_data, drive)))
+    wait_until(lambda: stored(shared_data, drive) == [])
     assert client.get(f"{drive}/files").json()["files"] == []
 
 
@@ -311,9 +309,10 @@ def test_limits_of_a_drive(serve: Callable[..., httpx.Client]) -> None:
 @pytest.mark.parametrize("size", [10, 2_000_000])
 def test_a_full_disk_takes_nothing(serve: Callable[..., httpx.Client], tmp_path: Path, size: int) -> None:
     client = serve(min_free_bytes=1 << 60)
-    answer = client.put(f"{make_drive(client)}/files/a", content=bytes(size))
+    drive = make_drive(client)
+    answer = client.put(f"{drive}/files/a", content=bytes(size))
     assert (answer.status_code, answer.json()["title"]) == (507, "Disk full")
-    assert stored(tmp_path) == []
+    assert stored(tmp_path / "data", drive) == []
 
 
 def test_puts_of_one_file_at_once(client: httpx.Client, drive: str) -> None:
@@ -339,15 +338,15 @@ def test_puts_of_many_files_at_once_are_counted_right(client: httpx.Client, driv
     assert (shown["files"], shown["size_bytes"]) == (200, sum(range(200)))
 
 
-def test_a_drive_that_is_deleted_during_a_put(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+def test_a_drive_that_is_deleted_during_a_put(client: httpx.Client, drive: str, shared_data: Path) -> None:
     with connection(client) as link:
         head = ["Host: localhost", "Content-Length: 4000000", "Connection: close"]
         link.sendall("\r\n".join([f"PUT {drive}/files/a HTTP/1.1", *head, "", ""]).encode())
         link.sendall(bytes(3_000_000))
-        wait_until(lambda: stored(tmp_path) != [])
+        wait_until(lambda: stored(shared_data, drive) != [])
         assert client.delete(drive).status_code == 204
         link.sendall(bytes(1_000_000))
         status, answer = read_answer(link)
     assert status == 404
     assert "Drive not found" in answer
-    assert stored(tmp_path) == []
+    assert stored(shared_data, drive) == []

@@ -13,8 +13,8 @@ OWN = "the-token-of-the-operator"
 
 
 @pytest.mark.parametrize("host", ["localhost", "localhost:8000", "127.0.0.1:1", "127.1.2.3", "[::1]:80", "a.localhost"])
-def test_names_of_this_machine_are_answered(shared: httpx.Client, host: str) -> None:
-    assert shared.get(DRIVES, headers={"Host": host}).status_code == 200
+def test_names_of_this_machine_are_answered(client: httpx.Client, host: str) -> None:
+    assert client.get(DRIVES, headers={"Host": host}).status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -22,11 +22,11 @@ def test_names_of_this_machine_are_answered(shared: httpx.Client, host: str) -> 
     ["evil.example", "127.0.0.1.evil.example", "localhost.evil.example:8000", "192.0.2.1", "", "[::1", "10.0.0.1"],
 )
 @pytest.mark.parametrize("path", [DRIVES, "/", "/config.json", "/metrics"])
-def test_other_names_are_not(shared: httpx.Client, host: str, path: str) -> None:
-    answer = shared.get(path, headers={"Host": host})
+def test_other_names_are_not(client: httpx.Client, host: str, path: str) -> None:
+    answer = client.get(path, headers={"Host": host})
     assert answer.status_code == 421
     assert answer.json()["title"] == "Unknown host name"
-    assert shared.get("/healthz", headers={"Host": host}).status_code == 200
+    assert client.get("/healthz", headers={"Host": host}).status_code == 200
 
 
 def test_a_name_can_be_allowed(serve: Serve) -> None:
@@ -53,23 +53,23 @@ OURS = [{}, {"Sec-Fetch-Site": "same-origin", "Origin": "https://shown.example"}
 
 
 @pytest.mark.parametrize("headers", FOREIGN)
-def test_other_origins_change_nothing(shared: httpx.Client, headers: dict[str, str]) -> None:
-    assert shared.post(DRIVES, json={"name": "a"}, headers=headers).status_code == 403
-    assert shared.put(f"{DRIVES}/0123456789abcdef/files/a", content=b"a", headers=headers).status_code == 403
-    assert shared.delete(f"{DRIVES}/0123456789abcdef", headers=headers).status_code == 403
-    assert shared.get(DRIVES, headers=headers).status_code == 200
+def test_other_origins_change_nothing(client: httpx.Client, headers: dict[str, str]) -> None:
+    assert client.post(DRIVES, json={"name": "a"}, headers=headers).status_code == 403
+    assert client.put(f"{DRIVES}/0123456789abcdef/files/a", content=b"a", headers=headers).status_code == 403
+    assert client.delete(f"{DRIVES}/0123456789abcdef", headers=headers).status_code == 403
+    assert client.get(DRIVES, headers=headers).status_code == 200
 
 
 @pytest.mark.parametrize("headers", OURS)
-def test_the_page_and_programs_do(shared: httpx.Client, headers: dict[str, str]) -> None:
-    assert shared.post(DRIVES, json={"name": "a"}, headers=headers).status_code == 201
-    origin = str(shared.base_url).rstrip("/")
-    assert shared.post(DRIVES, json={"name": "a"}, headers={"Origin": origin}).status_code == 201
+def test_the_page_and_programs_do(client: httpx.Client, headers: dict[str, str]) -> None:
+    assert client.post(DRIVES, json={"name": "a"}, headers=headers).status_code == 201
+    origin = str(client.base_url).rstrip("/")
+    assert client.post(DRIVES, json={"name": "a"}, headers={"Origin": origin}).status_code == 201
 
 
-def test_no_answer_lets_other_origins_read(shared: httpx.Client) -> None:
+def test_no_answer_lets_other_origins_read(client: httpx.Client) -> None:
     for method in ("GET", "OPTIONS"):
-        answer = shared.request(method, DRIVES, headers={"Origin": "https://evil.example"})
+        answer = client.request(method, DRIVES, headers={"Origin": "https://evil.example"})
         assert not [name for name in answer.headers if name.startswith("access-control")]
     assert answer.status_code == 405
 
@@ -93,8 +93,8 @@ def test_headers_for_browsers(serve: Serve) -> None:
     assert "sandbox" in client.get(DRIVES).headers["content-security-policy"]
 
 
-def test_https_behind_a_proxy_stays_https(shared: httpx.Client) -> None:
-    headers = shared.get(DRIVES, headers={"X-Forwarded-Proto": "https"}).headers
+def test_https_behind_a_proxy_stays_https(client: httpx.Client) -> None:
+    headers = client.get(DRIVES, headers={"X-Forwarded-Proto": "https"}).headers
     assert headers["strict-transport-security"] == "max-age=15552000"
 
 

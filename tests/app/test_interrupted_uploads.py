@@ -28,10 +28,10 @@ from tests.app.processes import (
     ended,
     files_below,
     half_way,
+    kill_if_there,
     started,
     submit,
     wait_until,
-    kill_if_there,
 )
 from tests.app.street import write_street
 

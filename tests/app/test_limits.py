@@ -36,27 +36,27 @@ def read_all(link: socket.socket) -> bytes:
     return b"".join(pieces)
 
 
-def test_a_json_body_is_small(shared: httpx.Client) -> None:
+def test_a_json_body_is_small(client: httpx.Client) -> None:
     body = json.dumps({"name": "a", "pad": "x" * MB}).encode()
-    answer = shared.post("/api/v1/drives", content=body, headers={"Content-Type": "application/json"})
+    answer = client.post("/api/v1/drives", content=body, headers={"Content-Type": "application/json"})
     assert answer.status_code == 413
     assert answer.json()["detail"].startswith("The body is larger than 1,048,576 bytes")
 
 
-def test_a_json_body_in_chunks_is_counted(shared: httpx.Client) -> None:
+def test_a_json_body_in_chunks_is_counted(client: httpx.Client) -> None:
     def pieces() -> Iterator[bytes]:
         for _ in range(40):
             yield b" " * 65536
 
     try:
-        answer = shared.post("/api/v1/drives", content=pieces(), headers={"Content-Type": "application/json"})
+        answer = client.post("/api/v1/drives", content=pieces(), headers={"Content-Type": "application/json"})
     except httpx.WriteError:  # it was refused before all was sent
         return
     assert answer.status_code == 413
 
 
-def test_ten_gigabytes_of_json_are_refused_unread(shared: httpx.Client) -> None:
-    with connection(shared) as link:
+def test_ten_gigabytes_of_json_are_refused_unread(client: httpx.Client) -> None:
+    with connection(client) as link:
         link.sendall(b"POST /api/v1/drives HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10000000000\r\n\r\n")
         answer = read_all(link)
     assert answer.startswith(b"HTTP/1.1 413 ")
@@ -66,8 +66,8 @@ def test_ten_gigabytes_of_json_are_refused_unread(shared: httpx.Client) -> None:
 @pytest.mark.parametrize(
     "body", [b"[" * 100_000, b'{"name": NaN}', b"\xff\xfe", b'{"name": "\\ud800"}', b"null", b"1e999"]
 )
-def test_json_that_is_none_is_the_fault_of_the_client(shared: httpx.Client, body: bytes) -> None:
-    answer = shared.post("/api/v1/drives", content=body, headers={"Content-Type": "application/json"})
+def test_json_that_is_none_is_the_fault_of_the_client(client: httpx.Client, body: bytes) -> None:
+    answer = client.post("/api/v1/drives", content=body, headers={"Content-Type": "application/json"})
     assert answer.status_code in {400, 422}
     assert answer.headers["content-type"] == "application/problem+json"
 
@@ -87,8 +87,8 @@ def test_a_body_that_stops_half_way_is_given_up(serve: Serve) -> None:
     assert client.get(f"/api/v1/drives/{drive}/files").json()["files"] == []
 
 
-def test_a_head_without_end_is_refused(shared: httpx.Client) -> None:
-    with connection(shared) as link:
+def test_a_head_without_end_is_refused(client: httpx.Client) -> None:
+    with connection(client) as link:
         link.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nX-Long: ")
         try:
             for _ in range(40):
@@ -98,21 +98,21 @@ def test_a_head_without_end_is_refused(shared: httpx.Client) -> None:
             pass
         answer = read_all(link)
     assert answer.startswith(b"HTTP/1.1 431 ") or answer == b""
-    assert shared.get("/healthz").status_code == 200
+    assert client.get("/healthz").status_code == 200
 
 
-def test_many_headers_are_refused(shared: httpx.Client) -> None:
-    answer = shared.get("/healthz", headers=[(f"x-{n}", "1") for n in range(120)])
+def test_many_headers_are_refused(client: httpx.Client) -> None:
+    answer = client.get("/healthz", headers=[(f"x-{n}", "1") for n in range(120)])
     assert answer.status_code == 431
 
 
-def test_a_head_that_trickles_in_is_given_up(shared: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_head_that_trickles_in_is_given_up(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Protocol, "head_s", 0.2)
     for begin in (b"", b"GET /healthz HTTP/1.1\r\nHost: local"):
-        with connection(shared) as link:
+        with connection(client) as link:
             link.sendall(begin)
             assert read_all(link) == b""
-    with connection(shared) as link:  # also the second request of a connection
+    with connection(client) as link:  # also the second request of a connection
         link.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /hea")
         assert read_all(link).startswith(b"HTTP/1.1 200 ")
 
@@ -120,8 +120,8 @@ def test_a_head_that_trickles_in_is_given_up(shared: httpx.Client, monkeypatch: 
 @pytest.mark.parametrize(
     "junk", [b"\x16\x03\x01\x02\x00\x01\x00", b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"\x00" * 100]
 )
-def test_what_is_no_http_is_refused(shared: httpx.Client, junk: bytes) -> None:
-    with connection(shared) as link:
+def test_what_is_no_http_is_refused(client: httpx.Client, junk: bytes) -> None:
+    with connection(client) as link:
         link.sendall(junk)
         head, _, body = read_all(link).partition(b"\r\n\r\n")
     assert head.startswith(b"HTTP/1.1 400 ")
@@ -129,14 +129,14 @@ def test_what_is_no_http_is_refused(shared: httpx.Client, junk: bytes) -> None:
     assert json.loads(body)["title"] == "Request malformed"
 
 
-def test_what_the_framework_refuses_is_told_in_words(shared: httpx.Client) -> None:
+def test_what_the_framework_refuses_is_told_in_words(client: httpx.Client) -> None:
     as_json = {"Content-Type": "application/json"}
     for answer, status, words in (
-        (shared.get("/api/v1/nothing"), 404, "/docs"),
-        (shared.delete("/api/v1/drives"), 405, "Allow"),
-        (shared.post("/api/v1/drives", content=b"{", headers=as_json), 422, "JSON"),
+        (client.get("/api/v1/nothing"), 404, "/docs"),
+        (client.delete("/api/v1/drives"), 405, "Allow"),
+        (client.post("/api/v1/drives", content=b"{", headers=as_json), 422, "JSON"),
         (
-            shared.post("/api/v1/drives", content=b"[" * 200_000, headers={"Content-Type": "application/json"}),
+            client.post("/api/v1/drives", content=b"[" * 200_000, headers={"Content-Type": "application/json"}),
             400,
             "JSON",
         ),
@@ -145,7 +145,7 @@ def test_what_the_framework_refuses_is_told_in_words(shared: httpx.Client) -> No
         assert words in answer.json()["detail"]
 
 
-def test_two_lengths_of_one_body_are_refused(shared: httpx.Client) -> None:
+def test_two_lengths_of_one_body_are_refused(client: httpx.Client) -> None:
     """The way to smuggle a request past a proxy."""
     for head in (
         "Content-Length: 5\r\nContent-Length: 6",
@@ -153,6 +153,6 @@ def test_two_lengths_of_one_body_are_refused(shared: httpx.Client) -> None:
         "Content-Length: -5",
         "Content-Length: +5",
     ):
-        with connection(shared) as link:
+        with connection(client) as link:
             link.sendall(f"POST /api/v1/drives HTTP/1.1\r\nHost: localhost\r\n{head}\r\n\r\n0\r\n\r\n".encode())
             assert read_all(link).startswith(b"HTTP/1.1 400 ")

@@ -93,8 +93,8 @@ def test_checks_of_health_are_not_logged(serve: Serve, lines: Lines) -> None:
 
 
 @pytest.mark.parametrize("given", ["", "a b", "x" * 65, "ä", '"}'])
-def test_an_odd_request_id_is_replaced(shared: httpx.Client, given: str) -> None:
-    answer = shared.get("/healthz", headers={"X-Request-ID": given.encode()})
+def test_an_odd_request_id_is_replaced(client: httpx.Client, given: str) -> None:
+    answer = client.get("/healthz", headers={"X-Request-ID": given.encode()})
     assert re.fullmatch(r"[0-9a-f]{16}", answer.headers["x-request-id"])
 
 

@@ -18,10 +18,9 @@ from interloc.osm.policies import POLICIES
 PAGE = """<!doctype html><title>InterLoc</title><script type="module" src="static/js/main.js"></script>"""
 
 
-@pytest.fixture
-def static(tmp_path: Path) -> Path:
-    """A page that needs one package, among things that are nobody's business."""
-    root = tmp_path / "static"
+def write_page(folder: Path) -> Path:
+    """Write a page that needs one package, among things that are nobody's business."""
+    root = folder / "static"
     for name, content in {
         "index.html": PAGE,
         "package.json": json.dumps({"dependencies": {"leaflet": "1.9.4"}, "devDependencies": {"tool": "1"}}),
@@ -38,14 +37,26 @@ def static(tmp_path: Path) -> Path:
     }.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(content)
-    (tmp_path / "outside.js").write_text("secret")
-    (root / "js/link.js").symlink_to(tmp_path / "outside.js")
+    (folder / "outside.js").write_text("secret")
+    (root / "js/link.js").symlink_to(folder / "outside.js")
     return root
 
 
 @pytest.fixture
-def page(serve: Callable[..., httpx.Client], static: Path) -> httpx.Client:
-    return serve(static_dir=static)
+def static(tmp_path: Path) -> Path:
+    """Files of a page, to be changed."""
+    return write_page(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def page_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of the page that the tests of this module look at."""
+    return write_page(tmp_path_factory.mktemp("page"))
+
+
+@pytest.fixture(scope="module")
+def page(serve_all: Callable[..., httpx.Client], page_files: Path) -> httpx.Client:
+    return serve_all(static_dir=page_files)
 
 
 def raw_get(client: httpx.Client, path: str) -> tuple[int, bytes]:
@@ -58,7 +69,7 @@ def raw_get(client: httpx.Client, path: str) -> tuple[int, bytes]:
     return answer.status, content
 
 
-def test_the_page_and_its_files(page: httpx.Client, static: Path) -> None:
+def test_the_page_and_its_files(page: httpx.Client, page_files: Path) -> None:
     for address, name, media_type in (
         ("/", "index.html", "text/html; charset=utf-8"),
         ("/static/js/main.js", "js/main.js", "text/javascript; charset=utf-8"),
@@ -69,7 +80,7 @@ def test_the_page_and_its_files(page: httpx.Client, static: Path) -> None:
     ):
         answer = page.get(address)
         assert answer.status_code == 200
-        assert answer.content == (static / name).read_bytes()
+        assert answer.content == (page_files / name).read_bytes()
         assert media_type in {None, answer.headers["content-type"]}
         assert answer.headers["cache-control"] == "no-cache"
         assert "'unsafe-inline'" not in answer.headers["content-security-policy"]
@@ -77,12 +88,12 @@ def test_the_page_and_its_files(page: httpx.Client, static: Path) -> None:
         assert page.head(address).headers["etag"] == answer.headers["etag"]
 
 
-def test_a_changed_file_is_sent_anew(page: httpx.Client, static: Path) -> None:
+def test_a_changed_file_is_sent_anew(page: httpx.Client, page_files: Path) -> None:
     before = page.get("/static/js/main.js")
-    (static / "js/main.js").write_text("export const answer = 43;\n" * 300)
+    (page_files / "js/main.js").write_text("export const answer = 43;\n" * 300)
     after = page.get("/static/js/main.js", headers={"if-none-match": before.headers["etag"]})
     assert after.status_code == 200
-    assert after.content == (static / "js/main.js").read_bytes()
+    assert after.content == (page_files / "js/main.js").read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -145,8 +156,7 @@ class _Addresses(HTMLParser):
         self.found += [value for name, value in attrs if name == names.get(tag) and value]
 
 
-def test_the_real_page_and_documentation_load_from_here_only(serve: Callable[..., httpx.Client]) -> None:
-    client = serve()
+def test_the_real_page_and_documentation_load_from_here_only(client: httpx.Client) -> None:
     if client.get("/").status_code != 200:
         pytest.skip("the page is not installed: `npm ci` in static/")
     for address in ("/", "/docs"):

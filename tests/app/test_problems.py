@@ -30,7 +30,11 @@ def test_names_that_have_no_utf8_are_told(client: httpx.Client) -> None:
 def test_zero_characters_find_nothing(
     serve: Callable[..., httpx.Client], request: pytest.FixtureRequest, database: str
 ) -> None:
-    client = serve(database_url=None if database == "sqlite" else request.getfixturevalue("postgres_url"))
+    client = (
+        serve(database_url=request.getfixturevalue("postgres_url"))
+        if database == "postgresql"
+        else request.getfixturevalue("client")
+    )
     drive = client.post("/api/v1/drives", json={"name": "town"}).headers["location"]
     for answer in (
         client.get("/api/v1/drives/%00"),

@@ -37,8 +37,10 @@ def listed(client: httpx.Client, drive: str) -> list[str]:
     return [file["path"] for file in client.get(f"{drive}/files").json()["files"]]
 
 
-def left(tmp_path: Path) -> list[str]:
-    return [path.name for path in files_below(tmp_path / "data") if "sqlite" not in path.name]
+def left(data: Path, drive: str) -> list[str]:
+    """Names of all files of a drive, and of what is on its way into any."""
+    places = (data / "incoming", data / "drives" / drive.rpartition("/")[2])
+    return [path.name for place in places for path in files_below(place)]
 
 
 def test_every_part_goes_to_its_place(client: httpx.Client, drive: str) -> None:
@@ -104,13 +106,13 @@ def test_poses_may_come_as_a_plain_field(client: httpx.Client, drive: str) -> No
     ],
 )
 def test_one_bad_part_keeps_out_all(
-    client: httpx.Client, drive: str, tmp_path: Path, field: str, filename: str, reason: str
+    client: httpx.Client, drive: str, shared_data: Path, field: str, filename: str, reason: str
 ) -> None:
     answer = send(client, drive, [("scans", ("000000.bin", b"good")), (field, (filename, b"bad"))])
     assert answer.status_code == 422
     assert reason in answer.json()["detail"]
     assert listed(client, drive) == []
-    assert left(tmp_path) == []
+    assert left(shared_data, drive) == []
 
 
 @pytest.mark.parametrize(
@@ -137,12 +139,12 @@ def test_one_bad_part_keeps_out_all(
     ],
 )
 def test_a_malformed_body_is_refused(
-    client: httpx.Client, drive: str, tmp_path: Path, body: bytes, status: int
+    client: httpx.Client, drive: str, shared_data: Path, body: bytes, status: int
 ) -> None:
     answer = raw(client, drive, body)
     assert answer.status_code == status
     assert answer.headers["content-type"] == "application/problem+json"
-    assert left(tmp_path) == []
+    assert left(shared_data, drive) == []
 
 
 @pytest.mark.parametrize("kind", ["application/json", "multipart/form-data", "multipart/mixed; boundary=B", ""])
@@ -151,20 +153,20 @@ def test_other_kinds_of_bodies_are_refused(client: httpx.Client, drive: str, kin
     assert (answer.status_code, answer.json()["title"]) == (415, "Not multipart/form-data")
 
 
-def test_a_name_that_comes_twice(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+def test_a_name_that_comes_twice(client: httpx.Client, drive: str, shared_data: Path) -> None:
     answer = send(client, drive, [("poses", ("poses.txt", b"1")), ("files", ("poses.txt", b"2"))])
     assert answer.status_code == 422
     assert "poses.txt comes twice" in answer.json()["detail"]
-    assert left(tmp_path) == []
+    assert left(shared_data, drive) == []
 
 
-def test_names_in_conflict_leave_what_was_there(client: httpx.Client, drive: str, tmp_path: Path) -> None:
+def test_names_in_conflict_leave_what_was_there(client: httpx.Client, drive: str, shared_data: Path) -> None:
     assert send(client, drive, [("poses", ("", b"old")), ("files", ("a/b", b"old"))]).status_code == 200
     answer = send(client, drive, [("poses", ("", b"new")), ("files", ("a/c", b"new")), ("files", ("a", b"new"))])
     assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
     assert listed(client, drive) == ["a/b", "poses.txt"]
     assert client.get(f"{drive}/files/poses.txt").content == b"old"
-    assert sorted(left(tmp_path)) == ["b", "poses.txt"]
+    assert sorted(left(shared_data, drive)) == ["b", "poses.txt"]
 
 
 def test_a_refused_batch_leaves_no_folder_in_the_way(client: httpx.Client, drive: str) -> None:
@@ -188,7 +190,7 @@ def test_limits_of_a_batch(serve: Callable[..., httpx.Client], tmp_path: Path) -
     ):
         answer = send(client, drive, parts)
         assert (answer.status_code, answer.json()["title"]) == (413, title)
-    assert left(tmp_path) == []
+    assert left(tmp_path / "data", drive) == []
     assert send(client, drive, scans(3, 160_000)).status_code == 200
 
 

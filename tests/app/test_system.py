@@ -29,9 +29,9 @@ def figures(text: str) -> dict[tuple[str, ...], float]:
     }
 
 
-def test_a_service_that_can_work_is_ready(shared: httpx.Client) -> None:
-    assert shared.get("/healthz").json() == {"status": "ok"}
-    answer = shared.get("/readyz")
+def test_a_service_that_can_work_is_ready(client: httpx.Client) -> None:
+    assert client.get("/healthz").json() == {"status": "ok"}
+    answer = client.get("/readyz")
     assert (answer.status_code, answer.json()) == (200, {"ready": True, "reasons": {}})
 
 
@@ -56,7 +56,8 @@ def test_a_database_that_is_gone_is_not_ready(serve: Serve, tmp_path: Path) -> N
     assert "database" in answer.json()["reasons"]
 
 
-def test_requests_are_counted_by_route(client: httpx.Client) -> None:
+def test_requests_are_counted_by_route(serve: Serve) -> None:
+    client = serve()
     for name in ("a", "b"):
         drive = client.post("/api/v1/drives", json={"name": name}).json()["id"]
         assert client.get(f"/api/v1/drives/{drive}").status_code == 200
