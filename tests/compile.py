@@ -8,10 +8,10 @@ from pathlib import Path
 from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.pipeline import detect
-from interloc.simulate.town import simulate_town
+from tests.app.street import write_street
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
-        simulate_town(Path(folder) / "town", part="small")
+        drive = open_drive(write_street(Path(folder) / "street", 40))
         for name in ("default", "paper"):
-            detect(open_drive(Path(folder) / "town"), preset(name))
+            detect(drive, preset(name))
