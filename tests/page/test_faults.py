@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import API, ended, half_way, started, submit, upload, kill_if_there
+from tests.app.processes import API, ended, half_way, kill_if_there, started, submit, upload
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, needs_page
 from tests.page.results import SCANS, Done, show
