@@ -1,6 +1,6 @@
 """Who may use the service: anyone on this machine, holders of a token elsewhere.
 
-`app.http.middleware.gate` keeps everybody else out before the body of a request is read; here is what endpoints see.
+`app.http.gate` keeps everybody else out before the body of a request is read; here is what endpoints see.
 """
 
 from __future__ import annotations

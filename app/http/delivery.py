@@ -1,21 +1,21 @@
-"""Files over HTTP: strong validators, ranges, and a compressed twin where that pays."""
+"""Files over HTTP: strong validators, ranges, and a gzip copy where that pays."""
 
 from __future__ import annotations
 
 import gzip
 import hashlib
-import re
 import shutil
-import threading
-from collections import OrderedDict
 from contextlib import suppress
-from email.utils import formatdate, parsedate_to_datetime
+from email.utils import formatdate
 from pathlib import Path
 
 from fastapi import Request
 from fastapi.responses import FileResponse, Response
-from starlette.responses import MalformedRangeHeader, RangeNotSatisfiable
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.staticfiles import NotModifiedResponse, StaticFiles
+from starlette.types import Message, Receive, Scope, Send
 
+from app.http.headers import accepts_gzip
 from app.http.problems import Problem
 from interloc.errors import OutputError
 from interloc.files import atomic_write
@@ -49,60 +49,46 @@ DOCUMENT_POLICY = (
 """For documents made of data (reports, SVG): they bring their own style, and no script of theirs would run."""
 
 _COMPRESSIBLE = frozenset({".css", ".csv", ".geojson", ".html", ".js", ".json", ".kml", ".map", ".mjs", ".svg"})
-_MIN_BYTES = 1400  # what fits one packet does not travel faster when it is smaller
+_MIN_BYTES = 1400  # what fits into one packet does not travel faster when it is smaller
+_MAX_BYTES_AT_ONCE = 4 * 1024 * 1024  # read where the answer is made, without further trips to the thread pool
 
-
-class _Bodies:
-    """Small files as they were last sent: handing them over takes no more trips to the thread pool."""
-
-    def __init__(self, most_bytes: int, largest_bytes: int) -> None:
-        self._most_bytes, self._largest_bytes = most_bytes, largest_bytes
-        self._bodies: OrderedDict[tuple[Path, int, int], bytes] = OrderedDict()
-        self._size = 0
-        self._lock = threading.Lock()
-
-    def read(self, path: Path) -> bytes | None:
-        """Return the bytes of a file; None where it is too large for that."""
-        stat = path.stat()
-        if stat.st_size > self._largest_bytes:
-            return None
-        key = path, stat.st_mtime_ns, stat.st_size
-        with self._lock:
-            if key in self._bodies:
-                self._bodies.move_to_end(key)
-                return self._bodies[key]
-        body = path.read_bytes()
-        with self._lock:
-            if key not in self._bodies:
-                self._bodies[key] = body
-                self._size += len(body)
-            while self._size > self._most_bytes:
-                self._size -= len(self._bodies.popitem(last=False)[1])
-        return body
-
-
-_BODIES = _Bodies(64 * 1024 * 1024, 4 * 1024 * 1024)
+_STATIC_FILES = StaticFiles(check_dir=False)
 
 
 class WholeFile(FileResponse):
     """A file that is not changed while it is sent, or ranges of it."""
 
-    chunk_size = 1024 * 1024  # a thread switch each: large results go at the speed of the disk cache
+    chunk_size = 1024 * 1024  # a thread switch per chunk: large results go at the speed of the disk cache
 
-    @classmethod
-    def _parse_range_header(cls, http_range: str, file_size: int) -> list[tuple[int, int]]:
-        """Return the ranges that are asked for; the whole where they cannot be understood (RFC 9110, section 14.2)."""
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer; a range that is malformed is ignored (RFC 9110, section 14.2), one outside of the file a problem."""
+
+        async def send_unless_refused(message: Message) -> None:
+            if message["type"] == "http.response.start" and message["status"] in {400, 416}:
+                raise _BadRangeError(message["status"])
+            await send(message)
+
         try:
-            return super()._parse_range_header(http_range, file_size)
-        except MalformedRangeHeader:
-            return []
-        except RangeNotSatisfiable as error:
-            raise Problem(
-                416,
-                "No such range",
-                f"Range: {http_range[:80]!r} lies outside of the file, which has {file_size:,} bytes.",
-                headers={"Content-Range": f"bytes */{file_size}"},
-            ) from error
+            await super().__call__(scope, receive, send_unless_refused)
+        except _BadRangeError as error:
+            if error.status == 416:
+                size = int(self.headers["content-length"])
+                raise Problem(
+                    416,
+                    "No such range",
+                    f"Range: {Headers(scope=scope)['range'][:80]!r} lies outside of the file of {size:,} bytes.",
+                    headers={"Content-Range": f"bytes */{size}"},
+                ) from None
+            headers = [(name, value) for name, value in scope["headers"] if name != b"range"]
+            await super().__call__({**scope, "headers": headers}, receive, send)
+
+
+class _BadRangeError(Exception):
+    """FileResponse was about to refuse the range."""
+
+    def __init__(self, status: int) -> None:
+        super().__init__()
+        self.status = status
 
 
 def media_type_of(path: Path) -> str:
@@ -114,7 +100,7 @@ def deliver(
     request: Request,
     path: Path,
     *,
-    twins: Path | None = None,
+    gzip_copies: Path | None = None,
     name: str | None = None,
     download: bool = False,
     cache_control: str = REVALIDATE,
@@ -127,14 +113,14 @@ def deliver(
     ----------
     path
         The file. It is never changed in place, so its time and size stand for its bytes.
-    twins
-        Folder of the compressed twins, which are made when first asked for; None: no compression.
+    gzip_copies
+        Folder of the gzip copies, which are made when first asked for; None: no compression.
     name
         File name offered to whoever saves it.
     download
         Save it rather than show it.
     vary
-        Other request headers that the choice of the file depends on.
+        Another request header that the choice of the file depends on.
     policy
         Content-Security-Policy of HTML and SVG; None: that of the service.
 
@@ -144,104 +130,60 @@ def deliver(
         There is no such file.
     """
     stat = path.stat()
-    etag = f'"{stat.st_mtime_ns:x}-{stat.st_size:x}'
-    headers = {"cache-control": cache_control}
     media_type = media_type_of(path)
-    if twins is not None and path.suffix.lower() in _COMPRESSIBLE and stat.st_size >= _MIN_BYTES:
-        vary = f"{vary}, Accept-Encoding" if vary else "Accept-Encoding"
-        if "range" not in request.headers and _accepts_gzip(request.headers.get("accept-encoding", "")):
-            twin = _twin(path, twins, f"{stat.st_mtime_ns:x}.gz")
-            if twin is not None:
-                path, etag = twin, f"{etag}-gzip"
-                headers["content-encoding"] = "gzip"
-    headers["etag"] = f'{etag}"'
+    etag = f"{stat.st_mtime_ns:x}-{stat.st_size:x}"
+    headers = MutableHeaders({"cache-control": cache_control})
     headers["last-modified"] = formatdate(stat.st_mtime, usegmt=True)
     if vary:
         headers["vary"] = vary
     if policy is not None and media_type.startswith(("text/html", "image/svg")):
         headers["content-security-policy"] = policy
-    if is_known(request, headers["etag"], stat.st_mtime):
-        headers.pop("content-encoding", None)
-        return Response(status_code=304, headers=headers)
-    body = None if "range" in request.headers else _BODIES.read(path)
-    if body is not None:
-        if name is not None:
-            headers["content-disposition"] = f'{"attachment" if download else "inline"}; filename="{name}"'
-        headers["accept-ranges"] = "bytes"
-        return Response(body, headers=headers, media_type=media_type)
-    return WholeFile(
+    if gzip_copies is not None and path.suffix.lower() in _COMPRESSIBLE and stat.st_size >= _MIN_BYTES:
+        headers.add_vary_header("Accept-Encoding")
+        if "range" not in request.headers and accepts_gzip(request.headers):
+            copy = _gzip_copy(path, gzip_copies, f"{stat.st_mtime_ns:x}.gz")
+            if copy is not None:
+                path, stat, etag = copy, copy.stat(), f"{etag}-gzip"
+                headers["content-encoding"] = "gzip"
+    headers["etag"] = f'"{etag}"'
+    answer = WholeFile(
         path,
         headers=headers,
         media_type=media_type,
         filename=name,
         content_disposition_type="attachment" if download else "inline",
-        stat_result=path.stat(),
+        stat_result=stat,
     )
+    if is_known(request, answer):
+        return NotModifiedResponse(answer.headers)
+    if "range" in request.headers or stat.st_size > _MAX_BYTES_AT_ONCE:
+        return answer
+    return Response(path.read_bytes(), headers=answer.headers)
 
 
-def is_known(request: Request, etag: str, modified: float | None = None) -> bool:
-    """Tell whether the client has what it asks for (RFC 9110, section 13.2.2)."""
-    known = request.headers.get("if-none-match")
-    if known is not None:
-        tags = re.findall(r'(?:W/)?("[^"]*")', known)
-        return known.strip() == "*" or etag in tags
-    since = request.headers.get("if-modified-since")
-    if since is None or modified is None:
-        return False
-    try:
-        return int(modified) <= parsedate_to_datetime(since).timestamp()
-    except (ValueError, TypeError):
-        return False
+def is_known(request: Request, answer: Response) -> bool:
+    """Tell whether the client has what it asks for (If-None-Match, If-Modified-Since)."""
+    return _STATIC_FILES.is_not_modified(answer.headers, request.headers)
 
 
-def _accepts_gzip(header: str) -> bool:
-    weights = _weights(header)
-    return weights.get("gzip", weights.get("*", 0.0)) > 0
-
-
-def prefers_html(header: str) -> bool:
-    """Tell whether an Accept header would rather have HTML than JSON; JSON where it does not care."""
-    weights = _weights(header)
-    anything = weights.get("*/*", 0.0)
-    html = weights.get("text/html", weights.get("text/*", anything))
-    return html > weights.get("application/json", weights.get("application/*", anything))
-
-
-def _weights(header: str) -> dict[str, float]:
-    """Return the alternatives of an Accept or Accept-Encoding header with their weights."""
-    weights = {}
-    for part in header.split(","):
-        value, *parameters = (piece.strip() for piece in part.lower().split(";"))
-        weight = 1.0
-        for parameter in parameters:
-            if parameter.startswith("q="):
-                try:
-                    weight = float(parameter[2:])
-                except ValueError:
-                    weight = 0.0
-        if value:
-            weights[value] = weight
-    return weights
-
-
-def _twin(path: Path, folder: Path, version: str) -> Path | None:
-    """Return the compressed twin of a file, made if need be; None where it cannot be, as on a full disk."""
+def _gzip_copy(path: Path, folder: Path, version: str) -> Path | None:
+    """Return the gzip copy of a file, made if need be; None where it cannot be made, as on a full disk."""
     name = hashlib.sha256(str(path).encode()).hexdigest()[:16]
-    twin = folder / f"{name}.{version}"
-    if twin.exists():
-        return twin
+    copy = folder / f"{name}.{version}"
+    if copy.exists():
+        return copy
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (
             path.open("rb") as source,
-            atomic_write(twin) as sink,
+            atomic_write(copy) as sink,
             gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=sink, mtime=0) as packer,
         ):
             shutil.copyfileobj(source, packer, 1024 * 1024)
     except (OSError, OutputError):
         return None
     for other in folder.glob(f"{name}.*.gz"):  # of an older version
-        if other != twin:
+        if other != copy:
             with suppress(OSError):
                 other.unlink()
-    return twin
+    return copy

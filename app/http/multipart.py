@@ -1,4 +1,4 @@
-"""Several files in one request: multipart/form-data, read as it comes, each part straight to its own file."""
+"""Several files in one request: multipart/form-data, read as it arrives, each part written straight to its own file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from app.http.limits import CLOSE, too_large
 from app.http.problems import Problem
 from app.paths import check_path
 
-_MAX_HEADER_BYTES = 8192  # of a part
+_MAX_HEADERS, _MAX_HEADER_BYTES = 16, 8192  # of a part
+_PLAIN_ENCODINGS = {b"binary", b"8bit", b"7bit"}
 _NUMBERED = r"\d{1,18}\.(bin|label)"
 
 Place = Callable[[str | None], str]
@@ -55,7 +56,7 @@ FIELDS: dict[str, Place] = {
 
 
 def bad_part(what: str) -> Problem:
-    """Say what is wrong with a part."""
+    """Return the problem that a part has."""
     return Problem(422, "Bad part", f"{what} Nothing of this request was kept.", headers=CLOSE)
 
 
@@ -65,7 +66,7 @@ def boundary_of(content_type: str | None) -> bytes:
     Raises
     ------
     Problem
-        415: it is no multipart/form-data.
+        415: the body is not multipart/form-data.
     """
     kind, options = parse_options_header(content_type or "")
     if kind != b"multipart/form-data" or not options.get(b"boundary"):
@@ -85,10 +86,11 @@ class BatchReader:
     ----------
     context
     boundary
+        What separates the parts.
     fields
-        Names of the parts that are taken, and where each goes.
+        Names of the parts that are expected, and where each goes.
     max_bytes, max_files, max_file_bytes
-        Limits.
+        Limits of the body, of the number of its parts, and of each part.
     """
 
     def __init__(
@@ -105,8 +107,8 @@ class BatchReader:
         self._fields = fields
         self._max_bytes, self._max_files, self._max_file_bytes = max_bytes, max_files, max_file_bytes
         self._size = 0
-        self._headers: dict[str, bytes] = {}
-        self._header = (b"", b"")
+        self._headers: dict[bytes, bytes] = {}
+        self._name = self._value = b""  # of the header that is being read
         self._intakes: list[Intake] = []
         self._arrivals: list[Arrival] = []
         self._ended = False
@@ -122,6 +124,8 @@ class BatchReader:
                 "on_headers_finished": self._open_part,
                 "on_end": self._end,
             },
+            max_header_count=_MAX_HEADERS,
+            max_header_size=_MAX_HEADER_BYTES,
         )
 
     def take(self, data: bytes) -> None:
@@ -130,7 +134,7 @@ class BatchReader:
         Raises
         ------
         Problem
-            400: it is malformed. 413: too large, or too many files. 422: a part that is not taken.
+            400: the body is malformed. 413: it is too large, or has too many files. 422: a part is not expected.
         """
         self._size += len(data)
         if self._size > self._max_bytes:
@@ -146,7 +150,7 @@ class BatchReader:
         Raises
         ------
         Problem
-            400: the body ended too soon. 422: there is no part in it.
+            400: the body ended too soon. 422: it has no parts.
         """
         if not self._ended:
             raise _malformed("it ends before its last boundary")
@@ -168,34 +172,22 @@ class BatchReader:
                 headers=CLOSE,
             )
         self._headers = {}
-        self._header = (b"", b"")
 
     def _take_header_name(self, data: bytes, start: int, end: int) -> None:
-        self._header = (self._header[0] + data[start:end], b"")
-        self._check_header()
+        self._name += data[start:end]
 
     def _take_header_value(self, data: bytes, start: int, end: int) -> None:
-        self._header = (self._header[0], self._header[1] + data[start:end])
-        self._check_header()
-
-    def _check_header(self) -> None:
-        if sum(map(len, self._header)) > _MAX_HEADER_BYTES or len(self._headers) > 16:
-            raise _malformed("the headers of a part are too long")
+        self._value += data[start:end]
 
     def _end_header(self) -> None:
-        name, value = self._header
-        self._headers[name.decode("latin-1").lower()] = value
-        self._header = (b"", b"")
+        self._headers[self._name.lower()] = self._value
+        self._name = self._value = b""
 
     def _open_part(self) -> None:
-        kind, options = parse_options_header(self._headers.get("content-disposition", b""))
+        kind, options = parse_options_header(self._headers.get(b"content-disposition"))
         if kind != b"form-data" or b"name" not in options:
             raise _malformed("a part has no Content-Disposition: form-data with a name")
-        if self._headers.get("content-transfer-encoding", b"binary").strip().lower() not in {
-            b"binary",
-            b"8bit",
-            b"7bit",
-        }:
+        if self._headers.get(b"content-transfer-encoding", b"binary").strip().lower() not in _PLAIN_ENCODINGS:
             raise bad_part("A part has a Content-Transfer-Encoding; expected its bytes as they are.")
         field, filename = _text(options[b"name"]), options.get(b"filename")
         place = self._fields.get(field)

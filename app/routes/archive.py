@@ -11,10 +11,10 @@ from fastapi.concurrency import run_in_threadpool
 from app.context import Context, ContextDep
 from app.drives.archive import check_magic, queue_archive, unpacked
 from app.drives.upload import check_upload
+from app.http.headers import wait_of
 from app.http.intake import Arrival, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.multipart import BatchReader, boundary_of
-from app.http.prefer import wait_of
 from app.jobs.queue import FINAL
 from app.jobs.watcher import wait_for_job
 from app.routes.files import UPLOAD

@@ -12,7 +12,7 @@ from app.drives.commit import begin_commit, committed
 from app.drives.plan import plan_upload
 from app.drives.tracks import trajectory_file
 from app.http.delivery import WholeFile
-from app.http.prefer import wait_of
+from app.http.headers import wait_of
 from app.http.problems import ProblemDocument
 from app.jobs.runner import RunnerDep
 from app.jobs.watcher import wait_for_job

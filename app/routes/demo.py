@@ -12,7 +12,7 @@ from app.context import ContextDep
 from app.drives.archive import raise_failure
 from app.drives.commit import begin_commit, committed
 from app.drives.demo import begin_demo
-from app.http.prefer import wait_of
+from app.http.headers import wait_of
 from app.http.problems import ProblemDocument
 from app.jobs.watcher import wait_for_job
 from app.routes.archive import PreferHeader

@@ -11,7 +11,7 @@ from app.context import ContextDep
 from app.drives import records
 from app.drives.upload import check_upload, keep
 from app.http.delivery import WholeFile
-from app.http.digest import sha256_of
+from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.problems import ProblemDocument

@@ -71,8 +71,8 @@ def _give(request: Request, assets: Assets, context: Context, name: str) -> Resp
     path = assets.find_file(name)
     if path is None:
         raise Problem(404, "Not found", f"The page has no file {name!r}.")
-    twins = context.storage.folder("cache/page")
-    return deliver(request, path, twins=twins, cache_control="no-cache", policy=None)
+    copies = context.storage.folder("cache/page")
+    return deliver(request, path, gzip_copies=copies, cache_control="no-cache", policy=None)
 
 
 _add("/", read_index)

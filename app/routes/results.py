@@ -8,11 +8,13 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
+from starlette.staticfiles import NotModifiedResponse
+from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
 from app.context import ContextDep
-from app.http.delivery import REVALIDATE, deliver, is_known, media_type_of, prefers_html
+from app.http.delivery import REVALIDATE, deliver, is_known, media_type_of
+from app.http.headers import prefers_html
 from app.http.problems import ProblemDocument
-from app.results.archive import pack
 from app.results.folder import open_result
 from app.schemas.results import ResultFile, ResultFileList
 
@@ -23,6 +25,8 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
     409: {"model": ProblemDocument, "description": "The job is not successful (yet)."},
     410: {"model": ProblemDocument, "description": "The result is no longer on disk."},
 }
+_PACKED = frozenset({".png", ".gz", ".zip"})  # they would not become smaller in an archive
+
 _CACHED: dict[int | str, dict[str, Any]] = {
     206: {"description": "The range that was asked for."},
     304: {"description": "The client has it (If-None-Match, If-Modified-Since)."},
@@ -103,7 +107,7 @@ def _add_layer(layer: str, summary: str, description: str) -> None:
     def read_layer(job_id: JobId, request: Request, context: ContextDep) -> Response:
         result = open_result(context, job_id)
         name = f"{result.slug}-{layer}.geojson"
-        return deliver(request, result.layer(layer), twins=result.cache, name=name)
+        return deliver(request, result.layer(layer), gzip_copies=result.cache, name=name)
 
     get(
         f"/jobs/{{job_id}}/{layer}",
@@ -148,10 +152,10 @@ def read_report(
     Answers with JSON, or with HTML where the `Accept` header prefers `text/html` (as a browser's does).
     """
     result = open_result(context, job_id)
-    html = format == "html" or (format is None and prefers_html(request.headers.get("accept", "")))
+    html = format == "html" or (format is None and prefers_html(request.headers))
     path = result.evaluation_file("report.html" if html else "report.json")
     name = f"{result.slug}-{path.name}"
-    return deliver(request, path, twins=result.cache, name=name, vary="Accept")
+    return deliver(request, path, gzip_copies=result.cache, name=name, vary="Accept")
 
 
 @get(
@@ -164,7 +168,7 @@ def read_report(
 def read_run(job_id: JobId, request: Request, context: ContextDep) -> Response:
     """Give the full configuration, versions, timings a stage and peak memory."""
     result = open_result(context, job_id)
-    return deliver(request, result.file("run.json"), twins=result.cache, name=f"{result.slug}-run.json")
+    return deliver(request, result.file("run.json"), gzip_copies=result.cache, name=f"{result.slug}-run.json")
 
 
 @get(
@@ -206,7 +210,7 @@ def read_result_file(
     """Give any file of the result; without georeference these are the way to the `*.local.json` layers."""
     result = open_result(context, job_id)
     path = result.file(name)
-    return deliver(request, path, twins=result.cache, name=f"{result.slug}-{path.name}")
+    return deliver(request, path, gzip_copies=result.cache, name=f"{result.slug}-{path.name}")
 
 
 @get(
@@ -219,15 +223,20 @@ def read_result_file(
 def download_archive(job_id: JobId, request: Request, context: ContextDep) -> Response:
     """Give the whole result folder as a .zip, packed while it is sent."""
     result = open_result(context, job_id)
-    names = result.files()
-    stats = [(name.as_posix(), (stat := (result.folder / name).stat()).st_mtime_ns, stat.st_size) for name in names]
-    etag = f'"{hashlib.sha256(repr(stats).encode()).hexdigest()[:24]}"'
-    headers = {"etag": etag, "cache-control": REVALIDATE}
-    if is_known(request, etag):
-        return Response(status_code=304, headers=headers)
-    headers["content-disposition"] = f'attachment; filename="{result.slug}-{job_id}.zip"'
-    if request.method == "HEAD":
-        return Response(headers=headers, media_type="application/zip")
-    return StreamingResponse(
-        pack(result.folder, names, f"{result.slug}-{job_id}"), headers=headers, media_type="application/zip"
-    )
+    folder = f"{result.slug}-{job_id}"
+    archive = ZipStream(compress_type=ZIP_DEFLATED)
+    files = []
+    for name in result.files():
+        path = result.folder / name
+        stat = path.stat()
+        files.append((name.as_posix(), stat.st_mtime_ns, stat.st_size))
+        compress_type = ZIP_STORED if name.suffix in _PACKED else ZIP_DEFLATED
+        archive.add_path(path, f"{folder}/{name.as_posix()}", compress_type=compress_type)
+    headers = {
+        "etag": f'"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
+        "cache-control": REVALIDATE,
+        "content-disposition": f'attachment; filename="{folder}.zip"',
+    }
+    content = () if request.method == "HEAD" else archive
+    answer = StreamingResponse(content, headers=headers, media_type="application/zip")
+    return NotModifiedResponse(answer.headers) if is_known(request, answer) else answer

@@ -1,13 +1,13 @@
-"""Who gets in. Everything here is decided from the head of a request; nothing of a refused body is read.
+"""Who gets in. Everything here is decided by the head of a request; nothing of a refused body is read.
 
 A service for this machine asks for no token, so a web page that the user visits must not be able to use it through
-the user's browser. Two ways are closed:
+the user's browser. Two attacks are kept out:
 
 - DNS rebinding: the page's own name is pointed at 127.0.0.1, and to the browser the service is the page's origin. Such
   requests carry the page's name as ``Host``: only names of this machine (and ``INTERLOC_ALLOWED_HOSTS``) are answered.
 - Cross-site requests: a page can send forms and simple requests anywhere, though it cannot read the answers. Browsers
-  say so in ``Sec-Fetch-Site``, older ones and plain http by ``Origin``: requests that change something are refused
-  when they come from another origin. Programs send neither.
+  report it in ``Sec-Fetch-Site``, older ones and plain http in ``Origin``: requests that change something are refused
+  when they come from another origin. Programs send neither header.
 
 Neither is a danger where a token is needed: browsers add none by themselves, there are no cookies.
 """
@@ -20,7 +20,6 @@ import time
 from collections import OrderedDict
 from urllib.parse import urlsplit
 
-from starlette._utils import get_route_path
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -35,10 +34,17 @@ _SAFE = {"GET", "HEAD", "OPTIONS"}
 _PROBES = {"/healthz", "/readyz"}
 _MAX_HEADERS = 100
 _MAX_TOKEN = 512  # characters
-_FAILURES_A_MINUTE = 20
+_FAILURES_PER_MINUTE = 20
 _ADDRESSES = 4096
 
 _log = logging.getLogger(__name__)
+
+
+def path_of(scope: Scope) -> str:
+    """Return the path of a request below the root path, which a reverse proxy may take off or leave on."""
+    path: str = scope["path"]
+    root: str = scope.get("root_path", "")
+    return path[len(root) :] if root and f"{path}/".startswith(f"{root}/") else path
 
 
 class Gate:
@@ -64,7 +70,7 @@ class Gate:
     async def _problem(self, scope: Scope) -> Problem | None:
         if len(scope["headers"]) > _MAX_HEADERS:
             return Problem(431, "Too many headers", f"A request may have {_MAX_HEADERS} headers.")
-        path = get_route_path(scope)
+        path = path_of(scope)
         scope.setdefault("state", {})["client"] = ANONYMOUS
         if path in _PROBES:
             return None
@@ -116,7 +122,8 @@ class Gate:
                 return Problem(
                     429,
                     "Too many wrong tokens",
-                    f"From this address came {_FAILURES_A_MINUTE} wrong tokens within a minute; none is looked at now.",
+                    f"From this address came {_FAILURES_PER_MINUTE} wrong tokens within a minute; "
+                    "no further token is checked now.",
                     headers={"Retry-After": str(int(wait_s) + 1)},
                 )
             client = await run_in_threadpool(context.tokens.client_of, token)
@@ -139,7 +146,7 @@ def _unauthorized(found: str, parameter: str = "") -> Problem:
 
 
 class _Failures:
-    """Counts wrong tokens by address, within a minute. Tokens that are known keep working meanwhile."""
+    """Counts wrong tokens by address, within a minute. Tokens that are known keep working in the meantime."""
 
     def __init__(self) -> None:
         self._seen: OrderedDict[str, tuple[int, float]] = OrderedDict()
@@ -151,12 +158,12 @@ class _Failures:
             self._seen.popitem(last=False)
 
     def wait_s(self, address: str) -> float:
-        """Seconds until a token from there is looked at again."""
+        """Return the seconds until a token from there is checked again."""
         number, since = self._seen.get(address, (0, 0.0))
         left = since + 60 - time.monotonic()
         if left <= 0:
             self._seen.pop(address, None)
-        return left if number >= _FAILURES_A_MINUTE else 0.0
+        return left if number >= _FAILURES_PER_MINUTE else 0.0
 
 
 def _name_of(host: str) -> str:

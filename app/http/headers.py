@@ -1,0 +1,94 @@
+"""Request headers that the framework does not read: Prefer, Content-Digest, Accept and Accept-Encoding."""
+
+from __future__ import annotations
+
+import re
+from typing import cast
+
+import http_sf
+from starlette.datastructures import Headers
+
+from app.http.problems import Problem
+
+DEFAULT_WAIT_S = 50
+MAX_WAIT_S = 300
+
+_SHA256_BYTES = 32
+
+
+def wait_of(prefer: str | None) -> int:
+    """Return the seconds that a request may wait for its work: ``Prefer: wait=10`` or ``respond-async`` (RFC 7240).
+
+    Preferences that are not understood are ignored.
+    """
+    seconds = DEFAULT_WAIT_S
+    for preference in (prefer or "").split(","):
+        name, _, value = preference.split(";")[0].strip().lower().partition("=")
+        if name.strip() == "respond-async":
+            seconds = 0
+        elif name.strip() == "wait" and re.fullmatch(r'\s*"?\d{1,9}"?\s*', value):
+            return min(int(value.strip(' "')), MAX_WAIT_S)
+    return seconds
+
+
+def sha256_of(headers: Headers) -> str | None:
+    """Return the SHA-256 that the body must have, hexadecimal; None where the client sends no digest (RFC 9530).
+
+    Raises
+    ------
+    Problem
+        422: the digest is malformed, or of another algorithm only, so that it could not be checked.
+    """
+    found = {_sha256(name, headers[name]) for name in ("content-digest", "repr-digest") if name in headers}
+    if len(found) > 1:
+        raise _bad_digest("Content-Digest", "differs from Repr-Digest, but the body is sent as it is")
+    return found.pop() if found else None
+
+
+def _sha256(field: str, text: str) -> str:
+    try:
+        members = cast("dict[str, tuple[object, object]]", http_sf.parse(text.encode("latin-1"), tltype="dictionary"))
+    except http_sf.StructuredFieldError as error:
+        raise _bad_digest(field, str(error)) from None
+    if "sha-256" not in members:
+        raise _bad_digest(field, f"has {', '.join(members) or 'no digest'}, but only sha-256 is checked here")
+    digest, _parameters = members["sha-256"]
+    if not isinstance(digest, bytes):
+        raise _bad_digest(field, "its sha-256 is not base64 between colons")
+    if len(digest) != _SHA256_BYTES:
+        raise _bad_digest(field, f"its sha-256 has {len(digest)} bytes, not {_SHA256_BYTES}")
+    return digest.hex()
+
+
+def _bad_digest(field: str, what: str) -> Problem:
+    return Problem(
+        422,
+        "Bad digest",
+        f"{field}: {what}. Expected sha-256=:BASE64: with the 32 bytes of the SHA-256 of the body in base64. Usual "
+        "mistake: hexadecimal digits, or the colons left out.",
+        headers={"Want-Content-Digest": "sha-256=10"},
+    )
+
+
+def accepts_gzip(headers: Headers) -> bool:
+    """Tell whether the answer may be compressed by gzip."""
+    weights = _weights(headers.get("accept-encoding", ""))
+    return weights.get("gzip", weights.get("*", 0.0)) > 0
+
+
+def prefers_html(headers: Headers) -> bool:
+    """Tell whether a client would rather have HTML than JSON; JSON where it does not care."""
+    weights = _weights(headers.get("accept", ""))
+    anything = weights.get("*/*", 0.0)
+    html = weights.get("text/html", weights.get("text/*", anything))
+    return html > weights.get("application/json", weights.get("application/*", anything))
+
+
+def _weights(header: str) -> dict[str, float]:
+    """Return the alternatives of an Accept or Accept-Encoding header with their weights."""
+    weights = {}
+    for part in header.lower().split(","):
+        value, *parameters = (piece.strip() for piece in part.split(";"))
+        weight = next((each[2:] for each in parameters if each.startswith("q=")), "1")
+        weights[value] = float(weight) if re.fullmatch(r"\d(\.\d*)?", weight) else 0.0
+    return weights

@@ -1,0 +1,273 @@
+"""What every request passes, from the outside in: log, headers, faults, gate, limits of the body."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+import secrets
+import time
+from urllib.parse import urlsplit
+
+from fastapi import FastAPI
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app import logs
+from app.http.gate import Gate, path_of
+from app.http.problems import Problem, problem_of, respond
+from app.metrics import Metrics
+from app.settings import Settings
+
+DATA_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; sandbox"
+"""Policy of what lies below the API, should a browser take it for a document: it may be anything that was uploaded."""
+
+MAX_JSON_BYTES = 1024**2
+
+_API = "/api/v1"
+_GIVEN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+_ABOUT = re.compile(r"/api/v1/(drive|job)s/([0-9a-f]{16})(?=/|$)")
+_QUIET = {"/healthz", "/readyz", "/metrics"}
+_GONE = 499  # nginx's status for a client that did not wait for the answer
+_HSTS_S = 180 * 24 * 3600
+
+# Uploads stream their body and count it themselves, against limits of their own.
+_STREAMS = re.compile(r"/api/v1/drives/[^/]+/(files/.+|scans|archive)")
+
+_log = logging.getLogger("app.access")
+
+
+def add_middleware(app: FastAPI, settings: Settings) -> None:
+    """Put all of it around the application; the last that is added is the outermost."""
+    app.add_middleware(Bodies, idle_s=settings.idle_timeout_s)
+    app.add_middleware(Gate, settings=settings)
+    app.add_middleware(Faults)
+    app.add_middleware(SecurityHeaders, settings=settings)
+    app.add_middleware(RequestLog, root_path=settings.root_path)
+
+
+class RequestLog:
+    """Gives each request an id, logs it in one line and counts it. The outermost one: it sees what all others answer.
+
+    Parameters
+    ----------
+    app
+        What is inside.
+    root_path
+        Path under which a reverse proxy shows the service; the proxy may take it off or leave it on.
+    """
+
+    def __init__(self, app: ASGIApp, root_path: str = "") -> None:
+        self._app = app
+        self._root_path = root_path
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Go on, and see how it ends."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        scope["root_path"] = self._root_path
+        started = time.perf_counter()
+        status, received_bytes, is_stream = _GONE, 0, False
+        path = path_of(scope)
+        given = Headers(scope=scope).get("x-request-id", "")
+        request_id = given if _GIVEN_ID.fullmatch(given) else secrets.token_hex(8)
+        about = _ABOUT.match(path)
+        logs.reset()
+        logs.bind(request=request_id, **({about[1]: about[2]} if about else {}))
+
+        async def receive_and_count() -> Message:
+            nonlocal received_bytes
+            message = await receive()
+            received_bytes += len(message.get("body", b""))
+            return message
+
+        async def send_and_note(message: Message) -> None:
+            nonlocal status, is_stream
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                headers = MutableHeaders(scope=message)
+                headers["x-request-id"] = request_id
+                is_stream = headers.get("content-type", "").startswith("text/event-stream")
+            await send(message)
+
+        try:
+            await self._app(scope, receive_and_count, send_and_note)
+        finally:
+            seconds = time.perf_counter() - started
+            metrics: Metrics = scope["app"].state.context.metrics
+            metrics.count_request(
+                scope["method"],
+                _route(scope, path),
+                status,
+                seconds=None if is_stream else seconds,
+                received_bytes=received_bytes,
+            )
+            level = logging.ERROR if status >= 500 and status != 503 else logging.INFO
+            if path in _QUIET and status < 500:
+                level = logging.DEBUG
+            fields = {
+                "method": scope["method"],
+                "path": path,
+                "status": status,
+                "duration_ms": round(seconds * 1000, 1),
+                "received_bytes": received_bytes or None,
+            }
+            _log.log(level, "%s %s %d", scope["method"], path, status, extra=fields)
+
+
+def _route(scope: Scope, path: str) -> str:
+    """Return the template of the address: addresses themselves are too many for a label."""
+    template: str | None = getattr(scope.get("route"), "path_format", None)
+    if template is None:
+        return "(none)"
+    is_below = path.startswith(f"{_API}/") and not template.startswith(_API)  # templates lack the prefix
+    return _API + template if is_below else template
+
+
+class SecurityHeaders:
+    """Tells browsers what the page may do, and that nothing else may be done with it; what an endpoint set stays."""
+
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+        self._app = app
+        self._page_policy = page_policy(settings)
+        self._always = {
+            "x-content-type-options": "nosniff",
+            # Tile servers require a referrer; other sites need not know which drive was looked at.
+            "referrer-policy": "strict-origin-when-cross-origin",
+            "cross-origin-opener-policy": "same-origin",
+            "cross-origin-resource-policy": "same-origin",
+            "permissions-policy": "camera=(), geolocation=(), microphone=(), payment=(), usb=()",
+        }
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Go on, and add to the answer."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        is_api = path_of(scope).startswith("/api/")
+        policy = DATA_POLICY if is_api else self._page_policy
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in self._always.items():
+                    headers.setdefault(name, value)
+                headers.setdefault("content-security-policy", policy)
+                if is_api:
+                    headers.setdefault("cache-control", "no-store")
+                if scope["scheme"] == "https":
+                    headers.setdefault("strict-transport-security", f"max-age={_HSTS_S}")
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+
+def page_policy(settings: Settings) -> str:
+    """Return the policy of the page: its own files, and images of the tile server."""
+    parts = urlsplit((settings.tile_url or "").replace("{s}", "*"))  # {s} stands for any subdomain
+    has_tiles = parts.scheme in {"http", "https"} and parts.netloc
+    tiles = f" {parts.scheme}://{parts.netloc}" if has_tiles else ""
+    return (
+        f"default-src 'self'; img-src 'self' data: blob:{tiles}; worker-src 'self'; connect-src 'self'; "
+        "object-src 'none'; form-action 'self'; frame-src 'self'; frame-ancestors 'none'; base-uri 'none'"
+    )
+
+
+class Faults:
+    """Turns an exception that no handler took into a problem document; its details are logged and not sent."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Go on, and answer in the place of what failed."""
+        has_begun = False
+
+        async def send_and_note(message: Message) -> None:
+            nonlocal has_begun
+            has_begun = True
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_and_note)
+        except Exception as error:
+            if scope["type"] != "http" or has_begun:  # half an answer was sent: the connection can only be closed
+                raise
+            await respond(problem_of(error), scope["path"])(scope, receive, send)
+
+
+class Bodies:
+    """Limits what a client sends: small JSON, read before its endpoint runs, and no body that pauses for ever.
+
+    Parameters
+    ----------
+    app
+        What is inside.
+    idle_s
+        A body that pauses for so long is given up; those of uploads too.
+    """
+
+    def __init__(self, app: ASGIApp, idle_s: float) -> None:
+        self._app = app
+        self._idle_s = idle_s
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Read or limit the body, then go on."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        receive_in_time = self._with_time_limit(receive)
+        if not _STREAMS.fullmatch(path_of(scope)):
+            try:
+                receive_in_time = await _read(scope, receive_in_time)
+            except HTTPException as error:
+                problem = Problem(error.status_code, "Body refused", error.detail, headers={"Connection": "close"})
+                await respond(problem, scope["path"])(scope, receive, send)
+                return
+        await self._app(scope, receive_in_time, send)
+
+    def _with_time_limit(self, receive: Receive) -> Receive:
+        more = True
+
+        async def receive_in_time() -> Message:
+            nonlocal more
+            if not more:  # waiting for the client to go away, as a stream of events does
+                return await receive()
+            try:
+                async with asyncio.timeout(self._idle_s):
+                    message = await receive()
+            except TimeoutError as error:
+                detail = f"Nothing more of the body came for {self._idle_s:g} seconds."
+                raise HTTPException(408, detail, headers={"Connection": "close"}) from error
+            more = message["type"] == "http.request" and message.get("more_body", False)
+            return message
+
+        return receive_in_time
+
+
+async def _read(scope: Scope, receive: Receive) -> Receive:
+    """Read a small body at once; return how it is received again."""
+    headers = Headers(scope=scope)
+    length = headers.get("content-length")
+    if length is None and "transfer-encoding" not in headers:
+        return receive
+    too_large = HTTPException(413, f"The body is larger than {MAX_JSON_BYTES:,} bytes, which no such request needs.")
+    if length is not None and int(length) > MAX_JSON_BYTES:
+        raise too_large
+    messages: list[Message] = []
+    size = 0
+    while True:
+        message = await receive()
+        messages.append(message)
+        size += len(message.get("body", b""))
+        if size > MAX_JSON_BYTES:
+            raise too_large
+        if message["type"] != "http.request" or not message.get("more_body", False):
+            break
+
+    async def receive_again() -> Message:
+        return messages.pop(0) if messages else await receive()
+
+    return receive_again
