@@ -113,9 +113,9 @@ class PaperFigures(BaseModel):
 @router.get("/paper", summary="The paper's figures", operation_id="read_paper", response_model=PaperFigures)
 def read_paper() -> dict[str, Any]:
     """Give the tables of the paper, to stand beside a report of a KITTI sequence."""
-    from interloc.benchmark.paper import AVERAGE, COMPARISON, NOISE, PERFORMANCE  # noqa: PLC0415
+    from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE  # noqa: PLC0415
 
-    tables = {"sequences": PERFORMANCE, "comparison": COMPARISON, "noise": NOISE}
+    tables = {"sequences": PERFORMANCE, "comparison": COMPARISON, "noise": LABEL_ERRORS}
     plain = {
         table: {name: dataclasses.asdict(figures) for name, figures in rows.items()} for table, rows in tables.items()
     }

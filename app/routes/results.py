@@ -17,6 +17,7 @@ from app.http.headers import prefers_html
 from app.http.problems import ProblemDocument
 from app.results.folder import open_result
 from app.schemas.results import ResultFile, ResultFileList
+from interloc.output.layers import LAYERS, Layer
 
 JobId = Annotated[str, Path(description="Of a successful job of kind intersections.", max_length=64)]
 
@@ -39,55 +40,23 @@ def answers(media_type: str, schema: dict[str, Any], description: str) -> dict[i
     return {200: {"description": description, "content": {media_type: {"schema": schema}}}, **_CACHED, **PROBLEMS}
 
 
-_GEOJSON: dict[str, Any] = {
-    "type": "object",
-    "required": ["type", "features"],
-    "properties": {
-        "type": {"const": "FeatureCollection"},
-        "bbox": {"type": "array", "items": {"type": "number"}},
-        "features": {"type": "array", "items": {"type": "object"}},
-    },
-}
+def _collection_of(layer: Layer) -> dict[str, Any]:
+    """Return the schema of the GeoJSON of a layer."""
+    feature = {
+        "type": "object",
+        "required": ["type", "geometry", "properties"],
+        "properties": {"type": {"const": "Feature"}, "properties": layer.properties.model_json_schema()},
+    }
+    return {
+        "type": "object",
+        "required": ["type", "features"],
+        "properties": {
+            "type": {"const": "FeatureCollection"},
+            "bbox": {"type": "array", "items": {"type": "number"}},
+            "features": {"type": "array", "items": feature},
+        },
+    }
 
-_DESCRIPTIONS = {
-    "intersections": (
-        "The map: one point a physical intersection",
-        (
-            "Properties `id`, `observations`, `position_std_m` (one sigma), `branch_count`, `branch_bearings_deg` "
-            "(clockwise from north), `first_frame`, `last_frame`, `confidence` (0..1)."
-        ),
-    ),
-    "detections": (
-        "One point a detection a keyframe",
-        (
-            "Each georeferenced from the fix of its own keyframe. Properties `frame`, `x_m`, `y_m` (from the LiDAR), "
-            "`branch_count`, `branch_bearings_deg`, `score` (0..1), `intersection` (id of the fused one, or null)."
-        ),
-    ),
-    "trajectory": ("The way of the LiDAR as one line", "A LineString, thinned to a point every half metre."),
-    "keyframes": (
-        "One point a keyframe",
-        (
-            "Properties `frame`, `time_s`, `heading_deg`, `detections`, and its pose in W: `world_x_m`, `world_y_m`, "
-            "`world_yaw_rad`."
-        ),
-    ),
-    "osm-nodes": (
-        "The ground truth: OpenStreetMap's intersections near the drive",
-        (
-            "Properties `osm_id`, `degree`, `in_zone`, `found`, `keyframes_in_zone`, `keyframes_missed`, `detections`, "
-            "`median_error_m`. © OpenStreetMap contributors, ODbL."
-        ),
-    ),
-    "matches": (
-        "Lines from each detection to the OpenStreetMap node it was matched to",
-        "Properties `frame`, `error_m`, `outcome` (TP or FP at 5 m), `osm_id`. © OpenStreetMap contributors, ODbL.",
-    ),
-    "osm-roads": (
-        "OpenStreetMap's roads around the drive",
-        "LineStrings for a base map without tiles. © OpenStreetMap contributors, ODbL.",
-    ),
-}
 
 router = APIRouter(tags=["Results"])
 
@@ -103,24 +72,28 @@ def get(path: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..
     return register
 
 
-def _add_layer(layer: str, summary: str, description: str) -> None:
+def _add_layer(layer: Layer) -> None:
+    address = layer.name.replace("_", "-")
+
     def read_layer(job_id: JobId, request: Request, context: ContextDep) -> Response:
         result = open_result(context, job_id)
-        name = f"{result.slug}-{layer}.geojson"
-        return deliver(request, result.layer(layer), gzip_copies=result.cache, name=name)
+        name = f"{result.slug}-{address}.geojson"
+        return deliver(request, result.layer(address), gzip_copies=result.cache, name=name)
 
+    properties = "\n".join(f"- `{name}`: {field.description}" for name, field in layer.properties.model_fields.items())
     get(
-        f"/jobs/{{job_id}}/{layer}",
-        summary=summary,
-        description=f"{description}\n\nThe same bytes as the command line writes: RFC 7946, longitude first.",
-        operation_id=f"read_{layer.replace('-', '_')}",
+        f"/jobs/{{job_id}}/{address}",
+        summary=layer.title,
+        description=f"{layer.description}\n\n{properties}\n\n{layer.attribution} "
+        "The same bytes as the command line writes: RFC 7946, longitude first.",
+        operation_id=f"read_{layer.name}",
         response_class=Response,
-        responses=answers("application/geo+json", _GEOJSON, summary + "."),
+        responses=answers("application/geo+json", _collection_of(layer), layer.title + "."),
     )(read_layer)
 
 
-for _layer, (_summary, _description) in _DESCRIPTIONS.items():
-    _add_layer(_layer, _summary, _description)
+for _layer in LAYERS.values():
+    _add_layer(_layer)
 
 
 @get(
@@ -166,7 +139,7 @@ def read_report(
     responses=answers("application/json", {"type": "object"}, "`run.json`."),
 )
 def read_run(job_id: JobId, request: Request, context: ContextDep) -> Response:
-    """Give the full configuration, versions, timings a stage and peak memory."""
+    """Give the full configuration, versions, timings per stage and peak memory."""
     result = open_result(context, job_id)
     return deliver(request, result.file("run.json"), gzip_copies=result.cache, name=f"{result.slug}-run.json")
 

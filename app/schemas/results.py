@@ -1,4 +1,4 @@
-"""Results."""
+"""The list of the files of a result."""
 
 from __future__ import annotations
 

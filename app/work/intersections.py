@@ -181,8 +181,7 @@ def _read_map(task: Task, drive: Drive, keyframes: IntArray) -> RoadGraph:
 
 def _evaluate(task: Task, drive: Drive, keyframes: IntArray, result: DriveResult, folder: Path) -> dict[str, Any]:
     from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once a job
-    from interloc.evaluation.record import report_record  # noqa: PLC0415
-    from interloc.evaluation.report import write_report  # noqa: PLC0415
+    from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
     from interloc.output.osm_roads import write_roads  # noqa: PLC0415
 
     graph = _read_map(task, drive, keyframes)

@@ -16,8 +16,8 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
 from interloc.drives.label_errors import MislabelledDrive
 from interloc.evaluation.evaluate import Evaluation, evaluate
+from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
-from interloc.evaluation.robustness import parse_level
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import road_ways

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from interloc.benchmark.cases import FolderCase, Poses, TwinCase
-from interloc.benchmark.paper import SEQUENCES
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
+from interloc.evaluation.published import SEQUENCES
 
 MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
 

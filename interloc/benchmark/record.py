@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from interloc.benchmark.paper import AVERAGE, COMPARISON, NOISE, PERFORMANCE
 from interloc.benchmark.row import Row
 from interloc.benchmark.score import METRICS, Estimate
 from interloc.benchmark.tables import ALL, Measured
 from interloc.config import DetectorConfig
+from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
 from interloc.output.geojson import rounded
 from interloc.pipeline import versions
 
@@ -47,7 +47,7 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
         "published": {
             "performance": {name: asdict(value) for name, value in {**PERFORMANCE, ALL: AVERAGE}.items()},
             "comparison": {name: asdict(value) for name, value in COMPARISON.items()},
-            "noise": {name: asdict(value) for name, value in NOISE.items()},
+            "noise": {name: asdict(value) for name, value in LABEL_ERRORS.items()},
         },
         "config": {name: config.model_dump(mode="json") for name, config in configs.items()},
         "versions": versions(),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from interloc.benchmark.paper import AVERAGE, COMPARISON, NOISE, PERFORMANCE, RANGENET, SEQUENCES, Published
 from interloc.benchmark.row import Row
 from interloc.benchmark.score import METRICS, Estimate, estimate
+from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
 
 MISSING = "–"  # noqa: RUF001 - a dash, not a minus
 PUBLISHED = "published"
@@ -144,7 +144,7 @@ def noise_table(measured: Measured) -> Table:
     """Return the performance at each level of label errors (paper, Table "... different segmentation error levels")."""
     groups = []
     for noise in measured.noises:
-        published = RANGENET if noise == "0/0" and measured.labels == "predictions" else NOISE.get(noise)
+        published = RANGENET if noise == "0/0" and measured.labels == "predictions" else LABEL_ERRORS.get(noise)
         lines: list[tuple[str, ...]] = []
         if published is not None:
             lines.append((PUBLISHED, metres(published.ace_m), percent(published.precision), percent(published.recall)))

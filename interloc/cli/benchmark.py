@@ -252,7 +252,7 @@ def _measure(
     from interloc.benchmark.tables import Measured, tables, text
     from interloc.benchmark.write import PAGE, write_benchmark
     from interloc.errors import InterLocError, is_interruption
-    from interloc.evaluation.robustness import parse_level
+    from interloc.evaluation.label_errors import parse_level
     from interloc.processes import cores
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]

@@ -28,11 +28,10 @@ def command(
       interloc evaluate out --osm map.osm.gz
     """
     from interloc.evaluation.evaluate import evaluate
-    from interloc.evaluation.record import report_record
-    from interloc.evaluation.report import write_report
+    from interloc.evaluation.report import report_record, write_report
     from interloc.files import atomic_write
     from interloc.output.layout import RUN_FILE, file_names, result_folder
-    from interloc.output.write import read_results
+    from interloc.output.read import read_results
 
     options.check_map_choice(osm, overpass=overpass)
     console.set_up_log(quiet=quiet)

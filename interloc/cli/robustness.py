@@ -52,10 +52,10 @@ def command(
     """
     from interloc.drives.label_errors import MislabelledDrive
     from interloc.evaluation.evaluate import Evaluation, evaluate
-    from interloc.evaluation.robustness import (
+    from interloc.evaluation.label_errors import (
+        label_error_table,
         parse_level,
-        robustness_table,
-        write_robustness,
+        write_label_errors,
     )
     from interloc.files import atomic_folder
     from interloc.pipeline import detect
@@ -78,14 +78,14 @@ def command(
                 graph = options.fetch_map(result, quiet=quiet)
             evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
             evaluations.append((name, evaluation))
-        write_robustness(evaluations, folder)
+        write_label_errors(evaluations, folder)
     if as_json:
-        console.say_json({"levels": [asdict(row) for row in robustness_table(evaluations)]})
+        console.say_json({"levels": [asdict(row) for row in label_error_table(evaluations)]})
         return
     if quiet:
         return
     click.echo("r-FPR/r-FNR   ACE [m]   Pre@5 [%]   Rec@5 [%]")
-    for row in robustness_table(evaluations):
+    for row in label_error_table(evaluations):
         ace = "-" if row.ace_m is None else f"{row.ace_m:.2f}"
         click.echo(f"{row.level:>11}   {ace:>7}   {percent(row.precision):>9}   {percent(row.recall):>9}")
     click.echo(f"report       {out / 'robustness.html'}")

@@ -43,8 +43,7 @@ def command(
       interloc run sequences/07 -o out --osm karlsruhe.osm.pbf --oxts 2011_09_30_drive_0027_sync
     """
     from interloc.evaluation.evaluate import evaluate
-    from interloc.evaluation.record import report_record
-    from interloc.evaluation.report import write_report
+    from interloc.evaluation.report import report_record, write_report
     from interloc.output.layout import result_folder
     from interloc.output.write import write_results
     from interloc.pipeline import detect

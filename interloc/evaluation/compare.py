@@ -7,10 +7,8 @@ from typing import Any
 
 from interloc.errors import ConfigError
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
-from interloc.evaluation.record import threshold_name
-
-SETTINGS = ("config", "fusion")
-"""What of `run.json` is settings."""
+from interloc.evaluation.report import threshold_name
+from interloc.output.layout import flatten, settings_of
 
 _STANDARD = threshold_name(STANDARD_THRESHOLD_M)
 
@@ -23,7 +21,7 @@ def compare_reports(
     Parameters
     ----------
     names
-        What the runs are called; every list of values in the outcome is in their order.
+        Names of the runs; every list of values in the outcome is in their order.
     reports, runs
         Contents of each `report.json` and `run.json`.
 
@@ -60,19 +58,10 @@ def compare_reports(
 
 def differing_settings(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the settings in which runs differ, as ``{"name": "bev.resolution_m", "values": [...]}``."""
-    flat = [
-        {name: value for key in SETTINGS for name, value in _flatten(run.get(key, {}), "" if key == "config" else key)}
-        for run in runs
-    ]
+    flat = [dict(flatten(settings_of(run))) for run in runs]
     names = dict.fromkeys(name for each in flat for name in each)
     rows = [{"name": name, "values": [each.get(name) for each in flat]} for name in names]
     return [row for row in rows if any(value != row["values"][0] for value in row["values"])]
-
-
-def _flatten(value: object, name: str) -> list[tuple[str, Any]]:
-    if isinstance(value, Mapping):
-        return [row for key, each in value.items() for row in _flatten(each, f"{name}.{key}" if name else str(key))]
-    return [(name, value)]
 
 
 def _node(osm_id: int, outcomes: Sequence[Mapping[int, Mapping[str, Any]]]) -> dict[str, Any]:
@@ -112,7 +101,7 @@ _FIGURES: tuple[tuple[str, Callable[[Mapping[str, Any]], Any]], ...] = (
 
 
 def _warnings(reports: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Say why figures may not be comparable."""
+    """Return why figures may not be comparable."""
     warnings = []
     for what, values in (
         ("ground truth policies", [report["policy"] for report in reports]),
@@ -121,6 +110,6 @@ def _warnings(reports: Sequence[Mapping[str, Any]]) -> list[str]:
         ("numbers of keyframes", [report["keyframes"] for report in reports]),
     ):
         if len({str(value) for value in values}) > 1:
-            said = ", ".join(str(value) for value in values)
-            warnings.append(f"The runs have different {what} ({said}): their figures do not stand side by side.")
+            listed = ", ".join(str(value) for value in values)
+            warnings.append(f"The runs have different {what} ({listed}): their figures cannot be compared.")
     return warnings

@@ -12,8 +12,7 @@ from interloc.errors import ConfigError, GeoreferenceError
 from interloc.evaluation.coverage import check_coverage
 from interloc.evaluation.map_level import MapLevel, assign_intersections
 from interloc.evaluation.matching import Matching, match
-from interloc.evaluation.metrics import ErrorSummary, Scores, score, summarize_errors
-from interloc.evaluation.nodes import NodeTable, tabulate_nodes
+from interloc.evaluation.metrics import ErrorSummary, NodeTable, Scores, score, summarize_errors, tabulate_nodes
 from interloc.osm.graph import RoadGraph, within
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy

@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from interloc.arrays import FloatArray, IntArray
 from interloc.drawing import image, metres, percent, write_image
 from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation
-from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
-from interloc.evaluation.record import report_record, threshold_name
+from interloc.evaluation.map_level import MapLevel
+from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.files import atomic_write, reason_of
 from interloc.osm.policies import POLICIES
-from interloc.output.geojson import encode, point, positions, rounded, write_collection
+from interloc.output.geojson import DEGREE_DECIMALS, encode, positions, rounded, write_collection
+from interloc.output.layers import LAYERS
+from interloc.output.layout import RUN_SETTINGS, flatten, settings_of
 from interloc.results import DriveResult
 
-SETTINGS = ("config", "fusion")
-"""What of `run.json` is settings; the rest is facts about the run."""
+_METRE_DECIMALS = 4
+_RATIO_DECIMALS = 6
 
 
 def write_report(evaluation: Evaluation, result: DriveResult, out_dir: Path) -> None:
@@ -77,16 +80,10 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         nodes=nodes,
         pictures=pictures,
         # Read by people only, so what JSON does not know may appear as its text.
-        config=json.dumps(_settings(result.run), indent=2, default=str),
-        facts=_flatten({key: value for key, value in result.run.items() if key not in SETTINGS}),
+        config=json.dumps(settings_of(result.run), indent=2, default=str),
+        facts=[_fact(*row) for row in flatten({k: v for k, v in result.run.items() if k not in RUN_SETTINGS})],
     )
     return page
-
-
-def _settings(run: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a run; those of the fusion stood beside the others in older ones."""
-    beside = {key: run[key] for key in ("fusion",) if key not in run.get("config", {}) and key in run}
-    return {**run.get("config", {}), **beside}
 
 
 def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
@@ -141,52 +138,141 @@ def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path) ->
     return pictures
 
 
-def _node_features(evaluation: Evaluation) -> list[dict[str, Any]]:
-    nodes, table = evaluation.nodes, evaluation.node_table
-    return [
-        point(
-            position,
-            {
-                "osm_id": int(nodes.osm_id[row]),
-                "degree": int(nodes.degree[row]),
-                "in_zone": bool(table.in_zone[row]),
-                "found": bool(table.found[row]),
-                "keyframes_in_zone": int(table.zone_keyframes[row]),
-                "keyframes_missed": int(table.missed_keyframes[row]),
-                "detections": int(table.detections[row]),
-                "median_error_m": rounded(table.median_error_m[row], 4),
-            },
-        )
-        for row, position in enumerate(positions(nodes.lonlat, local=False))
-    ]
-
-
 def _match_features(evaluation: Evaluation) -> list[dict[str, Any]]:
     detections, matching = evaluation.detections, evaluation.matching
     assert detections.lonlat is not None
-    seen = positions(detections.lonlat, local=False)
-    truth = positions(evaluation.nodes.lonlat, local=False)
-    return [
-        {
-            "type": "Feature",
-            "geometry": {"type": "LineString", "coordinates": [seen[row], truth[matching.node[row]]]},
-            "properties": {
-                "frame": int(evaluation.keyframes.frame[detections.keyframe[row]]),
-                "error_m": rounded(matching.error_m[row], 4),
-                "outcome": "TP" if matching.error_m[row] < STANDARD_THRESHOLD_M else "FP",
-                "osm_id": int(evaluation.nodes.osm_id[matching.node[row]]),
-            },
-        }
-        for row in np.flatnonzero(matching.is_matched).tolist()
-    ]
+    rows = np.flatnonzero(matching.is_matched)
+    node, error = matching.node[rows], matching.error_m[rows]
+    seen = positions(detections.lonlat[rows], local=False)
+    truth = positions(evaluation.nodes.lonlat[node], local=False)
+    return LAYERS["matches"].features(
+        [list(line) for line in zip(seen, truth, strict=True)],
+        frame=evaluation.keyframes.frame[detections.keyframe[rows]],
+        error_m=error,
+        outcome=["TP" if each < STANDARD_THRESHOLD_M else "FP" for each in error.tolist()],
+        osm_id=evaluation.nodes.osm_id[node],
+    )
 
 
-def _flatten(value: object, name: str = "") -> list[tuple[str, str]]:
-    """Turn nested values into rows of a table: ("versions.interloc", "0.1.0")."""
-    if isinstance(value, dict):
-        return [row for key, each in value.items() for row in _flatten(each, f"{name}.{key}" if name else str(key))]
+def _fact(name: str, value: object) -> tuple[str, str]:
+    """Return a value of `run.json` for a person: ("peak_memory", "312 MB")."""
     if isinstance(value, list | tuple):
-        return [(name, ", ".join(str(each) for each in value))]
+        return name, ", ".join(str(each) for each in value)
     if name.endswith("_bytes") and isinstance(value, int):
-        return [(name.removesuffix("_bytes"), f"{value / 1e6:,.0f} MB")]
-    return [(name, f"{value:.4g}" if isinstance(value, float) else str(value))]
+        return name.removesuffix("_bytes"), f"{value / 1e6:,.0f} MB"
+    return name, f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def report_record(evaluation: Evaluation) -> dict[str, Any]:
+    """Return what `report.json` holds, by the contract of the result folder; what is undefined is None."""
+    scores, errors, table = evaluation.scores, evaluation.errors, evaluation.node_table
+    names = [threshold_name(d) for d in scores.threshold_m]
+    return {
+        "drive": evaluation.drive,
+        "policy": evaluation.nodes.policy,
+        "tolerance_m": evaluation.nodes.tolerance_m,
+        "osm": {
+            "source": evaluation.graph.source,
+            "date": evaluation.graph.date,
+            "nodes": len(evaluation.nodes),
+            "bounds": evaluation.graph.bounds,
+            "highways": len(evaluation.graph.ways),
+            "clipped_highways": evaluation.graph.clipped_ways,
+        },
+        "keyframes": len(evaluation.keyframes),
+        "detections": len(evaluation.detections),
+        "detections_outside_map": evaluation.detections_outside_map,
+        "matched": int(evaluation.matching.is_matched.sum()),
+        "ace_m": _metres(errors.ace_m),
+        "ace_tp_m": _metres(errors.ace_tp_m),
+        "ace_tp_threshold_m": STANDARD_THRESHOLD_M,
+        "ace_under_10_m": _metres(errors.ace_under_10_m),
+        "ace_under_threshold_m": NEAR_PAIR_M,
+        "median_m": _metres(errors.median_m),
+        "p95_m": _metres(errors.p95_m),
+        "rmse_m": _metres(errors.rmse_m),
+        "tp": dict(zip(names, scores.tp.tolist(), strict=True)),
+        "fp": dict(zip(names, scores.fp.tolist(), strict=True)),
+        "fn": dict.fromkeys(names, scores.fn),  # the same for every D: a match has no limit of distance
+        "precision": dict(zip(names, _ratios(scores.precision), strict=True)),
+        "recall": dict(zip(names, _ratios(scores.recall), strict=True)),
+        "f1": dict(zip(names, _ratios(scores.f1), strict=True)),
+        "roi_m": evaluation.roi_m,
+        "relevant_zone_m": evaluation.relevant_zone_m,
+        "nodes_in_zone": int(table.in_zone.sum()),
+        "nodes_found": int((table.in_zone & table.found).sum()),
+        "map_level": _map_level(evaluation.map_level),
+        "track_to_road_m": _metres(evaluation.track_to_road_m),
+        "warnings": list(evaluation.warnings),
+        "nodes": _node_rows(evaluation),
+    }
+
+
+def threshold_name(threshold_m: float) -> str:
+    """Return the key of a threshold in the maps of the report: "5.0"."""
+    return f"{threshold_m:.1f}"
+
+
+def _node_features(evaluation: Evaluation) -> list[dict[str, Any]]:
+    nodes, table = evaluation.nodes, evaluation.node_table
+    return LAYERS["osm_nodes"].features(
+        positions(nodes.lonlat, local=False),
+        osm_id=nodes.osm_id,
+        degree=nodes.degree,
+        in_zone=table.in_zone,
+        found=table.found,
+        keyframes_in_zone=table.zone_keyframes,
+        keyframes_missed=table.missed_keyframes,
+        detections=table.detections,
+        median_error_m=table.median_error_m,
+    )
+
+
+def _node_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Return the nodes that mattered: in the zone of some keyframe, or matched by some detection."""
+    nodes, table, level = evaluation.nodes, evaluation.node_table, evaluation.map_level
+    features = _node_features(evaluation)
+    on_map = dict(zip(level.node.tolist(), level.error_m.tolist(), strict=True))
+    rows = []
+    for row in np.flatnonzero(table.in_zone | (table.detections > 0)).tolist():
+        properties = features[row]["properties"]
+        lon, lat = (rounded(degrees, DEGREE_DECIMALS) for degrees in nodes.lonlat[row])
+        errors = {
+            "best_error_m": _metres(table.best_error_m[row]),
+            "median_error_m": properties.pop("median_error_m"),
+            "map_error_m": _metres(on_map.get(row)),
+        }
+        rows.append({"osm_id": properties.pop("osm_id"), "lon": lon, "lat": lat, **properties, **errors})
+    return rows
+
+
+def _map_level(level: MapLevel) -> dict[str, Any]:
+    errors = level.errors_m
+    return {
+        "gate_m": level.gate_m,
+        "intersections": len(level.node),
+        "intersections_in_zone": int(level.counts.sum()),
+        "nodes_in_zone": int(level.node_in_zone.sum()),
+        "assigned": len(errors),
+        "true": int((level.counts & np.isfinite(level.error_m)).sum()),
+        "false": int((level.counts & np.isinf(level.error_m)).sum()),
+        "missed": int((level.node_in_zone & ~level.node_found).sum()),
+        "precision": _ratio(level.precision),
+        "recall": _ratio(level.recall),
+        "mean_m": _metres(errors.mean() if len(errors) else None),
+        "median_m": _metres(np.median(errors) if len(errors) else None),
+        "p95_m": _metres(np.percentile(errors, 95.0) if len(errors) else None),
+        "max_m": _metres(errors.max() if len(errors) else None),
+    }
+
+
+def _metres(value: float | np.floating[Any] | None) -> float | None:
+    return None if value is None else rounded(float(value), _METRE_DECIMALS)
+
+
+def _ratio(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else round(value, _RATIO_DECIMALS)
+
+
+def _ratios(values: FloatArray | IntArray) -> list[float | None]:
+    return [_ratio(float(value)) for value in values]

@@ -1,4 +1,4 @@
-"""GeoJSON (RFC 7946) as we write and read it: one feature a line, the same bytes for the same input.
+"""GeoJSON (RFC 7946) as InterLoc writes and reads it: one feature per line, the same bytes for the same input.
 
 Where a run has no georeference the same structure carries metres of W and says so (`local`), under another file name:
 nothing pretends to be longitude and latitude.
@@ -9,13 +9,12 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
 from interloc.errors import OutputError
 from interloc.files import atomic_write, reason_of
 
@@ -40,11 +39,6 @@ def positions(xy: FloatArray, *, local: bool) -> list[list[float]]:
     decimals = METRE_DECIMALS if local else DEGREE_DECIMALS
     pairs: list[list[float]] = (np.round(xy, decimals) + 0.0).tolist()
     return pairs
-
-
-def point(position: Sequence[float], properties: dict[str, Any]) -> dict[str, Any]:
-    """Return a feature with a Point of one printed position."""
-    return {"type": "Feature", "geometry": {"type": "Point", "coordinates": position}, "properties": properties}
 
 
 def write_collection(path: Path, features: Sequence[dict[str, Any]], *, local: bool) -> None:
@@ -78,7 +72,7 @@ def write_collection(path: Path, features: Sequence[dict[str, Any]], *, local: b
 
 
 def encode(value: object, *, indent: int | None = None) -> str:
-    """Return JSON text; a NaN that got this far is a mistake of ours and raises ValueError."""
+    """Return JSON text; a NaN that got this far is a bug and raises ValueError."""
     separators = (",", ":") if indent is None else None
     return json.dumps(value, allow_nan=False, ensure_ascii=False, separators=separators, indent=indent)
 
@@ -99,103 +93,29 @@ def _bbox(features: Sequence[dict[str, Any]]) -> list[float] | None:
     return box
 
 
-@dataclass(frozen=True)
-class Collection:
-    """The features of a file that was read, with errors that say where they are.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    features : list of dict
-        GeoJSON features.
-    """
-
-    path: Path
-    features: list[dict[str, Any]]
-
-    def __len__(self) -> int:
-        return len(self.features)
-
-    def damaged(self, what: str) -> OutputError:
-        """Return the error that says what is wrong with the file."""
-        return OutputError(f"{self.path} is damaged: {what}. {RUN_AGAIN}")
-
-    def numbers(self, name: str) -> FloatArray:
-        """Return a property as (N,) float64, NaN for null."""
-        values = self._values(name)
-        for row, value in enumerate(values):
-            if not (value is None or _is_number(value)):
-                raise self.damaged(f"property {name} of feature {row + 1} is {value!r}, not a number")
-        return np.array([math.nan if v is None else v for v in values], dtype=np.float64)
-
-    def integers(self, name: str) -> IntArray:
-        """Return a property as (N,) int64, -1 for null."""
-        values = self._values(name)
-        for row, value in enumerate(values):
-            if not (value is None or (isinstance(value, int) and not isinstance(value, bool))):
-                raise self.damaged(f"property {name} of feature {row + 1} is {value!r}, not a whole number")
-        return np.array([-1 if v is None else v for v in values], dtype=np.int64)
-
-    def lists(self, name: str) -> list[FloatArray]:
-        """Return a property that holds a list of numbers in each feature."""
-        values = self._values(name)
-        for row, value in enumerate(values):
-            if not (isinstance(value, list) and all(_is_number(v) for v in value)):
-                raise self.damaged(f"property {name} of feature {row + 1} is no list of numbers")
-        return [np.array(v, dtype=np.float64) for v in values]
-
-    def points(self) -> FloatArray:
-        """Return the coordinates of Point features, (N, 2) float64."""
-        pairs = [self.geometry(row, "Point") for row in range(len(self))]
-        return self.pairs([pair for pair in pairs if pair is not None], "the coordinates")
-
-    def geometry(self, row: int, kind: str) -> Any:  # noqa: ANN401
-        """Return the coordinates of a feature, None where it has no geometry."""
-        geometry = self.features[row].get("geometry")
-        if geometry is None:
-            return None
-        if not isinstance(geometry, dict) or geometry.get("type") != kind:
-            raise self.damaged(f"feature {row + 1} is no {kind}")
-        return geometry.get("coordinates")
-
-    def pairs(self, values: object, what: str) -> FloatArray:
-        """Return a list of pairs of numbers as (N, 2) float64."""
-        good = isinstance(values, list) and all(
-            isinstance(p, list) and len(p) == 2 and all(_is_number(v) for v in p) for p in values
-        )
-        if not good:
-            raise self.damaged(f"{what} are no list of pairs of numbers")
-        return np.array(values, dtype=np.float64).reshape(-1, 2)
-
-    def _values(self, name: str) -> list[Any]:
-        for row, feature in enumerate(self.features):
-            if name not in feature["properties"]:
-                raise self.damaged(f"feature {row + 1} has no property {name}")
-        return [feature["properties"][name] for feature in self.features]
+def damaged(path: Path, what: str) -> OutputError:
+    """Return the error that says what is wrong with a file of a result."""
+    return OutputError(f"{path} is damaged: {what}. {RUN_AGAIN}")
 
 
-def read_collection(path: Path) -> Collection:
-    """Read a FeatureCollection that `write_collection` wrote.
+def read_file(path: Path) -> bytes:
+    """Return the content of a file of a result.
 
     Raises
     ------
     OutputError
-        The file is missing, no JSON, or no FeatureCollection.
+        The file is missing or unreadable.
     """
-    content = read_json(path)
-    features = content.get("features")
-    collection = Collection(path, features if isinstance(features, list) else [])
-    if content.get("type") != "FeatureCollection" or not isinstance(features, list):
-        raise collection.damaged("it is no FeatureCollection")
-    for row, feature in enumerate(features):
-        if not (isinstance(feature, dict) and isinstance(feature.get("properties"), dict)):
-            raise collection.damaged(f"feature {row + 1} has no properties")
-    return collection
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise OutputError(f"{path} is missing, so the result is not complete. {RUN_AGAIN}") from error
+    except OSError as error:
+        raise OutputError(f"{path} could not be read: {reason_of(error)}.") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a file that holds a JSON object.
+    """Read a file of a result that holds a JSON object.
 
     Raises
     ------
@@ -203,17 +123,9 @@ def read_json(path: Path) -> dict[str, Any]:
         The file is missing, unreadable or holds something else.
     """
     try:
-        content = json.loads(path.read_bytes())
-    except FileNotFoundError as error:
-        raise OutputError(f"{path} is missing, so the result is not complete. {RUN_AGAIN}") from error
-    except OSError as error:
-        raise OutputError(f"{path} could not be read: {reason_of(error)}.") from error
+        content = json.loads(read_file(path))
     except (ValueError, RecursionError) as error:
-        raise OutputError(f"{path} is damaged: it is no JSON ({error}). {RUN_AGAIN}") from error
+        raise damaged(path, f"it is not JSON ({error})") from error
     if not isinstance(content, dict):
-        raise OutputError(f"{path} is damaged: it holds no JSON object. {RUN_AGAIN}")
+        raise damaged(path, "it does not hold a JSON object")
     return content
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,11 +1,142 @@
-"""The layers of a result: what they are called, what they hold, and who is to be named for them."""
+"""The layers of a result, one model per layer: the one place of their properties.
+
+Writing, reading, GeoPackage fields and the API take names, types, printed decimals and descriptions from the models
+below. Bearings and headings are degrees clockwise from north, or from +y of W without georeference. W is the frame of
+the first LiDAR pose, L that of the LiDAR at a keyframe, levelled.
+"""
 
 from __future__ import annotations
 
+import types
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Generic, Literal, TypeVar, Union, get_args, get_origin
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.output.geojson import damaged, read_file, rounded
+
+Column = Sequence[Any] | NDArray[Any]
+"""The values of a property, one per feature."""
 
 ATTRIBUTION = "Detections: InterLoc."
 OSM_ATTRIBUTION = "OSM data (c) OpenStreetMap contributors, ODbL 1.0, https://www.openstreetmap.org/copyright."
+
+
+@dataclass(frozen=True)
+class Decimals:
+    """How many decimals of a number are printed; NaN and infinity become null."""
+
+    places: int
+
+
+Metres = Annotated[float, Decimals(4)]
+Ratio = Annotated[float, Decimals(6)]
+WorldX = Annotated[Metres, Field(description="Position in W, metres.")]
+WorldY = Annotated[Metres, Field(description="Position in W, metres.")]
+BranchCount = Annotated[int, Field(description="Number of branches.")]
+BranchBearings = Annotated[list[float], Field(description="Bearing of each branch, leaving the intersection, degrees.")]
+OsmNode = Annotated[int, Field(description="Id of the OpenStreetMap node.")]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Properties(_Strict):
+    """Properties of the features of a layer."""
+
+
+class IntersectionProperties(Properties):
+    """A physical intersection, fused from all detections of it."""
+
+    id: int = Field(description="Number of the intersection, from 1 in the order of first sight.")
+    observations: int = Field(description="Number of detections fused.")
+    position_std_m: Metres = Field(description="One-sigma uncertainty of the position, metres.")
+    branch_count: BranchCount
+    branch_bearings_deg: BranchBearings
+    first_frame: int = Field(description="Scan number of the first keyframe that saw it.")
+    last_frame: int = Field(description="Scan number of the last keyframe that saw it.")
+    confidence: Ratio = Field(description="0..1, from how often it was seen when it could have been.")
+    world_x_m: WorldX
+    world_y_m: WorldY
+
+
+class DetectionProperties(Properties):
+    """An intersection as one keyframe saw it, georeferenced by the fix of that keyframe."""
+
+    frame: int = Field(description="Scan number of the keyframe.")
+    x_m: Metres = Field(description="Position in L, metres forward.")
+    y_m: Metres = Field(description="Position in L, metres to the left.")
+    world_x_m: WorldX
+    world_y_m: WorldY
+    branch_count: BranchCount
+    branch_bearings_deg: BranchBearings
+    score: Ratio = Field(description="0..1, how sure the detector is.")
+    intersection: int | None = Field(description="Id of the fused intersection that it belongs to; null for none.")
+
+
+class TrajectoryProperties(Properties):
+    """The track of the LiDAR as one line; beside its geometry `world_xy_m`, the same line in W."""
+
+    scans: int = Field(description="Number of scans of the drive.")
+    thinned_to_m: float = Field(description="Smallest distance between two positions of the line, metres.")
+
+
+class KeyframeProperties(Properties):
+    """The LiDAR at a keyframe."""
+
+    frame: int = Field(description="Scan number.")
+    time_s: Annotated[float | None, Decimals(6)] = Field(description="Seconds since the first scan; null if unknown.")
+    heading_deg: Annotated[float, Decimals(6)] = Field(description="Heading of the LiDAR, degrees.")
+    detections: int = Field(description="Number of detections.")
+    world_x_m: WorldX
+    world_y_m: WorldY
+    world_yaw_rad: Annotated[float, Decimals(9)] = Field(
+        description="Heading in W, radians counter-clockwise from +x. "
+        "The region of interest is aligned with W, not with the heading."
+    )
+
+
+class OsmNodeProperties(Properties):
+    """A ground truth intersection of OpenStreetMap."""
+
+    osm_id: OsmNode
+    degree: int = Field(description="Number of roads that meet there.")
+    in_zone: bool = Field(description="Whether it was in the relevant zone of a keyframe, so it should be found.")
+    found: bool = Field(description="Whether a detection within 5 m was matched to it.")
+    keyframes_in_zone: int = Field(description="Number of keyframes with the node in their relevant zone.")
+    keyframes_missed: int = Field(description="Number of these keyframes without a detection matched to it.")
+    detections: int = Field(description="Number of detections matched to it.")
+    median_error_m: Annotated[float | None, Decimals(4)] = Field(
+        description="Median distance of these detections, metres; null if there are none."
+    )
+
+
+class MatchProperties(Properties):
+    """A detection and the OpenStreetMap node that it was matched to."""
+
+    frame: int = Field(description="Scan number of the keyframe.")
+    error_m: Metres = Field(description="Length of the line, metres.")
+    outcome: Literal["TP", "FP"] = Field(description="TP within 5 m of the node, else FP.")
+    osm_id: OsmNode
+
+
+class OsmRoadProperties(Properties):
+    """A way of OpenStreetMap around the drive; one that leaves the surroundings and returns is several lines."""
+
+    osm_id: int = Field(description="Id of the OpenStreetMap way.")
+    highway: str = Field(description="Value of its tag `highway`.")
+    name: str | None = Field(description="Name or else reference number; null if it has none.")
+    is_drivable: bool = Field(description="Whether it is a road under policy drive+service.")
+
+
+_KINDS = {bool: "bool", int: "int", float: "float", str: "text", Literal: "text", list: "list"}
 
 
 @dataclass(frozen=True)
@@ -18,9 +149,9 @@ class Layer:
         Of the layer, and of its GeoJSON file.
     title : str
     geometry : str
-        Point or LineString.
-    fields : dict of str to str
-        Property -> int, float, bool, text or list.
+        Of all its features.
+    properties : type
+        Model of the properties of a feature; its docstring says what a feature is.
     label : str
         Name of a feature in a KML file, a format string over its properties.
     is_osm : bool
@@ -29,8 +160,8 @@ class Layer:
 
     name: str
     title: str
-    geometry: str
-    fields: dict[str, str]
+    geometry: Literal["Point", "LineString"]
+    properties: type[Properties]
     label: str
     is_osm: bool = False
 
@@ -39,53 +170,72 @@ class Layer:
         """Who is to be named where the layer is shown."""
         return f"{ATTRIBUTION} {OSM_ATTRIBUTION}" if self.is_osm else ATTRIBUTION
 
+    @property
+    def description(self) -> str:
+        """What a feature is."""
+        return self.properties.__doc__ or ""
 
-def _fields(**kinds: str) -> dict[str, str]:
-    return {name: kind for kind, names in kinds.items() for name in names.split()}
+    @property
+    def fields(self) -> dict[str, str]:
+        """Property -> int, float, bool, text or list."""
+        return {name: _kind(field.annotation) for name, field in self.properties.model_fields.items()}
+
+    def features(self, coordinates: Iterable[Any], **columns: Column) -> list[dict[str, Any]]:
+        """Return GeoJSON features as they are printed.
+
+        Parameters
+        ----------
+        coordinates
+            Of each feature, as printed (`interloc.output.geojson.positions`); None: it has no geometry.
+        **columns
+            The values of each property of the layer.
+        """
+        names = list(self.properties.model_fields)
+        assert columns.keys() == set(names)
+        printed = [_printed(columns[name], self.properties.model_fields[name].metadata) for name in names]
+        return [
+            {
+                "type": "Feature",
+                "geometry": None if place is None else {"type": self.geometry, "coordinates": place},
+                "properties": dict(zip(names, row, strict=True)),
+            }
+            for place, row in zip(coordinates, zip(*printed, strict=True), strict=True)
+        ]
+
+    def read(self, path: Path) -> Rows:
+        """Read the file of this layer that `interloc.output.geojson.write_collection` wrote.
+
+        Raises
+        ------
+        OutputError
+            The file is missing or damaged.
+        """
+        content = read_file(path)
+        try:
+            return Rows(path, self._file.model_validate_json(content).features)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            message = first["msg"][:1].lower() + first["msg"][1:]
+            raise damaged(path, f"{_place(first['loc'])}{message}") from error
+
+    @cached_property
+    def _file(self) -> type[_Collection[Any]]:
+        geometry = _Point if self.geometry == "Point" else Union[_Line, None]  # noqa: UP007 - built at run time
+        return _Collection[_Feature[geometry, self.properties]]  # type: ignore[valid-type, name-defined]
 
 
 LAYERS = {
     layer.name: layer
     for layer in (
-        Layer(
-            "intersections",
-            "Intersections found",
-            "Point",
-            _fields(
-                int="id observations branch_count first_frame last_frame",
-                float="position_std_m confidence world_x_m world_y_m",
-                list="branch_bearings_deg",
-            ),
-            "Intersection {id}",
-        ),
-        Layer(
-            "detections",
-            "Detections, one a keyframe",
-            "Point",
-            _fields(
-                int="frame branch_count intersection",
-                float="x_m y_m world_x_m world_y_m score",
-                list="branch_bearings_deg",
-            ),
-            "Detection at frame {frame}",
-        ),
-        Layer("trajectory", "Way of the LiDAR", "LineString", _fields(int="scans", float="thinned_to_m"), "Trajectory"),
-        Layer(
-            "keyframes",
-            "Keyframes",
-            "Point",
-            _fields(int="frame detections", float="time_s heading_deg world_x_m world_y_m world_yaw_rad"),
-            "Keyframe {frame}",
-        ),
+        Layer("intersections", "Intersections found", "Point", IntersectionProperties, "Intersection {id}"),
+        Layer("detections", "Detections per keyframe", "Point", DetectionProperties, "Detection at frame {frame}"),
+        Layer("trajectory", "Track of the LiDAR", "LineString", TrajectoryProperties, "Trajectory"),
+        Layer("keyframes", "Keyframes", "Point", KeyframeProperties, "Keyframe {frame}"),
         Layer(
             "osm_nodes",
             "Intersections of OpenStreetMap",
             "Point",
-            _fields(
-                int="osm_id degree keyframes_in_zone keyframes_missed detections",
-                bool="in_zone found",
-                float="median_error_m",
-            ),
+            OsmNodeProperties,
             "OSM node {osm_id}",
             is_osm=True,
         ),
@@ -93,17 +243,103 @@ LAYERS = {
             "matches",
             "Detections and the OpenStreetMap nodes that they were matched to",
             "LineString",
-            _fields(int="frame osm_id", float="error_m", text="outcome"),
+            MatchProperties,
             "{outcome}, frame {frame}",
             is_osm=True,
         ),
-        Layer(
-            "osm_roads",
-            "Roads of OpenStreetMap",
-            "LineString",
-            _fields(int="osm_id", text="highway name", bool="is_drivable"),
-            "OSM way {osm_id}",
-            is_osm=True,
-        ),
+        Layer("osm_roads", "Roads of OpenStreetMap", "LineString", OsmRoadProperties, "OSM way {osm_id}", is_osm=True),
     )
 }
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The features of a layer that was read, as columns.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    features : list
+        Features, valid under the model of the layer.
+    """
+
+    path: Path
+    features: list[_Feature[Any, Any]]
+
+    def column(self, name: str) -> list[Any]:
+        """Return a property of all features."""
+        return [getattr(feature.properties, name) for feature in self.features]
+
+    def numbers(self, *names: str) -> FloatArray:
+        """Return a property as (N,) float64, NaN for null; several as (N, M)."""
+        columns = [np.array(self.column(name), dtype=np.float64) for name in names]
+        return columns[0] if len(names) == 1 else np.stack(columns, axis=-1)
+
+    def integers(self, name: str) -> IntArray:
+        """Return a property as (N,) int64, -1 for null."""
+        return np.array([-1 if value is None else value for value in self.column(name)], dtype=np.int64)
+
+    def arrays(self, name: str) -> list[FloatArray]:
+        """Return a property that is a list of numbers in each feature."""
+        return [np.array(values, dtype=np.float64) for values in self.column(name)]
+
+    def points(self) -> FloatArray:
+        """Return the positions of points, (N, 2) float64."""
+        return np.array([f.geometry.coordinates for f in self.features], dtype=np.float64).reshape(-1, 2)
+
+
+_Position = tuple[float, float]
+
+
+class _Point(_Strict):
+    type: Literal["Point"]
+    coordinates: _Position
+
+
+class _Line(_Strict):
+    type: Literal["LineString"]
+    coordinates: list[_Position]
+
+
+_GeometryT = TypeVar("_GeometryT")
+_PropertiesT = TypeVar("_PropertiesT")
+_FeatureT = TypeVar("_FeatureT")
+
+
+class _Feature(_Strict, Generic[_GeometryT, _PropertiesT]):
+    geometry: _GeometryT
+    properties: _PropertiesT
+    world_xy_m: tuple[_Position, ...] = ()  # of the trajectory; not a list, whose default would be copied per feature
+
+
+class _Collection(_Strict, Generic[_FeatureT]):
+    type: Literal["FeatureCollection"]
+    features: list[_FeatureT]
+
+
+def _kind(annotation: Any) -> str:  # noqa: ANN401
+    """Return the kind of a property from its annotation, null aside."""
+    alternatives = get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
+    return _KINDS[get_origin(alternatives[0]) or alternatives[0]]
+
+
+def _printed(values: Column, metadata: list[Any]) -> Sequence[Any]:
+    """Return a column as plain values, rounded where its field says so."""
+    plain: Sequence[Any] = values.tolist() if isinstance(values, np.ndarray) else values
+    places = next((each.places for each in metadata if isinstance(each, Decimals)), None)
+    return plain if places is None else [rounded(value, places) for value in plain]
+
+
+def _place(location: tuple[int | str, ...]) -> str:
+    """Return where in a file something is wrong: ("features", 2, "properties", "x_m") -> "feature 3, x_m: "."""
+    match location:
+        case ("features", int(row), "properties", name, *_):
+            return f"feature {row + 1}, {name}: "
+        case ("features", int(row), name, *_):
+            return f"feature {row + 1}, {name}: "
+        case ("features", int(row)):
+            return f"feature {row + 1}: "
+        case (name, *_):
+            return f"{name}: "
+    return ""

@@ -1,26 +1,21 @@
 """Which files make up a result folder.
 
 ========================  ==============================================================================================
-file                      properties
+file                      content
 ========================  ==============================================================================================
-``detections.geojson``    ``frame``, ``x_m``, ``y_m`` (in L, levelled), ``world_x_m``, ``world_y_m``, ``branch_count``,
-                          ``branch_bearings_deg``, ``score``, ``intersection`` (id of the fused one, null for none)
-``keyframes.geojson``     ``frame``, ``time_s``, ``heading_deg``, ``detections``, ``world_x_m``, ``world_y_m``,
-                          ``world_yaw_rad`` (heading in W, to which the region of interest is aligned)
-``intersections.geojson`` ``id``, ``observations``, ``position_std_m``, ``branch_count``, ``branch_bearings_deg``,
-                          ``first_frame``, ``last_frame``, ``confidence``, ``world_x_m``, ``world_y_m``
-``trajectory.geojson``    ``scans``, ``thinned_to_m``; beside the geometry ``world_xy_m``, the same track in W
 ``run.json``              what the run was: format version, list of files, configuration, versions, timings
+``LAYER.geojson``         one per table of the run; properties: the models of `interloc.output.layers`
+``LAYER.local.json``      the same of a run without georeference, in metres of W
+``report.json``, ...      after an evaluation: the report, its figures, and the layers that hold OpenStreetMap data
 ========================  ==============================================================================================
-
-Bearings and headings are degrees clockwise from north, or from +y of W without georeference; the files are then named
-``*.local.json`` and hold metres of W.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 from interloc.files import atomic_folder
 
@@ -30,9 +25,27 @@ RUN_FILE = "run.json"
 """The file that makes a folder a result folder; written last."""
 
 RUN_KEYS = ("format", "format_version", "drive_name", "georeferenced", "files")
-"""What `run.json` holds besides what the run says of itself."""
+"""What `run.json` holds before what the run records about itself."""
+
+RUN_SETTINGS = ("config", "fusion")
+"""What of `run.json` is settings; the rest is facts about the run."""
 
 TABLES = ("detections", "keyframes", "trajectory", "intersections")
+
+
+def settings_of(run: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that `run.json` holds; older ones had those of the fusion beside the others."""
+    config = dict(run.get("config", {}))
+    if "fusion" in run:
+        config.setdefault("fusion", run["fusion"])
+    return config
+
+
+def flatten(value: object, name: str = "") -> list[tuple[str, Any]]:
+    """Return the values within nested mappings under their dotted names: ("bev.resolution_m", 0.16)."""
+    if isinstance(value, Mapping):
+        return [row for key, each in value.items() for row in flatten(each, f"{name}.{key}" if name else str(key))]
+    return [(name, value)]
 
 
 def file_names(*, georeferenced: bool) -> dict[str, str]:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.osm.intersections import road_ways
 from interloc.output.geojson import positions, write_collection
+from interloc.output.layers import LAYERS
 
 ROADS_FILE = "osm_roads.geojson"
 
@@ -21,14 +21,14 @@ def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
     Parameters
     ----------
     graph
+        The map.
     bounds
         West, south, east, north, degrees. The edges of a way that touch them are kept, whole.
 
     Returns
     -------
     list of dict
-        Properties `osm_id`, `highway`, `name` (null without one) and `is_drivable` (a road under policy
-        `drive+service`). A way that leaves the bounds and comes back is more than one feature.
+        GeoJSON features of the layer `osm_roads`.
     """
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
@@ -38,23 +38,19 @@ def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
         return []
     order = near[np.argsort(graph.edge_way[near], kind="stable")]
     ways, first = np.unique(graph.edge_way[order], return_index=True)
-    is_drivable = road_ways(graph, "drive+service")
-    features: list[dict[str, Any]] = []
+    pieces: list[tuple[int, list[list[float]]]] = []
     for way, edges in zip(ways.tolist(), np.split(lines[order], first[1:]), strict=True):
-        properties = {
-            "osm_id": int(graph.ways.id[way]),
-            "highway": graph.ways.highway[way],
-            "name": graph.ways.name[way] or None,
-            "is_drivable": bool(is_drivable[way]),
-        }
         joined: Any = shapely.line_merge(shapely.multilinestrings(edges))
-        features += [_feature(shapely.get_coordinates(line), properties) for line in shapely.get_parts(joined)]
-    return features
-
-
-def _feature(lonlat: FloatArray, properties: dict[str, Any]) -> dict[str, Any]:
-    line = {"type": "LineString", "coordinates": positions(lonlat, local=False)}
-    return {"type": "Feature", "geometry": line, "properties": properties}
+        parts = (shapely.get_coordinates(line) for line in shapely.get_parts(joined))
+        pieces += [(way, positions(lonlat, local=False)) for lonlat in parts]
+    rows = [way for way, _ in pieces]
+    return LAYERS["osm_roads"].features(
+        [line for _, line in pieces],
+        osm_id=graph.ways.id[rows],
+        highway=[graph.ways.highway[row] for row in rows],
+        name=[graph.ways.name[row] or None for row in rows],
+        is_drivable=road_ways(graph, "drive+service")[rows],
+    )
 
 
 def write_roads(graph: RoadGraph, bounds: Bounds, folder: Path) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.errors import OutputError
 from interloc.geometry import wrap_angle
-from interloc.output.geojson import RUN_AGAIN, Collection, read_collection, read_json
+from interloc.output.geojson import damaged, read_json
+from interloc.output.layers import LAYERS, Rows
 from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, file_names
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 
@@ -21,17 +22,16 @@ def read_results(folder: Path) -> DriveResult:
     Raises
     ------
     OutputError
-        The folder is no result, is damaged, or was written by a newer version; the message says what to do.
+        The folder is not a result, is damaged, or was written by a newer version; the message says what to do.
     """
     run = _read_run(folder)
     georeferenced = run["georeferenced"]
     names = file_names(georeferenced=georeferenced)
-    keyframes = _read_keyframes(read_collection(folder / names["keyframes"]), georeferenced=georeferenced)
-    intersections = _read_intersections(read_collection(folder / names["intersections"]), georeferenced=georeferenced)
-    detections = _read_detections(
-        read_collection(folder / names["detections"]), keyframes, intersections, georeferenced=georeferenced
-    )
-    world_xy, lonlat = _read_trajectory(read_collection(folder / names["trajectory"]), georeferenced=georeferenced)
+    rows = {table: LAYERS[table].read(folder / name) for table, name in names.items()}
+    keyframes = _read_keyframes(rows["keyframes"], georeferenced=georeferenced)
+    intersections = _read_intersections(rows["intersections"], georeferenced=georeferenced)
+    detections = _read_detections(rows["detections"], keyframes, intersections, georeferenced=georeferenced)
+    world_xy, lonlat = _read_trajectory(rows["trajectory"], georeferenced=georeferenced)
     return DriveResult(
         drive=str(run["drive_name"]),
         keyframes=keyframes,
@@ -44,12 +44,12 @@ def read_results(folder: Path) -> DriveResult:
 
 
 def _read_run(folder: Path) -> dict[str, Any]:
-    """Read `run.json`, and refuse what is not ours or not for us."""
+    """Read `run.json`, and refuse what this version did not write and cannot read."""
     if not folder.is_dir():
-        raise OutputError(f"{folder} is no folder. Give the folder that `interloc detect -o` wrote.")
+        raise OutputError(f"{folder} is not a folder. Give the folder that `interloc detect -o` wrote.")
     if not (folder / RUN_FILE).exists():
         raise OutputError(
-            f"{folder} is no InterLoc result: it has no {RUN_FILE}. Give the folder of `interloc detect`."
+            f"{folder} is not an InterLoc result: it has no {RUN_FILE}. Give the folder of `interloc detect`."
         )
     run = read_json(folder / RUN_FILE)
     version = run.get("format_version")
@@ -61,79 +61,70 @@ def _read_run(folder: Path) -> dict[str, Any]:
             "Update InterLoc, or run `interloc detect` again with this version."
         )
     if not isinstance(run.get("georeferenced"), bool) or "drive_name" not in run:
-        raise OutputError(f"{folder / RUN_FILE} is damaged: georeferenced or drive_name is missing. {RUN_AGAIN}")
+        raise damaged(folder / RUN_FILE, "georeferenced or drive_name is missing")
     return run
 
 
-def _world(collection: Collection) -> FloatArray:
-    return np.stack([collection.numbers("world_x_m"), collection.numbers("world_y_m")], axis=-1)
-
-
-def _read_keyframes(collection: Collection, *, georeferenced: bool) -> KeyframeTable:
-    frame = collection.integers("frame")
+def _read_keyframes(rows: Rows, *, georeferenced: bool) -> KeyframeTable:
+    frame = rows.integers("frame")
     if np.any(np.diff(frame) <= 0):
-        raise collection.damaged("its frames do not ascend")
-    enu_yaw = wrap_angle(np.radians(90.0 - collection.numbers("heading_deg")))
+        raise damaged(rows.path, "its frames do not ascend")
+    enu_yaw = wrap_angle(np.radians(90.0 - rows.numbers("heading_deg")))
     return KeyframeTable(
         frame=frame,
-        time_s=collection.numbers("time_s"),
-        world_xy=_world(collection),
-        world_yaw_rad=collection.numbers("world_yaw_rad"),
-        lonlat=_lonlat(collection, georeferenced=georeferenced),
+        time_s=rows.numbers("time_s"),
+        world_xy=rows.numbers("world_x_m", "world_y_m"),
+        world_yaw_rad=rows.numbers("world_yaw_rad"),
+        lonlat=rows.points() if georeferenced else None,
         enu_yaw_rad=enu_yaw if georeferenced else None,
     )
 
 
-def _read_intersections(collection: Collection, *, georeferenced: bool) -> IntersectionTable:
+def _read_intersections(rows: Rows, *, georeferenced: bool) -> IntersectionTable:
     return IntersectionTable(
-        id=collection.integers("id"),
-        world_xy=_world(collection),
-        lonlat=_lonlat(collection, georeferenced=georeferenced),
-        position_std_m=collection.numbers("position_std_m"),
-        observations=collection.integers("observations"),
-        confidence=collection.numbers("confidence"),
-        bearings_deg=collection.lists("branch_bearings_deg"),
-        first_frame=collection.integers("first_frame"),
-        last_frame=collection.integers("last_frame"),
+        id=rows.integers("id"),
+        world_xy=rows.numbers("world_x_m", "world_y_m"),
+        lonlat=rows.points() if georeferenced else None,
+        position_std_m=rows.numbers("position_std_m"),
+        observations=rows.integers("observations"),
+        confidence=rows.numbers("confidence"),
+        bearings_deg=rows.arrays("branch_bearings_deg"),
+        first_frame=rows.integers("first_frame"),
+        last_frame=rows.integers("last_frame"),
     )
 
 
 def _read_detections(
-    collection: Collection, keyframes: KeyframeTable, intersections: IntersectionTable, *, georeferenced: bool
+    rows: Rows, keyframes: KeyframeTable, intersections: IntersectionTable, *, georeferenced: bool
 ) -> DetectionTable:
     return DetectionTable(
-        keyframe=_rows_of(collection, "frame", keyframes.frame),
-        lidar_xy=np.stack([collection.numbers("x_m"), collection.numbers("y_m")], axis=-1),
-        world_xy=_world(collection),
-        lonlat=_lonlat(collection, georeferenced=georeferenced),
-        bearings_deg=collection.lists("branch_bearings_deg"),
-        score=collection.numbers("score"),
-        intersection=_rows_of(collection, "intersection", intersections.id, none=True),
+        keyframe=_rows_of(rows, "frame", keyframes.frame),
+        lidar_xy=rows.numbers("x_m", "y_m"),
+        world_xy=rows.numbers("world_x_m", "world_y_m"),
+        lonlat=rows.points() if georeferenced else None,
+        bearings_deg=rows.arrays("branch_bearings_deg"),
+        score=rows.numbers("score"),
+        intersection=_rows_of(rows, "intersection", intersections.id),
     )
 
 
-def _rows_of(collection: Collection, name: str, keys: IntArray, *, none: bool = False) -> IntArray:
-    """Return the rows that a property refers to by their unique keys, -1 for null where that is allowed."""
-    row_of = {int(key): row for row, key in enumerate(keys)} | ({-1: -1} if none else {})
-    values = collection.integers(name).tolist()
-    unknown = [v for v in values if v not in row_of]
+def _rows_of(rows: Rows, name: str, keys: IntArray) -> IntArray:
+    """Return the rows that a property refers to by their unique keys, -1 for null."""
+    row_of = {int(key): row for row, key in enumerate(keys)} | {None: -1}
+    values = rows.column(name)
+    unknown = [value for value in values if value not in row_of]
     if unknown:
-        raise collection.damaged(f"{name} {unknown[0]} is not in the other files of the result")
-    return np.array([row_of[v] for v in values], dtype=np.int64)
+        raise damaged(rows.path, f"{name} {unknown[0]} is not in the other files of the result")
+    return np.array([row_of[value] for value in values], dtype=np.int64)
 
 
-def _lonlat(collection: Collection, *, georeferenced: bool) -> FloatArray | None:
-    xy = collection.points()
-    if len(xy) != len(collection):
-        raise collection.damaged("a feature has no position")
-    return xy if georeferenced else None
-
-
-def _read_trajectory(collection: Collection, *, georeferenced: bool) -> tuple[FloatArray, FloatArray | None]:
-    if len(collection) != 1:
-        raise collection.damaged(f"it has {len(collection)} features instead of one line")
-    world_xy = collection.pairs(collection.features[0].get("world_xy_m"), "world_xy_m")
-    line = collection.pairs(collection.geometry(0, "LineString") or [], "the coordinates")[: len(world_xy)]
+def _read_trajectory(rows: Rows, *, georeferenced: bool) -> tuple[FloatArray, FloatArray | None]:
+    if len(rows.features) != 1:
+        raise damaged(rows.path, f"it has {len(rows.features)} features instead of one line")
+    (feature,) = rows.features
+    world_xy = np.array(feature.world_xy_m, dtype=np.float64).reshape(-1, 2)
+    places = [] if feature.geometry is None else feature.geometry.coordinates
+    line = np.array(places, dtype=np.float64).reshape(-1, 2)[: len(world_xy)]
     if len(line) != len(world_xy):
-        raise collection.damaged("its line and its world_xy_m have different lengths")
+        raise damaged(rows.path, "its line and its world_xy_m have different lengths")
     return world_xy, line if georeferenced else None

@@ -13,18 +13,17 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from interloc.arrays import BoolArray
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
 from interloc.files import atomic_write, reason_of
-from interloc.output.geojson import Collection, read_collection, read_json
+from interloc.output.geojson import read_json
 from interloc.output.layers import LAYERS, Layer
 from interloc.output.layout import RUN_FILE, file_names
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
 """Suffix -> driver of GDAL. A GeoPackage holds all layers, the others hold one."""
+
+_DTYPES = {"int": "Int64", "float": "float64", "bool": "boolean", "text": "object", "list": "object"}
+"""Kind of a property -> column of pandas; those with a capital letter and the objects know null."""
 
 _KML_NAMES = {"id": "number", "name": "street"}
 """Properties that mean something else in KML -> what they are called there."""
@@ -50,37 +49,37 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     Raises
     ------
     ConfigError
-        No such format or layer; the result was not evaluated, so it has no such layer.
+        The format or the layer is unknown, or the result has no such layer because it was not evaluated.
     GeoreferenceError
         The result is in local metres.
     OutputError
-        `result` is no result folder, or `out` could not be written.
+        `result` is not a result folder, or `out` could not be written.
     """
     driver = DRIVERS.get(out.suffix.lower())
     if driver is None:
         raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(DRIVERS)}.")
     names = _choose(result, layer, driver)
-    layers = [(LAYERS[name], read_collection(result / f"{name}.geojson")) for name in names]
+    layers = [(LAYERS[name], read_json(result / f"{name}.geojson")["features"]) for name in names]
     if driver == "GPKG":
         _write_database(out, layers)
         return names
-    ((only, collection),) = layers
-    buffer = io.BytesIO()  # GDAL's KML driver says nothing of a full disk
-    _write_layer(buffer, driver, only, collection)
+    ((only, features),) = layers
+    buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
+    _write_layer(buffer, driver, only, features)
     with atomic_write(out) as file:
         file.write(buffer.getvalue())
     return names
 
 
-def _write_database(out: Path, layers: list[tuple[Layer, Collection]]) -> None:
+def _write_database(out: Path, layers: list[tuple[Layer, list[dict[str, Any]]]]) -> None:
     """Write a GeoPackage: SQLite needs a file that it can seek in, and others beside it."""
     try:
         folder = Path(tempfile.mkdtemp(prefix=f".{out.name[:100]}.partial-", dir=out.parent))
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
     try:
-        for number, (layer, collection) in enumerate(layers):
-            _write_layer(folder / out.name, "GPKG", layer, collection, append=number > 0)
+        for number, (layer, features) in enumerate(layers):
+            _write_layer(folder / out.name, "GPKG", layer, features, append=number > 0)
         with (folder / out.name).open("rb") as file:
             os.fsync(file.fileno())
         (folder / out.name).replace(out)
@@ -97,7 +96,7 @@ def _choose(result: Path, layer: str | None, driver: str) -> list[str]:
     """Return the names of the layers to write."""
     wanted = None if layer is None else layer.replace("-", "_")
     if wanted is not None and wanted not in LAYERS:
-        raise ConfigError(f"{layer!r} is no layer. Expected one of {', '.join(LAYERS)}.")
+        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(LAYERS)}.")
     if not read_json(result / RUN_FILE).get("georeferenced"):
         local = file_names(georeferenced=False)["intersections"]
         raise GeoreferenceError(
@@ -115,86 +114,36 @@ def _choose(result: Path, layer: str | None, driver: str) -> list[str]:
 
 
 def _write_layer(
-    sink: Path | io.BytesIO, driver: str, layer: Layer, collection: Collection, *, append: bool = False
+    sink: Path | io.BytesIO, driver: str, layer: Layer, features: list[dict[str, Any]], *, append: bool = False
 ) -> None:
     """Write a layer, or add it to a file."""
-    from pyogrio.raw import write  # noqa: PLC0415 - GDAL is slow to load
-
-    rows = [feature["properties"] for feature in collection.features]
-    columns = _columns(layer, rows)
+    table = _table(layer, features)
     if driver == "LIBKML":  # what Google Earth shows beside the point
-        columns = {"Name": ("text", [_label(layer, row) for row in rows])} | {
-            # GDAL writes 64 bit integers as text.
-            _KML_NAMES.get(name, name): ("int32" if kind == "int" and name != "osm_id" else kind, values)
-            for name, (kind, values) in columns.items()
-        }
-    data, masks = zip(*(_column(kind, values) for kind, values in columns.values()), strict=True)
-    about = {"TITLE": layer.title, "ATTRIBUTION": layer.attribution}
-    options = {
-        "GPKG": {"IDENTIFIER": layer.title, "DESCRIPTION": layer.attribution},
-        "FlatGeobuf": {"TITLE": layer.title, "DESCRIPTION": layer.attribution},
-        "LIBKML": {"NAME": layer.title, "DESCRIPTION": layer.attribution},
-    }[driver]
-    write(
+        # GDAL's KML driver writes integers of 64 bits as text.
+        small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
+        table = table.astype(small).rename(columns=_KML_NAMES)
+        table.insert(0, "Name", [layer.label.format(**feature["properties"]) for feature in features])
+    metadata = {"TITLE": layer.title, "ATTRIBUTION": layer.attribution}
+    title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]
+    table.to_file(
         sink,
-        _geometries(layer, collection),
-        data,
-        list(columns),
-        field_mask=masks,
-        layer=layer.name,
         driver=driver,
+        engine="pyogrio",
+        mode="a" if append else "w",
+        layer=layer.name,
         geometry_type=layer.geometry,
-        crs="EPSG:4326",
-        append=append,
-        layer_metadata=about if driver == "GPKG" else None,
-        layer_options=options,
+        layer_metadata=metadata if driver == "GPKG" else None,
+        layer_options={title: layer.title, "DESCRIPTION": layer.attribution},
     )
 
 
-def _geometries(layer: Layer, collection: Collection) -> NDArray[np.object_]:
-    """Return the geometries as WKB, (N,); None where a feature has none."""
-    import shapely  # noqa: PLC0415 - slow to load
+def _table(layer: Layer, features: list[dict[str, Any]]) -> Any:  # noqa: ANN401 - geopandas has no types
+    """Return a GeoDataFrame with the properties of the layer, null where they are null, and lists as JSON text."""
+    from geopandas import GeoDataFrame  # noqa: PLC0415 - slow to import
 
-    make = shapely.Point if layer.geometry == "Point" else shapely.LineString
-    places = [collection.geometry(row, layer.geometry) for row in range(len(collection))]
-    geometries = np.empty(len(places), dtype=object)
-    geometries[:] = [None if place is None else make(place) for place in places]
-    return shapely.to_wkb(geometries).astype(np.object_)
-
-
-def _columns(layer: Layer, rows: list[dict[str, Any]]) -> dict[str, tuple[str, list[Any]]]:
-    """Return kind and values of each property: those that the layer is known for, then others in their order."""
-    names = dict.fromkeys([*layer.fields, *(name for row in rows for name in row)])
-    columns = {}
-    for name in names:
-        values = [row.get(name) for row in rows]
-        columns[name] = (layer.fields.get(name) or _kind_of(values), values)
-    return columns
-
-
-def _kind_of(values: list[Any]) -> str:
-    types = {type(value) for value in values if value is not None}
-    for kind, allowed in (("bool", {bool}), ("int", {int}), ("float", {int, float}), ("list", {list, dict})):
-        if types and types <= allowed:
-            return kind
-    return "text"
-
-
-def _column(kind: str, values: list[Any]) -> tuple[NDArray[Any], BoolArray | None]:
-    """Return the values as GDAL takes them, and which of them are null."""
-    null = np.array([value is None for value in values], dtype=np.bool_)
-    if kind in {"list", "text"}:
-        texts = np.empty(len(values), dtype=object)
-        texts[:] = [
-            v if v is None else json.dumps(v, separators=(",", ":")) if kind == "list" else str(v) for v in values
-        ]
-        return texts, None
-    dtype = {"int": np.int64, "int32": np.int32, "float": np.float64, "bool": np.bool_}[kind]
-    return np.array([0 if value is None else value for value in values], dtype=dtype), null if null.any() else None
-
-
-def _label(layer: Layer, properties: dict[str, Any]) -> str:
-    try:
-        return layer.label.format(**properties)
-    except KeyError:
-        return layer.title
+    names = list(layer.fields)
+    table = GeoDataFrame.from_features(features, crs="EPSG:4326", columns=[*names, "geometry"])
+    for name, kind in layer.fields.items():
+        if kind == "list":
+            table[name] = [json.dumps(value, separators=(",", ":")) for value in table[name]]
+    return table.astype({name: _DTYPES[kind] for name, kind in layer.fields.items()})

@@ -6,17 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_jsonable_python
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.errors import OutputError
 from interloc.files import atomic_write, reason_of
 from interloc.geometry import bearing_deg
-from interloc.output.geojson import METRE_DECIMALS, bearings, encode, point, positions, rounded, write_collection
+from interloc.output.geojson import bearings, encode, positions, write_collection
+from interloc.output.layers import LAYERS
 from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, file_names
-from interloc.output.read import read_results
 from interloc.results import DriveResult
-
-__all__ = ["read_results", "thin", "trajectory_feature", "write_results"]
 
 TRAJECTORY_STEP_M = 0.5
 
@@ -50,15 +49,19 @@ def write_results(result: DriveResult, folder: Path) -> None:
             (folder / stale).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
-    write_collection(folder / names["detections"], _detection_features(result), local=local)
-    write_collection(folder / names["keyframes"], _keyframe_features(result), local=local)
-    track = trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)
-    write_collection(folder / names["trajectory"], [track], local=local)
-    write_collection(folder / names["intersections"], _intersection_features(result), local=local)
+    tables = {
+        "detections": _detection_features(result),
+        "keyframes": _keyframe_features(result),
+        "trajectory": [trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)],
+        "intersections": _intersection_features(result),
+    }
+    for table, features in tables.items():
+        write_collection(folder / names[table], features, local=local)
     own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, [*names.values(), RUN_FILE])
-    run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in result.run.items() if k not in RUN_KEYS}
+    facts = to_jsonable_python(result.run, inf_nan_mode="null", fallback=_as_number_or_text)
+    run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
     with atomic_write(folder / RUN_FILE) as handle:
-        handle.write(encode(_plain(run), indent=2).encode() + b"\n")
+        handle.write(encode(run, indent=2).encode() + b"\n")
 
 
 def _coordinates(world_xy: FloatArray, lonlat: FloatArray | None) -> list[list[float]]:
@@ -67,69 +70,50 @@ def _coordinates(world_xy: FloatArray, lonlat: FloatArray | None) -> list[list[f
 
 def _detection_features(result: DriveResult) -> list[dict[str, Any]]:
     table = result.detections
-    features = []
-    for row, position in enumerate(_coordinates(table.world_xy, table.lonlat)):
-        fused = int(table.intersection[row])
-        features.append(
-            point(
-                position,
-                {
-                    "frame": int(result.keyframes.frame[table.keyframe[row]]),
-                    "x_m": rounded(table.lidar_xy[row, 0], METRE_DECIMALS),
-                    "y_m": rounded(table.lidar_xy[row, 1], METRE_DECIMALS),
-                    "world_x_m": rounded(table.world_xy[row, 0], METRE_DECIMALS),
-                    "world_y_m": rounded(table.world_xy[row, 1], METRE_DECIMALS),
-                    "branch_count": len(table.bearings_deg[row]),
-                    "branch_bearings_deg": bearings(table.bearings_deg[row]),
-                    "score": rounded(table.score[row], 6),
-                    "intersection": int(result.intersections.id[fused]) if fused >= 0 else None,
-                },
-            )
-        )
-    return features
+    ids = [*result.intersections.id.tolist(), None]  # row -1: not fused
+    return LAYERS["detections"].features(
+        _coordinates(table.world_xy, table.lonlat),
+        frame=result.keyframes.frame[table.keyframe],
+        x_m=table.lidar_xy[:, 0],
+        y_m=table.lidar_xy[:, 1],
+        world_x_m=table.world_xy[:, 0],
+        world_y_m=table.world_xy[:, 1],
+        branch_count=[len(each) for each in table.bearings_deg],
+        branch_bearings_deg=[bearings(each) for each in table.bearings_deg],
+        score=table.score,
+        intersection=[ids[row] for row in table.intersection.tolist()],
+    )
 
 
 def _keyframe_features(result: DriveResult) -> list[dict[str, Any]]:
     table = result.keyframes
-    heading = bearing_deg(table.world_yaw_rad if table.enu_yaw_rad is None else table.enu_yaw_rad)
-    detections = np.bincount(result.detections.keyframe, minlength=len(table))
-    return [
-        point(
-            position,
-            {
-                "frame": int(table.frame[row]),
-                "time_s": rounded(table.time_s[row], 6),
-                "heading_deg": rounded(heading[row], 6),
-                "detections": int(detections[row]),
-                "world_x_m": rounded(table.world_xy[row, 0], METRE_DECIMALS),
-                "world_y_m": rounded(table.world_xy[row, 1], METRE_DECIMALS),
-                "world_yaw_rad": rounded(table.world_yaw_rad[row], 9),
-            },
-        )
-        for row, position in enumerate(_coordinates(table.world_xy, table.lonlat))
-    ]
+    return LAYERS["keyframes"].features(
+        _coordinates(table.world_xy, table.lonlat),
+        frame=table.frame,
+        time_s=table.time_s,
+        heading_deg=bearing_deg(table.world_yaw_rad if table.enu_yaw_rad is None else table.enu_yaw_rad),
+        detections=np.bincount(result.detections.keyframe, minlength=len(table)),
+        world_x_m=table.world_xy[:, 0],
+        world_y_m=table.world_xy[:, 1],
+        world_yaw_rad=table.world_yaw_rad,
+    )
 
 
 def _intersection_features(result: DriveResult) -> list[dict[str, Any]]:
     table = result.intersections
-    return [
-        point(
-            position,
-            {
-                "id": int(table.id[row]),
-                "observations": int(table.observations[row]),
-                "position_std_m": rounded(table.position_std_m[row], METRE_DECIMALS),
-                "branch_count": len(table.bearings_deg[row]),
-                "branch_bearings_deg": bearings(table.bearings_deg[row]),
-                "first_frame": int(table.first_frame[row]),
-                "last_frame": int(table.last_frame[row]),
-                "confidence": rounded(table.confidence[row], 6),
-                "world_x_m": rounded(table.world_xy[row, 0], METRE_DECIMALS),
-                "world_y_m": rounded(table.world_xy[row, 1], METRE_DECIMALS),
-            },
-        )
-        for row, position in enumerate(_coordinates(table.world_xy, table.lonlat))
-    ]
+    return LAYERS["intersections"].features(
+        _coordinates(table.world_xy, table.lonlat),
+        id=table.id,
+        observations=table.observations,
+        position_std_m=table.position_std_m,
+        branch_count=[len(each) for each in table.bearings_deg],
+        branch_bearings_deg=[bearings(each) for each in table.bearings_deg],
+        first_frame=table.first_frame,
+        last_frame=table.last_frame,
+        confidence=table.confidence,
+        world_x_m=table.world_xy[:, 0],
+        world_y_m=table.world_xy[:, 1],
+    )
 
 
 def thin(xy: FloatArray, step_m: float) -> IntArray:
@@ -158,28 +142,12 @@ def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: Float
     world_xy = trajectory_world_xy[rows]
     line = _coordinates(world_xy, None if trajectory_lonlat is None else trajectory_lonlat[rows])
     line = line * 2 if len(line) == 1 else line
-    return {
-        "type": "Feature",
-        "geometry": {"type": "LineString", "coordinates": line} if line else None,
-        "properties": {"scans": len(trajectory_world_xy), "thinned_to_m": TRAJECTORY_STEP_M},
-        "world_xy_m": positions(world_xy, local=True),
-    }
+    (feature,) = LAYERS["trajectory"].features(
+        [line or None], scans=[len(trajectory_world_xy)], thinned_to_m=[TRAJECTORY_STEP_M]
+    )
+    return feature | {"world_xy_m": positions(world_xy, local=True)}
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401, PLR0911
-    """Turn what a caller may put into `run` into what JSON can say."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, set | frozenset):
-        return [_plain(v) for v in sorted(value, key=str)]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if hasattr(value, "model_dump"):  # a pydantic model
-        return _plain(value.model_dump(mode="json"))
-    return str(value)
+def _as_number_or_text(value: Any) -> Any:  # noqa: ANN401
+    """Return what `to_jsonable_python` does not know: arrays as lists, all else as text."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from interloc.benchmark.paper import SEQUENCES
 from interloc.benchmark.row import Row
 from interloc.benchmark.tables import (
     Measured,
@@ -15,6 +14,7 @@ from interloc.benchmark.tables import (
     tables,
     text,
 )
+from interloc.evaluation.published import SEQUENCES
 
 Rows = Callable[..., Row]
 

@@ -10,7 +10,7 @@ import pytest
 from interloc.errors import ConfigError, GeoreferenceError, MapError
 from interloc.evaluation.coverage import drive_bounds, track_to_road
 from interloc.evaluation.evaluate import evaluate
-from interloc.evaluation.record import report_record
+from interloc.evaluation.report import report_record
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm

@@ -17,7 +17,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.errors import OutputError
 from interloc.output.layout import result_folder
-from interloc.output.write import read_results, thin, write_results
+from interloc.output.read import read_results
+from interloc.output.write import thin, write_results
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 
 
@@ -312,9 +313,9 @@ def test_what_is_written_is_read_back(result: DriveResult) -> None:
 
 
 def test_a_missing_folder_and_a_folder_of_something_else_are_named(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"none is no folder\. Give the folder that `interloc detect -o` wrote"):
+    with pytest.raises(OutputError, match=r"none is not a folder\. Give the folder that `interloc detect -o` wrote"):
         read_results(tmp_path / "none")
-    with pytest.raises(OutputError, match=r"is no InterLoc result: it has no run.json"):
+    with pytest.raises(OutputError, match=r"is not an InterLoc result: it has no run.json"):
         read_results(tmp_path)
     (tmp_path / "run.json").write_text('{"scripts": {}}')
     with pytest.raises(OutputError, match=r"run.json is not from InterLoc"):
@@ -330,24 +331,24 @@ def test_a_newer_format_is_said(tmp_path: Path) -> None:
 
 
 DAMAGE = {
-    "truncated": ("detections.geojson", lambda t: t[: len(t) // 2], r"detections.geojson is damaged: it is no JSON"),
-    "binary": ("keyframes.geojson", lambda _: "\x00\x01", r"keyframes.geojson is damaged: it is no JSON"),
-    "a list": ("keyframes.geojson", lambda _: "[]", r"it holds no JSON object"),
-    "no collection": ("keyframes.geojson", lambda _: "{}", r"it is no FeatureCollection"),
+    "truncated": ("detections.geojson", lambda t: t[: len(t) // 2], r"detections.geojson is damaged: invalid JSON"),
+    "binary": ("keyframes.geojson", lambda _: "\x00\x01", r"keyframes.geojson is damaged: invalid JSON"),
+    "a list": ("keyframes.geojson", lambda _: "[]", r"input should be an object"),
+    "no collection": ("keyframes.geojson", lambda _: "{}", r"type: field required"),
     "a missing property": (
         "detections.geojson",
         lambda t: t.replace('"x_m"', '"y"', 1),
-        r"feature 1 has no property x_m",
+        r"feature 1, x_m: field required",
     ),
     "words": (
         "detections.geojson",
         lambda t: t.replace('"x_m":10.0', '"x_m":"10"'),
-        r"x_m of feature 1 is '10', not a n",
+        r"feature 1, x_m: input should be a valid number",
     ),
     "a fraction": (
         "keyframes.geojson",
         lambda t: t.replace('"frame":12', '"frame":1.5'),
-        r"is 1.5, not a whole number",
+        r"feature 2, frame: input should be a valid integer",
     ),
     "descending": ("keyframes.geojson", lambda t: t.replace('"frame":0', '"frame":99'), r"frames do not ascend"),
     "a stranger": (
@@ -363,18 +364,34 @@ DAMAGE = {
     "bearings": (
         "intersections.geojson",
         lambda t: t.replace("[0.5,", '["N",'),
-        r"branch_bearings_deg of feature 1 is no",
+        r"feature 1, branch_bearings_deg: input should be a valid number",
     ),
-    "a polygon": ("intersections.geojson", lambda t: t.replace("Point", "Polygon"), r"feature 1 is no Point"),
-    "nowhere": ("intersections.geojson", lambda t: t.replace("[8.4205,49.011]", "[8.4]"), r"no list of pairs"),
-    "no geometry": ("detections.geojson", lambda t: t.replace('"geometry"', '"g"', 1), r"a feature has no position"),
+    "a polygon": (
+        "intersections.geojson",
+        lambda t: t.replace("Point", "Polygon"),
+        r"feature 1, geometry: input should be 'Point'",
+    ),
+    "nowhere": (
+        "intersections.geojson",
+        lambda t: t.replace("[8.4205,49.011]", "[8.4]"),
+        r"feature 1, geometry: field required",
+    ),
+    "no geometry": (
+        "detections.geojson",
+        lambda t: t.replace('"geometry"', '"g"', 1),
+        r"feature 1, geometry: field required",
+    ),
     "two tracks": ("trajectory.geojson", lambda _: '{"type":"FeatureCollection","features":[]}', r"0 features instead"),
     "a short track": (
         "trajectory.geojson",
         lambda t: t.replace("[[0.0,0.0],[", "[[0.0,0.0],[1,1],["),
         r"different len",
     ),
-    "no features": ("keyframes.geojson", lambda _: '{"type":"FeatureCollection","features":[1]}', r"no properties"),
+    "no features": (
+        "keyframes.geojson",
+        lambda _: '{"type":"FeatureCollection","features":[1]}',
+        r"feature 1: input should be an object",
+    ),
     "no flag": (
         "run.json",
         lambda t: t.replace('"georeferenced": true', '"georeferenced": 1'),
@@ -415,7 +432,8 @@ import resource, sys
 from pathlib import Path
 from interloc.errors import OutputError
 from interloc.output.layout import result_folder
-from interloc.output.write import read_results, write_results
+from interloc.output.read import read_results
+from interloc.output.write import write_results
 result = read_results(Path("small"))
 resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))
 try:

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from interloc.benchmark.paper import PERFORMANCE
+from interloc.evaluation.published import PERFORMANCE
 from tests.app.results.conftest import Finished
 
 

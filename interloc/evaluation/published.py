@@ -1,4 +1,4 @@
-"""What the paper reports: the figures that ours stand beside."""
+"""The figures that the paper reports, to stand beside ours."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MMINSECTDET = "MMInsectDet"
 
 @dataclass(frozen=True)
 class Published:
-    """Published figures; None where the paper has none.
+    """Published figures of one table cell.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ PERFORMANCE: dict[str, Published] = {
 """Sequence -> figures at D = 5 m, RangeNet++ labels (paper's table of the performance on SemanticKITTI)."""
 
 AVERAGE = Published(1.92, 0.8948, 0.7674)
-"""The column "Average" of that table. It is no mean of the columns (that is 2.24 m, 85.7 %): it is pooled."""
+"""The column "Average" of that table. It is not the mean of the columns (that is 2.24 m, 85.7 %): it is pooled."""
 
 COMPARISON: dict[str, Published] = {
     MMINSECTDET: Published(4.25, 0.8923, 0.8310),
@@ -48,7 +48,7 @@ COMPARISON: dict[str, Published] = {
 }
 """Method -> ACE, precision at 6.9 m, recall at 13.3 m (paper's comparison)."""
 
-NOISE: dict[str, Published] = {
+LABEL_ERRORS: dict[str, Published] = {
     "0/0": Published(1.86, 0.9006, 0.8069),
     "5/5": Published(2.26, 0.9059, 0.7614),
     "5/20": Published(2.32, 0.9059, 0.7644),

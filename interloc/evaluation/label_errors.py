@@ -1,4 +1,4 @@
-"""How the result bears with errors of the road labels: the paper's experiment (section V-D, Table IV, Fig. 8)."""
+"""How errors in the road labels change the result: the paper's experiment (section V-D, Table IV, Fig. 8)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from interloc.drawing import BLUE, INK, MUTED, PURPLE, SKY, VERMILION, image, ne
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
-from interloc.evaluation.record import report_record
-from interloc.evaluation.report import data_address, make_folder, template
+from interloc.evaluation.published import LABEL_ERRORS
+from interloc.evaluation.report import data_address, make_folder, report_record, template
 from interloc.files import atomic_write
 from interloc.output.geojson import encode, rounded
 
@@ -26,19 +26,10 @@ LEVELS: tuple[str, ...] = ("0/0", "5/5", "5/20", "20/5", "20/20")
 """r-FPR / r-FNR in percent: the share of sidewalk, parking and other-ground points taken as road, and the share of
 road points dropped."""
 
-PAPER: dict[str, tuple[float, float, float]] = {
-    "0/0": (1.86, 0.9006, 0.8069),
-    "5/5": (2.26, 0.9059, 0.7614),
-    "5/20": (2.32, 0.9059, 0.7644),
-    "20/5": (2.94, 0.8095, 0.6839),
-    "20/20": (3.23, 0.7883, 0.6800),
-}
-"""ACE in metres, precision and recall at 5 m of the paper, all eight sequences together, hand labels."""
-
 
 @dataclass(frozen=True)
-class RobustnessRow:
-    """One level of label errors, beside what the paper reports for it (None where it reports nothing).
+class LabelErrorRow:
+    """One level of label errors, beside what the paper reports for it (None for other levels than its own).
 
     Attributes
     ----------
@@ -77,17 +68,17 @@ def parse_level(level: str) -> tuple[float, float]:
     Raises
     ------
     ConfigError
-        It is not written so, or is not between 0 and 100.
+        It is not of this form, or a share is not between 0 and 100.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*/\s*(\d+(?:\.\d+)?)\s*", level)
     shares = tuple(float(part) / 100.0 for part in match.groups()) if match else ()
     if len(shares) != 2 or max(shares) > 1.0:
-        raise ConfigError(f"level {level!r} of label errors. Expected r-FPR/r-FNR in percent, such as 5/20.")
+        raise ConfigError(f"level {level!r} is not valid. Expected r-FPR/r-FNR in percent, such as 5/20.")
     return shares[0], shares[1]
 
 
-def robustness_table(levels: Sequence[tuple[str, Evaluation]]) -> list[RobustnessRow]:
-    """Return a row a level, in the given order, with the paper's figures beside ours.
+def label_error_table(levels: Sequence[tuple[str, Evaluation]]) -> list[LabelErrorRow]:
+    """Return one row per level, in the given order, with the paper's figures beside ours.
 
     Parameters
     ----------
@@ -97,16 +88,16 @@ def robustness_table(levels: Sequence[tuple[str, Evaluation]]) -> list[Robustnes
     Raises
     ------
     ConfigError
-        A level cannot be read.
+        A level is not valid.
     """
     rows = []
     for level, evaluation in levels:
         r_fpr, r_fnr = parse_level(level)
         name = f"{100.0 * r_fpr:g}/{100.0 * r_fnr:g}"
         scores, table = evaluation.scores, evaluation.node_table
-        ace, precision, recall = PAPER.get(name, (None, None, None))
+        published = LABEL_ERRORS.get(name)
         rows.append(
-            RobustnessRow(
+            LabelErrorRow(
                 level=name,
                 r_fpr=r_fpr,
                 r_fnr=r_fnr,
@@ -117,16 +108,16 @@ def robustness_table(levels: Sequence[tuple[str, Evaluation]]) -> list[Robustnes
                 f1=scores.at(STANDARD_THRESHOLD_M, scores.f1),
                 nodes_found=int((table.in_zone & table.found).sum()),
                 nodes_in_zone=int(table.in_zone.sum()),
-                paper_ace_m=ace,
-                paper_precision=precision,
-                paper_recall=recall,
+                paper_ace_m=published.ace_m if published else None,
+                paper_precision=published.precision if published else None,
+                paper_recall=published.recall if published else None,
             )
         )
     return rows
 
 
-def robustness_figure(levels: Sequence[tuple[str, Evaluation]]) -> Figure:
-    """Draw the center errors as boxes and F1 over the threshold, a level each (paper, Fig. 8)."""
+def label_error_figure(levels: Sequence[tuple[str, Evaluation]]) -> Figure:
+    """Draw the center errors as boxes and F1 over the threshold, per level (paper, Fig. 8)."""
     from interloc.evaluation.figures import draw_boxes  # noqa: PLC0415 - matplotlib is slow to import
 
     figure = new_figure(10.5, 4.4)
@@ -162,13 +153,13 @@ def robustness_figure(levels: Sequence[tuple[str, Evaluation]]) -> Figure:
     return figure
 
 
-def write_robustness(levels: Sequence[tuple[str, Evaluation]], out_dir: Path) -> None:
+def write_label_errors(levels: Sequence[tuple[str, Evaluation]], out_dir: Path) -> None:
     """Write robustness.json, robustness.html and figures/robustness.png|svg into a folder.
 
     Raises
     ------
     ConfigError
-        There is no level, or one cannot be read.
+        There is no level, or one is not valid.
     OutputError
         The folder is missing, or a file could not be written.
     """
@@ -176,8 +167,8 @@ def write_robustness(levels: Sequence[tuple[str, Evaluation]], out_dir: Path) ->
         raise ConfigError("no level of label errors was evaluated. Expected at least one, such as 5/20.")
     if not out_dir.is_dir():
         raise OutputError(f"{out_dir}: no such folder.")
-    rows = robustness_table(levels)
-    figure = robustness_figure(levels)
+    rows = label_error_table(levels)
+    figure = label_error_figure(levels)
     make_folder(out_dir / "figures")
     svg = image(figure, "svg")
     write_image(out_dir / "figures" / "robustness.png", image(figure, "png"))
@@ -193,24 +184,20 @@ def write_robustness(levels: Sequence[tuple[str, Evaluation]], out_dir: Path) ->
         "drive": first.drive,
         "policy": first.nodes.policy,
         "threshold_m": STANDARD_THRESHOLD_M,
-        "levels": [_plain(row) | _details(evaluation) for row, (_, evaluation) in zip(rows, levels, strict=True)],
+        "levels": [_record(row, evaluation) for row, (_, evaluation) in zip(rows, levels, strict=True)],
     }
     with atomic_write(out_dir / "robustness.json") as handle:
         handle.write(encode(record, indent=2).encode() + b"\n")
 
 
-def _plain(row: RobustnessRow) -> dict[str, object]:
-    return {key: rounded(value, 6) if isinstance(value, float) else value for key, value in asdict(row).items()}
-
-
-def _details(evaluation: Evaluation) -> dict[str, object]:
-    """Return what the figure shows, so that it can be drawn anew."""
-    from interloc.evaluation.figures import PERCENTILES  # noqa: PLC0415 - with the figures
+def _record(row: LabelErrorRow, evaluation: Evaluation) -> dict[str, object]:
+    """Return a row with what the figure shows of it, so that the figure can be drawn anew."""
+    from interloc.evaluation.figures import PERCENTILES  # noqa: PLC0415 - matplotlib is slow to import
 
     errors = evaluation.matching.error_m[evaluation.matching.is_matched]
-    record = report_record(evaluation)
     boxes = np.percentile(errors, PERCENTILES) if len(errors) else [np.nan] * len(PERCENTILES)
-    return {
+    figures = {key: rounded(value, 6) if isinstance(value, float) else value for key, value in asdict(row).items()}
+    return figures | {
         "error_percentiles_m": {f"{p:g}": rounded(v, 4) for p, v in zip(PERCENTILES, boxes, strict=True)},
-        "f1_by_threshold": record["f1"],
+        "f1_by_threshold": report_record(evaluation)["f1"],
     }
