@@ -14,9 +14,9 @@ from interloc.cli.fetch import bring, result_facts, result_summary, wait_for
 if TYPE_CHECKING:
     from interloc.client.answers import JobAnswer
     from interloc.client.connection import Connection
-    from interloc.client.consignment import Consignment, PushOptions
+    from interloc.client.prepare import PreparedDrive, PushOptions
     from interloc.client.push import Pushed
-    from interloc.client.upload import Tally
+    from interloc.client.upload import UploadProgress
     from interloc.drives.options import LabelFolder
     from interloc.osm.policies import Policy
 
@@ -73,8 +73,8 @@ def command(
     """
     _check_usage(run=run, out=out, osm=osm, overpass=overpass, settings=settings)
     from interloc.client.connection import Connection
-    from interloc.client.consignment import PushOptions, consign
     from interloc.client.jobs import submit
+    from interloc.client.prepare import PushOptions, prepare
 
     console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
@@ -88,11 +88,11 @@ def command(
         **reading,
     )
     with Connection(server, token, connections=jobs) as connection:
-        connection.greet()
-        consignment = consign(drive, push_options)
+        connection.check_server()
+        prepared = prepare(drive, push_options)
         if run and (osm is not None or overpass):
-            _require_georeference(consignment)
-        pushed = _send(connection, drive, consignment, push_options, threads=jobs, quiet=quiet)
+            _require_georeference(prepared)
+        pushed = _send(connection, drive, prepared, push_options, threads=jobs, quiet=quiet)
         job: JobAnswer | None = None
         if run:
             job = submit(
@@ -122,12 +122,12 @@ def _check_usage(*, run: bool, out: Path | None, osm: Path | None, overpass: boo
         raise click.UsageError("give the map by one of --osm FILE and --overpass")
 
 
-def _require_georeference(consignment: Consignment) -> None:
+def _require_georeference(prepared: PreparedDrive) -> None:
     from interloc.errors import GeoreferenceError
 
-    if not consignment.is_georeferenced:
+    if not prepared.is_georeferenced:
         raise GeoreferenceError(
-            f"{consignment.name}: the drive has no georeference, so its detections cannot be compared with "
+            f"{prepared.name}: the drive has no georeference, so its detections cannot be compared with "
             "OpenStreetMap. Give one with --oxts (a KITTI raw drive, a file of OXTS rows, a geo.csv), put oxts/data or "
             "geo.csv into the drive, or leave the map out. Nothing was sent."
         )
@@ -136,7 +136,7 @@ def _require_georeference(consignment: Consignment) -> None:
 def _send(
     connection: Connection,
     drive: Path,
-    consignment: Consignment,
+    prepared: PreparedDrive,
     push_options: PushOptions,
     *,
     threads: int,
@@ -146,12 +146,13 @@ def _send(
     from interloc.client.push import push
     from interloc.errors import InterLocError, is_interruption
 
-    last: list[Tally] = []
+    last: list[UploadProgress] = []
     with console.progress("push", "file", quiet=quiet) as bar:
 
-        def tell(tally: Tally) -> None:
-            last[:] = [tally]
-            bar(tally.done, tally.total, f"{console.size(tally.bytes_sent)}, {console.size(int(tally.bytes_per_s))}/s")
+        def tell(progress: UploadProgress) -> None:
+            last[:] = [progress]
+            rate = console.size(int(progress.bytes_per_s))
+            bar(progress.done, progress.total, f"{console.size(progress.bytes_sent)}, {rate}/s")
 
         def tell_stage(stage: str) -> None:
             bar.close()
@@ -160,7 +161,7 @@ def _send(
 
         try:
             return push(
-                connection, drive, consignment, push_options, threads=threads, on_stage=tell_stage, on_progress=tell
+                connection, drive, prepared, push_options, threads=threads, on_stage=tell_stage, on_progress=tell
             )
         except BaseException as error:
             if not is_interruption(error):

@@ -1,5 +1,5 @@
-"""A service of InterLoc as seen from outside: drives are pushed to it, jobs submitted and followed, results fetched.
+"""A client of InterLoc's web service: sends drives, submits and follows jobs, fetches results.
 
-`connection.Connection` knows how to talk to a service; `consignment.consign` gets a drive ready, and `push.push` brings
-it there; `jobs.submit` and `jobs.follow` have the service find its intersections; `fetch.fetch` brings the result back.
+`connection.Connection` talks to a service; `prepare.prepare` gets a drive ready and `push.push` sends it;
+`jobs.submit` and `jobs.follow` have the service find its intersections; `fetch.fetch` brings the result back.
 """

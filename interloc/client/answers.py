@@ -1,4 +1,4 @@
-"""What the service answers, as far as the client reads it; members that it does not know are ignored."""
+"""The answers of the service, as far as the client reads them; members that it does not know are ignored."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ class FilesAnswer(BaseModel):
 
 
 class ProgressAnswer(BaseModel):
-    """How far a job is."""
+    """The progress of a job."""
 
     done: int = 0
     total: int | None = None
 
 
 class FileProblemAnswer(BaseModel):
-    """One thing that is wrong with a file."""
+    """A problem with one file of a drive."""
 
     severity: str = "error"
     path: str = ""
@@ -96,7 +96,7 @@ class JobAnswer(BaseModel):
 
     @property
     def is_final(self) -> bool:
-        """True when it will not change any more."""
+        """True when the job will not change any more."""
         return self.state in {"successful", "failed", "dismissed"}
 
 
@@ -113,13 +113,13 @@ class ResultFilesAnswer(BaseModel):
     files: list[ResultFileAnswer] = Field(max_length=100_000)
 
 
-class Refusal(NetworkError):  # noqa: N818 - it is the server's word, not a fault
+class Refusal(NetworkError):  # noqa: N818 - an answer of the server, not a fault
     """The service did not do what was asked, and says why.
 
     Attributes
     ----------
     status : int
-        Of HTTP.
+        Status code of HTTP.
     problem : ProblemAnswer
     """
 
@@ -135,9 +135,9 @@ def check(response: httpx.Response, server: str) -> httpx.Response:
     Raises
     ------
     Refusal
-        The service says why not.
+        The service refuses and says why.
     NetworkError
-        Something else than a service of InterLoc answered.
+        Something other than a service of InterLoc answered.
     """
     if response.is_success:
         return response
@@ -147,12 +147,12 @@ def check(response: httpx.Response, server: str) -> httpx.Response:
         raise Refusal(response.status_code, problem, hint)
     if response.is_redirect:
         target = response.headers.get("location", "elsewhere")
-        raise NetworkError(f"{server} sends us to {target}. Give the address that it moved to as the server.")
+        raise NetworkError(f"{server} redirects to {target}. Give the address that it moved to as the server.")
     raise NetworkError(
         f"{server} answered {response.status_code} {response.reason_phrase} to {response.request.method} "
-        f"{response.request.url.path}, not in the way of an InterLoc server. Expected the address of one, as "
-        "http://127.0.0.1:8000. Usual cause: the address of another server, or a proxy before it that refuses large "
-        "bodies or is restarting."
+        f"{response.request.url.path}, which is not how an InterLoc server answers. Expected the address of one, "
+        "such as http://127.0.0.1:8000. Usual cause: the address of another server, or a proxy before it that refuses "
+        "large bodies or is restarting."
     )
 
 
@@ -162,7 +162,7 @@ def parse(response: httpx.Response, model: type[Model], server: str) -> Model:
     Raises
     ------
     NetworkError
-        It is not what an InterLoc server answers.
+        The answer is not what an InterLoc server sends.
     """
     try:
         return model.model_validate_json(response.content)

@@ -1,4 +1,4 @@
-"""One connection to a service: address, token, and patience with servers that are busy or restart."""
+"""A connection to a service: its address, the token, and retries while a server is busy or restarts."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib.metadata import version
 from types import TracebackType
 from typing import Any, Self
 
@@ -23,7 +24,7 @@ DEFAULT_SERVER = "http://127.0.0.1:8000"
 
 _BUSY = frozenset({429, 502, 503, 504})
 _NOT_DONE = frozenset({429, 503})  # the request was not worked on; 502 and 504 of a proxy leave that open
-_FIRST_PATIENCE_S = 2.0  # with a server that never answered: most likely there is none
+_FIRST_PATIENCE_S = 2.0  # while a server has never answered: most likely there is none
 _LONGEST_PAUSE_S = 10.0
 
 _log = logging.getLogger(__name__)
@@ -39,16 +40,16 @@ class Connection:
     token
         API token, where the service asks for one.
     connections
-        How many requests may be under way at once.
+        Number of requests that may be under way at once.
     patience_s
-        For how long a request is tried again while the server is not reachable or too busy.
+        Time for which a request is repeated while the server cannot be reached or is too busy.
     timeout_s
         Longest silence within a request.
 
     Raises
     ------
     ConfigError
-        The address or the token cannot be one.
+        The address or the token is not valid.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ class Connection:
         url = _address(server)
         self.server = str(url).rstrip("/")
         self.closing = threading.Event()
-        """When set, nothing is tried again and no pause goes on: whoever waits gives up."""
+        """When set, no request is repeated, and every pause ends with an error."""
         self._patience_s = patience_s
         self._answered = False
         self._is_out = threading.Event()
@@ -72,7 +73,7 @@ class Connection:
             _log.warning("%s: the token is sent without encryption; give an https address if there is one", self.server)
         self._client = httpx.Client(
             base_url=self.server + API,
-            headers={"User-Agent": f"interloc/{_version()}", **_authorization(token)},
+            headers={"User-Agent": f"interloc/{version('interloc')}", **_authorization(token)},
             timeout=httpx.Timeout(timeout_s, connect=10.0, pool=None),
             limits=httpx.Limits(max_connections=connections + 2, max_keepalive_connections=connections + 2),
             verify=ssl.create_default_context() if url.scheme == "https" else False,
@@ -88,13 +89,13 @@ class Connection:
         self.closing.set()
         self._client.close()
 
-    def greet(self) -> None:
-        """See whether there is a service at the address that lets us in.
+    def check_server(self) -> None:
+        """Check that there is a service at the address, and that it accepts the token.
 
         Raises
         ------
         NetworkError
-            There is none, or it wants another token.
+            There is none, or it needs another token.
         """
         self.ask("GET", "/drives", DrivesAnswer, params={"limit": 1})
 
@@ -113,21 +114,21 @@ class Connection:
         headers: Mapping[str, str] | None = None,
         repeatable: bool = True,
     ) -> httpx.Response:
-        """Send a request, again while the server cannot be reached or is busy.
+        """Send a request, and repeat it while the server cannot be reached or is busy.
 
         Parameters
         ----------
         path
-            Below ``/api/v1``, quoted where it needs to be.
+            Path below ``/api/v1``, quoted where necessary.
         body
-            Called at each attempt; pieces need a Content-Length among the `headers`.
+            Called at each attempt; an iterator needs a Content-Length among the `headers`.
         repeatable
-            False: a request that may have reached the server is not sent again.
+            False: a request that the server may have received is not sent again.
 
         Raises
         ------
         Refusal
-            The service says why it does not do it.
+            The service refuses and says why.
         NetworkError
             No service answered in time.
         """
@@ -154,12 +155,12 @@ class Connection:
     def stream(
         self, path: str, *, headers: Mapping[str, str] | None = None, timeout_s: float | None = None
     ) -> Iterator[httpx.Response]:
-        """Open an answer that is read piece by piece; it is not asked for again when it breaks off.
+        """Open an answer that is read in chunks; it is not requested again when it breaks off.
 
         Raises
         ------
         Refusal, NetworkError
-            As `request`; a broken connection too.
+            As `request`; also when the connection breaks.
         """
         timeout = httpx.USE_CLIENT_DEFAULT if timeout_s is None else httpx.Timeout(timeout_s, connect=10.0, pool=None)
         try:
@@ -179,15 +180,15 @@ class Connection:
             tried = f" (for {waiting.waited_s:.0f} s)" if waiting.waited_s >= 1 else ""
             hint = "" if self._answered else " Is it running there? Give its address by --server or INTERLOC_SERVER."
             raise NetworkError(f"{self.server}: {reason}{tried}.{hint}")
-        if self._answered and not self._is_out.is_set():  # once an outage, whatever the number of threads
+        if self._answered and not self._is_out.is_set():  # once per outage, whatever the number of threads
             self._is_out.set()
             _log.info("%s: %s; trying again for up to %.0f s", self.server, reason, waiting.patience_s)
         if self.closing.wait(waiting.next_pause(pause_s)):
-            raise NetworkError(f"{self.server}: given up.")
+            raise NetworkError(f"{self.server}: stopped waiting.")
 
 
 class _Waiting:
-    """The pauses of one request: longer and longer, until patience ends."""
+    """The pauses of one request: they get longer, until its time is over."""
 
     def __init__(self, patience_s: float) -> None:
         self.patience_s = patience_s
@@ -200,7 +201,7 @@ class _Waiting:
         return time.monotonic() - self._since
 
     def allows(self, pause_s: float | None) -> bool:
-        """Tell whether one more pause is within patience; one that the server asked for must fit in."""
+        """Tell whether there is time for one more pause; one that the server asked for must fit in whole."""
         return self.waited_s + (pause_s or 0.0) < self.patience_s
 
     def next_pause(self, pause_s: float | None) -> float:
@@ -208,20 +209,22 @@ class _Waiting:
         self._pauses += 1
         if pause_s is not None:
             return pause_s
-        spread = random.uniform(0.75, 1.25)  # noqa: S311 - many threads need not knock together
+        spread = random.uniform(0.75, 1.25)  # noqa: S311 - threads shall not repeat their requests all at once
         return min(0.25 * 2.0 ** min(self._pauses, 8), _LONGEST_PAUSE_S) * spread
 
 
 def _address(server: str) -> httpx.URL:
-    """Check a base address; what browsers show behind it is cut off."""
+    """Check a base address; what a browser's address bar adds to it is cut off."""
     try:
         url = httpx.URL(server.strip())
     except httpx.InvalidURL as error:
-        raise ConfigError(f"server {server!r}: {error}. Expected an address as {DEFAULT_SERVER}.") from None
+        raise ConfigError(f"server {server!r}: {error}. Expected an address such as {DEFAULT_SERVER}.") from None
     if url.scheme not in {"http", "https"} or not url.host:
-        raise ConfigError(f"server {server!r}: expected an address as {DEFAULT_SERVER}, with http:// or https://.")
+        raise ConfigError(f"server {server!r}: expected an address such as {DEFAULT_SERVER}, with http:// or https://.")
     if url.userinfo:
-        raise ConfigError("server: the address holds a user or a password. Give a token by INTERLOC_TOKEN instead.")
+        raise ConfigError(
+            "server: the address contains a user name or password. Give a token by INTERLOC_TOKEN instead."
+        )
     path = url.path.rstrip("/")
     for ending in (API, "/docs", "/index.html"):
         path = path.removesuffix(ending)
@@ -234,7 +237,7 @@ def _authorization(token: str | None) -> dict[str, str]:
         return {}
     if not (token.isascii() and token.isprintable() and " " not in token):
         raise ConfigError(
-            "token: it holds spaces or other characters that no token has. Usual cause: more was copied than it."
+            "token: it contains spaces or other characters that no token has. Usual cause: too much was copied."
         )
     return {"Authorization": f"Bearer {token}"}
 
@@ -253,12 +256,12 @@ def _retry_after(response: httpx.Response) -> float | None:
 
 
 def _is_hopeless(error: httpx.TransportError) -> bool:
-    """Tell whether another attempt would end the same: a certificate that is not trusted, a protocol that is none."""
+    """Tell whether another attempt would fail too: a certificate that is not trusted, an unknown protocol."""
     return isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError) or "SSL" in str(error)
 
 
 def _reason(error: httpx.TransportError) -> str:
-    """Say in words how the connection failed."""
+    """Describe in words how the connection failed."""
     text = str(error)
     if "CERTIFICATE_VERIFY_FAILED" in text:
         return f"its certificate is not trusted on this machine ({text.rpartition(': ')[2].rstrip('.')})"
@@ -269,9 +272,3 @@ def _reason(error: httpx.TransportError) -> str:
     if isinstance(error, httpx.TimeoutException):
         return "did not answer in time"
     return f"the connection broke off ({(text or type(error).__name__).rstrip('.').lower()})"
-
-
-def _version() -> str:
-    from importlib.metadata import version  # noqa: PLC0415 - only here
-
-    return version("interloc")

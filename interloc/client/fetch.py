@@ -1,4 +1,4 @@
-"""Fetching of a result: the folder exactly as the service has it, whole or not at all."""
+"""Fetching a result: the folder exactly as the service has it, whole or not at all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from interloc.errors import NetworkError
 from interloc.output.layout import RUN_FILE, result_folder
 
 OnBytes = Callable[[int, int], None]
-"""Told how many bytes of how many are there; may raise to give up."""
+"""Called with the bytes fetched and the bytes in all; may raise an exception to stop."""
 
 _ATTEMPTS = 4
 
@@ -44,7 +44,7 @@ def fetch(connection: Connection, job_id: str, out: Path, *, on_bytes: OnBytes |
     files = connection.ask("GET", address, ResultFilesAnswer).files
     names = [_checked(connection, file.name) for file in files]
     if Path(RUN_FILE) not in names:
-        raise NetworkError(f"{connection.server}: job {job_id} has no {RUN_FILE}, so it is no result of a drive.")
+        raise NetworkError(f"{connection.server}: job {job_id} has no {RUN_FILE}, so it is not the result of a drive.")
     total, done = sum(file.size_bytes for file in files), 0
     with result_folder(out) as folder:
         for file, name in zip(files, names, strict=True):
@@ -64,7 +64,7 @@ def _fetch_file(connection: Connection, address: str, file: ResultFileAnswer, pa
         except NetworkError as error:
             if attempt == _ATTEMPTS or (isinstance(error, Refusal) and error.status < HTTPStatus.INTERNAL_SERVER_ERROR):
                 raise
-            connection.greet()  # waits for a server that is busy or restarts
+            connection.check_server()  # waits for a server that is busy or restarts
             continue
         if written == file.size_bytes:
             return
@@ -75,7 +75,7 @@ def _fetch_file(connection: Connection, address: str, file: ResultFileAnswer, pa
 
 
 def _write(connection: Connection, address: str, path: Path, size: int) -> int:
-    """Write an answer to a file, hardly more of it than expected; return the bytes written."""
+    """Write an answer to a file, but not much more than expected; return the bytes written."""
     with connection.stream(address) as response, path.open("wb") as target:
         for piece in response.iter_bytes():
             target.write(piece)

@@ -1,26 +1,24 @@
-"""Jobs of the service: submitted, followed to their end."""
+"""Jobs of the service: submitting them, and following them to their end."""
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 from urllib.parse import quote
 
 from pydantic import ValidationError
 
-from interloc.client.answers import JobAnswer, Refusal, media_type
+from interloc.client.answers import JobAnswer, media_type
 from interloc.client.connection import Connection
-from interloc.client.events import read_events
+from interloc.config import DetectorConfig, preset
 from interloc.errors import InterLocError, NetworkError
-
-if TYPE_CHECKING:
-    from interloc.config import DetectorConfig
-    from interloc.osm.policies import Policy
+from interloc.osm.policies import Policy
 
 OnChange = Callable[[JobAnswer], None]
 
 _POLL_S = 1.0
+_MAX_EVENT_BYTES = 4 * 1024**2
 _SILENCE_S = 45.0  # a stream of events is never silent for so long: the service sends comments in between
 
 
@@ -43,24 +41,24 @@ def submit(
     drive_id
         A drive that is ready or being checked.
     config
-        Preset `default` by default.
+        Settings of the method; by default those of preset `default`.
     labels
-        "labels" or "predictions"; the folder that is there by default.
+        "labels" or "predictions"; by default the one that the drive has.
     osm
         Name of a map among the files of the drive.
     overpass
-        Let the service fetch the map of today instead.
+        Let the service fetch the present map from OpenStreetMap instead.
     policy, tolerance_m
         Which OSM nodes count as intersections.
     name
-        Shown in lists.
+        Name of the job in lists.
 
     Raises
     ------
     Refusal
-        The service says why not: no such drive, a setting without meaning, a full queue.
+        The service refuses and says why: no such drive, an invalid setting, a full queue.
     NetworkError
-        It cannot be reached.
+        The service cannot be reached.
     """
     request: dict[str, Any] = {"drive_id": drive_id, "policy": policy, "tolerance_m": tolerance_m}
     if config is not None:
@@ -81,17 +79,17 @@ def follow(connection: Connection, job_id: str, on_change: OnChange | None = Non
     Parameters
     ----------
     on_change
-        Told about every change.
+        Called with the job at every change.
 
     Returns
     -------
     JobAnswer
-        The job, which was successful.
+        The successful job.
 
     Raises
     ------
     InterLocError
-        It failed or was cancelled; the text is the service's.
+        The job failed or was cancelled; the text is the service's.
     Refusal, NetworkError
         There is no such job, or no answer.
     """
@@ -117,23 +115,49 @@ def _changes(connection: Connection, job_id: str) -> Iterator[JobAnswer]:
                 if changed.is_final:
                     return
         except NetworkError:
-            pass  # what is wrong shows at the next question
+            pass  # the next request shows what is wrong
         if connection.closing.wait(_POLL_S):
-            raise NetworkError(f"{connection.server}: given up.")
+            raise NetworkError(f"{connection.server}: stopped waiting.")
 
 
 def _events(connection: Connection, address: str, version: int) -> Iterator[JobAnswer]:
     headers = {"Accept": "text/event-stream", "Last-Event-ID": str(version)}
     with connection.stream(address, headers=headers, timeout_s=_SILENCE_S) as response:
         if media_type(response) != "text/event-stream":
-            raise NetworkError(f"{connection.server}: {address} sends no events.")
+            raise NetworkError(f"{connection.server}: {address} does not send events.")
         for data in read_events(response.iter_raw()):
-            if not data:  # nothing new for a while, or an event was lost on its way: asking tells which
+            if not data:  # nothing new for a while, or an event was lost: the next request shows which
                 return
             try:
                 yield JobAnswer.model_validate_json(data)
             except ValidationError as error:
-                raise NetworkError(f"{connection.server}: {address} sends events that are no jobs.") from error
+                raise NetworkError(f"{connection.server}: {address} sends events that are not jobs.") from error
+
+
+def read_events(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Yield the data of each server-sent event of a stream, and ``b""`` for each comment (a sign of life).
+
+    An event cut off at the end is dropped.
+
+    Raises
+    ------
+    NetworkError
+        An event is longer than 4 MB.
+    """
+    pending, data = b"", []
+    for piece in pieces:
+        *lines, pending = (pending + piece).replace(b"\r\n", b"\n").split(b"\n")
+        for line in lines:
+            name, _, value = line.partition(b":")
+            if name == b"data":
+                data.append(value.removeprefix(b" "))
+            elif line.startswith(b":"):
+                yield b""
+            elif not line and data:
+                yield b"\n".join(data)
+                data = []
+        if len(pending) + sum(map(len, data)) > _MAX_EVENT_BYTES:
+            raise NetworkError("the server sent an event without an end")
 
 
 def _successful(job: JobAnswer) -> JobAnswer:
@@ -146,8 +170,6 @@ def _successful(job: JobAnswer) -> JobAnswer:
 
 def _differences(config: DetectorConfig) -> dict[str, Any]:
     """Return the settings that differ from their preset, in its shape; a section of another kind whole."""
-    from interloc.config import preset  # noqa: PLC0415 - numpy and pydantic models only where a job is submitted
-
     ours, theirs = config.model_dump(mode="json"), preset(config.preset).model_dump(mode="json")
     changed: dict[str, Any] = {}
     for section, values in ours.items():
@@ -159,6 +181,3 @@ def _differences(config: DetectorConfig) -> dict[str, Any]:
         else:
             changed[section] = values
     return {"config": changed} if changed else {}
-
-
-__all__ = ["JobAnswer", "Refusal", "follow", "submit"]

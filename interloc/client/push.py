@@ -1,4 +1,4 @@
-"""Pushing of a drive: checked here, reduced on the way, complete on the server; an interruption costs nothing."""
+"""Sending a drive: checked here, reduced on the way, complete on the server; an interruption costs nothing."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from typing import Any
 
 from interloc.client.answers import DriveAnswer, FileAnswer, Refusal, parse
 from interloc.client.connection import Connection
-from interloc.client.consignment import Consignment, PushOptions, is_map
-from interloc.client.journal import Journal, Sent, journal_folder
-from interloc.client.parcels import Parcel
-from interloc.client.upload import OnProgress, file_address, files_of, upload
+from interloc.client.prepare import PreparedDrive, PushOptions, is_map
+from interloc.client.upload import OnProgress, UploadFile, file_address, files_of, upload
+from interloc.client.upload_log import Sent, UploadLog, log_folder
 from interloc.errors import NetworkError
 
 OnStage = Callable[[str], None]
-"""Told what begins, in words."""
+"""Called with what begins, in words."""
 
 _COMMIT_WAIT_S = 30
 
@@ -33,19 +32,19 @@ class Pushed:
     drive_id, name : str
     server : str
     scans, scans_sent : int
-        In the drive, and how many of them the server has.
+        Scans of the drive, and how many of them the server has.
     files : int
-        That the server has.
+        Files that the server has.
     files_sent, bytes_sent : int
-        By this push, not by one before.
+        What this push has sent, not an earlier one.
     bytes_there : int
         Size of all files on the server, as sent.
     source_bytes : int or None
-        Size of the scans and labels that it was made of.
+        Size of the scans and labels that they were made from.
     seconds : float
-        For the upload.
+        Duration of the upload.
     maps : tuple of str
-        Names of the maps that went along.
+        Names of the maps that were sent too.
     report : dict or None
         What the server found in it (`DriveReport.to_dict`).
     """
@@ -65,35 +64,35 @@ class Pushed:
     report: dict[str, Any] | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what JSON can hold."""
+        """Return the fields as plain values, for JSON."""
         return asdict(self)
 
 
 def push(
     connection: Connection,
     root: Path,
-    consignment: Consignment,
+    prepared: PreparedDrive,
     options: PushOptions,
     *,
     threads: int = 8,
-    journals: Path | None = None,
+    logs: Path | None = None,
     on_stage: OnStage | None = None,
     on_progress: OnProgress | None = None,
 ) -> Pushed:
-    """Bring a drive to the server, and have it checked there.
+    """Send a drive to the server, and have it checked there.
 
     Parameters
     ----------
     root
         Folder of the drive.
-    consignment
-        Of `consign`, by the same `options`.
+    prepared
+        The result of `prepare` with the same `options`.
     threads
-        Files read, reduced and sent at once.
-    journals
-        Folder in which is remembered what was sent; in the cache of the user by default.
+        Number of files that are read, reduced and sent at once.
+    logs
+        Folder of the logs of what was sent; in the user's cache by default.
     on_stage, on_progress
-        Told what happens.
+        Called when a stage begins, and with the progress of the upload.
 
     Raises
     ------
@@ -102,40 +101,40 @@ def push(
     NetworkError
         The server cannot be reached, or refuses. The next push goes on where this one stopped.
     OutputError
-        What was sent cannot be remembered, or another process pushes the same drive.
+        The log of what was sent cannot be written, or another process pushes the same drive.
     """
-    tell = on_stage or (lambda _: None)
-    with Journal(journals or journal_folder(), _identity(connection, root, options)) as journal:
-        drive = _find_drive(connection, journal, consignment)
-        parcels = [*consignment.parcels, *consignment.maps]
+    report_stage = on_stage or (lambda _: None)
+    with UploadLog(logs or log_folder(), _identity(connection, root, options)) as log:
+        drive = _find_drive(connection, log, prepared)
+        files = [*prepared.files, *prepared.maps]
         if drive is None:
-            tell("making the drive")
-            drive = _make_drive(connection, consignment, options)
-            journal.begin(drive.id)
+            report_stage("making the drive")
+            drive = _make_drive(connection, prepared, options)
+            log.begin(drive.id)
         started = time.monotonic()
         if drive.state == "ready":  # its files are these; maps may be new
-            tally = upload(connection, drive.id, consignment.maps, journal, threads=threads, on_progress=on_progress)
-            tally = replace(tally, total=len(parcels), done=len(parcels))
+            progress = upload(connection, drive.id, prepared.maps, log, threads=threads, on_progress=on_progress)
+            progress = replace(progress, total=len(files), done=len(files))
         else:
-            _remove_others(connection, drive.id, parcels)
-            tally = upload(connection, drive.id, parcels, journal, threads=threads, on_progress=on_progress)
+            _remove_others(connection, drive.id, files)
+            progress = upload(connection, drive.id, files, log, threads=threads, on_progress=on_progress)
         seconds = time.monotonic() - started
-        tell("the server checks the drive")
+        report_stage("the server checks the drive")
         drive = commit(connection, drive.id)
         there = files_of(connection, drive.id)
     return Pushed(
         drive_id=drive.id,
         name=drive.name,
         server=connection.server,
-        scans=consignment.scans,
-        scans_sent=consignment.scans_sent,
+        scans=prepared.scans,
+        scans_sent=prepared.scans_sent,
         files=len(there),
-        files_sent=tally.sent,
-        bytes_sent=tally.bytes_sent,
+        files_sent=progress.sent,
+        bytes_sent=progress.bytes_sent,
         bytes_there=sum(file.size_bytes for file in there.values()),
-        source_bytes=consignment.source_bytes,
+        source_bytes=prepared.source_bytes,
         seconds=seconds,
-        maps=tuple(parcel.path for parcel in consignment.maps),
+        maps=tuple(file.path for file in prepared.maps),
         report=drive.report,
     )
 
@@ -157,56 +156,56 @@ def commit(connection: Connection, drive_id: str) -> DriveAnswer:
         if drive.state == "ready":
             return drive
         if connection.closing.wait(0.5):
-            raise NetworkError(f"{connection.server}: given up.")
+            raise NetworkError(f"{connection.server}: stopped waiting.")
 
 
 def _identity(connection: Connection, root: Path, options: PushOptions) -> dict[str, Any]:
-    """Return what makes a push the same as an earlier one."""
+    """Return what identifies a push: with the same values it continues an earlier one."""
     chosen = {name: str(value) for name, value in vars(options).items() if name not in {"maps", "keyframes"}}
     by = options.keyframes
     thinning = None if by is None or options.raw else [by.distance_m, by.angle_deg]
     return {"format": 1, "server": connection.server, "drive": os.path.realpath(root), "thinning": thinning, **chosen}
 
 
-def _find_drive(connection: Connection, journal: Journal, consignment: Consignment) -> DriveAnswer | None:
-    """Return the drive of an earlier push that this one can go on with."""
-    if journal.drive_id is None:
+def _find_drive(connection: Connection, log: UploadLog, prepared: PreparedDrive) -> DriveAnswer | None:
+    """Return the drive of an earlier push, if this one can continue it."""
+    if log.drive_id is None:
         return None
     try:
-        drive = connection.ask("GET", f"/drives/{journal.drive_id}", DriveAnswer)
+        drive = connection.ask("GET", f"/drives/{log.drive_id}", DriveAnswer)
         if drive.state == "checking":
             try:
                 drive = commit(connection, drive.id)
             except Refusal as error:
                 if error.status != HTTPStatus.UNPROCESSABLE_ENTITY:
                     raise
-                drive = connection.ask("GET", f"/drives/{journal.drive_id}", DriveAnswer)
-        if drive.state == "ready" and not _is_whole(consignment.parcels, journal, files_of(connection, drive.id)):
-            return None  # it changed here since then: a ready drive takes no other files
+                drive = connection.ask("GET", f"/drives/{log.drive_id}", DriveAnswer)
+        if drive.state == "ready" and not _is_whole(prepared.files, log, files_of(connection, drive.id)):
+            return None  # it has changed here since then, and a ready drive accepts no other files
     except Refusal as error:
         if error.status == HTTPStatus.NOT_FOUND:
-            return None  # deleted, or left alone for too long
+            return None  # deleted, or removed because nothing came for too long
         raise
     return drive
 
 
-def _is_whole(parcels: list[Parcel], journal: Journal, there: dict[str, FileAnswer]) -> bool:
-    """Tell whether the server has just these files, as far as can be told without reading them."""
+def _is_whole(files: list[UploadFile], log: UploadLog, there: dict[str, FileAnswer]) -> bool:
+    """Tell whether the server has exactly these files, as far as that shows without reading them."""
     drive_files = {path for path in there if not is_map(path)}
-    return drive_files == {parcel.path for parcel in parcels} and all(
-        journal.sent(parcel.path) == Sent(parcel.signature, there[parcel.path].sha256) for parcel in parcels
+    return drive_files == {file.path for file in files} and all(
+        log.sent(file.path) == Sent(file.signature, there[file.path].sha256) for file in files
     )
 
 
-def _make_drive(connection: Connection, consignment: Consignment, options: PushOptions) -> DriveAnswer:
-    """Make a new drive. An answer that is lost leaves an empty one behind, which the server sweeps up."""
-    new = {"name": consignment.name, "keep_raw": options.keep_raw, "options": consignment.options}
+def _make_drive(connection: Connection, prepared: PreparedDrive, options: PushOptions) -> DriveAnswer:
+    """Make a new drive. An answer that is lost leaves an empty drive behind, which the server removes in time."""
+    new = {"name": prepared.name, "keep_raw": options.keep_raw, "options": prepared.options}
     return connection.ask("POST", "/drives", DriveAnswer, json=new)
 
 
-def _remove_others(connection: Connection, drive_id: str, parcels: list[Parcel]) -> None:
-    """Take away what does not belong to the drive any more; maps may have been added by others."""
-    wanted = {parcel.path for parcel in parcels}
+def _remove_others(connection: Connection, drive_id: str, files: list[UploadFile]) -> None:
+    """Remove files that no longer belong to the drive; maps may have been added by others."""
+    wanted = {file.path for file in files}
     for path in files_of(connection, drive_id):
         if path not in wanted and not is_map(path):
             connection.request("DELETE", file_address(drive_id, path))

@@ -1,37 +1,146 @@
-"""Sending of many files over several connections; what the server has already is left out."""
+"""Sending many files over several connections; what the server already has is left out."""
 
 from __future__ import annotations
 
-import threading
+import base64
+import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import TimeoutError as NothingFinishedError
+from multiprocessing.pool import ThreadPool
+from pathlib import Path
 from urllib.parse import quote
 
 from interloc.client.answers import FileAnswer, FilesAnswer, Refusal
 from interloc.client.connection import Connection
-from interloc.client.journal import Journal, Sent
-from interloc.client.parcels import Load, Parcel
-from interloc.errors import NetworkError
+from interloc.client.upload_log import Sent, UploadLog
+from interloc.errors import DriveError, NetworkError
 
-_PAGE = 10_000
-_TOLD_EVERY_S = 0.1
+_CHUNK_BYTES = 1024 * 1024
+_PAGE_FILES = 10_000
+_REPORT_EVERY_S = 0.1
+
+
+@dataclass(frozen=True)
+class UploadFile:
+    """A file of the drive on the server, and where its content comes from.
+
+    Attributes
+    ----------
+    path : str
+        Its path in the drive.
+    content : Path or callable
+        A file to be sent as it is, or a function that makes the bytes (from the files `made_from`).
+    made_from : tuple of Path
+        Files that the bytes are made from.
+    made_by : str
+        What else the bytes depend on.
+    """
+
+    path: str
+    content: Path | Callable[[], bytes]
+    made_from: tuple[Path, ...] = ()
+    made_by: str = ""
+
+    @property
+    def signature(self) -> str:
+        """Sizes and times of its sources, and `made_by`: changes whenever the bytes may have changed."""
+        sources = (self.content,) if isinstance(self.content, Path) else self.made_from
+        try:
+            status = [path.stat() for path in sources]
+        except OSError as error:
+            raise _unreadable(error) from error
+        return " ".join([*(f"{each.st_size}:{each.st_mtime_ns}" for each in status), self.made_by]).strip()
+
+    def load(self) -> Payload:
+        """Get the bytes ready to be sent; a file is read in chunks.
+
+        Raises
+        ------
+        DriveError
+            A file cannot be read, or is damaged.
+        """
+        try:
+            return Payload.of_file(self.content) if isinstance(self.content, Path) else Payload.of(self.content())
+        except OSError as error:
+            raise _unreadable(error) from error
+
+
+@dataclass(frozen=True)
+class Payload:
+    """Bytes to be sent.
+
+    Attributes
+    ----------
+    size : int
+    digest : bytes
+        SHA-256.
+    body : callable
+        Returns the bytes, or an iterator over chunks of them, each time it is called.
+    """
+
+    size: int
+    digest: bytes
+    body: Callable[[], bytes | Iterator[bytes]]
+
+    @classmethod
+    def of(cls, data: bytes) -> Payload:
+        """Return the payload of bytes in memory."""
+        return cls(len(data), hashlib.sha256(data).digest(), lambda: data)
+
+    @classmethod
+    def of_file(cls, path: Path) -> Payload:
+        """Return the payload of a file, which is read again each time it is sent."""
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").digest()
+            size = file.tell()
+        return cls(size, digest, partial(_chunks, path, size))
+
+    @property
+    def sha256(self) -> str:
+        """The digest in hexadecimal."""
+        return self.digest.hex()
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """Size and digest (RFC 9530)."""
+        return {
+            "Content-Type": "application/octet-stream",
+            "Content-Length": str(self.size),
+            "Content-Digest": f"sha-256=:{base64.b64encode(self.digest).decode()}:",
+        }
+
+
+def _chunks(path: Path, size: int) -> Iterator[bytes]:
+    left = size
+    with path.open("rb") as file:
+        while left and (chunk := file.read(min(_CHUNK_BYTES, left))):
+            left -= len(chunk)
+            yield chunk
+    if left:
+        raise DriveError(f"{path} became shorter while it was sent. Send it again when nothing writes to it.")
+
+
+def _unreadable(error: OSError) -> DriveError:
+    return DriveError(f"{error.filename or 'a file'}: cannot be read: {(error.strerror or str(error)).lower()}.")
 
 
 @dataclass
-class Tally:
-    """How far an upload is.
+class UploadProgress:
+    """The progress of an upload.
 
     Attributes
     ----------
     total : int
-        Files in all.
+        Number of files.
     done : int
         Files that the server has.
     sent, bytes_sent : int
-        Files that were sent by this upload, not before, and their size.
+        Files that this upload has sent, not an earlier one, and their size.
     began_s : float
-        By the monotonic clock.
+        Start by the monotonic clock.
     """
 
     total: int
@@ -42,37 +151,36 @@ class Tally:
 
     @property
     def bytes_per_s(self) -> float:
-        """Since the upload began."""
+        """Mean rate since the upload began."""
         return self.bytes_sent / max(time.monotonic() - self.began_s, 1e-3)
 
 
-OnProgress = Callable[[Tally], None]
-"""Called in the thread that called `upload`; may raise to give up."""
+OnProgress = Callable[[UploadProgress], None]
+"""Called in the thread that called `upload`; may raise an exception to end the upload."""
 
 
 def files_of(connection: Connection, drive_id: str) -> dict[str, FileAnswer]:
-    """List what the server has of a drive, by path."""
+    """List the files that the server has of a drive, by path."""
     found: dict[str, FileAnswer] = {}
-    after: str | None = None
+    params: dict[str, str | int] = {"limit": _PAGE_FILES}
     while True:
-        params: dict[str, str | int] = {"limit": _PAGE} if after is None else {"limit": _PAGE, "after": after}
         page = connection.ask("GET", f"/drives/{drive_id}/files", FilesAnswer, params=params)
         found |= {file.path: file for file in page.files}
         if page.next is None or not page.files:
             return found
-        after = page.next
+        params["after"] = page.next
 
 
 def upload(
     connection: Connection,
     drive_id: str,
-    parcels: Sequence[Parcel],
-    journal: Journal,
+    files: Sequence[UploadFile],
+    log: UploadLog,
     *,
     threads: int,
     on_progress: OnProgress | None = None,
-) -> Tally:
-    """Send what is missing on the server or differs there.
+) -> UploadProgress:
+    """Send the files that the server does not have, or has with other content.
 
     Memory is bounded: each thread holds one file.
 
@@ -81,94 +189,60 @@ def upload(
     DriveError
         A file of the drive cannot be read.
     NetworkError
-        The server refuses, or cannot be reached. What it took before stays there.
+        The server refuses, or cannot be reached. The files that it accepted before stay there.
     """
     there = files_of(connection, drive_id)
-    work = _Work(connection, drive_id, there, journal, iter(parcels))
-    work.tally.total = len(parcels)
-    workers = [threading.Thread(target=work.run, daemon=True) for _ in range(min(threads, len(parcels)) or 1)]
-    for worker in workers:
-        worker.start()
+    progress = UploadProgress(len(files))
+    # Threads of concurrent.futures would be joined at exit: Ctrl-C would wait for a server that does not answer.
+    pool = ThreadPool(max(1, min(threads, len(files))))
     try:
-        while any(worker.is_alive() for worker in workers):
-            work.changed.wait(_TOLD_EVERY_S)
+        finished = pool.imap_unordered(partial(_deliver, connection, drive_id, there, log), files)
+        while progress.done < progress.total:
+            try:
+                sent_bytes = finished.next(timeout=_REPORT_EVERY_S)
+            except NothingFinishedError:
+                pass
+            else:
+                progress.done += 1
+                if sent_bytes is not None:
+                    progress.sent += 1
+                    progress.bytes_sent += sent_bytes
             if on_progress is not None:
-                on_progress(work.tally)
-            if work.changed.is_set():
-                work.changed.clear()
-                time.sleep(_TOLD_EVERY_S / 2)  # told often enough, not once a file
-    except BaseException:
-        work.stop()
+                on_progress(progress)
+    except (Exception, KeyboardInterrupt) as error:
+        if not isinstance(error, DriveError | NetworkError):
+            connection.closing.set()
         raise
-    if work.fault is not None:
-        raise work.fault
-    return work.tally
+    finally:
+        pool.terminate()
+    return progress
 
 
-@dataclass
-class _Work:
-    """What the threads share."""
+def _deliver(
+    connection: Connection, drive_id: str, there: dict[str, FileAnswer], log: UploadLog, file: UploadFile
+) -> int | None:
+    """See to it that the server has a file; return the bytes sent, or None if it had the file already."""
+    known, signature = there.get(file.path), file.signature
+    if known is not None and log.sent(file.path) == Sent(signature, known.sha256):
+        return None
+    payload = file.load()
+    is_there = known is not None and known.sha256 == payload.sha256
+    if not is_there:
+        _put(connection, file_address(drive_id, file.path), file.path, payload)
+    log.add(file.path, Sent(signature, payload.sha256))
+    return None if is_there else payload.size
 
-    connection: Connection
-    drive_id: str
-    there: Mapping[str, FileAnswer]
-    journal: Journal
-    parcels: Iterator[Parcel]
-    tally: Tally = field(default_factory=lambda: Tally(0))
-    fault: BaseException | None = None
-    lock: threading.Lock = field(default_factory=threading.Lock)
-    changed: threading.Event = field(default_factory=threading.Event)
-    stopped: bool = False
 
-    def stop(self) -> None:
-        self.stopped = True
-        self.connection.closing.set()
-
-    def run(self) -> None:
-        try:
-            while (parcel := self._next()) is not None:
-                size, is_sent = self._deliver(parcel)
-                with self.lock:
-                    tally = self.tally
-                    tally.done += 1
-                    if is_sent:
-                        tally.sent += 1
-                        tally.bytes_sent += size
-                self.changed.set()
-        except BaseException as error:  # noqa: BLE001 - raised again in the thread that waits for us
-            with self.lock:
-                if self.fault is None:
-                    self.fault = error
-            self.stopped = True
-            self.changed.set()
-
-    def _next(self) -> Parcel | None:
-        with self.lock:
-            return None if self.stopped else next(self.parcels, None)
-
-    def _deliver(self, parcel: Parcel) -> tuple[int, bool]:
-        """See to it that the server has a file; return its size, and whether it had to be sent."""
-        there, known, signature = self.there.get(parcel.path), self.journal.sent(parcel.path), parcel.signature
-        if there is not None and known == Sent(signature, there.sha256):
-            return there.size_bytes, False
-        load = parcel.load()
-        is_there = there is not None and there.sha256 == load.sha256
-        if not is_there:
-            self._put(parcel.path, load)
-        self.journal.add(parcel.path, Sent(signature, load.sha256))
-        return load.size, not is_there
-
-    def _put(self, path: str, load: Load) -> None:
-        address = file_address(self.drive_id, path)
-        try:
-            answer = self.connection.ask("PUT", address, FileAnswer, body=load.body, headers=load.headers)
-        except Refusal as error:
-            raise Refusal(error.status, error.problem, f"(while sending {path}, {load.size:,} bytes)") from error
-        if answer.sha256 != load.sha256:
-            raise NetworkError(
-                f"{self.connection.server} took {path}, but with other contents than were sent (SHA-256 "
-                f"{answer.sha256[:12]}... instead of {load.sha256[:12]}...). Usual cause: a proxy that changes bodies."
-            )
+def _put(connection: Connection, address: str, path: str, payload: Payload) -> None:
+    try:
+        answer = connection.ask("PUT", address, FileAnswer, body=payload.body, headers=payload.headers)
+    except Refusal as error:
+        raise Refusal(error.status, error.problem, f"(while sending {path}, {payload.size:,} bytes)") from error
+    if answer.sha256 != payload.sha256:
+        raise NetworkError(
+            f"{connection.server} accepted {path}, but with other content than was sent (SHA-256 "
+            f"{answer.sha256[:12]}... instead of {payload.sha256[:12]}...). Usual cause: a proxy that changes bodies."
+        )
 
 
 def file_address(drive_id: str, path: str) -> str:

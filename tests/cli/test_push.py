@@ -13,10 +13,10 @@ import pytest
     [
         (["-o", "out"], "-o, --overpass and --set belong to --run"),
         (["--run", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
-        (["--keep-raw"], "--keep-raw: there is nothing to keep"),
-        (["--osm", "map.txt"], "is no OpenStreetMap file by its name"),
+        (["--keep-raw"], "--keep-raw: the server has no raw scans to keep"),
+        (["--osm", "map.txt"], "is not an OpenStreetMap file by its name"),
         (["--name", "a/b"], "without slashes"),
-        (["--server", "localhost:8000"], "expected an address as http://127.0.0.1:8000"),
+        (["--server", "localhost:8000"], "expected an address such as http://127.0.0.1:8000"),
         (["--run", "--set", "bev.resolution_m=cats"], "bev.resolution_m"),
     ],
 )

@@ -19,29 +19,29 @@ NO_DRIVES: dict[str, list[str]] = {"drives": []}
 
 def test_a_connection_that_breaks_off_is_tried_again(connection: Connection, faulty: Any, make: ModuleType) -> None:
     faulty.script = [make.answer(200, NO_DRIVES), make.hang_up, make.hang_up, make.answer(200, NO_DRIVES)]
-    connection.greet()
-    connection.greet()
+    connection.check_server()
+    connection.check_server()
     assert [method for method, _ in faulty.seen] == ["GET"] * 4
 
 
 @pytest.mark.parametrize("status", [429, 502, 503, 504])
 def test_a_busy_server_is_asked_again(status: int, connection: Connection, faulty: Any, make: ModuleType) -> None:
     faulty.script = [make.problem(status, "Busy", "Later.", Retry_After="0"), make.answer(200, NO_DRIVES)]
-    connection.greet()
+    connection.check_server()
     assert len(faulty.seen) == 2
 
 
 def test_the_pause_that_the_server_asks_for_is_kept(connection: Connection, faulty: Any, make: ModuleType) -> None:
     faulty.script = [make.problem(503, "Busy", "Later.", Retry_After="1"), make.answer(200, NO_DRIVES)]
     before = time.monotonic()
-    connection.greet()
+    connection.check_server()
     assert time.monotonic() - before >= 1.0
 
 
 def test_a_pause_beyond_patience_is_the_servers_word(faulty: Any, make: ModuleType) -> None:
     faulty.script = [make.problem(429, "Queue full", "100 jobs of yours are waiting.", Retry_After="3600")]
     with Connection(faulty.address) as connection, pytest.raises(Refusal, match="Queue full: 100 jobs") as refused:
-        connection.greet()
+        connection.check_server()
     assert refused.value.status == 429
     assert len(faulty.seen) == 1
 
@@ -76,7 +76,7 @@ def test_a_refusal_is_final_and_in_the_servers_words(connection: Connection, fau
     ]
     faulty.script = [make.problem(422, "Drive not usable", "2 files are at fault.", more={"problems": problems})]
     with pytest.raises(Refusal) as refused:
-        connection.greet()
+        connection.check_server()
     assert str(refused.value) == "Drive not usable: 2 files are at fault.\n  labels/000003.label: is missing."
     assert len(faulty.seen) == 1
 
@@ -84,22 +84,22 @@ def test_a_refusal_is_final_and_in_the_servers_words(connection: Connection, fau
 def test_a_token_that_is_refused(faulty: Any, make: ModuleType) -> None:
     faulty.script = [make.problem(401, "Not authorized", "The token is not known.")]
     with Connection(faulty.address, "secret-token") as connection, pytest.raises(Refusal) as refused:
-        connection.greet()
+        connection.check_server()
     assert faulty.headers[0]["Authorization"] == "Bearer secret-token"
     assert "The token is not known. Give a token of this server by INTERLOC_TOKEN" in str(refused.value)
     assert "secret-token" not in str(refused.value)
 
 
 @pytest.mark.parametrize("token", ["two words", "line\nbreak", "umläut"])
-def test_a_token_that_cannot_be_one(token: str) -> None:
+def test_a_token_that_is_not_valid(token: str) -> None:
     with pytest.raises(ConfigError, match=r"^token: "):
         Connection("http://127.0.0.1:1", token)
 
 
 def test_another_server_at_the_address(connection: Connection, faulty: Any, make: ModuleType) -> None:
     faulty.script = [make.answer(404, b"<html>not here</html>", kind="text/html")]
-    with pytest.raises(NetworkError, match="404 Not Found to GET /api/v1/drives, not in the way of an InterLoc server"):
-        connection.greet()
+    with pytest.raises(NetworkError, match="404 Not Found to GET /api/v1/drives, which is not how an InterLoc"):
+        connection.check_server()
 
 
 @pytest.mark.parametrize(
@@ -110,21 +110,21 @@ def test_another_server_that_answers_everything(
 ) -> None:
     faulty.script = [make.answer(200, body, kind=kind)]
     with pytest.raises(NetworkError, match=rf"answered GET /api/v1/drives with {kind} that is not what an InterLoc"):
-        connection.greet()
+        connection.check_server()
 
 
 def test_a_server_that_moved(connection: Connection, faulty: Any, make: ModuleType) -> None:
     faulty.script = [make.answer(308, b"", Location="https://example.org/api/v1/drives")]
-    with pytest.raises(NetworkError, match=r"sends us to https://example.org"):
-        connection.greet()
+    with pytest.raises(NetworkError, match=r"redirects to https://example.org"):
+        connection.check_server()
 
 
-def test_nobody_at_the_address_is_told_soon() -> None:
+def test_nobody_at_the_address_is_reported_soon() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
         with Connection(f"http://127.0.0.1:{port}") as connection, pytest.raises(NetworkError) as failed:
-            connection.greet()
+            connection.check_server()
     assert "cannot be reached" in str(failed.value)
     assert "Give its address by --server or INTERLOC_SERVER" in str(failed.value)
 
@@ -135,14 +135,14 @@ def test_plain_http_where_https_was_expected(faulty: Any, make: ModuleType) -> N
         Connection(faulty.address.replace("http:", "https:")) as connection,
         pytest.raises(NetworkError, match="it does not speak https"),
     ):
-        connection.greet()
+        connection.check_server()
 
 
 def test_waiting_ends_when_the_connection_closes(faulty: Any, make: ModuleType) -> None:
     faulty.script = [make.answer(200, NO_DRIVES), make.problem(503, "Busy", "Later.", Retry_After="60")]
     failures: list[NetworkError] = []
     with Connection(faulty.address) as connection:
-        connection.greet()
+        connection.check_server()
 
         def ask() -> None:
             try:
@@ -157,7 +157,7 @@ def test_waiting_ends_when_the_connection_closes(faulty: Any, make: ModuleType) 
         connection.closing.set()
         asking.join(30)
     (failure,) = failures
-    assert str(failure) in {f"{faulty.address}: given up.", f"{faulty.address}: busy (503)."}
+    assert str(failure) in {f"{faulty.address}: stopped waiting.", f"{faulty.address}: busy (503)."}
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_addresses(given: str, base: str) -> None:
 
 
 @pytest.mark.parametrize("given", ["127.0.0.1:8000", "localhost", "ftp://example.org", "http://", "", "http://[::1"])
-def test_addresses_that_are_none(given: str) -> None:
+def test_addresses_that_are_not_valid(given: str) -> None:
     with pytest.raises(ConfigError, match=r"^server '"):
         Connection(given)
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interloc.client.events import read_events
+from interloc.client.jobs import read_events
 from interloc.errors import NetworkError
 
 STREAM = (

@@ -284,7 +284,7 @@ def test_an_address_that_is_no_service(here: Any, street: Path, tmp_path: Path) 
         outcome = here("push", street, "--server", f"http://127.0.0.1:{other.server_address[1]}")
         other.shutdown()
     assert outcome.code == 1
-    assert "not in the way of an InterLoc server" in outcome.err
+    assert "which is not how an InterLoc server answers" in outcome.err
     assert len(outcome.err.splitlines()) == 1
 
 
@@ -312,4 +312,4 @@ def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(
     faulty.script = [lambda handler: by_method[handler.command](handler)]
     outcome = make.Here(faulty.address, tmp_path / "cache")("push", street)
     assert outcome.code == 1
-    assert "but with other contents than were sent" in outcome.err
+    assert "but with other content than was sent" in outcome.err

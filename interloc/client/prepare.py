@@ -1,4 +1,4 @@
-"""What a drive is sent as: reduced on the way, as it is, or as a reduced drive that it is already."""
+"""Checking a drive and deciding what to send: reduced on the way, as it is, or a drive that is reduced already."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from interloc.client.parcels import Parcel
+from interloc.client.upload import UploadFile
 from interloc.config import DEFAULT, KeyframeConfig
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
@@ -35,7 +35,7 @@ class PushOptions:
     label_scheme, pose_frame, layout, oxts
         As of `interloc.open_drive`.
     keyframes : KeyframeConfig or None
-        Which scans to send; None: every one.
+        Which scans to send; None: all of them.
     raw : bool
         Send scans and labels as they are; the server reduces them.
     keep_raw : bool
@@ -57,17 +57,18 @@ class PushOptions:
 
     def __post_init__(self) -> None:
         if self.keep_raw and not self.raw:
-            raise ConfigError("--keep-raw: there is nothing to keep where scans are not sent as they are (--raw).")
+            raise ConfigError("--keep-raw: the server has no raw scans to keep unless they are sent (--raw).")
         if self.name is not None and (not self.name.strip() or len(self.name) > 200 or not _is_plain(self.name)):
-            raise ConfigError(f"--name {self.name!r}: expected 1 to 200 characters without slashes and line ends.")
+            raise ConfigError(f"--name {self.name!r}: expected 1 to 200 characters without slashes and line breaks.")
         for path in self.maps:
             if not is_map(path.name) or path.name.startswith("."):
-                raise ConfigError(f"{path}: is no OpenStreetMap file by its name. Expected {', '.join(_MAP_ENDINGS)}.")
+                endings = ", ".join(_MAP_ENDINGS)
+                raise ConfigError(f"{path}: is not an OpenStreetMap file by its name. Expected one of {endings}.")
 
 
 @dataclass(frozen=True)
-class Consignment:
-    """A drive, ready to be sent.
+class PreparedDrive:
+    """A drive that is ready to be sent.
 
     Attributes
     ----------
@@ -79,9 +80,10 @@ class Consignment:
     is_georeferenced : bool
     options : dict
         How the server is to read what it gets.
-    parcels : list of Parcel
-        The drive.
-    maps : list of Parcel
+    files : list of UploadFile
+        The drive itself.
+    maps : list of UploadFile
+        OpenStreetMap files that go along.
     """
 
     name: str
@@ -89,12 +91,12 @@ class Consignment:
     scans_sent: int
     source_bytes: int | None
     is_georeferenced: bool
-    parcels: list[Parcel]
+    files: list[UploadFile]
     options: dict[str, Any] = field(default_factory=dict)
-    maps: list[Parcel] = field(default_factory=list)
+    maps: list[UploadFile] = field(default_factory=list)
 
 
-def consign(root: Path, options: PushOptions) -> Consignment:
+def prepare(root: Path, options: PushOptions) -> PreparedDrive:
     """Check a drive as `interloc info` does, and get it ready.
 
     Raises
@@ -102,10 +104,10 @@ def consign(root: Path, options: PushOptions) -> Consignment:
     DriveError, GeoreferenceError
         It cannot be used; all problems are named.
     ConfigError
-        An option without meaning.
+        An option does not fit the drive.
     """
     labels = options.label_folders or None
-    maps = [Parcel(path.name, path) for path in options.maps]
+    maps = [UploadFile(path.name, path) for path in options.maps]
     for path in options.maps:
         if not path.is_file():
             raise DriveError(f"{path}: no such file. Expected an OpenStreetMap file.")
@@ -134,11 +136,11 @@ def is_map(path: str) -> bool:
     return path.lower().endswith(_MAP_ENDINGS)
 
 
-def _reduced_on_the_way(reduction: Reduction, maps: list[Parcel]) -> Consignment:
+def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> PreparedDrive:
     """Send ground points, made as they are sent."""
     plan, manifest = reduction.plan, reduction.manifest
     scans = [
-        Parcel(
+        UploadFile(
             ground_path(labels, int(frame)),
             partial(reduce_scan, source, int(frame)),
             made_from=(source.scan_files.path(int(frame)), source.label_files.path(int(frame))),
@@ -147,19 +149,19 @@ def _reduced_on_the_way(reduction: Reduction, maps: list[Parcel]) -> Consignment
         for frame in plan.frames_to_send
         for labels, source in reduction.scans.items()
     ]
-    small = [Parcel(name, path) for name, path in plan.copies.sources.items()]
-    return Consignment(
+    small = [UploadFile(name, path) for name, path in plan.copies.sources.items()]
+    return PreparedDrive(
         name=manifest.name,
         scans=plan.scans,
         scans_sent=len(plan.frames_to_send),
         source_bytes=_source_bytes(manifest),
         is_georeferenced=plan.georeference is not None,
-        parcels=[*small, *scans, _manifest_parcel(manifest)],
+        files=[*small, *scans, _manifest_file(manifest)],
         maps=maps,
     )
 
 
-def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list[Parcel]) -> Consignment:
+def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
     """Send the files themselves, under the paths that they have in the drive."""
     plan, manifest = reduction.plan, reduction.manifest
     scans: dict[str, Path] = {}
@@ -169,15 +171,15 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
                 path = numbered.path(int(frame))
                 scans[path.relative_to(root).as_posix()] = path
     given = manifest.files.geo or manifest.files.oxts if options.oxts is not None else None
-    return Consignment(
+    return PreparedDrive(
         name=manifest.name,
         scans=plan.scans,
         scans_sent=plan.scans,
         source_bytes=_source_bytes(manifest),
         is_georeferenced=plan.georeference is not None,
-        parcels=[
-            *(Parcel(name, path) for name, path in plan.copies.sources.items()),
-            *(Parcel(name, path) for name, path in scans.items()),
+        files=[
+            *(UploadFile(name, path) for name, path in plan.copies.sources.items()),
+            *(UploadFile(name, path) for name, path in scans.items()),
         ],
         options={
             "label_scheme": options.label_scheme,
@@ -189,13 +191,13 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
     )
 
 
-def _as_reduced(root: Path, options: PushOptions, maps: list[Parcel]) -> Consignment:
+def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
     """Send a reduced drive, all of it or some of its label folders."""
     manifest = read_manifest(root)
     if options.oxts is not None or options.keep_raw or (options.keyframes is None and manifest.keyframes is not None):
         raise ConfigError(
-            f"{root} is a reduced drive: --oxts, --raw, --keep-raw and --all-scans are for the drive that it was made "
-            "of. Give that, or leave them out."
+            f"{root} is a reduced drive: --oxts, --raw, --keep-raw and --all-scans belong to the drive that it was "
+            "made from. Give that drive, or leave these options out."
         )
     chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels) or label_folders_in(root)
     for labels in chosen:
@@ -211,24 +213,24 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[Parcel]) -> Consign
     names = [name for path in manifest.files.paths for name in _files_below(root, path)]
     frames = manifest.kept_frames
     ground = [ground_path(labels, int(frame)) for frame in frames for labels in chosen]
-    return Consignment(
+    return PreparedDrive(
         name=sent.name,
         scans=len(manifest.frames),
         scans_sent=len(frames),
         source_bytes=_source_bytes(sent),
         is_georeferenced=drive.georeference is not None,
-        parcels=[
-            *(Parcel(name, root / name) for name in names),
-            *(Parcel(name, root / name) for name in ground),
-            _manifest_parcel(sent),
+        files=[
+            *(UploadFile(name, root / name) for name in names),
+            *(UploadFile(name, root / name) for name in ground),
+            _manifest_file(sent),
         ],
         maps=maps,
     )
 
 
-def _manifest_parcel(manifest: ReducedManifest) -> Parcel:
+def _manifest_file(manifest: ReducedManifest) -> UploadFile:
     data = manifest.to_bytes()
-    return Parcel(MANIFEST, lambda: data, made_by=hashlib.sha256(data).hexdigest())
+    return UploadFile(MANIFEST, lambda: data, made_by=hashlib.sha256(data).hexdigest())
 
 
 def _mark_of(source: RawScans) -> str:

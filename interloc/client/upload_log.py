@@ -1,19 +1,18 @@
-"""What was sent already, remembered on this machine, so that an interrupted push goes on where it stopped.
+"""A log of the files that a push has sent, so that an interrupted push continues where it stopped.
 
-A push is known by the server, the folder of the drive and the options that decide what is sent. The service lists the
-files that it has with their digests, but the digest of a reduced scan is known only once the scan was read and reduced.
-The journal spares that: beside every digest it keeps sizes and times of the files that the scan was made from. It also
-keeps the id of the drive: names of drives need not be unique, and other clients may use the same.
+A push is identified by the server, the folder of the drive and the options that decide what is sent. The service lists
+the files that it has with their digests, but the digest of a reduced scan is known only once the scan was read and
+reduced. The log spares that: beside every digest it keeps sizes and times of the files that the scan was made from. It
+also keeps the id of the drive: names of drives need not be unique, and other clients may use the same.
 
-One line a file is added as the file is accepted, so nothing is lost when the process is killed; a line cut short is
-ignored. Without a journal (another machine, an emptied cache) the drive is sent anew.
+One line per file is added as soon as the server has accepted it, so nothing is lost when the process is killed; a line
+cut short is ignored. Without a log (another machine, an emptied cache) the drive is sent anew.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -23,6 +22,9 @@ from threading import Lock
 from types import TracebackType
 from typing import Any, Self, TextIO
 
+from filelock import FileLock, Timeout
+from platformdirs import user_cache_path
+
 from interloc.errors import OutputError
 
 _KEPT_DAYS = 60
@@ -31,29 +33,29 @@ _KEY_DIGITS = 32
 
 @dataclass(frozen=True)
 class Sent:
-    """A file that the service took.
+    """A file that the service accepted.
 
     Attributes
     ----------
     signature : str
-        Of what it was made from.
+        See `interloc.client.upload.UploadFile.signature`.
     sha256 : str
-        Of what was sent.
+        Digest of what was sent.
     """
 
     signature: str
     sha256: str
 
 
-class Journal:
-    """The memory of one push.
+class UploadLog:
+    """The log of one push.
 
     Parameters
     ----------
     folder
-        Of all journals; created where missing.
+        Folder of all logs; created where missing.
     identity
-        What makes the push this one.
+        What distinguishes this push from others.
 
     Raises
     ------
@@ -64,15 +66,21 @@ class Journal:
     def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
         key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:_KEY_DIGITS]
         self._path = folder / f"{key}.jsonl"
-        self._lock = Lock()
+        self._process_lock = FileLock(folder / f"{key}.lock")
+        self._thread_lock = Lock()
         self.drive_id: str | None = None
         self._sent: dict[str, Sent] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
             _sweep(folder)
+            self._process_lock.acquire(blocking=False)
             self._file: TextIO = self._path.open("a+", encoding="utf-8")
-            self._lock_file()
             self._read()
+        except Timeout:
+            raise OutputError(
+                "the same drive is being pushed to the same server by another process. Wait for its end; then the same "
+                "command reports the id of the drive without sending it again."
+            ) from None
         except OSError as error:
             raise OutputError(f"{self._path} could not be used: {error.strerror or error}.") from error
 
@@ -83,6 +91,7 @@ class Journal:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self._file.close()
+        self._process_lock.release()
 
     def begin(self, drive_id: str) -> None:
         """Forget what was sent before: from now on it goes to this drive."""
@@ -93,12 +102,12 @@ class Journal:
         self._add({"drive": drive_id})
 
     def sent(self, path: str) -> Sent | None:
-        """Return what is known of a file of the drive."""
+        """Return what was sent of a file of the drive, if anything."""
         return self._sent.get(path)
 
     def add(self, path: str, sent: Sent) -> None:
-        """Remember that the service took a file; threads may call this."""
-        with self._lock:
+        """Remember that the service has accepted a file; threads may call this."""
+        with self._thread_lock:
             self._sent[path] = sent
             self._add({"path": path, "signature": sent.signature, "sha256": sent.sha256})
 
@@ -119,36 +128,15 @@ class Journal:
         if text and not text.endswith("\n"):
             self._file.write("\n")
 
-    def _lock_file(self) -> None:
-        """Keep out a second process with the same push; the lock dies with the process."""
-        try:
-            import fcntl  # noqa: PLC0415
-        except ImportError:  # Windows: there both would send, which wastes time and harms nothing
-            return
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._file.close()
-            raise OutputError(
-                "the same drive is being pushed to the same server by another process. Wait for its end; then the same "
-                "command tells the drive's id without sending it again."
-            ) from None
 
-
-def journal_folder() -> Path:
-    """Return the folder of journals in the cache of the user."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "interloc" / "push"
-
-
-def signature(*paths: Path, made_by: str = "") -> str:
-    """Describe files by size and time of change, and how something was made from them."""
-    facts = [path.stat() for path in paths]
-    return " ".join([*(f"{fact.st_size}:{fact.st_mtime_ns}" for fact in facts), made_by]).strip()
+def log_folder() -> Path:
+    """Return the folder of all logs, in the user's cache."""
+    return user_cache_path("interloc") / "push"
 
 
 def _sweep(folder: Path) -> None:
-    """Remove journals that nobody will come back to."""
-    for path in folder.glob(f"{'?' * _KEY_DIGITS}.jsonl"):
+    """Remove logs that nobody will come back to."""
+    for path in folder.glob(f"{'?' * _KEY_DIGITS}.*"):
         with suppress(OSError):
             if time.time() - path.stat().st_mtime > _KEPT_DAYS * 86400:
                 path.unlink()
