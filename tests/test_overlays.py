@@ -18,7 +18,7 @@ from interloc.explain.evidence import Evidence, gather
 from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay
 from interloc.geometry import enu_from_lonlat
 from interloc.pipeline import detect
-from interloc.simulate.config import LidarConfig
+from interloc.simulate.config import LidarConfig, SimulationOptions
 from interloc.simulate.town import simulate_town
 
 FRAME = 30
@@ -28,9 +28,8 @@ FRAME = 30
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """The beginning of the small town, as far as behind its first two junctions."""
     root = tmp_path_factory.mktemp("drives") / "town"
-    simulate_town(
-        root, part="plain", max_scans=60, keyframes_only=True, sensor=LidarConfig(columns=512), ground_only=True
-    )
+    sensor = LidarConfig(columns=512)
+    simulate_town(root, SimulationOptions(max_scans=60, keyframes_only=True, ground_only=True, sensor=sensor))
     return open_drive(root)
 
 

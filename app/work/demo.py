@@ -23,7 +23,7 @@ def run(task: Task, part: Part, report: Report) -> None:
     """Simulate the drive into the scratch folder, with a list of its files."""
     if (task.scratch / LISTING).is_file():
         return
-    from interloc.simulate.config import LidarConfig  # noqa: PLC0415 - other work needs no simulator
+    from interloc.simulate.config import LidarConfig, SimulationOptions  # noqa: PLC0415 - other work needs no simulator
     from interloc.simulate.town import simulate_town  # noqa: PLC0415
 
     folder = task.scratch / f"simulating-{task.attempt}"
@@ -32,10 +32,7 @@ def run(task: Task, part: Part, report: Report) -> None:
     try:
         simulate_town(
             drive,
-            part="plain",
-            keyframes_only=True,
-            ground_only=True,
-            sensor=LidarConfig(columns=_COLUMNS),
+            SimulationOptions(keyframes_only=True, ground_only=True, sensor=LidarConfig(columns=_COLUMNS)),
             progress=lambda done, _: report(min(done, part.stop)),
         )
         listing = []

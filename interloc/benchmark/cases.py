@@ -223,18 +223,11 @@ class TwinCase:
         return path
 
     def _simulate(self, path: Path, progress: Progress | None) -> None:
+        from interloc.simulate.config import SimulationOptions  # noqa: PLC0415
         from interloc.simulate.twins import simulate_twin  # noqa: PLC0415 - not needed where all twins are kept
 
-        simulate_twin(
-            self.kitti,
-            self.name,
-            path,
-            poses=self.poses,
-            seed=self.seed,
-            ground_only=True,
-            max_scans=self.max_scans,
-            progress=progress,
-        )
+        options = SimulationOptions(seed=self.seed, keyframes_only=True, ground_only=True, max_scans=self.max_scans)
+        simulate_twin(self.kitti, self.name, path, options, poses=self.poses, progress=progress)
 
 
 def _explain(drive: Path, frame: int, name: str, osm: Path, options: tuple[str, ...]) -> str:

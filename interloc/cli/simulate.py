@@ -13,7 +13,7 @@ from interloc.cli import console, options
 
 if TYPE_CHECKING:
     from interloc.benchmark.cases import Poses
-    from interloc.simulate.config import LidarConfig, SceneConfig, TrackConfig
+    from interloc.simulate.config import SimulationOptions, TrackConfig
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -29,7 +29,7 @@ DRIVE = click.option(
 EVERY_SCAN = click.option(
     "--every-scan",
     is_flag=True,
-    help="Write all scans, ten a second (2.6 MB each), not only the keyframes that the method looks at.",
+    help="Write all scans, ten per second (2.6 MB each), not only the keyframes that the method uses.",
 )
 SPEED = click.option(
     "--speed",
@@ -37,7 +37,7 @@ SPEED = click.option(
     type=click.FloatRange(0.2, 60),
     default=8.0,
     show_default=True,
-    help="Metres a second along the track; a track of OXTS rows keeps its own.",
+    help="Speed along the track in metres per second; a track of OXTS rows keeps its own.",
 )
 
 
@@ -50,18 +50,18 @@ def scene_options(command: Command) -> Command:
                 type=click.IntRange(min=0),
                 default=0,
                 show_default=True,
-                help="Of all that chance decides: houses, cars, noise. The same seed gives the same drive.",
+                help="Seed of everything random: houses, cars, noise. The same seed gives the same drive.",
             ),
             click.option("--exact", is_flag=True, help="A LiDAR without noise, dropout and loss of range."),
             click.option("--bare", is_flag=True, help="No houses, hedges and parked cars: nothing hides the road."),
             click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
-            click.option("--max-scans", type=click.IntRange(min=1), help="Stop after so many scans."),
+            click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
             click.option(
                 "--columns",
                 type=click.IntRange(8, 8192),
                 default=2083,
                 show_default=True,
-                help="Shots of each of the 64 lasers a turn.",
+                help="Shots of each of the 64 lasers per turn.",
             ),
             options.QUIET,
         )
@@ -110,11 +110,10 @@ def town(drive: Path, small: bool, every_scan: bool, speed_mps: float, **common:
     with console.progress("simulate", "scan", quiet=quiet) as bar:
         scans = simulate_town(
             drive,
+            _options(every_scan=every_scan, **common),
             part="plain" if small else "full",
-            keyframes_only=not every_scan,
             track=_track_config(speed_mps),
             progress=bar,
-            **_common(**common),
         )
     _go_on(scans, drive, drive / MAP_FILE)
 
@@ -142,7 +141,7 @@ def town(drive: Path, small: bool, every_scan: bool, speed_mps: float, **common:
     type=click.FloatRange(-20, 20),
     default=0.0,
     show_default=True,
-    help="Drive so many metres to the right of the track, where it is the centre line of the road.",
+    help="Metres to drive to the right of the track, for tracks along the centre line of the road.",
 )
 @scene_options
 def track(
@@ -161,8 +160,8 @@ def track(
     Example:
       interloc simulate track --osm map.osm.gz --track ride.gpx -o drive && interloc run drive -o out --osm map.osm.gz
     """
-    from interloc.simulate.lines import open_track
-    from interloc.simulate.maps import simulate_map
+    from interloc.simulate.drive import simulate_map
+    from interloc.simulate.track_files import open_track
 
     quiet = common["quiet"]
     console.set_up_log(quiet=quiet)
@@ -171,11 +170,10 @@ def track(
             open_track(track_file, _track_config(speed_mps, offset_m)),
             osm,
             drive,
+            _options(every_scan=every_scan, **common),
             buildings=buildings,
-            keyframes_only=not every_scan,
             about={"track": track_file.name},
             progress=bar,
-            **_common(**common),
         )
     _go_on(scans, drive, osm)
 
@@ -194,7 +192,7 @@ def track(
     type=click.Choice(["suma", "gt"]),
     default="suma",
     show_default=True,
-    help="Poses that go with the drive: SemanticKITTI's or KITTI's ground truth.",
+    help="Poses to write with the drive: SemanticKITTI's or KITTI's ground truth.",
 )
 @EVERY_SCAN
 @scene_options
@@ -212,40 +210,35 @@ def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool
     console.set_up_log(quiet=quiet)
     (case,) = twin_cases(kitti, [sequence], poses=poses)
     with console.progress("simulate", "scan", quiet=quiet) as bar:
-        scans = simulate_twin(
-            kitti, sequence, drive, poses=poses, keyframes_only=not every_scan, progress=bar, **_common(**common)
-        )
+        options = _options(every_scan=every_scan, **common)
+        scans = simulate_twin(kitti, sequence, drive, options, poses=poses, progress=bar)
     _go_on(scans, drive, case.osm)
 
 
-def _common(
-    *, seed: int, exact: bool, bare: bool, ground_only: bool, max_scans: int | None, columns: int, quiet: bool
-) -> dict[str, Any]:
+def _options(
+    *,
+    every_scan: bool,
+    seed: int,
+    exact: bool,
+    bare: bool,
+    ground_only: bool,
+    max_scans: int | None,
+    columns: int,
+    quiet: bool,  # noqa: ARG001 - one of `scene_options`
+) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
-    del quiet
-    return {
-        "seed": seed,
-        "ground_only": ground_only,
-        "max_scans": max_scans,
-        "sensor": _lidar(columns, exact=exact),
-        "scene": _scene(bare=bare),
-    }
+    from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions
 
-
-def _lidar(columns: int, *, exact: bool) -> LidarConfig:
-    from interloc.simulate.config import LidarConfig
-
-    if not exact:
-        return LidarConfig(columns=columns)
-    return LidarConfig(columns=columns, range_noise_m=0.0, surface_noise=0.0, dropout=0.0, road_half_range_m=None)
-
-
-def _scene(*, bare: bool) -> SceneConfig:
-    from interloc.simulate.config import RoadsideConfig, SceneConfig
-
-    if not bare:
-        return SceneConfig()
-    return SceneConfig(roadside=RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none"))
+    no_noise = {"range_noise_m": 0.0, "surface_noise": 0.0, "dropout": 0.0, "road_half_range_m": None} if exact else {}
+    empty = {"roadside": RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none")} if bare else {}
+    return SimulationOptions(
+        seed=seed,
+        keyframes_only=not every_scan,
+        ground_only=ground_only,
+        max_scans=max_scans,
+        scene=SceneConfig(**empty),
+        sensor=LidarConfig(columns=columns, **no_noise),
+    )
 
 
 def _track_config(speed_mps: float, offset_m: float = 0.0) -> TrackConfig:

@@ -1,4 +1,4 @@
-"""Writing a simulated drive to disk, scan by scan."""
+"""Simulating a drive along a track over a map, and writing it to disk scan by scan."""
 
 from __future__ import annotations
 
@@ -9,12 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
+from interloc.config import DEFAULT
+from interloc.detection.keyframes import select_keyframes
 from interloc.files import atomic_folder
-from interloc.simulate.config import LidarConfig
+from interloc.simulate.config import DEFAULT_OPTIONS, SimulationOptions
 from interloc.simulate.lidar import Lidar
-from interloc.simulate.oxts import IMU_TO_VELO_TEXT, format_oxts, parse_tr
-from interloc.simulate.scene import Scene
-from interloc.simulate.tracks import Track, camera_poses, keyframe_indices, lidar_poses
+from interloc.simulate.scene import Scene, build_scene
+from interloc.simulate.tracks import (
+    IMU_TO_VELO_TEXT,
+    Track,
+    camera_poses,
+    format_oxts,
+    lidar_poses,
+    parse_tr,
+)
 
 Progress = Callable[[int, int], None]
 
@@ -27,12 +35,8 @@ def simulate_drive(
     scene: Scene,
     track: Track,
     out: Path,
+    options: SimulationOptions = DEFAULT_OPTIONS,
     *,
-    seed: int = 0,
-    sensor: LidarConfig | None = None,
-    keyframes_only: bool = False,
-    ground_only: bool = False,
-    max_scans: int | None = None,
     extra_files: dict[str, bytes] | None = None,
     about: dict[str, object] | None = None,
     progress: Progress | None = None,
@@ -45,15 +49,9 @@ def simulate_drive(
         The world and the poses in it, one for each scan, as `build_scene(track, ...)` made it.
     out
         Folder to be made; complete or not at all. An older simulated drive is replaced.
-    seed
-        Scan k depends on (seed, k of the track) alone: any order and any selection gives the same scans.
-    sensor
-    keyframes_only
-        Simulate only the scans that the method would use (moved > 2 m or turned > 5 degrees), renumbered from 0.
-    ground_only
-        Write only the points that the method can use: about half the size.
-    max_scans
-        Stop after so many.
+    options
+        Scan k depends on the seed and k alone: any order and any selection gives the same scans. `options.scene`
+        has been used by `build_scene`.
     extra_files
         More files to put into the folder: name and content.
     about
@@ -71,22 +69,21 @@ def simulate_drive(
     OutputError
         The folder holds something else, or could not be written.
     """
-    sensor = sensor or LidarConfig()
     tr = parse_tr(track.calib_text)
     poses_camera = camera_poses(scene.T_map_lidar, tr) if track.poses_camera is None else track.poses_camera
     chosen = np.arange(len(track))
-    if keyframes_only:
-        chosen = keyframe_indices(lidar_poses(poses_camera, tr))
-    chosen = chosen[:max_scans]
-    lidar = Lidar(sensor)
+    if options.keyframes_only:
+        chosen = select_keyframes(lidar_poses(poses_camera, tr), DEFAULT.keyframes)
+    chosen = chosen[: options.max_scans]
+    lidar = Lidar(options.sensor)
     with atomic_folder(Path(out), marker=MARKER) as folder:
         for name in ("velodyne", "labels", "oxts/data"):
             (folder / name).mkdir(parents=True)
         for number, k in enumerate(map(int, chosen)):
-            rng = np.random.default_rng([seed, k])
+            rng = np.random.default_rng([options.seed, k])
             scan = lidar.scan(scene, scene.T_map_lidar[k], rng, level=int(scene.level[k]))
             points, labels = scan.points, scan.labels
-            if ground_only:
+            if options.ground_only:
                 kept = np.isin(labels, GROUND_LABELS)
                 points, labels = points[kept], labels[kept]
             points.tofile(folder / f"velodyne/{number:06d}.bin")
@@ -102,13 +99,61 @@ def simulate_drive(
             (folder / name).write_bytes(content)
         facts = {
             "interloc": version("interloc"),
-            "seed": seed,
+            "seed": options.seed,
             "scans": len(chosen),
-            "keyframes_only": keyframes_only,
-            "ground_only": ground_only,
+            "keyframes_only": options.keyframes_only,
+            "ground_only": options.ground_only,
             "track_frames": chosen.tolist(),
-            "sensor": sensor.model_dump(),
+            "sensor": options.sensor.model_dump(),
             **(about or {}),
         }
         (folder / MARKER).write_text(json.dumps(facts, indent=1) + "\n")
     return len(chosen)
+
+
+def simulate_map(
+    track: Track,
+    roads: Path,
+    out: Path,
+    options: SimulationOptions = DEFAULT_OPTIONS,
+    *,
+    buildings: Path | None = None,
+    extra_files: dict[str, bytes] | None = None,
+    about: dict[str, object] | None = None,
+    progress: Progress | None = None,
+) -> int:
+    """Simulate a drive along a track over the streets of a map.
+
+    Parameters
+    ----------
+    track
+        From `open_track` (GPX, CSV, OXTS), `track_from_line` or `track_from_oxts`.
+    roads
+        OSM file with the streets (.osm, .osm.gz, .osm.bz2, .osm.pbf).
+    out, options, extra_files, about, progress
+        See `simulate_drive`.
+    buildings
+        Another OSM file with the buildings; None: the same file, and houses are made up if it has no building at all.
+
+    Returns
+    -------
+    int
+        Scans written.
+
+    Raises
+    ------
+    MapError
+        The map cannot be read or lies elsewhere.
+    OutputError
+        `out` could not be written.
+    """
+    scene = build_scene(
+        track,
+        roads,
+        buildings=buildings,
+        config=options.scene,
+        sensor_height_m=options.sensor.height_m,
+        seed=options.seed,
+    )
+    facts = {"map": Path(roads).name, "scene": options.scene.model_dump(), **(about or {})}
+    return simulate_drive(scene, track, out, options, extra_files=extra_files, about=facts, progress=progress)

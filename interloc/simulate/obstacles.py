@@ -1,14 +1,24 @@
-"""Upright walls that occlude: of buildings, cars, hedges."""
+"""Upright walls that occlude: parked cars, buildings and hedges along the streets, placed at random by seed."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry.base import BaseGeometry
 
 from interloc.arrays import FloatArray, UInt8Array
+from interloc.simulate.config import RoadsideConfig
+from interloc.simulate.ground import polygon_parts
 from interloc.simulate.heights import HeightField
+from interloc.simulate.osm_map import StreetMap
+from interloc.simulate.profiles import Profile
 from interloc.simulate.surfaces import Surface
 
 MAX_WALL_M = 24.0
@@ -87,3 +97,240 @@ class Obstacles:
             return np.zeros((0, 6)), np.zeros(0, np.uint8)
         walls = self._walls[level]
         return np.concatenate([walls[p] for p in pieces]), np.concatenate([self._surfaces[p] for p in pieces])
+
+
+CAR_SLOT_M = 6.0
+VEHICLE_CLEARANCE_M = 2.5
+JUNCTION_CLEARANCE_M = 9.0
+PLOT_M = 17.0
+
+
+def furnish(
+    street_map: StreetMap,
+    profiles: Sequence[Profile],
+    lines: Sequence[BaseGeometry],
+    config: RoadsideConfig,
+    *,
+    driven_xy: FloatArray,
+    seed: int,
+) -> WallList:
+    """Put up everything that stands beside the road.
+
+    Parameters
+    ----------
+    street_map, profiles, config
+    lines
+        The visible part of each street's centre line.
+    driven_xy : (N, 2) float64
+        Places of the vehicle, at most some metres apart: no obstacle comes nearer than its clearance.
+    seed
+        With the ids of the streets, decides everything: the same street looks the same in every run.
+    """
+    walls = WallList()
+    yard = Yard(profiles, lines, driven_xy, [xy for _, xy in street_map.parking])
+    for xy, height in _buildings(street_map, profiles, lines, config, yard, seed):
+        walls.add_line(xy, -1.0, height, Surface.BUILDING)
+    for number, (profile, line) in enumerate(zip(profiles, lines, strict=True)):
+        if not isinstance(line, LineString) or line.is_empty:
+            continue
+        street = profile.street
+        rng = np.random.default_rng([seed, street.way_id & 0x7FFFFFFF, street.part, 2])
+        _park_cars(walls, profile, line, config, yard, rng, number)
+        if not profile.is_service:
+            _grow_hedges(walls, profile, line, config, yard, rng)
+    return walls
+
+
+class Yard:
+    """Tells what is free: neither road nor car park nor the way of the vehicle."""
+
+    def __init__(
+        self,
+        profiles: Sequence[Profile],
+        lines: Sequence[BaseGeometry],
+        driven_xy: FloatArray,
+        lots: Sequence[FloatArray],
+    ) -> None:
+        self._roads = [line.buffer(p.half_m) for p, line in zip(profiles, lines, strict=True)]
+        self._tree = shapely.STRtree(self._roads)
+        self._lots = [Polygon(xy) for xy in lots]
+        self._driven = cKDTree(driven_xy)
+
+    def off_road(self, geometry: BaseGeometry, distance_m: float = 0.0, *, besides: int = -1) -> bool:
+        """Tell whether no street (but the one of that number) comes nearer than a distance."""
+        found = self._tree.query(geometry, predicate="dwithin", distance=distance_m)
+        return not any(int(i) != besides for i in found)
+
+    def off_lots(self, geometry: BaseGeometry) -> bool:
+        """Tell whether a geometry touches no car park."""
+        return not any(lot.intersects(geometry) for lot in self._lots)
+
+    def clear(self, places: FloatArray, distance_m: float) -> bool:
+        """Tell whether the vehicle never came nearer to any of (N, 2) places."""
+        return bool(np.min(self._driven.query(places)[0]) > distance_m)
+
+    def cut(self, outline: Polygon) -> BaseGeometry:
+        """Take the streets, and the way of the vehicle, out of a building."""
+        near = [self._roads[int(i)] for i in self._tree.query(outline, predicate="dwithin", distance=0.5)]
+        centre = shapely.minimum_bounding_radius(outline)
+        x, y = shapely.get_coordinates(outline.centroid)[0]
+        driven = self._driven.query_ball_point([x, y], centre * 2 + VEHICLE_CLEARANCE_M)
+        if driven:
+            near.append(shapely.MultiPoint(self._driven.data[driven]).buffer(VEHICLE_CLEARANCE_M))
+        return outline.difference(shapely.union_all(near).buffer(0.5)) if near else outline
+
+
+def _buildings(
+    street_map: StreetMap,
+    profiles: Sequence[Profile],
+    lines: Sequence[BaseGeometry],
+    config: RoadsideConfig,
+    yard: Yard,
+    seed: int,
+) -> Iterator[tuple[FloatArray, float]]:
+    """Yield outlines and heights."""
+    if config.buildings == "none":
+        return
+    known = [] if config.buildings == "made_up" else street_map.buildings
+    for i, (tags, xy) in enumerate(known):
+        if tags.get("layer", "0").startswith("-") or tags.get("location") == "underground":
+            continue
+        height = _height_m(tags, np.random.default_rng([seed, i, 3]))
+        for outline in polygon_parts(shapely.make_valid(Polygon(xy))):
+            for part in polygon_parts(yard.cut(outline)):
+                if part.area > 8.0:
+                    yield shapely.get_coordinates(part.exterior), height
+    if config.buildings == "made_up" or (config.buildings == "auto" and not known):
+        yield from made_up_houses(profiles, lines, config, yard, seed)
+
+
+def made_up_houses(
+    profiles: Sequence[Profile], lines: Sequence[BaseGeometry], config: RoadsideConfig, yard: Yard, seed: int
+) -> Iterator[tuple[FloatArray, float]]:
+    """Yield outlines (N, 2) in M and heights of a row of houses on both sides of every street of a town."""
+    taken: list[Polygon] = []
+    tree = shapely.STRtree([])
+    for profile, line in zip(profiles, lines, strict=True):
+        if not profile.urban or profile.is_service or not isinstance(line, LineString):
+            continue
+        rng = np.random.default_rng([seed, profile.street.way_id & 0x7FFFFFFF, profile.street.part, 4])
+        fresh: list[Polygon] = []
+        for left in (True, False):
+            for along in np.arange(PLOT_M / 2, line.length, PLOT_M):
+                built, width, depth, back, storeys = rng.random(5)
+                if built > config.building_share:
+                    continue
+                place, heading = _at(line, float(along))
+                depth_m = 8.5 + 4 * depth
+                offset = profile.edge_m(left=left) + 2.0 + 5.0 * back + depth_m / 2
+                centre = place + (1 if left else -1) * offset * np.array([-np.sin(heading), np.cos(heading)])
+                outline = _rectangle(centre, heading, 9.0 + 5.0 * width, depth_m)
+                if not (yard.off_road(outline, 3.5) and yard.off_lots(outline)) or not yard.clear(
+                    _corners(outline), 5.0
+                ):
+                    continue
+                if len(tree.query(outline, predicate="dwithin", distance=1.0)) or any(
+                    outline.distance(other) < 1.0 for other in fresh
+                ):
+                    continue
+                fresh.append(outline)
+                yield shapely.get_coordinates(outline.exterior), 5.0 + 6.0 * storeys
+        taken += fresh
+        tree = shapely.STRtree(taken)
+
+
+def _park_cars(
+    walls: WallList,
+    profile: Profile,
+    line: LineString,
+    config: RoadsideConfig,
+    yard: Yard,
+    rng: np.random.Generator,
+    number: int,
+) -> None:
+    """Fill some of the places at the kerb, in bays, and across the lanes of car parks."""
+    aisle = profile.street.tags.get("service") == "parking_aisle"
+    if not aisle and not (profile.urban and profile.kind.parking):
+        return
+    density = config.parked_car_density * rng.uniform(0.4, 1.6)
+    slot = 2.7 if aisle else CAR_SLOT_M
+    for left in (True, False):
+        bay = profile.bay_left_m if left else profile.bay_right_m
+        if not aisle and not bay and left and profile.half_m < 2.9:
+            continue  # too narrow for cars on both sides
+        for along in np.arange(JUNCTION_CLEARANCE_M, line.length - JUNCTION_CLEARANCE_M, slot):
+            taken, shift, jitter, van = rng.random(4)
+            if taken > density:
+                continue
+            place, heading = _at(line, float(along + 0.6 * (shift if not aisle else 0)))
+            if aisle:
+                offset, heading_car = profile.half_m + 2.6, heading + np.pi / 2
+            else:
+                offset, heading_car = profile.half_m + (bay / 2 if bay else -0.75) + 0.3 * (jitter - 0.5), heading
+            centre = place + (1 if left else -1) * offset * np.array([-np.sin(heading), np.cos(heading)])
+            if not yard.clear(centre[None], VEHICLE_CLEARANCE_M) or not yard.off_road(
+                Point(centre), 0.7, besides=number
+            ):
+                continue
+            _add_car(walls, centre, heading_car + 0.04 * (jitter - 0.5), van > 0.9)
+
+
+def _add_car(walls: WallList, centre: FloatArray, heading: float, van: bool) -> None:
+    if van:
+        walls.add_box(centre, heading, (4.9, 1.9), 0.0, 2.0, Surface.CAR)
+        return
+    walls.add_box(centre, heading, (4.3, 1.76), 0.0, 0.85, Surface.CAR)
+    walls.add_box(centre, heading, (2.4, 1.55), 0.85, 1.45, Surface.CAR)
+
+
+def _grow_hedges(
+    walls: WallList, profile: Profile, line: LineString, config: RoadsideConfig, yard: Yard, rng: np.random.Generator
+) -> None:
+    """Stand hedges and fences behind the sidewalk, bushes farther off along country roads."""
+    for left in (True, False):
+        if left and profile.median_left:
+            continue
+        along = rng.uniform(2.0, 10.0)
+        while along < line.length - 4.0:
+            length, grown, tall, fence, away = rng.random(5)
+            stop = min(along + 6.0 + 12.0 * length, line.length)
+            offset = profile.edge_m(left=left) + (0.3 if profile.urban else 2.0 + 6.0 * away)
+            ends = []
+            for s in (along, (along + stop) / 2, stop):
+                place, heading = _at(line, s)
+                ends.append(place + (1 if left else -1) * offset * np.array([-np.sin(heading), np.cos(heading)]))
+            xy = np.array(ends)
+            if (
+                grown < config.hedge_share
+                and yard.off_road(LineString(xy), 0.8)
+                and yard.clear(xy, VEHICLE_CLEARANCE_M)
+            ):
+                height = 0.5 + 1.3 * tall if profile.urban else 1.0 + 3.0 * tall
+                walls.add_line(xy, -0.3, height, Surface.FENCE if fence < 0.4 else Surface.VEGETATION)
+            along = stop + 3.0 + 3.0 * away
+
+
+def _at(line: LineString, along_m: float) -> tuple[FloatArray, float]:
+    """Return the place and the heading at a distance along a line."""
+    a = shapely.get_coordinates(line.interpolate(max(along_m - 0.5, 0.0)))[0]
+    b = shapely.get_coordinates(line.interpolate(along_m + 0.5))[0]
+    return shapely.get_coordinates(line.interpolate(along_m))[0], float(np.arctan2(*(b - a)[::-1]))
+
+
+def _corners(outline: Polygon) -> FloatArray:
+    corners: FloatArray = shapely.get_coordinates(outline)
+    return corners
+
+
+def _rectangle(centre: FloatArray, heading: float, length: float, width: float) -> Polygon:
+    c, s = np.cos(heading), np.sin(heading)
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * np.array([length, width]) / 2
+    return Polygon(corners @ np.array([[c, s], [-s, c]]) + centre)
+
+
+def _height_m(tags: dict[str, str], rng: np.random.Generator) -> float:
+    for key, factor, extra in (("height", 1.0, 0.0), ("building:levels", 3.0, 2.0)):
+        match = re.match(r"\s*(\d+(?:\.\d+)?)", tags.get(key, ""))
+        if match:
+            return float(np.clip(float(match.group(1)) * factor + extra, 2.0, 80.0))
+    return float(rng.uniform(2.5, 3.0) if tags.get("building") in {"garage", "garages", "shed"} else rng.uniform(5, 11))

@@ -12,11 +12,12 @@ from shapely.geometry.base import BaseGeometry
 
 from interloc.arrays import FloatArray
 from interloc.simulate.config import StreetConfig
-from interloc.simulate.osm_map import Street, StreetMap
-from interloc.simulate.street_classes import (
+from interloc.simulate.osm_map import (
     STREET_CLASSES,
     YARD_SERVICES,
+    Street,
     StreetClass,
+    StreetMap,
     is_oneway,
     road_width_m,
     sidewalk_sides,

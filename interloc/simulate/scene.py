@@ -13,14 +13,12 @@ from shapely.geometry.base import BaseGeometry
 from interloc.arrays import FloatArray, IntArray
 from interloc.errors import MapError
 from interloc.simulate.config import SceneConfig
-from interloc.simulate.ground import plan_ground
+from interloc.simulate.ground import GroundRaster, plan_ground
 from interloc.simulate.heights import HeightField, fit_heights, flat_field
 from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.obstacles import Obstacles
+from interloc.simulate.obstacles import Obstacles, furnish
 from interloc.simulate.osm_map import StreetMap, read_map
 from interloc.simulate.profiles import CLEARANCE_M, Crossing, Profile, find_crossings, street_profiles, visible_lines
-from interloc.simulate.raster import GroundRaster
-from interloc.simulate.roadside import furnish
 from interloc.simulate.tracks import Track
 
 LEVEL_REACH_M = 45.0

@@ -16,14 +16,12 @@ from interloc.arrays import FloatArray
 from interloc.errors import ConfigError
 from interloc.files import atomic_write
 from interloc.geometry import bearing_deg
-from interloc.simulate.config import LidarConfig, SceneConfig, TrackConfig
-from interloc.simulate.drive import Progress
+from interloc.simulate.config import DEFAULT_OPTIONS, SceneConfig, SimulationOptions, TrackConfig
+from interloc.simulate.drive import Progress, simulate_map
 from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.maps import simulate_map
-from interloc.simulate.osm_map import MapWay, StreetMap, street_map_of
+from interloc.simulate.obstacles import Yard, made_up_houses
+from interloc.simulate.osm_map import MapWay, StreetMap, is_oneway, street_map_of
 from interloc.simulate.profiles import find_crossings, street_profiles, visible_lines
-from interloc.simulate.roadside import Yard, made_up_houses
-from interloc.simulate.street_classes import is_oneway
 from interloc.simulate.town_plan import (
     CAR_PARK,
     FULL_ROUTE,
@@ -232,7 +230,7 @@ class Town:
         return [np.array([*p, 0.0]) for p in ring]
 
     def _shortest(self, start: str, goal: str, before: str | None) -> list[str]:
-        """Return the shortest way along the streets, one-way ones in their direction, without turning back at once."""
+        """Return the shortest path along the streets, one-way streets in their direction, without turning at once."""
         roads: dict[str, list[tuple[str, float]]] = {}
         for street in self._streets:
             for a, b in _directed(street):
@@ -250,7 +248,7 @@ class Town:
             for there, step in roads.get(here, []):
                 if not (here == start and there == before and here not in TURNING_CIRCLES):
                     heapq.heappush(queue, (length + step, [*path, there]))
-        raise ConfigError(f"The town has no way from {start} to {goal}.")
+        raise ConfigError(f"The town has no path from {start} to {goal}.")
 
 
 def hills_m(xy: FloatArray) -> FloatArray:
@@ -266,27 +264,22 @@ def _directed(street: PlannedStreet) -> list[tuple[str, str]]:
 
 def simulate_town(
     out: Path,
+    options: SimulationOptions = DEFAULT_OPTIONS,
     *,
     part: Part = "plain",
-    seed: int = 0,
-    keyframes_only: bool = False,
-    ground_only: bool = False,
-    max_scans: int | None = None,
     track: TrackConfig | None = None,
-    scene: SceneConfig | None = None,
-    sensor: LidarConfig | None = None,
     progress: Progress | None = None,
 ) -> int:
     """Simulate the drive through the made-up town; its map is written beside the scans as `map.osm`.
 
     Parameters
     ----------
-    out, seed, keyframes_only, ground_only, max_scans, sensor, progress
+    out, options, progress
         See `simulate_drive`.
     part
         "plain" (a small drive) or "full".
-    track, scene
-        How it is driven and what it looks like.
+    track
+        How it is driven.
 
     Returns
     -------
@@ -298,7 +291,7 @@ def simulate_town(
     OutputError
         `out` could not be written.
     """
-    town = Town(part, seed=seed)
+    town = Town(part, seed=options.seed)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / MAP_FILE
         town.write_osm(path)
@@ -306,12 +299,7 @@ def simulate_town(
             town.track(track),
             path,
             out,
-            seed=seed,
-            keyframes_only=keyframes_only,
-            ground_only=ground_only,
-            max_scans=max_scans,
-            scene=scene,
-            sensor=sensor,
+            options,
             extra_files={MAP_FILE: path.read_bytes()},
             about={"town": part},
             progress=progress,

@@ -2,19 +2,104 @@
 
 from __future__ import annotations
 
-import gzip
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.errors import DriveError
-from interloc.geometry import invert_transform, rotation_angle, rotation_from_rpy
+from interloc.geometry import enu_from_lonlat, invert_transform, lonlat_from_enu, rotation_from_rpy
 from interloc.simulate.config import TrackConfig
 from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.oxts import CALIB_TEXT, lidar_fixes, oxts_rows
+
+IMU_TO_VELO_TEXT = (
+    "R: 9.999976e-01 7.553071e-04 -2.035826e-03 -7.854027e-04 9.998898e-01 -1.482298e-02 "
+    "2.024406e-03 1.482454e-02 9.998881e-01\nT: -8.086759e-01 3.195559e-01 -7.997231e-01\n"
+)
+"""`calib_imu_to_velo.txt` of KITTI's recording car."""
+
+CALIB_TEXT = "".join(
+    f"P{camera}: 7.070912000000e+02 0.000000000000e+00 6.018873000000e+02 {shift:.12e} 0.000000000000e+00 "
+    "7.070912000000e+02 1.831104000000e+02 0.000000000000e+00 0.000000000000e+00 0.000000000000e+00 "
+    "1.000000000000e+00 0.000000000000e+00\n"
+    for camera, shift in enumerate((0.0, -379.8145, 46.88783, -333.4597))
+) + (
+    "Tr: 0.000000000000e+00 -1.000000000000e+00 0.000000000000e+00 0.000000000000e+00 "
+    "0.000000000000e+00 0.000000000000e+00 -1.000000000000e+00 -8.000000000000e-02 "
+    "1.000000000000e+00 0.000000000000e+00 0.000000000000e+00 -2.700000000000e-01\n"
+)
+"""A `calib.txt` for drives that have none: a camera that looks ahead, 0.27 m before and 0.08 m below the LiDAR."""
+
+
+def parse_imu_to_velo(text: str) -> FloatArray:
+    """Return T_velo_imu (4, 4) float64 of the text of a `calib_imu_to_velo.txt`."""
+    fields = dict(line.split(":", 1) for line in text.splitlines() if ":" in line)
+    transform = np.eye(4)
+    transform[:3, :3] = np.array(fields["R"].split(), dtype=np.float64).reshape(3, 3)
+    transform[:3, 3] = np.array(fields["T"].split(), dtype=np.float64)
+    return transform
+
+
+def parse_tr(text: str) -> FloatArray:
+    """Return Tr = T_camera_velo (4, 4) float64 of the text of a `calib.txt`."""
+    transform = np.eye(4)
+    line = next(line for line in text.splitlines() if line.startswith("Tr:"))
+    transform[:3] = np.array(line.split()[1:], dtype=np.float64).reshape(3, 4)
+    return transform
+
+
+def lidar_fixes(rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the geodetic poses of the LiDAR.
+
+    Parameters
+    ----------
+    rows : (N, 6 or more) float64
+        Latitude, longitude (degrees), altitude (metres), roll, pitch, yaw (radians) of the IMU.
+
+    Returns
+    -------
+    lat_deg, lon_deg, alt_m : (N,) float64
+    R_enu_lidar : (N, 3, 3) float64
+    """
+    T_imu_velo = invert_transform(parse_imu_to_velo(IMU_TO_VELO_TEXT))
+    R_enu_imu = rotation_from_rpy(rows[:, 3], rows[:, 4], rows[:, 5])
+    offset = R_enu_imu @ T_imu_velo[:3, 3]
+    lonlat = lonlat_from_enu(rows[:, 0], rows[:, 1], offset[:, :2])
+    return lonlat[:, 1], lonlat[:, 0], rows[:, 2] + offset[:, 2], R_enu_imu @ T_imu_velo[:3, :3]
+
+
+def oxts_rows(
+    lat_deg: FloatArray, lon_deg: FloatArray, alt_m: FloatArray, R_enu_lidar: FloatArray, times_s: FloatArray
+) -> FloatArray:
+    """Return (N, 30) OXTS values of an IMU that is mounted as in KITTI: the inverse of `lidar_fixes`.
+
+    Velocities are differences; accelerations and rates that nothing here reads are zero.
+    """
+    T_velo_imu = parse_imu_to_velo(IMU_TO_VELO_TEXT)
+    R = R_enu_lidar @ T_velo_imu[:3, :3]
+    offset = R_enu_lidar @ T_velo_imu[:3, 3]
+    lonlat = lonlat_from_enu(lat_deg, lon_deg, offset[:, :2])
+    rows = np.zeros((len(lat_deg), 30))
+    rows[:, 0], rows[:, 1], rows[:, 2] = lonlat[:, 1], lonlat[:, 0], alt_m + offset[:, 2]
+    rows[:, 3] = np.arctan2(R[:, 2, 1], R[:, 2, 2])
+    rows[:, 4] = np.arcsin(np.clip(-R[:, 2, 0], -1, 1))
+    rows[:, 5] = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+    if len(rows) > 1:
+        enu = enu_from_lonlat(rows[0, 0], rows[0, 1], lonlat)
+        velocity = np.gradient(np.column_stack([enu, rows[:, 2]]), times_s, axis=0)
+        rows[:, 6], rows[:, 7] = velocity[:, 1], velocity[:, 0]
+        rows[:, 8:11] = np.einsum("nji,nj->ni", R, velocity)
+    rows[:, 13] = 9.81
+    rows[:, 23:25] = 0.02
+    rows[:, 25:30] = [4, 10, 6, 6, 6]
+    return rows
+
+
+def format_oxts(row: FloatArray) -> str:
+    """Write 30 values as one OXTS file: 25 numbers and 5 counts."""
+    return " ".join([*(f"{v:.13g}" for v in row[:25]), *(str(int(v)) for v in row[25:30])]) + "\n"
+
 
 _STEP_M = 0.25
 
@@ -81,7 +166,7 @@ def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate
     Parameters
     ----------
     rows : (N, 30) float64
-        OXTS values of the IMU, one row a scan.
+        OXTS values of the IMU, one row per scan.
     times_s : (N,) float64
         Times; none: at `rate_hz`.
 
@@ -92,40 +177,18 @@ def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate
     """
     rows = np.atleast_2d(np.asarray(rows, dtype=np.float64))
     if rows.ndim != 2 or rows.shape[1] < 6 or len(rows) == 0:
-        raise DriveError(f"OXTS rows: found an array of shape {rows.shape}. Expected 30 values a row, one row a scan.")
+        raise DriveError(
+            f"OXTS rows: found an array of shape {rows.shape}. Expected 30 values per row, one row per scan."
+        )
     if rows.shape[1] < 30:
         rows = np.hstack([rows, np.zeros((len(rows), 30 - rows.shape[1]))])
     if not np.isfinite(rows[:, :6]).all() or np.abs(rows[:, 0]).max() > 90 or np.abs(rows[:, 1]).max() > 180:
         bad = int(np.argmax(~np.isfinite(rows[:, :6]).all(axis=1) | (np.abs(rows[:, 0]) > 90)))
         raise DriveError(
-            f"OXTS rows: row {bad} is no pose on the earth: {rows[bad, :6]}. Expected lat, lon, alt, r, p, y."
+            f"OXTS rows: row {bad} is not a pose on the earth: {rows[bad, :6]}. Expected lat, lon, alt, r, p, y."
         )
     times = np.arange(len(rows)) / rate_hz if times_s is None else np.asarray(times_s, dtype=np.float64)
     return Track(*lidar_fixes(rows), times_s=times, oxts=rows[:, :30])
-
-
-def read_oxts(path: Path) -> FloatArray:
-    """Read OXTS rows: a text file (may be .gz) of one row a scan, or a folder of one file a scan (`oxts/data`).
-
-    Raises
-    ------
-    DriveError
-        Nothing there, or no numbers.
-    """
-    try:
-        if path.is_dir():
-            files = sorted(path.glob("*.txt"))
-            if not files:
-                raise DriveError(
-                    f"{path}: no *.txt in this folder. Expected one OXTS file a scan (`oxts/data` of a drive)."
-                )
-            return np.array([file.read_text().split() for file in files], dtype=np.float64)
-        text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-        return np.array([line.split() for line in text.decode().splitlines() if line.strip()], dtype=np.float64)
-    except (ValueError, EOFError, UnicodeDecodeError) as error:
-        raise DriveError(f"{path}: no OXTS rows ({error}). Expected 30 numbers a row, one row a scan.") from error
-    except OSError as error:
-        raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
 
 
 def track_from_line(lonlat: FloatArray, alt_m: FloatArray | None = None, config: TrackConfig | None = None) -> Track:
@@ -214,18 +277,6 @@ def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> F
         tail = 2 * path[-1] - path[-2 : -reach - 2 : -1]
         path = gaussian_filter1d(np.concatenate([head, path, tail]), width, axis=0, mode="nearest")[reach:-reach]
     return path
-
-
-def keyframe_indices(T_world_lidar: FloatArray, *, distance_m: float = 2.0, angle_deg: float = 5.0) -> IntArray:
-    """Return the scans that the method would use: the first, then each that moved or turned enough (paper, III-B.2)."""
-    keep = [0]
-    limit = np.radians(angle_deg)
-    for i in range(1, len(T_world_lidar)):
-        last, here = T_world_lidar[keep[-1]], T_world_lidar[i]
-        moved = float(np.linalg.norm(here[:3, 3] - last[:3, 3]))
-        if moved > distance_m or rotation_angle(last[:3, :3], here[:3, :3]) > limit:
-            keep.append(i)
-    return np.array(keep, dtype=np.int64)
 
 
 def camera_poses(T_map_lidar: FloatArray, tr: FloatArray) -> FloatArray:

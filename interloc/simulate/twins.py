@@ -8,17 +8,17 @@ from typing import Literal
 import numpy as np
 
 from interloc.errors import DriveError
-from interloc.simulate.config import LidarConfig, SceneConfig
-from interloc.simulate.drive import Progress
-from interloc.simulate.maps import simulate_map
+from interloc.simulate.config import SceneConfig, SimulationOptions
+from interloc.simulate.drive import Progress, simulate_map
 from interloc.simulate.scene import Scene, build_scene
-from interloc.simulate.tracks import Track, read_oxts, track_from_oxts
+from interloc.simulate.track_files import read_oxts
+from interloc.simulate.tracks import Track, track_from_oxts
 
 TWIN_SEQUENCES = ("00", "02", "05", "06", "07", "08", "09", "10")
 
 
 def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> Track:
-    """Return the track of a sequence: OXTS says where the LiDAR was, the given poses are what is written.
+    """Return the track of a sequence: places from OXTS, and the given poses to be written with the drive.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] =
     Raises
     ------
     DriveError
-        A file is missing or no such sequence.
+        A file is missing, or there is no such sequence.
     """
     root = Path(kitti_dir)
     names = {
@@ -86,14 +86,9 @@ def simulate_twin(
     kitti_dir: Path,
     sequence: str,
     out: Path,
+    options: SimulationOptions,
     *,
     poses: Literal["suma", "gt"] = "suma",
-    seed: int = 0,
-    keyframes_only: bool = True,
-    ground_only: bool = False,
-    max_scans: int | None = None,
-    scene: SceneConfig | None = None,
-    sensor: LidarConfig | None = None,
     progress: Progress | None = None,
 ) -> int:
     """Simulate a KITTI sequence along its real track over its real map.
@@ -101,11 +96,9 @@ def simulate_twin(
     Parameters
     ----------
     kitti_dir, sequence, poses
-        See `twin_track`; and `osm/NN.osm.gz`, `osm_buildings/NN.osm.gz` (optional: houses are made up then).
-    out, seed, keyframes_only, ground_only, max_scans, sensor, progress
+        See `twin_track`; and `osm/NN.osm.gz`, `osm_buildings/NN.osm.gz` (optional: houses are made up without it).
+    out, options, progress
         See `simulate_drive`.
-    scene
-        What the world looks like.
 
     Returns
     -------
@@ -124,13 +117,8 @@ def simulate_twin(
         twin_track(kitti_dir, sequence, poses=poses),
         roads,
         out,
+        options,
         buildings=buildings,
-        seed=seed,
-        keyframes_only=keyframes_only,
-        ground_only=ground_only,
-        max_scans=max_scans,
-        scene=scene,
-        sensor=sensor,
         about={"twin": sequence, "poses": poses},
         progress=progress,
     )

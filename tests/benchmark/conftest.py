@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from interloc.benchmark.row import Cell, MapPicture, Row
-from interloc.simulate.config import LidarConfig
+from interloc.simulate.config import LidarConfig, SimulationOptions
 from interloc.simulate.town import simulate_town
 
 NOTHING = MapPicture(roads=(), track=((0.0, 0.0), (9.0, 0.0)), true=(), false=(), found=(), missed=(), beyond=())
@@ -61,7 +61,8 @@ def row() -> Callable[..., Row]:
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first 150 m of the plain part of the made-up town, with map.osm. Shared: do not change it."""
     path = tmp_path_factory.mktemp("drives") / "town"
-    simulate_town(path, keyframes_only=True, ground_only=True, max_scans=70, sensor=LidarConfig(columns=900))
+    sensor = LidarConfig(columns=900)
+    simulate_town(path, SimulationOptions(keyframes_only=True, ground_only=True, max_scans=70, sensor=sensor))
     return path
 
 

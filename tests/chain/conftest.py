@@ -14,9 +14,16 @@ from interloc.drives.open import open_drive
 from interloc.geometry import enu_from_lonlat
 from interloc.pipeline import detect
 from interloc.results import DriveResult
-from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
+from interloc.simulate.config import (
+    LidarConfig,
+    RoadsideConfig,
+    SceneConfig,
+    SimulationOptions,
+    StreetConfig,
+    TrackConfig,
+)
+from interloc.simulate.drive import simulate_map
 from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.maps import simulate_map
 from interloc.simulate.town import simulate_town
 from interloc.simulate.tracks import track_from_line
 
@@ -86,7 +93,8 @@ def write_junction_drive(out: Path, shape: str, angle_deg: float, route: str, *,
     roads = out.parent / "map.osm"
     roads.write_text(one_junction(shape, angle_deg))
     track = track_from_line(route_line(shape, angle_deg, route), None, TRACK)
-    simulate_map(track, roads, out, keyframes_only=True, ground_only=ground_only, scene=BARE_SCENE, sensor=EXACT_LIDAR)
+    options = SimulationOptions(keyframes_only=True, ground_only=ground_only, scene=BARE_SCENE, sensor=EXACT_LIDAR)
+    simulate_map(track, roads, out, options)
     return out
 
 
@@ -112,15 +120,8 @@ def from_origin() -> Callable[[FloatArray], FloatArray]:
 def town_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The drive through the plain part of the made-up town, its map beside it."""
     out = tmp_path_factory.mktemp("town") / "plain"
-    simulate_town(
-        out,
-        part="plain",
-        keyframes_only=True,
-        ground_only=True,
-        track=TrackConfig(speed_mps=8.2),
-        scene=BARE_SCENE,
-        sensor=EXACT_LIDAR,
-    )
+    options = SimulationOptions(keyframes_only=True, ground_only=True, scene=BARE_SCENE, sensor=EXACT_LIDAR)
+    simulate_town(out, options, track=TrackConfig(speed_mps=8.2))
     return out
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from interloc.simulate.config import LidarConfig
+from interloc.simulate.config import LidarConfig, SimulationOptions
 from interloc.simulate.town import simulate_town
 
 TABLES = ("detections", "keyframes", "intersections", "trajectory")
@@ -45,7 +45,7 @@ def assert_same(interloc: Callable, tmp_path: Path) -> Callable[..., None]:
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A noisy drive through the made-up town, every scan of it (several a keyframe), with all its points."""
     drive = tmp_path_factory.mktemp("town") / "town"
-    simulate_town(drive, part="plain", keyframes_only=False, max_scans=300, sensor=LidarConfig(columns=512))
+    simulate_town(drive, SimulationOptions(max_scans=300, sensor=LidarConfig(columns=512)))
     return drive
 
 

@@ -40,6 +40,7 @@ from interloc.drives.open import open_drive
 from interloc.kernels.thinning import DELETABLE, thin
 from interloc.output.write import write_results
 from interloc.pipeline import detect
+from interloc.simulate.config import SimulationOptions
 from interloc.simulate.town import simulate_town
 
 Measure = Callable[[Path], dict[str, float]]
@@ -174,7 +175,7 @@ def made_up_drive() -> Path:
     root = Path(tempfile.gettempdir()) / "interloc-bench" / "town"
     if not root.exists():
         click.echo(f"simulating a drive to {root} (700 MB, half a minute) ...", err=True)
-        simulate_town(root, part="plain", keyframes_only=True)
+        simulate_town(root, SimulationOptions(keyframes_only=True))
     return root
 
 

@@ -1,8 +1,9 @@
-"""The files of a simulated drive."""
+"""The files of a simulated drive, and a drive from a map and a track in one call."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import OutputError
 from interloc.geometry import enu_from_lonlat
-from interloc.simulate.config import LidarConfig
-from interloc.simulate.drive import simulate_drive
+from interloc.simulate.config import LidarConfig, SimulationOptions, TrackConfig
+from interloc.simulate.drive import simulate_drive, simulate_map
+from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.scene import Scene
+from interloc.simulate.track_files import open_track
 from interloc.simulate.tracks import Track
 
 
@@ -23,7 +26,7 @@ def folder(
     street_scene: Scene, straight_track: Track, small_sensor: LidarConfig, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     out = tmp_path_factory.mktemp("drive") / "street"
-    simulate_drive(street_scene, straight_track, out, seed=5, sensor=small_sensor, max_scans=12)
+    simulate_drive(street_scene, straight_track, out, SimulationOptions(seed=5, sensor=small_sensor, max_scans=12))
     return out
 
 
@@ -59,9 +62,8 @@ def test_a_selection_gives_the_same_scans(
     folder: Path, street_scene: Scene, straight_track: Track, small_sensor: LidarConfig, tmp_path: Path
 ) -> None:
     out = tmp_path / "keyframes"
-    count = simulate_drive(
-        street_scene, straight_track, out, seed=5, sensor=small_sensor, keyframes_only=True, max_scans=3
-    )
+    options = SimulationOptions(seed=5, sensor=small_sensor, keyframes_only=True, max_scans=3)
+    count = simulate_drive(street_scene, straight_track, out, options)
     assert count == 3
     chosen = json.loads((out / "simulation.json").read_text())["track_frames"]
     assert chosen[0] == 0
@@ -78,9 +80,7 @@ def test_ground_only_keeps_what_the_method_reads(
         street_scene,
         straight_track,
         tmp_path / "ground",
-        sensor=small_sensor,
-        ground_only=True,
-        max_scans=2,
+        SimulationOptions(sensor=small_sensor, ground_only=True, max_scans=2),
         progress=lambda done, of: seen.append((done, of)),
     )
     assert set(np.unique(np.fromfile(tmp_path / "ground/labels/000000.label", np.uint32))) == {40, 48}
@@ -91,8 +91,9 @@ def test_a_run_that_stops_leaves_nothing(street_scene: Scene, straight_track: Tr
     def stop(_: int, __: int) -> None:
         raise KeyboardInterrupt
 
+    options = SimulationOptions(sensor=LidarConfig(columns=36))
     with pytest.raises(KeyboardInterrupt):
-        simulate_drive(street_scene, straight_track, tmp_path / "out", sensor=LidarConfig(columns=36), progress=stop)
+        simulate_drive(street_scene, straight_track, tmp_path / "out", options, progress=stop)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -101,3 +102,25 @@ def test_a_folder_of_something_else_stays(street_scene: Scene, straight_track: T
     with pytest.raises(OutputError, match="thesis"):
         simulate_drive(street_scene, straight_track, tmp_path)
     assert (tmp_path / "thesis.txt").read_text() == "mine"
+
+
+def test_a_csv_track_over_a_map(frame: LocalFrame, write_map: Callable[..., Path], tmp_path: Path) -> None:
+    roads = write_map(
+        ([(-90.0, 0.0), (0.0, 0.0), (90.0, 0.0)], {"highway": "residential"}),
+        ([(0.0, 0.0), (20.0, 80.0)], {"highway": "residential"}),
+    )
+    lonlat = frame.lonlat([[-30, 0], [0, 0], [10, 40]])
+    track = tmp_path / "track.csv"
+    track.write_text("lat,lon\n" + "".join(f"{lat:.9f},{lon:.9f}\n" for lon, lat in lonlat))
+    count = simulate_map(
+        open_track(track, TrackConfig(speed_mps=10, rate_hz=4)),
+        roads,
+        tmp_path / "drive",
+        SimulationOptions(sensor=LidarConfig(columns=120)),
+    )
+    drive = open_drive(tmp_path / "drive")
+    assert count == len(drive.frames)
+    assert 26 <= count <= 29  # 71 m at 2.5 m a scan, less what rounding the corner saves
+    assert np.linalg.norm(drive.T_world_lidar[-1, :3, 3] - drive.T_world_lidar[0, :3, 3]) > 50
+    labels = np.fromfile(tmp_path / "drive/labels/000010.label", np.uint32)
+    assert 50 in labels  # houses are made up where the map has none

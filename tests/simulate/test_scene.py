@@ -13,8 +13,8 @@ from interloc.kernels.raycast import surface_at
 from interloc.simulate.config import RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
 from interloc.simulate.heights import fit_heights
 from interloc.simulate.local_frame import LocalFrame
+from interloc.simulate.osm_map import road_width_m
 from interloc.simulate.scene import Scene, build_scene
-from interloc.simulate.street_classes import road_width_m
 from interloc.simulate.surfaces import Surface
 from interloc.simulate.tracks import Track, track_from_line
 

@@ -11,7 +11,7 @@ from interloc.errors import ConfigError
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
-from interloc.simulate.config import LidarConfig, TrackConfig
+from interloc.simulate.config import LidarConfig, SimulationOptions, TrackConfig
 from interloc.simulate.town import Town, simulate_town
 
 
@@ -73,9 +73,7 @@ def test_the_map_depends_on_the_seed_alone() -> None:
 def test_a_drive_through_the_town_brings_its_map(tmp_path: Path) -> None:
     count = simulate_town(
         tmp_path / "town",
-        max_scans=3,
-        keyframes_only=True,
-        sensor=LidarConfig(columns=90),
+        SimulationOptions(max_scans=3, keyframes_only=True, sensor=LidarConfig(columns=90)),
         track=TrackConfig(rate_hz=4),
     )
     assert count == 3

@@ -11,10 +11,15 @@ import pytest
 from interloc.errors import DriveError
 from interloc.geometry import yaw_of
 from interloc.simulate.config import TrackConfig
-from interloc.simulate.lines import open_track, read_csv, read_gpx
 from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.oxts import format_oxts, lidar_fixes, oxts_rows
-from interloc.simulate.tracks import keyframe_indices, track_from_line, track_from_oxts
+from interloc.simulate.track_files import open_track, read_csv, read_gpx
+from interloc.simulate.tracks import (
+    format_oxts,
+    lidar_fixes,
+    oxts_rows,
+    track_from_line,
+    track_from_oxts,
+)
 
 GPX = """<?xml version="1.0"?><gpx xmlns="http://www.topografix.com/GPX/1/1" version="1.1"><trk><trkseg>
 <trkpt lat="49.0" lon="8.4"><ele>110</ele><time>2024-01-01T00:00:00Z</time></trkpt>
@@ -63,11 +68,11 @@ def test_gpx(tmp_path: Path) -> None:
     [
         ('<?xml version="1.0"?><!DOCTYPE gpx [<!ENTITY a "b">]><gpx/>', "DOCTYPE"),
         ('<gpx version="1.1"><wpt lat="1" lon="2"/></gpx>', "no track"),
-        ("", "is no GPX file"),
+        ("", "is not a GPX file"),
         ("<kml/>", "starts with <kml>"),
         ('<gpx><trk><trkseg><trkpt lat="x" lon="2"/></trkseg></trk></gpx>', "without numbers"),
         ('<gpx><trk><trkseg><trkpt lat="95" lon="2"/></trkseg></trk></gpx>', "latitude 95"),
-        ('<gpx><trk><trkseg><trkpt lat="49" lon="8"/>', "is no GPX file"),
+        ('<gpx><trk><trkseg><trkpt lat="49" lon="8"/>', "is not a GPX file"),
     ],
 )
 def test_bad_gpx(tmp_path: Path, text: str, message: str) -> None:
@@ -133,11 +138,3 @@ def test_lines_that_cannot_be_driven(frame: LocalFrame) -> None:
         track_from_line(frame.lonlat([[0, 0], [0, 0]]))
     with pytest.raises(DriveError, match=r"3,000 m apart.*Usual cause"):
         track_from_line(frame.lonlat([[0, 0], [3000, 0]]))
-
-
-def test_keyframes_are_those_of_the_method() -> None:
-    poses = np.tile(np.eye(4), (8, 1, 1))
-    poses[:, 0, 3] = [0, 1, 2, 2.5, 4, 4.6, 4.7, 4.7]
-    turn = np.radians(6)
-    poses[7, :2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-    assert keyframe_indices(poses).tolist() == [0, 3, 5, 7]

@@ -12,7 +12,7 @@ from shapely.geometry import LineString
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError
 from interloc.geometry import lonlat_from_enu
-from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig
+from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions
 from interloc.simulate.drive import simulate_drive
 from interloc.simulate.osm_map import read_map
 from interloc.simulate.twins import simulate_twin, twin_scene, twin_track
@@ -25,7 +25,8 @@ def test_road_points_lie_on_the_streets_of_the_map(kitti_dir: Path, tmp_path: Pa
     scene = twin_scene(kitti_dir, "07", track, config=bare)
     assert 0.3 < np.median(scene.distances_to_centrelines()) < 1.1
     exact = LidarConfig(columns=180, range_noise_m=0, surface_noise=0, road_half_range_m=None)
-    simulate_drive(scene, track, tmp_path / "07", sensor=exact, keyframes_only=True, max_scans=40)
+    options = SimulationOptions(sensor=exact, keyframes_only=True, max_scans=40)
+    simulate_drive(scene, track, tmp_path / "07", options)
     drive = open_drive(tmp_path / "07")
     fix = drive.georeference
     assert fix is not None
@@ -46,7 +47,8 @@ def test_road_points_lie_on_the_streets_of_the_map(kitti_dir: Path, tmp_path: Pa
 def test_the_poses_written_are_the_given_ones(kitti_dir: Path, tmp_path: Path) -> None:
     for poses in ("suma", "gt"):
         out = tmp_path / poses
-        simulate_twin(kitti_dir, "07", out, poses=poses, max_scans=5, sensor=LidarConfig(columns=36))  # type: ignore[arg-type]
+        options = SimulationOptions(keyframes_only=True, max_scans=5, sensor=LidarConfig(columns=36))
+        simulate_twin(kitti_dir, "07", out, options, poses=poses)  # type: ignore[arg-type]
         given = np.loadtxt(kitti_dir / f"poses_{poses}" / "07.txt")
         written = np.loadtxt(out / "poses.txt")
         assert all((np.abs(given - row).max(axis=1) < 1e-6).any() for row in written)

@@ -1,8 +1,9 @@
-"""Reading the line of a track from GPX and CSV files. Both are somebody's upload: checked, never trusted."""
+"""Reading a track from GPX, CSV and OXTS files, which are checked and never trusted."""
 
 from __future__ import annotations
 
 import csv
+import gzip
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.errors import DriveError
 from interloc.simulate.config import TrackConfig
-from interloc.simulate.tracks import Track, read_oxts, track_from_line, track_from_oxts
+from interloc.simulate.tracks import Track, track_from_line, track_from_oxts
 
 MAX_POINTS = 2_000_000
 _POINT_TAGS = {"trkpt", "rtept"}
@@ -69,14 +70,14 @@ def read_gpx(path: Path) -> tuple[FloatArray, FloatArray | None]:
             parser.Parse(b"", True)
     except expat.ExpatError as error:
         raise DriveError(
-            f"{path}: is no GPX file ({error}). Expected XML with <gpx> and <trkpt lat=.. lon=..>."
+            f"{path}: is not a GPX file ({error}). Expected XML with <gpx> and <trkpt lat=.. lon=..>."
         ) from error
     except OSError as error:
         raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
     points = reader.points["trkpt"] or reader.points["rtept"]
     if not points:
         raise DriveError(
-            f"{path}: no track in this file. Expected <trkpt lat=.. lon=..> elements; waypoints make no line."
+            f"{path}: no track in this file. Expected <trkpt lat=.. lon=..> elements; waypoints are not enough."
         )
     return _checked(path, np.array(points))
 
@@ -92,7 +93,7 @@ def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
     Raises
     ------
     DriveError
-        No such header, no rows, or no numbers.
+        The header lacks a column, there are no rows, or a value is not a number.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -115,12 +116,38 @@ def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
                 if len(points) > MAX_POINTS:
                     raise DriveError(f"{path}: more than {MAX_POINTS:,} points. Thin the track out first.")
     except (ValueError, IndexError, csv.Error) as error:
-        raise DriveError(f"{path}: line {rows.line_num} is no point of a track ({error}). Expected degrees.") from error
+        raise DriveError(
+            f"{path}: line {rows.line_num} is not a point of a track ({error}). Expected degrees."
+        ) from error
     except OSError as error:
         raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
     if not points:
-        raise DriveError(f"{path}: no rows below the header. Expected one point of the track a row.")
+        raise DriveError(f"{path}: no rows below the header. Expected one point of the track per row.")
     return _checked(path, np.array(points))
+
+
+def read_oxts(path: Path) -> FloatArray:
+    """Read OXTS rows: a text file (may be .gz) of one row per scan, or a folder of one file per scan (`oxts/data`).
+
+    Raises
+    ------
+    DriveError
+        There is no such file, or it does not hold numbers.
+    """
+    try:
+        if path.is_dir():
+            files = sorted(path.glob("*.txt"))
+            if not files:
+                raise DriveError(
+                    f"{path}: no *.txt in this folder. Expected one OXTS file per scan (`oxts/data` of a drive)."
+                )
+            return np.array([file.read_text().split() for file in files], dtype=np.float64)
+        text = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+        return np.array([line.split() for line in text.decode().splitlines() if line.strip()], dtype=np.float64)
+    except (ValueError, EOFError, UnicodeDecodeError) as error:
+        raise DriveError(f"{path}: not OXTS rows ({error}). Expected 30 numbers per row, one row per scan.") from error
+    except OSError as error:
+        raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
 
 
 @dataclass
@@ -135,7 +162,7 @@ class _GpxReader:
     def start(self, name: str, attributes: dict[str, str]) -> None:
         tag = name.rsplit(" ", 1)[-1]
         if self.depth == 0 and tag != "gpx":
-            raise DriveError(f"{self.path}: is XML, but no GPX: it starts with <{tag}>. Expected <gpx>.")
+            raise DriveError(f"{self.path}: is XML, but not GPX: it starts with <{tag}>. Expected <gpx>.")
         self.depth += 1
         if tag in _POINT_TAGS:
             try:
