@@ -1,11 +1,12 @@
-"""What all figures share: colours that colour-blind readers tell apart, a quiet frame, and files."""
+"""What all figures share: colours that colour-blind readers tell apart, marks, a quiet frame, and image files."""
 
 from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from interloc.arrays import FloatArray
 from interloc.files import atomic_write
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def quiet(axes: Axes, *, grid: Literal["x", "y", "both"] = "y") -> None:
-    """Take away what is no data: top and right frame, ticks; draw the grid behind."""
+    """Take away what is not data (top and right frame) and draw the rest faintly, with the grid behind."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(MUTED)
     axes.tick_params(colors=INK, length=3, color=MUTED, labelsize=9)
@@ -35,11 +36,19 @@ def quiet(axes: Axes, *, grid: Literal["x", "y", "both"] = "y") -> None:
     axes.set_axisbelow(True)
 
 
+def mark(axes: Axes, xy: FloatArray, sign: str, size: float, **style: Any) -> None:  # noqa: ANN401 - matplotlib's
+    """Draw (N, 2) points as one sign of matplotlib each, `size` in points; `style` goes to `Axes.plot`."""
+    axes.plot(*xy.T, linestyle="none", marker=sign, markersize=size, **style)
+
+
 def image(figure: Figure, kind: ImageFormat, *, dpi: int = 150) -> bytes:
-    """Return the bytes of an image file of a figure; the same figure gives the same PNG."""
+    """Return the bytes of an image file of a figure; the same figure gives the same bytes."""
+    import matplotlib as mpl  # noqa: PLC0415 - slow to import
+
     buffer = io.BytesIO()
     metadata = {"Date": None} if kind == "svg" else {"Software": None}
-    figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    with mpl.rc_context({"svg.hashsalt": "interloc"}):  # else the ids within an SVG are random
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
 
 
@@ -50,10 +59,10 @@ def write_image(path: Path, content: bytes) -> None:
 
 
 def percent(value: float | None) -> str:
-    """Say a ratio for a person: "94.2 %", or a dash where it is undefined."""
+    """Return a ratio for a person: "94.2 %", or a dash where it is undefined."""
     return "–" if value is None else f"{100.0 * value:.1f} %"  # noqa: RUF001 - a dash, not a minus
 
 
 def metres(value: float | None) -> str:
-    """Say a distance for a person: "1.28 m", or a dash where it is undefined."""
+    """Return a distance for a person: "1.28 m", or a dash where it is undefined."""
     return "–" if value is None else f"{value:.2f} m"  # noqa: RUF001

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 from interloc.geometry import (
     bearing_deg,
+    ecef_from_geodetic,
     enu_from_lonlat,
     invert_transform,
     lonlat_from_enu,
@@ -125,3 +126,13 @@ def test_places_agree_with_the_geodesic(lat: float) -> None:
 def test_enu_and_lonlat_undo_each_other(lat: float, lon: float, xy: tuple[float, float], scale: int) -> None:
     point = np.array(xy) * scale
     assert_allclose(enu_from_lonlat(lat, lon, lonlat_from_enu(lat, lon, point)), point, atol=1e-7)
+
+
+def test_earth_centred_positions_are_those_of_pyproj() -> None:
+    lat, lon, alt = (
+        np.array([49.0, -33.9, 89.9, 0.0]),
+        np.array([8.4, 151.2, -77.0, 180.0]),
+        np.array([115, -20, 0, 9e3]),
+    )
+    expected = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True).transform(lon, lat, alt)
+    assert_allclose(ecef_from_geodetic(lat, lon, alt), np.stack(expected, axis=-1), atol=1e-8)

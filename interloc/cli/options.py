@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -180,8 +179,4 @@ def fetch_map(result: DriveResult, *, quiet: bool) -> RoadGraph:
         if not quiet:
             click.echo(f"{reason} ({seconds:.0f} s)", err=True)
 
-    return download_roads(drive_bounds(result), cache_dir=_cache_dir(), on_wait=wait)
-
-
-def _cache_dir() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "interloc" / "overpass"
+    return download_roads(drive_bounds(result), on_wait=wait)

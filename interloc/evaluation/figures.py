@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray
+from interloc.arrays import FloatArray
 from interloc.drawing import (
     BLUE,
     FAINT,
@@ -17,6 +17,7 @@ from interloc.drawing import (
     PURPLE,
     VERMILION,
     YELLOW,
+    mark,
     metres,
     new_figure,
     percent,
@@ -66,17 +67,8 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     axes.plot(*track.T, color=INK, linewidth=1.1, alpha=0.8, zorder=3, label="track")
     _draw_detections(axes, evaluation, plane)
     _draw_nodes(axes, evaluation, plane)
-    axes.plot(
-        *plane(result.intersections.lonlat).T,
-        linestyle="none",
-        marker="P",
-        markersize=10,
-        markerfacecolor=YELLOW,
-        markeredgecolor=INK,
-        markeredgewidth=0.7,
-        zorder=4,
-        label="fused intersection",
-    )
+    fused = {"markerfacecolor": YELLOW, "markeredgecolor": INK, "markeredgewidth": 0.7, "label": "fused intersection"}
+    mark(axes, plane(result.intersections.lonlat), "P", 10, zorder=4, **fused)
     _draw_scale_bar(axes, low, high)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
@@ -104,28 +96,23 @@ def _draw_detections(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  #
     place = plane(evaluation.detections.lonlat)
     true = evaluation.matching.error_m < STANDARD_THRESHOLD_M
     bound = f"{STANDARD_THRESHOLD_M:g} m"
-    styles: list[tuple[BoolArray, dict[str, Any]]] = [
-        (true, {"marker": "o", "markersize": 3.2, "color": BLUE, "label": f"detection, node within {bound} (TP)"}),
-        (
-            ~true,
-            {"marker": "x", "markersize": 4.5, "color": VERMILION, "label": f"detection, none within {bound} (FP)"},
-        ),
-    ]
-    for mask, style in styles:
-        axes.plot(*place[mask].T, linestyle="none", alpha=0.8, zorder=7, markeredgewidth=1.1, **style)
+    for mask, sign, size, colour, label in (
+        (true, "o", 3.2, BLUE, f"detection, node within {bound} (TP)"),
+        (~true, "x", 4.5, VERMILION, f"detection, none within {bound} (FP)"),
+    ):
+        mark(axes, place[mask], sign, size, color=colour, alpha=0.8, zorder=7, markeredgewidth=1.1, label=label)
 
 
 def _draw_nodes(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401
     table = evaluation.node_table
     place = plane(evaluation.nodes.lonlat)
-    styles: list[tuple[BoolArray, dict[str, Any]]] = [
-        (~table.in_zone, {"marker": "s", "markersize": 3.5, "color": MUTED, "label": "OSM node out of reach"}),
-        (table.in_zone & table.found, {"marker": "s", "markersize": 11, "color": GREEN, "label": "OSM node, found"}),
-        (table.in_zone & ~table.found, {"marker": "D", "markersize": 10, "color": PURPLE, "label": "OSM node, missed"}),
-    ]
-    for mask, style in styles:
-        edge_width = 1.0 if style["markersize"] == 3.5 else 2.0
-        axes.plot(*place[mask].T, linestyle="none", fillstyle="none", markeredgewidth=edge_width, zorder=6, **style)
+    for mask, sign, size, width, colour, label in (
+        (~table.in_zone, "s", 3.5, 1.0, MUTED, "OSM node out of reach"),
+        (table.in_zone & table.found, "s", 11, 2.0, GREEN, "OSM node, found"),
+        (table.in_zone & ~table.found, "D", 10, 2.0, PURPLE, "OSM node, missed"),
+    ):
+        style = {"color": colour, "fillstyle": "none", "markeredgewidth": width, "label": label}
+        mark(axes, place[mask], sign, size, zorder=6, **style)
 
 
 def _draw_scale_bar(axes: Axes, low: FloatArray, high: FloatArray) -> None:
@@ -193,7 +180,7 @@ def error_figure(evaluation: Evaluation) -> Figure:
 
 
 def draw_boxes(axes: Axes, samples: list[FloatArray], *, horizontal: bool = False) -> None:
-    """Draw a box a sample with the paper's percentiles; a sample without values leaves its place empty."""
+    """Draw one box per sample with the paper's percentiles; a sample without values leaves its place empty."""
     for position, values in enumerate(samples, start=1):
         if len(values) == 0:
             continue

@@ -1,7 +1,7 @@
-"""Roads from a public Overpass server: the only module of the library that uses the network.
+"""Roads from a public Overpass server.
 
-osmnx asks; this module sees to it that it asks politely and never in silence: our own user agent, one request at a time
-over all threads and processes, answers kept on disk, every wait announced, every refusal explained.
+osmnx asks. This module makes it polite, and never silent: a user agent of its own, one request at a time over all
+threads and processes, answers kept on disk, every wait announced, every refusal explained.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import hashlib
 import json
 import logging
 import math
-import shutil
 import socket
 import tempfile
 import threading
@@ -22,6 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import FileLock, Timeout
+from platformdirs import user_cache_path
 
 from interloc.errors import MapError, NetworkError, OutputError
 from interloc.osm.graph import Bounds, RoadGraph, Ways
@@ -35,14 +36,14 @@ DEFAULT_PAUSE_S = 30.0
 MAX_AREA_KM2 = 2_000.0
 
 OnWait = Callable[[str, float], None]
-"""Told why we wait and for how many seconds more, once a second; may raise to give up."""
+"""Called once per second of waiting with the reason and the seconds left; may raise to give up."""
 
 _ONE_AT_A_TIME = threading.Lock()
 _INSTEAD = "Give the map as a file (--osm), or try again later."
 
 
 class _BusyError(Exception):
-    """The server has no slot for us now."""
+    """The server has no free slot now."""
 
     def __init__(self, status: int, pause_s: float) -> None:
         super().__init__(status)
@@ -53,7 +54,7 @@ class _BusyError(Exception):
 def download_roads(
     bounds: Bounds,
     *,
-    cache_dir: Path,
+    cache_dir: Path | None = None,
     on_wait: OnWait | None = None,
     url: str = OVERPASS_URL,
     max_wait_s: float = MAX_WAIT_S,
@@ -66,9 +67,10 @@ def download_roads(
     bounds
         West, south, east, north, degrees.
     cache_dir
-        Answers are kept here, a folder each, until somebody deletes them; created where missing.
+        Answers are kept here, one folder per answer, until somebody deletes them; created where missing. None: the
+        cache folder of the user.
     on_wait
-        Told about every wait, and before the server is asked (with the seconds that it may take).
+        Called at every wait, and before the server is asked (with the seconds that it may take).
     url
         Base address of the Overpass server.
     max_wait_s
@@ -84,22 +86,23 @@ def download_roads(
     Raises
     ------
     MapError
-        The bounds are no area or too large a one, or hold no highway.
+        The bounds are not an area, or too large a one, or hold no highway.
     NetworkError
-        The server cannot be reached, refuses, has no slot for us, or gave up on the query.
+        The server cannot be reached, refuses, has no free slot, or gave up on the query.
     OutputError
         The cache cannot be written.
     """
     _check(bounds)
     wait = _Waiting(on_wait, max_wait_s)
-    # osmnx knows its answers by the text of its query, which another version of it may write in another way.
+    cache_dir = cache_dir or user_cache_path("interloc") / "overpass"
+    # osmnx finds its answers by the text of its query, which another version may write differently.
     key = f"osmnx {version('osmnx')} {url} {bounds}"
     answer = cache_dir / hashlib.sha256(key.encode()).hexdigest()[:32]
     try:
         cache_dir.mkdir(parents=True, exist_ok=True)
         with _ONE_AT_A_TIME:
             if not answer.is_dir():
-                with _lock_file(cache_dir / "overpass.lock", wait):
+                with _lock(cache_dir / "overpass.lock", wait):
                     if not answer.is_dir():  # the process that held the lock may have asked the same
                         _fetch(bounds, url, answer, timeout_s, wait)
             graph = _ask(bounds, url, answer, timeout_s)
@@ -112,7 +115,7 @@ def download_roads(
 def _check(bounds: Bounds) -> None:
     west, south, east, north = bounds
     if not (all(map(math.isfinite, bounds)) and -180 <= west < east <= 180 and -90 <= south < north <= 90):
-        raise MapError(f"bounds {bounds} are no area. Expected west < east and south < north, in degrees.")
+        raise MapError(f"bounds {bounds} are not an area. Expected west < east and south < north, in degrees.")
     area_km2 = (north - south) * 111.2 * (east - west) * 111.3 * math.cos(math.radians((north + south) / 2))
     if area_km2 > MAX_AREA_KM2:
         raise MapError(
@@ -122,7 +125,7 @@ def _check(bounds: Bounds) -> None:
 
 
 class _Waiting:
-    """Waits in sight of the user, and not for ever."""
+    """Waits where the user can see it, and not for ever."""
 
     def __init__(self, on_wait: OnWait | None, max_wait_s: float) -> None:
         self._on_wait = on_wait
@@ -134,7 +137,7 @@ class _Waiting:
             self._on_wait(reason, seconds)
 
     def sleep(self, reason: str, seconds: float) -> None:
-        """Wait for some seconds; raises NetworkError when the patience is used up."""
+        """Wait for some seconds; raise NetworkError where that would be longer than allowed in total."""
         if seconds > self._left_s:
             raise NetworkError(f"{reason}; waited as long as allowed. {_INSTEAD}")
         self._left_s -= seconds
@@ -147,20 +150,20 @@ class _Waiting:
 
 
 def _fetch(bounds: Bounds, url: str, answer: Path, timeout_s: int, wait: _Waiting) -> None:
-    """Ask until the server has time for us, and keep its answer; a folder that exists is a complete one."""
-    with _temporary_folder(answer.parent) as folder:
+    """Ask until the server has a free slot, and keep its answer; a folder that exists is complete."""
+    with tempfile.TemporaryDirectory(prefix="asking-", dir=answer.parent, ignore_cleanup_errors=True) as folder:
         while True:
             wait.announce(f"Asking {url} for the roads", timeout_s)
             try:
-                _ask(bounds, url, folder, timeout_s)
+                _ask(bounds, url, Path(folder), timeout_s)
                 break
             except _BusyError as busy:
                 wait.sleep(f"{url} is busy (status {busy.status})", busy.pause_s)
-        folder.rename(answer)
+        Path(folder).rename(answer)
 
 
 def _ask(bounds: Bounds, url: str, folder: Path, timeout_s: int) -> Any:  # noqa: ANN401 - networkx has no types
-    """Let osmnx fetch and build the graph of all highways, its cache in a folder of this query alone."""
+    """Let osmnx fetch and build the graph of all highways, with a cache folder for this query alone."""
     import osmnx  # noqa: PLC0415 - takes seconds to import
     import requests  # noqa: PLC0415
 
@@ -186,7 +189,7 @@ def _ask(bounds: Bounds, url: str, folder: Path, timeout_s: int) -> Any:  # noqa
 
 @contextmanager
 def _settings(url: str, folder: Path, timeout_s: int) -> Iterator[None]:
-    """Set osmnx, which is configured by globals only, and leave everything as it was."""
+    """Configure osmnx, which knows only global settings, and restore them afterwards."""
     import osmnx  # noqa: PLC0415
 
     ours = {
@@ -196,7 +199,7 @@ def _settings(url: str, folder: Path, timeout_s: int) -> Iterator[None]:
         "http_user_agent": f"InterLoc/{version('interloc')} (+interloc: road intersections from LiDAR)",
         "http_referer": "interloc",
         "requests_timeout": timeout_s,
-        # osmnx would sleep, and try again for ever, without a word: the hook hands every refusal to us instead.
+        # osmnx would sleep silently and try again for ever: the hook raises at every refusal instead.
         "overpass_rate_limit": False,
         "requests_kwargs": {"hooks": {"response": _inspect}},
         "doh_url_template": None,  # no look-ups at a third party when the name does not resolve
@@ -217,15 +220,15 @@ def _settings(url: str, folder: Path, timeout_s: int) -> Iterator[None]:
 
 
 def _inspect(response: Any, *_: object, **__: object) -> None:  # noqa: ANN401 - requests.Response
-    """Look at an answer before osmnx does, and say in words what is wrong with it."""
+    """Look at an answer before osmnx does, and raise an error that explains what is wrong with it."""
     status = int(response.status_code)
     if status in {429, 503, 504}:
         retry_after = response.headers.get("Retry-After", "")
         raise _BusyError(status, float(retry_after) if retry_after.isdigit() else DEFAULT_PAUSE_S)
     if status == 406:
         raise NetworkError(
-            f"{response.url} refused us (406 Not Acceptable): the server turns away clients that it does not know by "
-            f"name, and perhaps this version of ours. {_INSTEAD}"
+            f"{response.url} refused the request (406 Not Acceptable): the server turns away clients whose name it "
+            f"does not know, perhaps this version of InterLoc. {_INSTEAD}"
         )
     if status >= 400:
         raise NetworkError(f"{response.url} answered {status} {response.reason}. {_INSTEAD}")
@@ -233,37 +236,25 @@ def _inspect(response: Any, *_: object, **__: object) -> None:  # noqa: ANN401 -
         try:
             remark = response.json().get("remark", "")
         except (ValueError, AttributeError) as error:
-            raise NetworkError(f"{response.url} did not answer with JSON, so it is no Overpass server.") from error
+            raise NetworkError(f"{response.url} did not answer with JSON, so it is not an Overpass server.") from error
         if "error" in remark:  # a query that ran out of time or memory comes back half-full with status 200
             raise NetworkError(f"{response.url} gave up on the query ({remark.strip()}). {_INSTEAD}")
 
 
 @contextmanager
-def _lock_file(path: Path, wait: _Waiting) -> Iterator[None]:
-    """Hold a lock that other processes with the same cache respect, and that dies with the process."""
+def _lock(path: Path, wait: _Waiting) -> Iterator[None]:
+    """Hold a lock that other processes with the same cache respect, and that ends with the process."""
+    lock = FileLock(path)
+    while True:
+        try:
+            lock.acquire(blocking=False)
+            break
+        except Timeout:
+            wait.sleep("Another process is asking the Overpass server", 1.0)
     try:
-        import fcntl  # noqa: PLC0415
-    except ImportError:  # Windows: one request at a time within this process only
         yield
-        return
-    with path.open("w") as file:
-        while True:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                wait.sleep("Another process is asking the Overpass server", 1.0)
-        yield
-
-
-@contextmanager
-def _temporary_folder(parent: Path) -> Iterator[Path]:
-    """Yield a new folder that is gone afterwards unless it was renamed: no half-written answer is ever found."""
-    folder = Path(tempfile.mkdtemp(prefix="asking-", dir=parent))
-    try:
-        yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        lock.release()
 
 
 def _date_of(answer: Path) -> str | None:

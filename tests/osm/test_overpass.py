@@ -179,8 +179,8 @@ def test_waiting_can_be_given_up(town: Town, tmp_path: Path) -> None:
 REFUSALS = {
     "406": ((406, {}, b"<html>"), "406 Not Acceptable"),
     "500": ((500, {}, b"<html>"), "answered 500"),
-    "page": ((200, {}, b"<html>hello</html>"), "no Overpass server"),
-    "list": ((200, {}, b"[]"), "no Overpass server"),
+    "page": ((200, {}, b"<html>hello</html>"), "not an Overpass server"),
+    "list": ((200, {}, b"[]"), "not an Overpass server"),
     "remark": (
         (200, {}, json.dumps({**TOWN, "remark": "runtime error: Query timed out in 'query' at line 1"}).encode()),
         "gave up on the query",
@@ -247,8 +247,8 @@ def test_another_process_is_waited_for_in_sight(town: Town, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("bounds", "words"),
     [
-        ((8.5, 49.0, 8.4, 49.1), "no area"),
-        ((8.4, 49.0, 8.5, float("nan")), "no area"),
+        ((8.5, 49.0, 8.4, 49.1), "not an area"),
+        ((8.4, 49.0, 8.5, float("nan")), "not an area"),
         ((5.0, 45.0, 15.0, 55.0), "too large"),
     ],
 )
