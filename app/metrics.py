@@ -11,6 +11,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric, SummaryMetricFamil
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from app.states import JobKind, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.store.storage import Storage
@@ -96,7 +97,7 @@ def _jobs(session: Session, now: float) -> Iterator[Metric]:
         jobs.add_metric([kind, state], count)
     yield jobs
 
-    oldest = session.scalar(select(func.min(Job.created_at)).where(Job.state == "accepted"))
+    oldest = session.scalar(select(func.min(Job.created_at)).where(Job.state == JobState.ACCEPTED))
     yield _gauge("interloc_oldest_waiting_job_seconds", "Age of the job that waits longest.", now - (oldest or now))
 
     waits = SummaryMetricFamily(
@@ -117,7 +118,7 @@ def _jobs(session: Session, now: float) -> Iterator[Metric]:
 
 def _stages(session: Session) -> Iterator[Metric]:
     """Look into the outcome of the last jobs: where their time went."""
-    query = select(Job.summary).where(Job.kind == "intersections", Job.state == "successful")
+    query = select(Job.summary).where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     outcomes = [
         outcome for outcome in session.scalars(query.order_by(Job.finished_at.desc()).limit(_RECENT)) if outcome
     ]

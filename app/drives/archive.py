@@ -9,8 +9,10 @@ from app.drives.records import drive_key, lock_drive
 from app.drives.upload import refuse_unless_open
 from app.http.intake import Arrival
 from app.http.problems import Problem
+from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
 from app.schemas.drives import UnpackedArchive
+from app.states import JobKind
 from app.store.models import Job
 from app.work.archive_files import MAGIC_BYTES, archive_kind
 
@@ -47,7 +49,12 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
             drive = lock_drive(session, drive_id)
             refuse_unless_open(drive, ["archive"])
             job, _ = submit(
-                session, context.database, kind="unpack", drive_id=drive_id, owner=owner, request={"archive": name}
+                session,
+                context.database,
+                kind=JobKind.UNPACK,
+                drive_id=drive_id,
+                owner=owner,
+                request={"archive": name},
             )
             drive.touched_at = job.created_at
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -72,13 +79,3 @@ def unpacked(job: Job) -> UnpackedArchive:
     return UnpackedArchive(
         job_id=job.id, state=job.state, files=summary.get("files"), size_bytes=summary.get("size_bytes")
     )
-
-
-def raise_failure(job: Job) -> None:
-    """Raise the problem of a job that has failed."""
-    if job.state in {"failed", "dismissed"}:
-        document = dict(job.error or {"title": "Cancelled", "status": 409, "detail": "The job was cancelled."})
-        status, title, detail = (document.pop(name) for name in ("status", "title", "detail"))
-        for name in ("type", "instance"):
-            document.pop(name, None)
-        raise Problem(status, title, detail, **document)

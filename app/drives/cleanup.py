@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -15,11 +16,11 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.finish import tidy_drive
-from app.drives.records import delete_drive, drive_key
+from app.drives.records import delete_drive, drive_key, files_key, reduced_key
 from app.http.intake import INCOMING
 from app.http.problems import Problem
-from app.jobs.queue import FINAL
+from app.paths import is_map
+from app.states import FINAL, DriveState, JobKind
 from app.store.models import Base, Drive, Job
 
 PERIOD_S = 3600.0
@@ -52,7 +53,7 @@ def sweep(context: Context) -> SweepReport:
         context.storage.delete(key)
         report.leftovers.append(key)
     with context.database.reading() as session:
-        ready = session.execute(select(Drive.id, Drive.keep_raw).where(Drive.state == "ready")).all()
+        ready = session.execute(select(Drive.id, Drive.keep_raw).where(Drive.state == DriveState.READY)).all()
     for drive_id, keep_raw in ready:
         tidy_drive(context, drive_id, keep_raw=keep_raw)
     if report.drives or report.leftovers:
@@ -60,17 +61,45 @@ def sweep(context: Context) -> SweepReport:
     return report
 
 
+def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
+    """Remove what a ready drive need not keep: all that was uploaded but maps, which jobs read from there.
+
+    Small files and reduced scans are kept in its reduced folder. Doing it again does nothing.
+    """
+    if keep_raw:
+        return
+    root = context.storage.folder(files_key(drive_id))
+    if not context.storage.folder(reduced_key(drive_id)).is_dir():
+        _log.error("drive %s is ready, but its reduced folder is not there", drive_id)
+        return
+    raw = [
+        path
+        for folder, _, names in os.walk(root)
+        for path in (Path(folder, name) for name in names)
+        if not is_map(path.relative_to(root).as_posix())
+    ]
+    if raw:
+        os.sync()  # what replaces them, and the row that says so, must outlive a power cut that comes now
+    for path in raw:
+        with suppress(OSError):
+            path.unlink()
+    for folder, folders, _ in os.walk(root, topdown=False):
+        for name in folders:
+            with suppress(OSError):
+                Path(folder, name).rmdir()
+
+
 def _remove_expired(context: Context) -> list[str]:
     """Remove uploads that were left alone."""
     with context.database.reading() as session:
         oldest = context.database.clock(session) - 3600 * context.settings.upload_expires_h
         found = session.scalars(
-            select(Drive.id).where(Drive.state == "uploading", Drive.touched_at < oldest, ~_is_worked_on())
+            select(Drive.id).where(Drive.state == DriveState.UPLOADING, Drive.touched_at < oldest, ~_is_worked_on())
         ).all()
 
     def is_expired(session: Session, drive: Drive) -> bool:
         worked_on = session.scalar(select(_is_worked_on()).where(Drive.id == drive.id))
-        return drive.state == "uploading" and drive.touched_at < oldest and not worked_on
+        return drive.state == DriveState.UPLOADING and drive.touched_at < oldest and not worked_on
 
     removed = []
     for drive_id in found:
@@ -104,7 +133,7 @@ def _leftovers(context: Context) -> Iterator[str]:
 def _is_waited_for(context: Context, drive_id: str, archive: str) -> bool:
     with context.database.reading() as session:
         jobs = session.scalars(
-            select(Job).where(Job.drive_id == drive_id, Job.kind == "unpack", Job.state.not_in(FINAL))
+            select(Job).where(Job.drive_id == drive_id, Job.kind == JobKind.UNPACK, Job.state.not_in(FINAL))
         )
         return any(job.request.get("archive") == f"archives/{archive}" for job in jobs)
 

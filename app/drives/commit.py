@@ -8,16 +8,15 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.archive import raise_failure
 from app.drives.records import drive_model, find_drive, lock_drive
 from app.http.limits import check_free_space
 from app.http.problems import Problem
+from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
 from app.schemas.drives import CommitRequest, DriveModel, DriveOptionsModel
+from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.drives.inspect import DriveReport
-
-_ACTIVE = ("accepted", "running")
 
 
 def begin_commit(context: Context, drive_id: str, owner: str, request: CommitRequest) -> Job | None:
@@ -36,11 +35,14 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     check_free_space(context, 0)
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
-        if drive.state == "ready":
+        if drive.state == DriveState.READY:
             return None
-        if drive.state == "checking" and (running := active_job(session, drive_id, "commit")) is not None:
+        if (
+            drive.state == DriveState.CHECKING
+            and (running := active_job(session, drive_id, JobKind.COMMIT)) is not None
+        ):
             return running
-        if (unpacking := active_job(session, drive_id, "unpack")) is not None:
+        if (unpacking := active_job(session, drive_id, JobKind.UNPACK)) is not None:
             raise Problem(
                 409,
                 "Archive is being unpacked",
@@ -61,8 +63,8 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
 def queue_commit(session: Session, context: Context, drive: Drive, owner: str, *, check_only: bool = False) -> Job:
     """Queue the check of a drive, within a transaction that has locked it."""
     work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
-    job, _ = submit(session, context.database, kind="commit", drive_id=drive.id, owner=owner, request=work)
-    drive.state = "checking"
+    job, _ = submit(session, context.database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work)
+    drive.state = DriveState.CHECKING
     drive.touched_at = job.created_at
     return job
 
@@ -79,7 +81,7 @@ def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
         drive = find_drive(session, drive_id)
     if job is not None:
         raise_failure(job)
-        if job.state == "successful" and not (job.summary or {}).get("ok"):
+        if job.state == JobState.SUCCESSFUL and not (job.summary or {}).get("ok"):
             raise not_sound(drive)
     return drive_model(drive, context.settings)
 
@@ -99,11 +101,11 @@ def not_sound(drive: Drive) -> Problem:
     )
 
 
-def active_job(session: Session, drive_id: str, kind: str) -> Job | None:
+def active_job(session: Session, drive_id: str, kind: JobKind) -> Job | None:
     """Return the job of a kind that waits or runs for a drive."""
     return session.scalars(
         select(Job)
-        .where(Job.drive_id == drive_id, Job.kind == kind, Job.state.in_(_ACTIVE))
+        .where(Job.drive_id == drive_id, Job.kind == kind, Job.state.in_(ACTIVE))
         .order_by(Job.created_at)
         .limit(1)
     ).first()

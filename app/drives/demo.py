@@ -12,6 +12,7 @@ from app.http.limits import check_free_space
 from app.http.problems import Problem
 from app.jobs.queue import submit
 from app.schemas.drives import DriveOptionsModel
+from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 
 NAME = "Demo: a small made-up town"
@@ -31,7 +32,9 @@ def begin_demo(context: Context, owner: str) -> Job:
             session.execute(text("SELECT pg_advisory_xact_lock(hashtext(:owner))"), {"owner": f"demo {owner}"})
         job = session.scalars(
             select(Job)
-            .where(Job.kind == "demo", Job.owner == owner, Job.state.not_in(["failed", "dismissed"]))
+            .where(
+                Job.kind == JobKind.DEMO, Job.owner == owner, Job.state.not_in([JobState.FAILED, JobState.DISMISSED])
+            )
             .order_by(Job.created_at.desc())
             .limit(1)
         ).first()
@@ -40,7 +43,9 @@ def begin_demo(context: Context, owner: str) -> Job:
         dead = session.scalars(
             select(Drive.id)
             .join(Job, Job.drive_id == Drive.id)
-            .where(Job.kind == "demo", Job.owner == owner, Drive.state == "uploading", Drive.file_count == 0)
+            .where(
+                Job.kind == JobKind.DEMO, Job.owner == owner, Drive.state == DriveState.UPLOADING, Drive.file_count == 0
+            )
         ).all()
         check_free_space(context, _NEEDED_BYTES)
         now = context.database.clock(session)
@@ -48,7 +53,7 @@ def begin_demo(context: Context, owner: str) -> Job:
         drive = Drive(name=NAME, owner=owner, options=options, created_at=now, touched_at=now)
         session.add(drive)
         session.flush()
-        job, _ = submit(session, context.database, kind="demo", drive_id=drive.id, owner=owner, request={})
+        job, _ = submit(session, context.database, kind=JobKind.DEMO, drive_id=drive.id, owner=owner, request={})
     for drive_id in dead:  # of demos that failed or were cancelled
         with suppress(Problem):
             delete_drive(context, drive_id)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import secrets
 from contextlib import suppress
-from pathlib import Path
 
 from sqlalchemy import event, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
+from app.drives.cleanup import tidy_drive
 from app.drives.commit import queue_commit
-from app.drives.records import drive_key, files_key, reduced_key
-from app.drives.upload import Placement, lock_standing, refuse_unless_open, register, sizes_of
+from app.drives.records import drive_key, reduced_key
+from app.drives.upload import Placement, lock_counts, refuse_unless_open, register, sizes_of
 from app.http.intake import INCOMING, Arrival
 from app.http.problems import Problem
 from app.paths import is_map
+from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, DriveFile, Job
 from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
 from app.work.task import Outcome
@@ -47,11 +47,11 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     if drive is None:
         return
     drive.touched_at = context.database.clock(session)
-    if job.kind == "commit":
+    if job.kind == JobKind.COMMIT:
         _settle_commit(session, context, job, drive, outcome)
-    elif job.kind in {"unpack", "demo"}:
+    elif job.kind in {JobKind.UNPACK, JobKind.DEMO}:
         _settle_unpack(session, context, job, drive, outcome)
-        if job.kind == "demo" and job.state == "successful":  # nobody may wait for it any more
+        if job.kind == JobKind.DEMO and job.state == JobState.SUCCESSFUL:  # nobody may wait for it any more
             queue_commit(session, context, drive, job.owner)
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
     archive = job.request.get("archive")
@@ -61,7 +61,7 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
             context.storage.delete(f"jobs/{job_id}/result")  # its contents are the drive's now
             if archive is not None:
                 context.storage.delete(f"{drive_key(drive_id)}/{archive}")
-            if state == "ready":
+            if state == DriveState.READY:
                 tidy_drive(context, drive_id, keep_raw=keep_raw)
         except OSError:  # the clean-up tries again
             _log.exception("drive %s: not all could be tidied up", drive_id)
@@ -71,7 +71,7 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
 
 def _settle_commit(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
     """Make the drive ready, or open it again with the report of what is wrong."""
-    drive.state = "uploading"
+    drive.state = DriveState.UPLOADING
     if isinstance(outcome, Problem):
         return
     drive.report = outcome.report
@@ -96,7 +96,7 @@ def _settle_commit(session: Session, context: Context, job: Job, drive: Drive, o
     ]
     kept = drive.size_bytes if drive.keep_raw else sum(maps)
     drive.stored_bytes = outcome.summary["reduced_bytes"] + kept
-    drive.state = "ready"
+    drive.state = DriveState.READY
 
 
 def _settle_unpack(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
@@ -117,41 +117,13 @@ def _settle_unpack(session: Session, context: Context, job: Job, drive: Drive, o
                 # A second name: where the server dies before the transaction is through, all is done once more.
                 link(scratch / UNPACKED / arrival.path, arrival.temporary)
             known = sizes_of(session, drive.id, [arrival.path for arrival in arrivals])
-            register(context, session, lock_standing(session, drive.id), arrivals, known)
+            register(context, session, lock_counts(session, drive.id), arrivals, known)
             placement.move(arrivals)
     except Problem as problem:
-        job.state = "failed"
+        job.state = JobState.FAILED
         job.error = problem.document()
         job.summary = None
     finally:
         for arrival in arrivals:
             with suppress(OSError):
                 arrival.temporary.unlink(missing_ok=True)
-
-
-def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
-    """Remove what a ready drive need not keep: all that was uploaded but maps, which jobs read from there.
-
-    Small files and reduced scans are kept in its reduced folder. Doing it again does nothing.
-    """
-    if keep_raw:
-        return
-    root = context.storage.folder(files_key(drive_id))
-    if not context.storage.folder(reduced_key(drive_id)).is_dir():
-        _log.error("drive %s is ready, but its reduced folder is not there", drive_id)
-        return
-    raw = [
-        path
-        for folder, _, names in os.walk(root)
-        for path in (Path(folder, name) for name in names)
-        if not is_map(path.relative_to(root).as_posix())
-    ]
-    if raw:
-        os.sync()  # what replaces them, and the row that says so, must outlive a power cut that comes now
-    for path in raw:
-        with suppress(OSError):
-            path.unlink()
-    for folder, folders, _ in os.walk(root, topdown=False):
-        for name in folders:
-            with suppress(OSError):
-                Path(folder, name).rmdir()

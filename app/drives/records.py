@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
+from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problems import Problem
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.settings import Settings
+from app.states import DriveState
+from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job
+from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
-
-_CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
 
 
 def drive_key(drive_id: str) -> str:
@@ -43,7 +43,7 @@ def create_drive(context: Context, owner: str, new: NewDrive) -> DriveModel:
         drive = Drive(
             name=new.name,
             owner=owner,
-            state="uploading",
+            state=DriveState.UPLOADING,
             options=new.options.model_dump(mode="json"),
             keep_raw=new.keep_raw,
             file_count=0,
@@ -97,28 +97,16 @@ def no_drive(drive_id: str) -> Problem:
 
 def list_drives(context: Context, after: str | None, limit: int) -> DriveList:
     """Return a page of drives, the newest first, without their reports."""
-    query = select(Drive).options(defer(Drive.report)).order_by(Drive.created_at.desc(), Drive.id.desc())
+    query = select(Drive).options(defer(Drive.report)).order_by(*newest_first(Drive))
     if after is not None:
-        created_at, drive_id = _cursor(after)
-        query = query.where(
-            (Drive.created_at < created_at) | ((Drive.created_at == created_at) & (Drive.id < drive_id))
-        )
+        query = query.where(rows_after(Drive, after))
     with context.database.reading() as session:
         drives = session.scalars(query.limit(limit + 1)).all()
     page = drives[:limit]
     return DriveList(
         drives=[drive_model(drive, context.settings, report=False) for drive in page],
-        next=f"{page[-1].created_at!r}_{page[-1].id}" if len(drives) > limit else None,
+        next=cursor_of(page[-1]) if len(drives) > limit else None,
     )
-
-
-def _cursor(text: str) -> tuple[float, str]:
-    match = _CURSOR.fullmatch(text)
-    if match is None:
-        raise Problem(
-            422, "Bad page", f"after={text[:80]!r} is no `next` of a list. Leave it out to begin with the first page."
-        )
-    return float(match[1]), match[2]
 
 
 def list_files(context: Context, drive_id: str, after: str | None, limit: int) -> FileList:
@@ -161,6 +149,27 @@ def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, Uploade
     return file, file_model(row)
 
 
+def find_trajectory(context: Context, drive_id: str) -> Path:
+    """Return the trajectory of a drive.
+
+    Raises
+    ------
+    Problem
+        404: no such drive. 409: it is not ready. 410: it was removed from outside.
+    """
+    with context.database.reading() as session:
+        drive = find_drive(session, drive_id)
+    if drive.state != DriveState.READY:
+        raise Problem(
+            409, "Drive not ready", f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed."
+        )
+    folder = context.storage.folder(drive_key(drive_id))
+    path = next((path for name in TRAJECTORY if (path := folder / name).is_file()), None)
+    if path is None:
+        raise Problem(410, "Drive not whole", f"The trajectory of drive {drive_id} is no longer on disk.")
+    return path
+
+
 def delete_file(context: Context, drive_id: str, path: str) -> None:
     """Remove a file of a drive that is not committed yet.
 
@@ -171,7 +180,7 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
     """
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
-        if drive.state != "uploading":
+        if drive.state != DriveState.UPLOADING:
             raise Problem(
                 409,
                 "Drive is closed",
@@ -245,7 +254,7 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> Dri
         size_bytes=drive.size_bytes,
         stored_bytes=drive.stored_bytes,
         created_at=moment(drive.created_at),
-        expires_at=moment(expires_at) if drive.state == "uploading" else None,
+        expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
         report=DriveReport.model_validate(drive.report) if report and drive.report else None,
     )
 
@@ -253,8 +262,3 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> Dri
 def file_model(file: DriveFile) -> UploadedFile:
     """Show a file."""
     return UploadedFile(path=file.path, size_bytes=file.size_bytes, sha256=file.sha256)
-
-
-def moment(seconds: float) -> datetime:
-    """Return a time of the database as date and time."""
-    return datetime.fromtimestamp(seconds, tz=UTC)

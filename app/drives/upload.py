@@ -20,12 +20,13 @@ from app.http.intake import INCOMING, Arrival
 from app.http.limits import check_drive, check_free_space
 from app.http.problems import Problem
 from app.paths import is_map
+from app.states import DriveState
 from app.store.models import Drive, DriveFile
 
 _AT_ONCE = 500  # paths in one query
 
 _drives, _files = (cast("Table", table.__table__) for table in (Drive, DriveFile))
-_STANDING = select(_drives.c.id, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes).with_for_update()
+_COUNTS = select(_drives.c.id, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes).with_for_update()
 _SIZES = select(_files.c.path, _files.c.size_bytes)
 _REPLACE = delete(_files).where(_files.c.drive_id == bindparam("of"), _files.c.path == bindparam("at"))
 _INSERT = insert(_files)
@@ -63,17 +64,17 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
         would become too large. Nothing has changed then.
     """
     with Placement(context, drive_id) as placement, context.database.writing() as session:
-        standing = lock_standing(session, drive_id)
-        refuse_unless_open(standing, [arrival.path for arrival in arrivals])
+        counts = lock_counts(session, drive_id)
+        refuse_unless_open(counts, [arrival.path for arrival in arrivals])
         known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
-        register(context, session, standing, arrivals, known)
+        register(context, session, counts, arrivals, known)
         placement.move(arrivals)
     return not known
 
 
 @dataclass(frozen=True)
-class Standing:
-    """How a drive stands; its columns only, since thousands of files a drive pass here."""
+class DriveCounts:
+    """The four columns of a drive that an upload needs; read without the ORM because this runs once per file."""
 
     id: str
     state: str
@@ -81,21 +82,21 @@ class Standing:
     size_bytes: int
 
 
-def lock_standing(session: Session, drive_id: str) -> Standing:
-    """Return how a drive stands, which nobody else changes until the transaction ends.
+def lock_counts(session: Session, drive_id: str) -> DriveCounts:
+    """Return the counts of a drive, which nobody else changes until the transaction ends.
 
     Raises
     ------
     Problem
         404.
     """
-    row = session.execute(_STANDING.where(_drives.c.id == drive_id)).one_or_none()
+    row = session.execute(_COUNTS.where(_drives.c.id == drive_id)).one_or_none()
     if row is None:
         raise no_drive(drive_id)
-    return Standing(*row)
+    return DriveCounts(*row)
 
 
-def refuse_unless_open(drive: Drive | Standing, paths: Iterable[str]) -> None:
+def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None:
     """Refuse files that a drive does not take in its state.
 
     Raises
@@ -103,7 +104,7 @@ def refuse_unless_open(drive: Drive | Standing, paths: Iterable[str]) -> None:
     Problem
         409.
     """
-    if drive.state == "checking":
+    if drive.state == DriveState.CHECKING:
         raise Problem(
             409,
             "Drive is being checked",
@@ -111,7 +112,7 @@ def refuse_unless_open(drive: Drive | Standing, paths: Iterable[str]) -> None:
             "Try again when its state is uploading or ready.",
             headers={"Retry-After": "5"},
         )
-    if drive.state == "ready" and not all(is_map(path) for path in paths):
+    if drive.state == DriveState.READY and not all(is_map(path) for path in paths):
         raise Problem(
             409,
             "Drive is closed",
@@ -147,7 +148,7 @@ def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str,
 
 
 def register(
-    context: Context, session: Session, drive: Standing, arrivals: Sequence[Arrival], known: dict[str, int]
+    context: Context, session: Session, drive: DriveCounts, arrivals: Sequence[Arrival], known: dict[str, int]
 ) -> None:
     """List files in the database, and count them.
 

@@ -19,11 +19,11 @@ from app.jobs import failures
 from app.jobs.executors import WorkExecutor
 from app.jobs.folders import place_result, task_of, tidy, without_paths
 from app.jobs.processes import WorkerLostError
-from app.jobs.queue import Claim, JobQueue, State, not_ready
+from app.jobs.queue import Claim, JobQueue, not_ready
+from app.states import DriveState, JobState
 from app.store.models import Drive, Job
-from app.work import calls
-from app.work.kinds import KINDS
-from app.work.progress import Board
+from app.work import kinds
+from app.work.progress import ProgressFiles
 from app.work.task import Cancelled, Outcome, Part, Plan
 
 FinishDrive = Callable[[Session, Context, Job, Outcome | Problem], None]
@@ -59,24 +59,24 @@ class Attempt:
         self._executor = executor
         self._finish_drive = finish_drive
         self.claim = claim
-        self._kind = KINDS[claim.job.kind]
+        self._kind = kinds.KINDS[claim.job.kind]
         self._task = task_of(context, claim, executor.slots)
-        self._board = Board(self._task)
+        self._progress = ProgressFiles(self._task)
         self._stop: Stop | None = None
         self._stage = self._kind.stages[0]
         self._done: dict[int, int] = {}  # units of the parts that have ended
         self._total: int | None = None
-        self._told: dict[str, Any] = {"done": claim.job.done}  # as it stands in the database
+        self._reported: dict[str, Any] = {"done": claim.job.done}  # as it is in the database
         self._tries: Counter[str] = Counter()
 
     def stop(self, reason: Stop) -> None:
         """Let the attempt end soon; the first reason counts."""
         if self._stop is None:
             self._stop = reason
-            self._board.stop()
+            self._progress.stop()
 
     def run(self) -> None:
-        """Work on the job until it has ended, in whatever way."""
+        """Work on the job until it has ended, well or not."""
         job = self.claim.job
         extra = {"job": job.id, "drive": job.drive_id}
         _log.info("job %s (%s): attempt %d", job.id, job.kind, job.attempts, extra=extra)
@@ -105,15 +105,15 @@ class Attempt:
             raise _StoppedError
         if job.attempts > self._context.settings.max_attempts:
             raise failures.lost_servers(job.attempts - 1)
-        if not self._kind.changes_drive and self.claim.drive_state == "uploading":
+        if not self._kind.changes_drive and self.claim.drive_state == DriveState.UPLOADING:
             raise not_ready(Drive(id=job.drive_id, name=self.claim.drive_name))
-        self._board.open()
-        plan: Plan = self._call("the preparation", calls.prepare, self._task)
+        self._progress.open()
+        plan: Plan = self._call("the preparation", kinds.prepare, self._task)
         self._total = plan.total
         self._enter(1)
         self._do_parts(plan)
         self._enter(2)
-        outcome: Outcome = self._call("the result", calls.finish, self._task, plan)
+        outcome: Outcome = self._call("the result", kinds.finish, self._task, plan)
         return outcome
 
     def _call(self, what: str, function: Callable[..., Any], *args: Any) -> Any:  # noqa: ANN401
@@ -132,7 +132,7 @@ class Attempt:
         while waiting or running:
             while waiting and len(running) <= self._executor.slots:
                 part = waiting.popleft()
-                running[self._executor.submit(calls.run, self._task, part)] = part
+                running[self._executor.submit(kinds.run, self._task, part)] = part
             for future in self._wait(set(running)):
                 part = running.pop(future)
                 try:
@@ -144,7 +144,7 @@ class Attempt:
                     self._done[part.number] = part.stop - part.start
 
     def _wait(self, futures: set[Future[Any]]) -> set[Future[Any]]:
-        """Return those that have ended, telling meanwhile how far they are."""
+        """Return those that have ended, reporting meanwhile how far they are."""
         while True:
             ended, _ = wait(futures, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
             if self._stop is not None:
@@ -152,12 +152,12 @@ class Attempt:
                 if self._stop != "lost":
                     wait(at_work, timeout=_QUIET_END_S)
                 raise _StoppedError
-            self._tell()
+            self._report()
             if ended:
                 return ended
 
     def _count_failure(self, error: Exception, what: str) -> None:
-        """Return when the work is to be tried again; raise the problem of the job when it is not."""
+        """Return when the work is to be tried again; otherwise raise the problem of the job."""
         if self._stop is not None:
             raise _StoppedError from error
         if failures.is_final(error) and not isinstance(error, Cancelled):
@@ -174,36 +174,36 @@ class Attempt:
 
     def _enter(self, phase: int) -> None:
         self._stage = self._kind.stages[phase]
-        self._board.forget_stage()
-        self._tell()
+        self._progress.forget_stage()
+        self._report()
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Write how far the job is, where that has changed."""
-        standing = self._board.read()
-        done = sum({**standing.done, **self._done}.values())
+        progress = self._progress.read()
+        done = sum({**progress.done, **self._done}.values())
         now = {
-            "stage": standing.stage or self._stage,
-            "message": standing.message,
-            "done": max(done, self._told.get("done", 0)),  # a part that starts anew takes nothing back
+            "stage": progress.stage or self._stage,
+            "message": progress.message,
+            "done": max(done, self._reported.get("done", 0)),  # a part that starts anew takes nothing back
             "total": self._total,
         }
-        if now != self._told:
-            self._told = now
+        if now != self._reported:
+            self._reported = now
             self._write(**now)
 
     def _write(self, **values: Any) -> None:  # noqa: ANN401 - columns of the job
         try:
             if not self._queue.progress(self.claim, **values):
                 self.stop("lost")
-        except SQLAlchemyError as error:  # the next word says it all again
-            self._told = {}
+        except SQLAlchemyError as error:  # the next report writes it all again
+            self._reported = {}
             _log.warning("job %s: its progress could not be written: %s", self.claim.job.id, error)
 
     def _end(self, outcome: Outcome | Problem) -> str:
         """Write how the job ended, and put its result in place: both or neither."""
-        state: State = "successful"
+        state: JobState = JobState.SUCCESSFUL
         if isinstance(outcome, Problem):
-            state = "dismissed" if self._stop == "cancelled" else "failed"
+            state = JobState.DISMISSED if self._stop == "cancelled" else JobState.FAILED
         job_id, storage = self.claim.job.id, self._context.storage
         for wait_s in (0.5, 1, 2, 4, 8, 0):
             try:
@@ -215,17 +215,17 @@ class Attempt:
                 if not wait_s:
                     return "left to its lease"  # whoever takes it over finds all parts done
                 time.sleep(wait_s)
-        tidy(storage, job_id, keep_result=state == "successful")
+        tidy(storage, job_id, keep_result=state == JobState.SUCCESSFUL)
         return state
 
-    def _finish(self, state: State, outcome: Outcome | Problem) -> bool:
+    def _finish(self, state: JobState, outcome: Outcome | Problem) -> bool:
         job_id = self.claim.job.id
         error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
         summary = None if isinstance(outcome, Problem) else outcome.summary
         with self._context.database.writing() as session:
             if not self._queue.finish(session, self.claim, state, error=error, summary=summary):
                 return False
-            if state == "successful":
+            if state == JobState.SUCCESSFUL:
                 place_result(self._context.storage, self._task)
             if self._kind.changes_drive:
                 job = session.get(Job, job_id)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 
 from app.http.problems import Problem, disk_full, from_error
+from app.states import JobState
+from app.store.models import Job
 from interloc.errors import InterLocError
 
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -63,6 +65,16 @@ def lost_servers(attempts: int) -> Problem:
 def cancelled() -> Problem:
     """Say that somebody wanted it so."""
     return Problem(409, "Cancelled", "The job was cancelled before it ended.")
+
+
+def raise_failure(job: Job) -> None:
+    """Raise the problem of a job that has failed or was cancelled."""
+    if job.state in {JobState.FAILED, JobState.DISMISSED}:
+        document = dict(job.error or {"title": "Cancelled", "status": 409, "detail": "The job was cancelled."})
+        status, title, detail = (document.pop(name) for name in ("status", "title", "detail"))
+        for name in ("type", "instance"):
+            document.pop(name, None)
+        raise Problem(status, title, detail, **document)
 
 
 def _times(count: int) -> str:

@@ -18,15 +18,12 @@ from sqlalchemy import CursorResult, case, func, or_, select, text, update
 from sqlalchemy.orm import Session, aliased
 
 from app.http.problems import Problem
+from app.states import ACTIVE, FINAL, DriveState, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.work.kinds import DRIVE_CHANGING, URGENT
 
-FINAL = ("successful", "failed", "dismissed")
-"""States that do not change any more."""
-
 Held = Literal["held", "lost", "cancelled"]
-State = Literal["successful", "failed", "dismissed"]
 
 _WAITS_FOR_CHECK = "Waiting for the check of its drive."
 
@@ -90,7 +87,7 @@ class JobQueue:
             if found is None:
                 return None
             job, drive_name, drive_state = found
-            job.state = "running"
+            job.state = JobState.RUNNING
             job.stage = "preparing"
             job.message = None
             job.attempts += 1
@@ -106,7 +103,7 @@ class JobQueue:
         running = (
             select(func.count())
             .select_from(other)
-            .where(other.owner == Job.owner, other.state == "running", other.lease_until > now)
+            .where(other.owner == Job.owner, other.state == JobState.RUNNING, other.lease_until > now)
             .correlate(Job)
             .scalar_subquery()
         )
@@ -115,8 +112,8 @@ class JobQueue:
             select(Job, Drive.name, Drive.state)
             .join(Drive, Drive.id == Job.drive_id)
             .where(
-                or_(Job.state == "accepted", (Job.state == "running") & (Job.lease_until <= now)),
-                or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != "checking"),
+                or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & (Job.lease_until <= now)),
+                or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != DriveState.CHECKING),
             )
             .order_by(case((is_urgent, 0), else_=1), running, Job.created_at, Job.id)
             .limit(1)
@@ -129,7 +126,7 @@ class JobQueue:
         with self._database.writing() as session:
             until = self._database.clock(session) + self._lease_s
             session.execute(
-                update(Job).where(Job.lease_owner.in_(leases), Job.state == "running").values(lease_until=until)
+                update(Job).where(Job.lease_owner.in_(leases), Job.state == JobState.RUNNING).values(lease_until=until)
             )
             return self._look(session, leases)
 
@@ -141,7 +138,9 @@ class JobQueue:
     @staticmethod
     def _look(session: Session, leases: list[str]) -> dict[str, Held]:
         rows = session.execute(
-            select(Job.lease_owner, Job.cancel_requested).where(Job.lease_owner.in_(leases), Job.state == "running")
+            select(Job.lease_owner, Job.cancel_requested).where(
+                Job.lease_owner.in_(leases), Job.state == JobState.RUNNING
+            )
         )
         ours = {lease: cancelled for lease, cancelled in rows if lease is not None}
         return {lease: ("cancelled" if ours[lease] else "held") if lease in ours else "lost" for lease in leases}
@@ -157,7 +156,7 @@ class JobQueue:
             return _change(
                 session,
                 claim,
-                state="accepted",
+                state=JobState.ACCEPTED,
                 stage="waiting",
                 message="Its server was stopped; it goes on as soon as one is free.",
                 attempts=Job.attempts - 1,
@@ -169,7 +168,7 @@ class JobQueue:
         self,
         session: Session,
         claim: Claim,
-        state: State,
+        state: JobState,
         *,
         error: dict[str, Any] | None = None,
         summary: dict[str, Any] | None = None,
@@ -192,7 +191,7 @@ class JobQueue:
 def _change(session: Session, claim: Claim, **values: Any) -> bool:  # noqa: ANN401
     result = session.execute(
         update(Job)
-        .where(Job.id == claim.job.id, Job.lease_owner == claim.lease, Job.state == "running")
+        .where(Job.id == claim.job.id, Job.lease_owner == claim.lease, Job.state == JobState.RUNNING)
         .values(version=Job.version + 1, **values)
     )
     assert isinstance(result, CursorResult)
@@ -245,7 +244,7 @@ def submit(
     drive = session.get(Drive, drive_id)
     if drive is None:
         raise Problem(404, "Drive not found", f"There is no drive {drive_id}. GET /api/v1/drives lists them.")
-    if kind not in DRIVE_CHANGING and drive.state == "uploading":
+    if kind not in DRIVE_CHANGING and drive.state == DriveState.UPLOADING:
         raise not_ready(drive)
     if limit is not None:
         _check_room(session, kind, owner, limit)
@@ -255,7 +254,7 @@ def submit(
         owner=owner,
         request=request,
         idempotency_key=key,
-        message=_WAITS_FOR_CHECK if kind not in DRIVE_CHANGING and drive.state == "checking" else None,
+        message=_WAITS_FOR_CHECK if kind not in DRIVE_CHANGING and drive.state == DriveState.CHECKING else None,
         created_at=database.clock(session),
     )
     session.add(job)
@@ -279,8 +278,10 @@ def cancel(session: Session, database: Database, job: Job) -> None:
         return
     job.version += 1
     job.cancel_requested = True
-    if job.state == "accepted" and job.kind not in DRIVE_CHANGING:  # the runner ends those, and their drive with them
-        job.state = "dismissed"
+    if (
+        job.state == JobState.ACCEPTED and job.kind not in DRIVE_CHANGING
+    ):  # the runner ends those, and their drive with them
+        job.state = JobState.DISMISSED
         job.stage = "finished"
         job.message = None
         job.finished_at = database.clock(session)
@@ -305,9 +306,7 @@ def _text(value: dict[str, Any]) -> str:
 
 def _check_room(session: Session, kind: str, owner: str, limit: int) -> None:
     waiting = session.scalar(
-        select(func.count())
-        .select_from(Job)
-        .where(Job.owner == owner, Job.kind == kind, Job.state.in_(("accepted", "running")))
+        select(func.count()).select_from(Job).where(Job.owner == owner, Job.kind == kind, Job.state.in_(ACTIVE))
     )
     if waiting is not None and waiting >= limit:
         raise Problem(

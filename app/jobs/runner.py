@@ -19,7 +19,8 @@ from app.jobs.attempt import Attempt, FinishDrive
 from app.jobs.executors import WorkExecutor, open_executor
 from app.jobs.folders import jobs_with_scratch, tidy
 from app.jobs.processes import WorkerLostError
-from app.jobs.queue import FINAL, JobQueue
+from app.jobs.queue import JobQueue
+from app.states import FINAL, JobState
 from app.store.models import Job
 from app.work.kinds import URGENT
 
@@ -184,7 +185,7 @@ class Runner:
             _log.warning("left-over scratch folders could not be looked for: %s", error)
             return
         for job_id, state in ended:
-            tidy(self._context.storage, job_id, keep_result=state == "successful")
+            tidy(self._context.storage, job_id, keep_result=state == JobState.SUCCESSFUL)
 
 
 async def _runner(request: Request) -> Runner:

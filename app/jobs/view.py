@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from datetime import UTC, datetime
-
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.http.problems import Problem, ProblemDocument
 from app.schemas.jobs import JobModel, Progress
+from app.states import JobKind, JobState
+from app.store.database import moment
 from app.store.models import Drive, Job
-
-_CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
 
 _LAYERS = ("intersections", "detections", "trajectory", "keyframes")
 _MAP_LAYERS = ("osm-nodes", "matches", "osm-roads")
@@ -57,9 +54,9 @@ def job_model(job: Job, drive_name: str, root_path: str, now: float) -> JobModel
         message=job.message,
         progress=_progress(job, now),
         request=job.request,
-        created_at=_date(job.created_at),
-        started_at=None if job.started_at is None else _date(job.started_at),
-        finished_at=None if job.finished_at is None else _date(job.finished_at),
+        created_at=moment(job.created_at),
+        started_at=None if job.started_at is None else moment(job.started_at),
+        finished_at=None if job.finished_at is None else moment(job.finished_at),
         attempts=job.attempts,
         error=None if job.error is None else ProblemDocument.model_validate(job.error),
         summary=job.summary,
@@ -68,44 +65,19 @@ def job_model(job: Job, drive_name: str, root_path: str, now: float) -> JobModel
     )
 
 
-def cursor_of(job: Job) -> str:
-    """Return where a page that ends with this job goes on."""
-    return f"{job.created_at:.9f}_{job.id}"
-
-
-def read_cursor(text: str) -> tuple[float, str]:
-    """Read what `cursor_of` wrote.
-
-    Raises
-    ------
-    Problem
-        422 it is something else.
-    """
-    match = _CURSOR.fullmatch(text)
-    if match is None:
-        raise Problem(
-            422, "Request not valid", f"after={text!r} is no page. Give `next` of the page before as it stands."
-        )
-    return float(match[1]), match[2]
-
-
 def _progress(job: Job, now: float) -> Progress:
-    fraction = 1.0 if job.state == "successful" else min(1.0, job.done / job.total) if job.total else 0.0
+    fraction = 1.0 if job.state == JobState.SUCCESSFUL else min(1.0, job.done / job.total) if job.total else 0.0
     left = None
-    if job.state == "running" and job.started_at is not None and 0.0 < fraction < 1.0:
+    if job.state == JobState.RUNNING and job.started_at is not None and 0.0 < fraction < 1.0:
         left = round(max(0.0, now - job.started_at) * (1.0 - fraction) / fraction, 1)
     return Progress(done=job.done, total=job.total, fraction=round(fraction, 4), seconds_left=left)
-
-
-def _date(seconds: float) -> datetime:
-    return datetime.fromtimestamp(seconds, UTC)
 
 
 def _links(job: Job, address: str) -> dict[str, str]:
     """Return the addresses of what the result of a job holds."""
     links = {"self": address, "events": f"{address}/events"}
     summary = job.summary
-    if job.state != "successful" or job.kind != "intersections" or summary is None:
+    if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
         return links
     names = ["run", "files", "archive.zip"]
     if summary["georeferenced"]:

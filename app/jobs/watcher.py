@@ -15,9 +15,9 @@ from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
 
 from app.context import Context
-from app.jobs.queue import FINAL
 from app.jobs.view import find_job, job_model
 from app.schemas.jobs import JobModel
+from app.states import FINAL
 from app.store.models import Drive, Job
 
 _POLL_S = 0.5

@@ -11,6 +11,7 @@ from sqlalchemy import select
 
 from app.context import Context
 from app.http.problems import Problem
+from app.states import JobKind, JobState
 from app.store.models import Drive, Job
 from app.store.storage import Storage
 from interloc.output.layout import RUN_FILE, TABLES, file_names
@@ -25,10 +26,10 @@ _KNOWN: dict[tuple[Storage, str], Result] = {}
 _MAX_KNOWN = 1000
 
 _STATES = {
-    "accepted": "It waits for its turn; follow GET {job}/events.",
-    "running": "It runs; follow GET {job}/events.",
-    "failed": "It failed; GET {job} says why.",
-    "dismissed": "It was cancelled; submit it again.",
+    JobState.ACCEPTED: "It waits for its turn; follow GET {job}/events.",
+    JobState.RUNNING: "It runs; follow GET {job}/events.",
+    JobState.FAILED: "It failed; GET {job} says why.",
+    JobState.DISMISSED: "It was cancelled; submit it again.",
 }
 
 
@@ -156,9 +157,9 @@ def open_result(context: Context, job_id: str) -> Result:
         raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
     kind, state, request, drive_id, drive_name = row
     address = f"/api/v1/jobs/{job_id}"
-    if kind != "intersections":
+    if kind != JobKind.INTERSECTIONS:
         raise Problem(404, "No results", f"Job {job_id} is a {kind}; only jobs of kind intersections have results.")
-    if state != "successful":
+    if state != JobState.SUCCESSFUL:
         detail = f"Job {job_id} is {state}. {_STATES[state].format(job=address)}"
         raise Problem(409, "Result not ready", detail, state=state)
     storage = context.storage

@@ -8,6 +8,7 @@ from pathlib import Path
 from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.results.folder import Result
+from app.states import JobKind
 from app.work.on_demand import VIEW, draw_keyframe
 from app.work.task import Task
 
@@ -59,7 +60,7 @@ class KeyframeViews:
 
 def _task_of(result: Result) -> Task:
     return Task(
-        kind="intersections",
+        kind=JobKind.INTERSECTIONS,
         job_id=result.job_id,
         drive_name=result.drive_name,
         request=result.request,

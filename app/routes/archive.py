@@ -15,11 +15,11 @@ from app.http.headers import wait_of
 from app.http.intake import Arrival, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.multipart import BatchReader, boundary_of
-from app.jobs.queue import FINAL
 from app.jobs.watcher import wait_for_job
 from app.routes.files import UPLOAD
 from app.schemas.drives import UnpackedArchive
 from app.security import ClientDep
+from app.states import FINAL
 from app.store.models import Job
 
 router = APIRouter(prefix="/drives/{drive_id}/archive", tags=["Uploads"])

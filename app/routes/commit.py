@@ -10,7 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 from app.context import ContextDep
 from app.drives.commit import begin_commit, committed
 from app.drives.plan import plan_upload
-from app.drives.tracks import trajectory_file
+from app.drives.records import find_trajectory
 from app.http.delivery import WholeFile
 from app.http.headers import wait_of
 from app.http.problems import ProblemDocument
@@ -20,6 +20,7 @@ from app.routes.archive import PreferHeader
 from app.routes.drives import NOT_FOUND
 from app.schemas.drives import CommitRequest, DriveModel, PlanRequest, ReductionPlanModel
 from app.security import ClientDep
+from app.states import DriveState
 
 router = APIRouter(prefix="/drives/{drive_id}", tags=["Uploads"])
 
@@ -71,9 +72,9 @@ async def commit_drive(
     if job is not None:
         job = await wait_for_job(context, job.id, wait_s)
     drive = await run_in_threadpool(committed, context, drive_id, job)
-    if drive.state == "checking":
+    if drive.state == DriveState.CHECKING:
         response.status_code = 202
-    if drive.state == "checking" or job is not None:
+    if drive.state == DriveState.CHECKING or job is not None:
         response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive_id}"
     if prefer:
         response.headers["Preference-Applied"] = f"wait={wait_s}"
@@ -92,5 +93,5 @@ async def commit_drive(
 )
 def show_trajectory(drive_id: str, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
-    file = trajectory_file(context, drive_id)
+    file = find_trajectory(context, drive_id)
     return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

@@ -9,15 +9,16 @@ from fastapi import APIRouter, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.context import ContextDep
-from app.drives.archive import raise_failure
 from app.drives.commit import begin_commit, committed
 from app.drives.demo import begin_demo
 from app.http.headers import wait_of
 from app.http.problems import ProblemDocument
+from app.jobs.failures import raise_failure
 from app.jobs.watcher import wait_for_job
 from app.routes.archive import PreferHeader
 from app.schemas.drives import CommitRequest, DriveModel
 from app.security import ClientDep
+from app.states import DriveState, JobState
 
 router = APIRouter(tags=["Drives"])
 
@@ -41,12 +42,12 @@ async def make_demo(
     drive_id, check = job.drive_id, None
     job = await wait_for_job(context, job.id, wait_s)
     raise_failure(job)
-    if job.state == "successful":
+    if job.state == JobState.SUCCESSFUL:
         check = await run_in_threadpool(begin_commit, context, drive_id, client, CommitRequest())
         if check is not None:
             check = await wait_for_job(context, check.id, max(0.0, end - time.monotonic()))
     drive = await run_in_threadpool(committed, context, drive_id, check)
-    if drive.state != "ready":
+    if drive.state != DriveState.READY:
         response.status_code = 202
     response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive_id}"
     if prefer:

@@ -5,16 +5,18 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Path, Query, Response
-from sqlalchemy import and_, or_, select
+from sqlalchemy import select
 
 from app.context import ContextDep
+from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problems import Problem, ProblemDocument
 from app.jobs.folders import tidy
-from app.jobs.queue import FINAL, cancel, submit
+from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
-from app.jobs.view import cursor_of, find_job, job_model, read_cursor
-from app.schemas.jobs import JobKind, JobList, JobModel, JobState, NewJob, PresetList, PresetModel
+from app.jobs.view import find_job, job_model
+from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
 from app.security import ClientDep
+from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
 
@@ -66,7 +68,7 @@ def create_job(
         job, is_new = submit(
             session,
             database,
-            kind="intersections",
+            kind=JobKind.INTERSECTIONS,
             drive_id=new.drive_id,
             owner=client,
             request=request,
@@ -89,17 +91,12 @@ def list_jobs(
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
         JobKind | Literal["all"], Query(description="commit and unpack are the checks of uploads.")
-    ] = "intersections",
+    ] = JobKind.INTERSECTIONS,
     after: Annotated[str | None, Query(max_length=100, description="`next` of the page before.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
     """List jobs, the newest first."""
-    query = (
-        select(Job, Drive.name)
-        .join(Drive, Drive.id == Job.drive_id)
-        .order_by(Job.created_at.desc(), Job.id.desc())
-        .limit(limit + 1)
-    )
+    query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).order_by(*newest_first(Job)).limit(limit + 1)
     if kind != "all":
         query = query.where(Job.kind == kind)
     if drive is not None:
@@ -107,8 +104,7 @@ def list_jobs(
     if state is not None:
         query = query.where(Job.state == state)
     if after is not None:
-        created_at, job_id = read_cursor(after)
-        query = query.where(or_(Job.created_at < created_at, and_(Job.created_at == created_at, Job.id < job_id)))
+        query = query.where(rows_after(Job, after))
     with context.database.reading() as session:
         rows = session.execute(query).all()
         now = context.database.clock(session)
@@ -148,7 +144,7 @@ def delete_job(
     with database.writing() as session:
         job, name = find_job(session, job_id)
         if purge:
-            _purge(session_job=job)
+            _require_ended(job)
             session.delete(job)
         else:
             cancel(session, database, job)
@@ -161,12 +157,12 @@ def delete_job(
     return model
 
 
-def _purge(session_job: Job) -> None:
-    if session_job.state not in FINAL:
+def _require_ended(job: Job) -> None:
+    if job.state not in FINAL:
         raise Problem(
             409,
             "Job not ended",
-            f"Job {session_job.id} is {session_job.state}. Cancel it first (DELETE without purge), then remove it.",
+            f"Job {job.id} is {job.state}. Cancel it first (DELETE without purge), then remove it.",
         )
 
 

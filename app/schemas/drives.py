@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
 from app.http.problems import FileProblem
 from app.paths import BadNameError, check_path
+from app.states import DriveState
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.layouts import ScanFolder
 from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
 from interloc.drives.scans.labels import named_scheme
+from interloc.drives.scans.reduced_format import MAX_SCANS
 from interloc.errors import ConfigError
 
 Name = Annotated[
     str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
 ]
-MAX_SCANS = 1_000_000
 LabelCounts = Annotated[
     dict[Annotated[int, Field(ge=0, le=65535)], Annotated[int, Field(ge=1, le=2**62)]], Field(max_length=65536)
 ]
 """Label id -> number of points that carry it."""
-
-DriveState = Literal["uploading", "checking", "ready"]
 
 
 class DriveOptionsModel(BaseModel):

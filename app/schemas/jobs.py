@@ -8,12 +8,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.problems import ProblemDocument
+from app.states import JobKind, JobState
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
 from interloc.osm.policies import POLICY_HELP, TOLERANCE_HELP, Policy
-
-JobState = Literal["accepted", "running", "successful", "failed", "dismissed"]
-JobKind = Literal["intersections", "commit", "unpack", "demo"]
 
 
 class OsmFile(BaseModel):
@@ -109,6 +107,3 @@ class PresetList(BaseModel):
 
     presets: list[PresetModel]
     config_schema: dict[str, Any] = Field(description="JSON schema of the settings, with units and ranges in words.")
-
-
-__all__ = ["DetectorConfig", "JobList", "JobModel", "JobState", "NewJob", "PresetList", "PresetModel", "Progress"]

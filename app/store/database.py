@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,11 @@ class Database:
     def close(self) -> None:
         """Close the connections."""
         self.engine.dispose()
+
+
+def moment(seconds: float) -> datetime:
+    """Return a time of the database as date and time."""
+    return datetime.fromtimestamp(seconds, tz=UTC)
 
 
 def _parse(url: str) -> URL:

@@ -8,6 +8,8 @@ from typing import Any
 from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+from app.states import DriveState, JobState
+
 
 def new_id() -> str:
     """Return an id that nobody can guess."""
@@ -28,8 +30,8 @@ class Drive(Base):
     id: Mapped[str] = mapped_column(primary_key=True, default=new_id)
     name: Mapped[str]
     owner: Mapped[str]
-    state: Mapped[str] = mapped_column(default="uploading")
-    """uploading, checking (its commit job runs), ready."""
+    state: Mapped[str] = mapped_column(default=DriveState.UPLOADING)
+    """See `DriveState`."""
     options: Mapped[dict[str, Any]] = mapped_column(default=dict)
     """How it is to be read: label_scheme, pose_frame, layout, oxts."""
     keep_raw: Mapped[bool] = mapped_column(default=False)
@@ -37,9 +39,9 @@ class Drive(Base):
     """The DriveReport of its last commit, good or bad."""
     file_count: Mapped[int] = mapped_column(default=0)
     size_bytes: Mapped[int] = mapped_column(default=0)
-    """Of the files as uploaded."""
+    """Size of the files as uploaded."""
     stored_bytes: Mapped[int] = mapped_column(default=0)
-    """Of what is kept."""
+    """Size of what is kept of them."""
     created_at: Mapped[float]
     touched_at: Mapped[float]
 
@@ -64,14 +66,14 @@ class Job(Base):
 
     id: Mapped[str] = mapped_column(primary_key=True, default=new_id)
     kind: Mapped[str]
-    """intersections, commit or unpack."""
+    """See `JobKind`."""
     drive_id: Mapped[str] = mapped_column(ForeignKey("drives.id", ondelete="CASCADE"))
     owner: Mapped[str]
     request: Mapped[dict[str, Any]]
     idempotency_key: Mapped[str | None]
 
-    state: Mapped[str] = mapped_column(default="accepted")
-    """accepted, running, successful, failed, dismissed."""
+    state: Mapped[str] = mapped_column(default=JobState.ACCEPTED)
+    """See `JobState`."""
     stage: Mapped[str] = mapped_column(default="waiting")
     message: Mapped[str | None] = mapped_column(Text)
     """What it is waiting for, in words."""

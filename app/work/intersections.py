@@ -12,7 +12,7 @@ import numpy as np
 
 from app.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work.places import REDUCED
-from app.work.progress import Board
+from app.work.progress import ProgressFiles
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
@@ -42,8 +42,8 @@ _CELLS = 750
 
 def prepare(task: Task) -> Plan:
     """Open the drive and the map, so that what is wrong with them shows before the long work."""
-    board = Board(task)
-    board.tell("preparing")
+    progress = ProgressFiles(task)
+    progress.report_stage("preparing")
     drive, keyframes = open_input(task)
     if not len(keyframes):
         raise DriveError(f"{task.drive_name}: the drive holds no scans")
@@ -73,8 +73,8 @@ def run(task: Task, part: Part, report: Report) -> None:
 
 def finish(task: Task, plan: Plan) -> Outcome:
     """Join the ranges, write the result folder, and score it where a map was given."""
-    board = Board(task)
-    board.tell("mapping")
+    progress = ProgressFiles(task)
+    progress.report_stage("mapping")
     drive, keyframes = open_input(task)
     result = assemble(
         drive,
@@ -88,9 +88,9 @@ def finish(task: Task, plan: Plan) -> Outcome:
     with result_folder(task.result) as folder:
         write_results(result, folder)
         if task.request.get("osm") is not None:
-            board.tell("evaluating")
+            progress.report_stage("evaluating")
             report = _evaluate(task, drive, keyframes, result, folder)
-        board.check()
+        progress.check()
     return Outcome(_summary(result, report))
 
 
@@ -166,10 +166,10 @@ def _read_map(task: Task, drive: Drive, keyframes: IntArray) -> RoadGraph:
         path = task.drive / "files" / osm["file"]
         most_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
         return read_osm(path, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, most_bytes))
-    board = Board(task)
+    progress = ProgressFiles(task)
 
     def wait(reason: str, seconds: float) -> None:
-        board.tell("waiting for the map", f"{reason} ({seconds:.0f} s)")
+        progress.report_stage("waiting for the map", f"{reason} ({seconds:.0f} s)")
 
     return download_roads(
         _bounds(drive, keyframes),

@@ -1,10 +1,16 @@
-"""The kinds of work: which module does each, and what its stages are called."""
+"""The kinds of work, and the three calls by which a worker process does a task, whatever its kind."""
 
 from __future__ import annotations
 
+import socket
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
+
+from app.states import JobKind
+from app.work.progress import ProgressFiles
+from app.work.task import Outcome, Part, Plan, Task
+from interloc.errors import InterLocError
 
 
 @dataclass(frozen=True)
@@ -16,7 +22,7 @@ class Kind:
     module : str
         It has the functions `prepare`, `run` and `finish` (see `app.work.task`).
     stages : tuple of str
-        What the work is doing meanwhile, for the client.
+        What the work is doing in each of the three calls, for the client.
     urgent : bool
         Somebody waits for it: it goes first, and never behind long work.
     changes_drive : bool
@@ -34,13 +40,42 @@ class Kind:
 
 
 KINDS: dict[str, Kind] = {
-    "intersections": Kind(
+    JobKind.INTERSECTIONS: Kind(
         "app.work.intersections", ("preparing", "detecting", "mapping"), urgent=False, changes_drive=False
     ),
-    "commit": Kind("app.work.commit", ("checking", "reducing", "storing")),
-    "unpack": Kind("app.work.unpack", ("checking", "unpacking", "storing")),
-    "demo": Kind("app.work.demo", ("preparing", "simulating", "storing")),
+    JobKind.COMMIT: Kind("app.work.commit", ("checking", "reducing", "storing")),
+    JobKind.UNPACK: Kind("app.work.unpack", ("checking", "unpacking", "storing")),
+    JobKind.DEMO: Kind("app.work.demo", ("preparing", "simulating", "storing")),
 }
 
 URGENT = tuple(name for name, kind in KINDS.items() if kind.urgent)
 DRIVE_CHANGING = tuple(name for name, kind in KINDS.items() if kind.changes_drive)
+
+
+def prepare(task: Task) -> Plan:
+    """Look at the input of a task, and cut it into parts."""
+    _check(task)
+    plan: Plan = KINDS[task.kind].load().prepare(task)
+    return plan
+
+
+def run(task: Task, part: Part) -> None:
+    """Do one part of a task."""
+    _check(task)
+    KINDS[task.kind].load().run(task, part, ProgressFiles(task).report_of(part))
+
+
+def finish(task: Task, plan: Plan) -> Outcome:
+    """Join the parts of a task into its result."""
+    _check(task)
+    outcome: Outcome = KINDS[task.kind].load().finish(task, plan)
+    return outcome
+
+
+def _check(task: Task) -> None:
+    if not task.scratch.is_dir():
+        raise InterLocError(
+            f"The worker on {socket.gethostname()} does not see {task.scratch}. "
+            "Workers of a cluster need the data folder of the service at the same place."
+        )
+    ProgressFiles(task).check()

@@ -1,4 +1,4 @@
-"""How far the work of an attempt is: small files in the scratch folder, written by workers, read by their server.
+"""The progress of an attempt: small files in the scratch folder, written by workers, read by their server.
 
 Files need nothing but the data folder that servers and workers share anyway, and they outlive whoever wrote them.
 """
@@ -15,19 +15,19 @@ from typing import Any
 
 from app.work.task import Cancelled, Part, Report, Task
 
-_INTERVAL_S = 0.25  # between two words of a worker
+_INTERVAL_S = 0.25  # between two reports of a part
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What the workers of an attempt last said.
+class WorkProgress:
+    """What the workers of an attempt last reported.
 
     Attributes
     ----------
     done : dict of int to int
         Units done of each part that has begun.
     stage, message : str or None
-        What the work as a whole is doing or waiting for, where it said so.
+        What the work as a whole is doing or waiting for, where it reported that.
     """
 
     done: dict[int, int]
@@ -35,13 +35,8 @@ class Standing:
     message: str | None = None
 
 
-class Board:
-    """The files of one attempt.
-
-    Parameters
-    ----------
-    task
-    """
+class ProgressFiles:
+    """The files of one attempt at a task."""
 
     def __init__(self, task: Task) -> None:
         self._folder = task.scratch / f"attempt-{task.attempt}"
@@ -61,13 +56,13 @@ class Board:
         if self._stop.exists() or not self._folder.is_dir():
             raise Cancelled("The job was cancelled.")
 
-    def tell(self, stage: str, message: str | None = None) -> None:
-        """Say what the work is doing, or waiting for; raises `Cancelled` when nobody listens."""
+    def report_stage(self, stage: str, message: str | None = None) -> None:
+        """Report what the work is doing, or waiting for; raises `Cancelled` when nobody waits for it any more."""
         self.check()
         self._write("stage", {"stage": stage, "message": message})
 
     def forget_stage(self) -> None:
-        """Forget what was told: the work enters its next phase."""
+        """Forget the stage that was reported: the work enters its next phase."""
         with suppress(OSError):
             (self._folder / "stage").unlink(missing_ok=True)
 
@@ -86,10 +81,10 @@ class Board:
 
         return report
 
-    def read(self) -> Standing:
-        """Return what the workers said last."""
+    def read(self) -> WorkProgress:
+        """Return what the workers reported last."""
         done: dict[int, int] = {}
-        said: dict[str, Any] = {}
+        reported: dict[str, Any] = {}
         with suppress(FileNotFoundError):
             for entry in os.scandir(self._folder):
                 content = _read(Path(entry.path))
@@ -97,8 +92,8 @@ class Board:
                 if kind == "part" and number.isdigit():
                     done[int(number)] = int(content.get("done", 0))
                 elif entry.name == "stage":
-                    said = content
-        return Standing(done, said.get("stage"), said.get("message"))
+                    reported = content
+        return WorkProgress(done, reported.get("stage"), reported.get("message"))
 
     def _write(self, name: str, content: dict[str, Any]) -> None:
         # Renamed into place, so that no reader sees half; not synced: it is worth nothing after a crash.

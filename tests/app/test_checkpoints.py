@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.work import calls, intersections
+from app.work import intersections, kinds
 from app.work.checkpoints import read_checkpoint, write_checkpoint
-from app.work.progress import Board
+from app.work.progress import ProgressFiles
 from app.work.task import Cancelled, Part, Task
 from interloc.config import preset
 from interloc.detection.detector import KeyframeDetections
@@ -112,54 +112,54 @@ def task(drive: Path, tmp_path: Path) -> Task:
     request = {"config": preset("default").model_dump(mode="json"), "labels": None, "osm": None}
     scratch = tmp_path / "scratch"
     task = Task("intersections", "job", "street", request, drive, scratch, tmp_path / "result", attempt="a")
-    Board(task).open()
+    ProgressFiles(task).open()
     return task
 
 
 def test_a_part_that_is_done_is_not_done_again(task: Task, tmp_path: Path) -> None:
-    plan = calls.prepare(task)
+    plan = kinds.prepare(task)
     assert (plan.total, [(part.start, part.stop) for part in plan.parts]) == (300, [(0, 300)])
-    calls.run(task, plan.parts[0])
+    kinds.run(task, plan.parts[0])
     nowhere = replace(task, drive=tmp_path / "nowhere", attempt="b")  # another attempt could not do it
-    Board(nowhere).open()
-    calls.run(nowhere, plan.parts[0])
-    assert Board(nowhere).read().done == {0: 300}
+    ProgressFiles(nowhere).open()
+    kinds.run(nowhere, plan.parts[0])
+    assert ProgressFiles(nowhere).read().done == {0: 300}
 
 
 def test_the_cut_does_not_matter(task: Task) -> None:
-    whole = calls.prepare(task)
-    calls.run(task, whole.parts[0])
-    calls.finish(task, whole)
+    whole = kinds.prepare(task)
+    kinds.run(task, whole.parts[0])
+    kinds.finish(task, whole)
     expected = {path.name: path.read_bytes() for path in task.result.glob("*.geojson")}
     assert len(expected) == 4
     shutil.rmtree(task.result)
     cut = replace(whole, parts=[Part(0, 0, 1), Part(1, 1, 130), Part(2, 130, 300)])
     for part in cut.parts:
-        calls.run(task, part)
-    calls.finish(task, cut)
+        kinds.run(task, part)
+    kinds.finish(task, cut)
     assert {path.name: path.read_bytes() for path in task.result.glob("*.geojson")} == expected
 
 
 def test_work_stops_when_it_is_told_to(task: Task) -> None:
-    plan = calls.prepare(task)
-    Board(task).stop()
+    plan = kinds.prepare(task)
+    ProgressFiles(task).stop()
     with pytest.raises(Cancelled):
-        calls.run(task, plan.parts[0])
+        kinds.run(task, plan.parts[0])
     with pytest.raises(Cancelled):
-        intersections.run(task, plan.parts[0], Board(task).report_of(plan.parts[0]))
+        intersections.run(task, plan.parts[0], ProgressFiles(task).report_of(plan.parts[0]))
     with pytest.raises(Cancelled):
-        calls.finish(task, plan)
+        kinds.finish(task, plan)
     assert not task.result.exists()
 
 
 def test_two_attempts_do_not_stop_each_other(task: Task) -> None:
     other = replace(task, attempt="b")
-    Board(other).open()
-    Board(task).stop()
-    calls.prepare(other)
-    Board(other).check()
+    ProgressFiles(other).open()
+    ProgressFiles(task).stop()
+    kinds.prepare(other)
+    ProgressFiles(other).check()
 
 
 def test_a_worker_that_does_not_see_the_data_says_so(task: Task, tmp_path: Path) -> None:
     with pytest.raises(InterLocError, match=r"does not see .*at the same place"):
-        calls.prepare(replace(task, scratch=tmp_path / "not mounted"))
+        kinds.prepare(replace(task, scratch=tmp_path / "not mounted"))

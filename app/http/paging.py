@@ -1,0 +1,42 @@
+"""Pages of lists, the newest first: where one ends, the next one begins."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from sqlalchemy import ColumnElement, and_, or_
+
+from app.http.problems import Problem
+from app.store.models import Drive, Job
+
+_CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
+
+
+def cursor_of(row: Drive | Job) -> str:
+    """Return the cursor of a page that ends with this row."""
+    return f"{row.created_at!r}_{row.id}"
+
+
+def rows_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
+    """Return the condition that a row comes after a cursor, in the order of `newest_first`.
+
+    Raises
+    ------
+    Problem
+        422: it is not a cursor.
+    """
+    match = _CURSOR.fullmatch(cursor)
+    if match is None:
+        raise Problem(
+            422,
+            "Request not valid",
+            f"after={cursor[:80]!r} is not the `next` of a list. Leave it out to begin with the first page.",
+        )
+    created_at, id_ = float(match[1]), match[2]
+    return or_(table.created_at < created_at, and_(table.created_at == created_at, table.id < id_))
+
+
+def newest_first(table: type[Drive | Job]) -> tuple[Any, Any]:
+    """Return what rows are ordered by."""
+    return table.created_at.desc(), table.id.desc()

@@ -1,0 +1,40 @@
+"""The states of drives and jobs, and the kinds of jobs: their values are those of the database and of REST."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class DriveState(StrEnum):
+    """What can be done with a drive."""
+
+    UPLOADING = "uploading"
+    """It takes files."""
+    CHECKING = "checking"
+    """Its commit job waits or runs."""
+    READY = "ready"
+    """It was committed: jobs can use it, and it takes no files but maps."""
+
+
+class JobState(StrEnum):
+    """How far a job is."""
+
+    ACCEPTED = "accepted"
+    RUNNING = "running"
+    SUCCESSFUL = "successful"
+    FAILED = "failed"
+    DISMISSED = "dismissed"
+
+
+ACTIVE = (JobState.ACCEPTED, JobState.RUNNING)
+FINAL = (JobState.SUCCESSFUL, JobState.FAILED, JobState.DISMISSED)
+"""States that do not change any more."""
+
+
+class JobKind(StrEnum):
+    """What a job does."""
+
+    INTERSECTIONS = "intersections"
+    COMMIT = "commit"
+    UNPACK = "unpack"
+    DEMO = "demo"
