@@ -60,6 +60,7 @@ test-quick: $(READY)
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo
 	@if [ -x $(BIOME) ]; then npm run --silent lint --prefix static; \
 	else echo "skipped: the linter of the page is not installed (npm ci in static/)"; fi
 
