@@ -14,7 +14,7 @@ from fastapi import Depends, Request
 from app.metrics import Metrics
 from app.settings import Settings
 from app.store.database import Database
-from app.store.storage import LocalStorage, Storage
+from app.store.storage import Storage
 from app.store.tokens import TokenBook
 from interloc.errors import OutputError
 
@@ -44,7 +44,7 @@ class Context:
     def open(cls, settings: Settings) -> Context:
         """Open database and storage, as `open_database` does."""
         database = open_database(settings)
-        storage = LocalStorage(settings.data_dir)
+        storage = Storage(settings.data_dir)
         return cls(settings, database, storage, TokenBook(database, settings), Metrics())
 
     def close(self) -> None:

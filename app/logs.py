@@ -1,4 +1,4 @@
-"""The log on stderr: a JSON object a line, or text; each line of a request carries its id, its client, its job."""
+"""The log on stderr: one JSON object per line, or text; each line of a request carries its id, its client, its job."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from app.settings import Settings
 _context: ContextVar[dict[str, Any]] = ContextVar("interloc_log_context", default={})  # noqa: B039 - never changed
 
 _STANDARD = set(logging.LogRecord("", 0, "", 0, "", None, None).__dict__) | {"message", "asctime", "color_message"}
-"""What every record has; the rest was given as ``extra``."""
+"""Attributes of every record; the others were given as ``extra``."""
 
 
 def bind(**values: object) -> None:
@@ -25,16 +25,6 @@ def bind(**values: object) -> None:
 def reset() -> None:
     """Forget what was bound."""
     _context.set({})
-
-
-class _AddContext(logging.Filter):
-    """Puts what is bound into each record, in the thread that logs it."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        for name, value in _context.get().items():
-            if name not in record.__dict__:
-                record.__dict__[name] = value
-        return True
 
 
 class JsonFormatter(logging.Formatter):
@@ -66,11 +56,13 @@ class TextFormatter(logging.Formatter):
 
 
 def _extra(record: logging.LogRecord) -> dict[str, Any]:
-    return {name: value for name, value in record.__dict__.items() if name not in _STANDARD and value is not None}
+    """Return what the record was given beside its message, and what is bound in the thread that logs it."""
+    given = {name: value for name, value in record.__dict__.items() if name not in _STANDARD and value is not None}
+    return {**_context.get(), **given}
 
 
 def _one_line(text: str) -> str:
-    """Keep what a client sent from making lines of its own."""
+    """Escape what would begin a line of its own, in text that a client sent."""
     return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
 
 
@@ -78,14 +70,9 @@ def set_up(settings: Settings) -> None:
     """Send everything that this process logs to stderr, in the format of the settings."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter() if settings.log_format == "json" else TextFormatter())
-    handler.addFilter(_AddContext())
-    root = logging.getLogger()
-    for old in list(root.handlers):
-        root.removeHandler(old)
-    root.addHandler(handler)
-    root.setLevel(logging.WARNING)  # of libraries
+    logging.basicConfig(handlers=[handler], level=logging.WARNING, force=True)  # the level is that of libraries
     for name in ("app", "interloc"):
         logging.getLogger(name).setLevel(settings.log_level.upper())
-    # Its notes of starting and stopping are said by ours; its access log knows no route, no client and no job.
+    # Start and stop are logged by the service itself; uvicorn's access log knows no route, no client and no job.
     logging.getLogger("uvicorn").setLevel(logging.WARNING)
     logging.captureWarnings(capture=True)

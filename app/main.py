@@ -13,11 +13,12 @@ from app.drives.cleanup import Sweeper
 from app.drives.finish import finish_drive
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
+from app.http.page import PageFiles
 from app.http.problems import ProblemDocument, add_handlers
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
-from app.results.exports import Exports
-from app.results.keyframes import KeyframeViews
+from app.results.folder import Results
+from app.results.on_demand import OnDemand
 from app.routes import (
     archive,
     commit,
@@ -70,8 +71,8 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             app.state.context = opened
             app.state.runner = runner = Runner(opened, finish_drive)
             app.state.watcher = JobWatcher(opened)
-            app.state.keyframe_views = KeyframeViews(runner)
-            app.state.exports = Exports(runner)
+            app.state.results = Results(opened)
+            app.state.on_demand = OnDemand(runner)
             runner.start()
         sweeper = Sweeper(opened)
         sweeper.start()
@@ -87,7 +88,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         version=str(versions()["interloc"]),
         summary="Find road intersections in LiDAR drives, map them, and score them against OpenStreetMap.",
         lifespan=lifespan,
-        docs_url=None,  # the defaults ask other hosts for their scripts: see app/http/docs.py
+        docs_url=None,  # the defaults ask other hosts for their scripts: see app/http/page.py
         redoc_url=None,
         description=DESCRIPTION,
         openapi_tags=TAGS,
@@ -95,7 +96,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` says where."}},
     )
     app.openapi = Description(app)  # type: ignore[method-assign] # as FastAPI's documentation has it
-    app.state.settings = settings
+    app.state.page_files = PageFiles(settings)
     add_handlers(app)
     add_middleware(app, settings)
     for module in (drives, files, scans, archive, commit, jobs, events, results, keyframes, exports, compare, demo):

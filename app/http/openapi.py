@@ -1,13 +1,16 @@
-"""The description of the API: what its generated part does not know."""
+"""The OpenAPI document: what FastAPI cannot generate of it."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 from app.http.problems import MEDIA_TYPE, ProblemDocument
+
+Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
 DESCRIPTION = """
 A *drive* is uploaded file by file, checked and reduced by its *commit*; a *job* finds the intersections in it, and
@@ -39,7 +42,7 @@ TAGS = [
 ]
 
 _UNAUTHORIZED = {
-    "description": "The service needs an API token, and this is none.",
+    "description": "The service needs a valid API token.",
     "headers": {
         "WWW-Authenticate": {"description": "How to authenticate.", "schema": {"type": "string"}},
     },
@@ -50,6 +53,21 @@ _ANY = {"description": "Any other problem, as a request too large (413), too slo
 def operation_id(route: APIRoute) -> str:
     """Name an operation as its function: good names in generated clients."""
     return route.name
+
+
+def get_and_head(
+    router: APIRouter,
+    path: str,
+    **options: Any,  # noqa: ANN401 - FastAPI's
+) -> Callable[[Endpoint], Endpoint]:
+    """Register an address for GET, and for HEAD without a second entry in the OpenAPI."""
+
+    def register(endpoint: Endpoint) -> Endpoint:
+        router.add_api_route(path, endpoint, methods=["GET"], **options)
+        router.add_api_route(path, endpoint, methods=["HEAD"], **{**options, "include_in_schema": False})
+        return endpoint
+
+    return register
 
 
 class Description:

@@ -5,23 +5,20 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from fastapi import Depends, Request
 from sqlalchemy import select
 
 from app.context import Context
 from app.http.problems import Problem
 from app.states import JobKind, JobState
 from app.store.models import Drive, Job
-from app.store.storage import Storage
 from interloc.output.layout import RUN_FILE, TABLES, file_names
 
 EVALUATION_FILES = {"osm-nodes": "osm_nodes.geojson", "matches": "matches.geojson", "osm-roads": "osm_roads.geojson"}
 LAYERS = (*TABLES, *EVALUATION_FILES)
 """GeoJSON layers of a result, by the names of their addresses."""
-
-_KNOWN: dict[tuple[Storage, str], Result] = {}
-"""Results found before. A job that was successful stays so until it is removed, and then its folder goes too."""
 
 _MAX_KNOWN = 1000
 
@@ -136,46 +133,69 @@ class Result:
         return sorted(p.relative_to(self.folder) for p in self.folder.rglob("*") if p.is_file())
 
 
-def open_result(context: Context, job_id: str) -> Result:
-    """Find the result of a job.
+class Results:
+    """The results of all jobs.
 
-    Raises
-    ------
-    Problem
-        404: no such job, or one without results; 409: not successful (yet).
+    Those opened before are kept at hand: a job that was successful stays so until it is removed, and then its folder
+    is removed too.
     """
-    known = _KNOWN.get((context.storage, job_id))
-    if known is not None and (known.folder / RUN_FILE).exists():
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._known: dict[str, Result] = {}
+
+    def open(self, job_id: str) -> Result:
+        """Find the result of a job.
+
+        Raises
+        ------
+        Problem
+            404: no such job, or one without results; 409: not successful (yet); 410: no longer on disk.
+        """
+        known = self._known.get(job_id)
+        if known is None or not (known.folder / RUN_FILE).exists():
+            known = self._look_up(job_id)
+            if len(self._known) >= _MAX_KNOWN:
+                self._known.clear()
+            self._known[job_id] = known
         return known
-    with context.database.reading() as session:
-        row = session.execute(
-            select(Job.kind, Job.state, Job.request, Job.drive_id, Drive.name)
-            .join(Drive, Drive.id == Job.drive_id)
-            .where(Job.id == job_id)
-        ).first()
-    if row is None:
-        raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
-    kind, state, request, drive_id, drive_name = row
-    address = f"/api/v1/jobs/{job_id}"
-    if kind != JobKind.INTERSECTIONS:
-        raise Problem(404, "No results", f"Job {job_id} is a {kind}; only jobs of kind intersections have results.")
-    if state != JobState.SUCCESSFUL:
-        detail = f"Job {job_id} is {state}. {_STATES[state].format(job=address)}"
-        raise Problem(409, "Result not ready", detail, state=state)
-    storage = context.storage
-    result = Result(
-        job_id=job_id,
-        drive_id=drive_id,
-        drive_name=drive_name,
-        address=address,
-        folder=storage.folder(f"jobs/{job_id}/result"),
-        drive=storage.folder(f"drives/{drive_id}"),
-        cache=storage.folder(f"jobs/{job_id}/cache"),
-        request=request,
-    )
-    if not (result.folder / RUN_FILE).exists():
-        raise Problem(410, "Result is gone", f"The result of job {job_id} is no longer on disk. Submit the job again.")
-    if len(_KNOWN) >= _MAX_KNOWN:
-        _KNOWN.clear()
-    _KNOWN[context.storage, job_id] = result
-    return result
+
+    def _look_up(self, job_id: str) -> Result:
+        with self._context.database.reading() as session:
+            row = session.execute(
+                select(Job.kind, Job.state, Job.request, Job.drive_id, Drive.name)
+                .join(Drive, Drive.id == Job.drive_id)
+                .where(Job.id == job_id)
+            ).first()
+        if row is None:
+            raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
+        kind, state, request, drive_id, drive_name = row
+        address = f"/api/v1/jobs/{job_id}"
+        if kind != JobKind.INTERSECTIONS:
+            raise Problem(404, "No results", f"Job {job_id} is a {kind}; only jobs of kind intersections have results.")
+        if state != JobState.SUCCESSFUL:
+            detail = f"Job {job_id} is {state}. {_STATES[state].format(job=address)}"
+            raise Problem(409, "Result not ready", detail, state=state)
+        storage = self._context.storage
+        result = Result(
+            job_id=job_id,
+            drive_id=drive_id,
+            drive_name=drive_name,
+            address=address,
+            folder=storage.folder(f"jobs/{job_id}/result"),
+            drive=storage.folder(f"drives/{drive_id}"),
+            cache=storage.folder(f"jobs/{job_id}/cache"),
+            request=request,
+        )
+        if not (result.folder / RUN_FILE).exists():
+            detail = f"The result of job {job_id} is no longer on disk. Submit the job again."
+            raise Problem(410, "Result is gone", detail)
+        return result
+
+
+async def _results(request: Request) -> Results:  # async: no trip to the thread pool
+    results: Results = request.app.state.results
+    return results
+
+
+ResultsDep = Annotated[Results, Depends(_results)]

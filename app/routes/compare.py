@@ -9,12 +9,11 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
-from app.context import ContextDep
 from app.http.problems import Problem
-from app.results.folder import open_result
+from app.results.folder import ResultsDep
 from app.routes.results import PROBLEMS
 
-_MOST = 8
+_MAX_JOBS = 8
 
 router = APIRouter(tags=["Results"])
 
@@ -34,14 +33,14 @@ class Figure(BaseModel):
 
 
 class ComparedNode(BaseModel):
-    """An OpenStreetMap node with other outcomes."""
+    """An OpenStreetMap node with different outcomes."""
 
     osm_id: int
     lon: float
     lat: float
     degree: int
     outcomes: list[Literal["found", "missed", "outside"]] = Field(
-        description="In the order of the jobs; outside: of the zone in which a missed node counts."
+        description="In the order of the jobs; outside: it lay in no zone in which a missed node counts."
     )
     median_error_m: list[float | None]
 
@@ -51,9 +50,9 @@ class Comparison(BaseModel):
 
     runs: list[str] = Field(description="Ids of the jobs.")
     drive_id: str
-    settings: list[Setting] = Field(description="Those that differ.")
+    settings: list[Setting] = Field(description="Settings in which the jobs differ.")
     figures: list[Figure]
-    nodes: list[ComparedNode] = Field(description="Those with other outcomes.")
+    nodes: list[ComparedNode] = Field(description="Nodes with different outcomes.")
     found_by_all: int
     missed_by_all: int
     found_only_by: list[list[int]] = Field(description="OSM ids of the nodes that only this job found.")
@@ -68,7 +67,7 @@ class Comparison(BaseModel):
     responses=PROBLEMS,
 )
 def compare_jobs(
-    context: ContextDep,
+    results: ResultsDep,
     jobs: Annotated[
         str,
         Query(description="Ids of two to eight jobs, with commas between.", max_length=1000, examples=["9b1e,44f0"]),
@@ -78,16 +77,16 @@ def compare_jobs(
     from interloc.evaluation.compare import compare_reports  # noqa: PLC0415 - numpy and more
 
     ids = [each.strip() for each in jobs.split(",") if each.strip()]
-    if not 2 <= len(set(ids)) == len(ids) <= _MOST:
-        raise Problem(422, "Request not valid", f"jobs: {jobs!r}. Expected two to {_MOST} different job ids: a,b")
-    results = [open_result(context, job_id) for job_id in ids]
-    drives = dict.fromkeys(result.drive_id for result in results)
+    if not 2 <= len(set(ids)) == len(ids) <= _MAX_JOBS:
+        raise Problem(422, "Request not valid", f"jobs: {jobs!r}. Expected two to {_MAX_JOBS} different job ids: a,b")
+    opened = [results.open(job_id) for job_id in ids]
+    drives = dict.fromkeys(result.drive_id for result in opened)
     if len(drives) > 1:
-        names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in results)
+        names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in opened)
         raise Problem(422, "Different drives", f"Jobs of one drive can be compared; these are {names}.")
-    reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in results]
-    runs = [json.loads((result.folder / "run.json").read_bytes()) for result in results]
-    return {"drive_id": results[0].drive_id, **compare_reports(ids, reports, runs)}
+    reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]
+    runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
+    return {"drive_id": opened[0].drive_id, **compare_reports(ids, reports, runs)}
 
 
 class PublishedFigures(BaseModel):
@@ -101,13 +100,15 @@ class PublishedFigures(BaseModel):
 class PaperFigures(BaseModel):
     """What the paper reports."""
 
-    threshold_m: float = Field(5.0, description="D of precision and recall, but for `comparison`.")
-    sequences: dict[str, PublishedFigures] = Field(description="SemanticKITTI sequence -> with RangeNet++ labels.")
+    threshold_m: float = Field(5.0, description="D of precision and recall, except in `comparison`.")
+    sequences: dict[str, PublishedFigures] = Field(
+        description="Figures per SemanticKITTI sequence, with RangeNet++ labels."
+    )
     average: PublishedFigures
     comparison: dict[str, PublishedFigures] = Field(
-        description="Method -> ACE, precision at D = 6.9 m, recall at D = 13.3 m."
+        description="Figures per method: ACE, precision at D = 6.9 m, recall at D = 13.3 m."
     )
-    noise: dict[str, PublishedFigures] = Field(description="r-FPR/r-FNR in per cent -> with hand labels.")
+    noise: dict[str, PublishedFigures] = Field(description="Figures per r-FPR/r-FNR in per cent, with hand labels.")
 
 
 @router.get("/paper", summary="The paper's figures", operation_id="read_paper", response_model=PaperFigures)

@@ -8,11 +8,11 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.context import Context, ContextDep
 from app.http.delivery import deliver
+from app.http.openapi import get_and_head
 from app.http.problems import ProblemDocument
-from app.results.folder import open_result
-from app.results.keyframes import KeyframeViews
+from app.results.folder import Results, ResultsDep
+from app.results.on_demand import OnDemand, OnDemandDep
 from app.routes.results import PROBLEMS, JobId, answers
 from app.work.on_demand import VIEW
 
@@ -79,11 +79,12 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-async def _answer(request: Request, context: Context, job_id: str, frame: int, file: str) -> Response:
-    views: KeyframeViews = request.app.state.keyframe_views
+async def _deliver(
+    request: Request, results: Results, on_demand: OnDemand, job_id: str, frame: int, file: str
+) -> Response:
     for attempt in (1, 2):
-        result = await run_in_threadpool(open_result, context, job_id)
-        folder = await views.open(result, frame)
+        result = await run_in_threadpool(results.open, job_id)
+        folder = await on_demand.keyframe(result, frame)
         try:
             return await run_in_threadpool(
                 deliver, request, folder / file, name=f"{result.slug}-{frame}-{file}", cache_control=_KEEP
@@ -94,19 +95,20 @@ async def _answer(request: Request, context: Context, job_id: str, frame: int, f
     raise AssertionError
 
 
-@router.get(
+@get_and_head(
+    router,
     "/jobs/{job_id}/keyframes/{frame}/bev.png",
     summary="A step of the method at one keyframe, as a picture",
     operation_id="read_keyframe_picture",
     response_class=Response,
     responses={**answers("image/png", {"type": "string", "format": "binary"}, "The picture."), **_PROBLEMS},
 )
-@router.head("/jobs/{job_id}/keyframes/{frame}/bev.png", include_in_schema=False, response_class=Response)
 async def read_keyframe_picture(
     job_id: JobId,
     frame: Frame,
     request: Request,
-    context: ContextDep,
+    results: ResultsDep,
+    on_demand: OnDemandDep,
     layer: Annotated[Layer, Query(description="Which step; `all` is several in one, opaque.")] = "bev",
 ) -> Response:
     """Show the region of interest, aligned with W: +x to the right, +y up. Transparent where there is nothing.
@@ -114,17 +116,19 @@ async def read_keyframe_picture(
     `GET .../keyframes/{frame}/bev` tells where the corners lie, to put it on a map. It is drawn when first asked for,
     which takes some tenths of a second.
     """
-    return await _answer(request, context, job_id, frame, f"{layer}.png")
+    return await _deliver(request, results, on_demand, job_id, frame, f"{layer}.png")
 
 
-@router.get(
+@get_and_head(
+    router,
     "/jobs/{job_id}/keyframes/{frame}/bev",
     summary="Where the pictures of a keyframe lie, and the numbers behind them",
     operation_id="read_keyframe_view",
     response_model=KeyframeView,
     responses=_PROBLEMS,
 )
-@router.head("/jobs/{job_id}/keyframes/{frame}/bev", include_in_schema=False, response_class=Response)
-async def read_keyframe_view(job_id: JobId, frame: Frame, request: Request, context: ContextDep) -> Response:
+async def read_keyframe_view(
+    job_id: JobId, frame: Frame, request: Request, results: ResultsDep, on_demand: OnDemandDep
+) -> Response:
     """Give corners, candidates with what became of them and why, detections, the window, the counts of points."""
-    return await _answer(request, context, job_id, frame, VIEW)
+    return await _deliver(request, results, on_demand, job_id, frame, VIEW)

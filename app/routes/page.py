@@ -8,24 +8,20 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from app.context import Context, ContextDep
-from app.http import docs
-from app.http.assets import INDEX, Assets
 from app.http.delivery import deliver
+from app.http.page import DOCS_POLICY, INDEX, SWAGGER, SWAGGER_PAGE, SWAGGER_START, PageFiles, list_addresses
 from app.http.problems import Problem
 from app.schemas.page import PageConfig
 
 router = APIRouter(tags=["System"])
 
 
-def _assets(request: Request) -> Assets:
-    state = request.app.state
-    if not hasattr(state, "assets") or not state.assets.is_complete:  # npm may have run since
-        state.assets = Assets.find(state.settings)
-    found: Assets = state.assets
-    return found
+async def _page_files(request: Request) -> PageFiles:  # async: no trip to the thread pool
+    files: PageFiles = request.app.state.page_files
+    return files
 
 
-AssetsDep = Annotated[Assets, Depends(_assets)]
+PageFilesDep = Annotated[PageFiles, Depends(_page_files)]
 
 
 def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint
@@ -33,29 +29,29 @@ def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint
         router.add_api_route(path, endpoint, methods=[method], include_in_schema=False, response_class=Response)
 
 
-def read_index(request: Request, assets: AssetsDep, context: ContextDep) -> Response:
+def read_index(request: Request, files: PageFilesDep, context: ContextDep) -> Response:
     """Give the page, or lead to the documentation where it is not installed."""
-    if not assets.is_complete:
+    if not files.are_complete():
         return RedirectResponse(f"{request.scope.get('root_path', '')}/docs")
-    return _give(request, assets, context, INDEX)
+    return _give(request, files, context, INDEX)
 
 
-def read_asset(path: str, request: Request, assets: AssetsDep, context: ContextDep) -> Response:
+def read_asset(path: str, request: Request, files: PageFilesDep, context: ContextDep) -> Response:
     """Give a file of the page."""
-    return _give(request, assets, context, path)
+    return _give(request, files, context, path)
 
 
-def read_docs(request: Request, assets: AssetsDep) -> Response:
+def read_docs(request: Request, files: PageFilesDep) -> Response:
     """Give the documentation of the API."""
-    headers = {"content-security-policy": docs.POLICY, "cache-control": "no-cache"}
-    if assets.find_file(docs.SWAGGER) is not None:
-        return HTMLResponse(docs.SWAGGER_PAGE, headers=headers)
-    return HTMLResponse(docs.listing(request.app.openapi()), headers=headers)
+    headers = {"content-security-policy": DOCS_POLICY, "cache-control": "no-cache"}
+    if files.find(SWAGGER) is not None:
+        return HTMLResponse(SWAGGER_PAGE, headers=headers)
+    return HTMLResponse(list_addresses(request.app.openapi()), headers=headers)
 
 
 def read_docs_start() -> Response:
     """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
-    return Response(docs.SWAGGER_START, media_type="text/javascript", headers={"cache-control": "no-cache"})
+    return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": "no-cache"})
 
 
 @router.get("/config.json", summary="What the page needs to know", operation_id="read_page_config")
@@ -67,8 +63,8 @@ def read_config(request: Request, context: ContextDep) -> PageConfig:
     return PageConfig.of(context.settings, version=request.app.version, needs_token=context.tokens.exist())
 
 
-def _give(request: Request, assets: Assets, context: Context, name: str) -> Response:
-    path = assets.find_file(name)
+def _give(request: Request, files: PageFiles, context: Context, name: str) -> Response:
+    path = files.find(name)
     if path is None:
         raise Problem(404, "Not found", f"The page has no file {name!r}.")
     copies = context.storage.folder("cache/page")

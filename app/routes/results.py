@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -11,11 +10,11 @@ from fastapi.responses import StreamingResponse
 from starlette.staticfiles import NotModifiedResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
-from app.context import ContextDep
 from app.http.delivery import REVALIDATE, deliver, is_known, media_type_of
 from app.http.headers import prefers_html
+from app.http.openapi import get_and_head
 from app.http.problems import ProblemDocument
-from app.results.folder import open_result
+from app.results.folder import ResultsDep
 from app.schemas.results import ResultFile, ResultFileList
 from interloc.output.layers import LAYERS, Layer
 
@@ -61,27 +60,17 @@ def _collection_of(layer: Layer) -> dict[str, Any]:
 router = APIRouter(tags=["Results"])
 
 
-def get(path: str, **options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:  # noqa: ANN401 - FastAPI's
-    """Register an address for GET, and for HEAD without a second entry in the OpenAPI."""
-
-    def register(endpoint: Callable[..., Any]) -> Callable[..., Any]:
-        router.add_api_route(path, endpoint, methods=["GET"], **options)
-        router.add_api_route(path, endpoint, methods=["HEAD"], **{**options, "include_in_schema": False})
-        return endpoint
-
-    return register
-
-
 def _add_layer(layer: Layer) -> None:
     address = layer.name.replace("_", "-")
 
-    def read_layer(job_id: JobId, request: Request, context: ContextDep) -> Response:
-        result = open_result(context, job_id)
+    def read_layer(job_id: JobId, request: Request, results: ResultsDep) -> Response:
+        result = results.open(job_id)
         name = f"{result.slug}-{address}.geojson"
         return deliver(request, result.layer(address), gzip_copies=result.cache, name=name)
 
     properties = "\n".join(f"- `{name}`: {field.description}" for name, field in layer.properties.model_fields.items())
-    get(
+    get_and_head(
+        router,
         f"/jobs/{{job_id}}/{address}",
         summary=layer.title,
         description=f"{layer.description}\n\n{properties}\n\n{layer.attribution} "
@@ -96,7 +85,8 @@ for _layer in LAYERS.values():
     _add_layer(_layer)
 
 
-@get(
+@get_and_head(
+    router,
     "/jobs/{job_id}/report",
     summary="The evaluation, for programs or for people",
     operation_id="read_report",
@@ -115,7 +105,7 @@ for _layer in LAYERS.values():
 def read_report(
     job_id: JobId,
     request: Request,
-    context: ContextDep,
+    results: ResultsDep,
     format: Annotated[  # noqa: A002 - the name in the address
         Literal["html", "json"] | None, Query(description="Wins over the Accept header.")
     ] = None,
@@ -124,36 +114,38 @@ def read_report(
 
     Answers with JSON, or with HTML where the `Accept` header prefers `text/html` (as a browser's does).
     """
-    result = open_result(context, job_id)
+    result = results.open(job_id)
     html = format == "html" or (format is None and prefers_html(request.headers))
     path = result.evaluation_file("report.html" if html else "report.json")
     name = f"{result.slug}-{path.name}"
     return deliver(request, path, gzip_copies=result.cache, name=name, vary="Accept")
 
 
-@get(
+@get_and_head(
+    router,
     "/jobs/{job_id}/run",
     summary="What the run was",
     operation_id="read_run",
     response_class=Response,
     responses=answers("application/json", {"type": "object"}, "`run.json`."),
 )
-def read_run(job_id: JobId, request: Request, context: ContextDep) -> Response:
+def read_run(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     """Give the full configuration, versions, timings per stage and peak memory."""
-    result = open_result(context, job_id)
+    result = results.open(job_id)
     return deliver(request, result.file("run.json"), gzip_copies=result.cache, name=f"{result.slug}-run.json")
 
 
-@get(
+@get_and_head(
+    router,
     "/jobs/{job_id}/files",
     summary="List the files of the result",
     operation_id="list_result_files",
     response_model=ResultFileList,
     responses=PROBLEMS,
 )
-def list_result_files(job_id: JobId, context: ContextDep) -> ResultFileList:
+def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
     """List the result folder, exactly as the command line writes it."""
-    result = open_result(context, job_id)
+    result = results.open(job_id)
     return ResultFileList(
         files=[
             ResultFile(
@@ -167,7 +159,8 @@ def list_result_files(job_id: JobId, context: ContextDep) -> ResultFileList:
     )
 
 
-@get(
+@get_and_head(
+    router,
     "/jobs/{job_id}/files/{name:path}",
     summary="Read a file of the result",
     operation_id="read_result_file",
@@ -178,24 +171,25 @@ def read_result_file(
     job_id: JobId,
     name: Annotated[str, Path(description="As listed.", examples=["figures/map.svg"], max_length=512)],
     request: Request,
-    context: ContextDep,
+    results: ResultsDep,
 ) -> Response:
     """Give any file of the result; without georeference these are the way to the `*.local.json` layers."""
-    result = open_result(context, job_id)
+    result = results.open(job_id)
     path = result.file(name)
     return deliver(request, path, gzip_copies=result.cache, name=f"{result.slug}-{path.name}")
 
 
-@get(
+@get_and_head(
+    router,
     "/jobs/{job_id}/archive.zip",
     summary="Download everything as one archive",
     operation_id="download_archive",
     response_class=Response,
     responses=answers("application/zip", {"type": "string", "format": "binary"}, "The result folder, packed."),
 )
-def download_archive(job_id: JobId, request: Request, context: ContextDep) -> Response:
+def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Response:
     """Give the whole result folder as a .zip, packed while it is sent."""
-    result = open_result(context, job_id)
+    result = results.open(job_id)
     folder = f"{result.slug}-{job_id}"
     archive = ZipStream(compress_type=ZIP_DEFLATED)
     files = []

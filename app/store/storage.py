@@ -1,4 +1,4 @@
-"""Where the bytes are kept: one small interface, and the folder that implements it.
+"""Where the bytes are kept: a folder behind a small interface, so that a storage of objects can follow.
 
 Keys are paths below one root: ``drives/<id>/files/...`` (as uploaded), ``drives/<id>/reduced/...`` (what jobs read),
 ``jobs/<id>/scratch/...`` (checkpoints, progress), ``jobs/<id>/result/...``. The library reads and writes folders, so a
@@ -12,40 +12,25 @@ import secrets
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
 
 from interloc.errors import InterLocError
 
 
-class Storage(Protocol):
-    """Where drives and results lie."""
-
-    def folder(self, key: str) -> Path:
-        """Return the folder of a key, for code that works on folders; it need not exist."""
-        ...
-
-    def delete(self, key: str) -> None:
-        """Remove a file or a folder with all that is in it; nothing happens where it is not there."""
-        ...
-
-    def free_bytes(self) -> int:
-        """Return the space that is left."""
-        ...
-
-
-class LocalStorage:
+class Storage:
     """A folder on this machine, or on a file system that all servers and workers mount at the same place."""
 
     def __init__(self, root: Path) -> None:
         self.root = Path(os.path.realpath(root))
 
-    def folder(self, key: str) -> Path:  # noqa: D102 - see Storage
+    def folder(self, key: str) -> Path:
+        """Return the folder of a key, for code that works on folders; it need not exist."""
         path = Path(os.path.normpath(self.root / key))
         if not path.is_relative_to(self.root) or path == self.root:
             raise InterLocError(f"{key!r} leads out of the data folder")
         return path
 
-    def delete(self, key: str) -> None:  # noqa: D102 - see Storage
+    def delete(self, key: str) -> None:
+        """Remove a file or a folder with all that is in it; nothing happens where there is none."""
         path = self.folder(key)
         if path.is_dir() and not path.is_symlink():
             # Renamed first: what is half deleted must not be found under its name.
@@ -57,6 +42,7 @@ class LocalStorage:
         else:
             path.unlink(missing_ok=True)
 
-    def free_bytes(self) -> int:  # noqa: D102 - see Storage
+    def free_bytes(self) -> int:
+        """Return the space that is left."""
         self.root.mkdir(parents=True, exist_ok=True)
         return shutil.disk_usage(self.root).free

@@ -80,7 +80,7 @@ def test_many_at_once_are_drawn_once_each(finished: Finished) -> None:
 
 @pytest.mark.parametrize(("address", "status", "said"), [
     ("/jobs/default/keyframes/4711/bev.png", 404, "the nearest one is 61"),
-    ("/jobs/default/keyframes/4711/bev", 404, "no keyframe"),
+    ("/jobs/default/keyframes/4711/bev", 404, "not a keyframe"),
     ("/jobs/nobody/keyframes/1/bev.png", 404, "no job nobody"),
     ("/jobs/failed/keyframes/1/bev", 409, "failed"),
     ("/jobs/default/keyframes/-1/bev", 422, "frame"),

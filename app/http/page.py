@@ -1,0 +1,130 @@
+"""Files of the page, and the documentation of the API as a page that needs nothing from other hosts.
+
+With the page installed the documentation is Swagger UI, from the npm package; without it, a list of the addresses.
+"""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import app
+from app.http.delivery import MEDIA_TYPES
+from app.settings import Settings
+
+INDEX = "index.html"
+_PACKAGES = "node_modules"
+_PRIVATE = frozenset({"package.json", "package-lock.json"})
+
+SWAGGER = "node_modules/swagger-ui-dist/swagger-ui-bundle.js"
+
+# FastAPI's own page holds its start as a script within it, which the policy below does not allow.
+SWAGGER_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>InterLoc API</title>
+<link rel="icon" href="static/icon.svg" type="image/svg+xml">
+<link rel="stylesheet" href="static/node_modules/swagger-ui-dist/swagger-ui.css">
+</head>
+<body>
+<div id="swagger-ui"></div>
+<script src="static/node_modules/swagger-ui-dist/swagger-ui-bundle.js"></script>
+<script src="docs/start.js"></script>
+</body>
+</html>
+"""
+
+SWAGGER_START = """SwaggerUIBundle({
+  url: new URL("openapi.json", document.baseURI).href,
+  dom_id: "#swagger-ui",
+  deepLinking: true,
+  displayRequestDuration: true,
+  validatorUrl: null,
+  presets: [SwaggerUIBundle.presets.apis, SwaggerUIBundle.SwaggerUIStandalonePreset],
+});
+"""
+
+DOCS_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+"""Swagger UI writes style attributes; scripts come from this service only."""
+
+_LIST = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>InterLoc API</title>
+</head>
+<body>
+<h1>InterLoc API</h1>
+<p>For programs: <a href="openapi.json">openapi.json</a>. The page of the service is not installed
+(<code>npm ci --omit=dev</code> in its folder <code>static</code>); the API works without it.</p>
+<table>
+{rows}
+</table>
+</body>
+</html>
+"""
+
+
+class PageFiles:
+    """The files of the page: where the settings say, beside the package (a checkout), or in it (an installation).
+
+    Attributes
+    ----------
+    root : Path
+        Folder of `index.html`.
+    packages : frozenset of str
+        npm packages that the page names as its dependencies; no other one is served.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        package = Path(app.__file__).parent
+        self._places = [settings.static_dir] if settings.static_dir else [package.parent / "static", package / "static"]
+        self._find()
+
+    def _find(self) -> None:
+        self.root = next((each for each in self._places if (each / INDEX).is_file()), self._places[0]).resolve()
+        try:
+            dependencies = json.loads((self.root / "package.json").read_bytes()).get("dependencies", {})
+        except (OSError, ValueError):
+            dependencies = {}
+        self.packages = frozenset(dependencies)
+
+    def are_complete(self) -> bool:
+        """Tell whether the page and the packages that it needs are there; they may have been installed just now."""
+        if not self._have_all():
+            self._find()
+        return self._have_all()
+
+    def _have_all(self) -> bool:
+        return (self.root / INDEX).is_file() and all((self.root / _PACKAGES / p).is_dir() for p in self.packages)
+
+    def find(self, name: str) -> Path | None:
+        """Return a file that may be served, by its path below the root."""
+        parts = name.split("/")
+        if "\0" in name or name in _PRIVATE or any(not part or part.startswith(".") for part in parts):
+            return None
+        if parts[0] == _PACKAGES and self.packages.isdisjoint(parts[1:2]):
+            return None
+        path = self.root.joinpath(*parts)
+        if path.suffix not in MEDIA_TYPES or not path.is_file() or not path.resolve().is_relative_to(self.root):
+            return None
+        return path
+
+
+def list_addresses(openapi: dict[str, Any]) -> str:
+    """Return the addresses of an OpenAPI document as a page without scripts."""
+    rows = [
+        f"<tr><td>{verb.upper()}</td><td><code>{escape(path)}</code></td><td>{escape(operation['summary'])}</td></tr>"
+        for path, operations in openapi["paths"].items()
+        for verb, operation in operations.items()
+    ]
+    return _LIST.format(rows="\n".join(rows))

@@ -1,0 +1,95 @@
+"""Files that are made from a result when somebody asks for them, by the workers, and kept with the job."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import Depends, Request
+
+from app.http.problems import Problem
+from app.jobs.runner import Runner
+from app.results.folder import Result
+from app.states import JobKind
+from app.work.on_demand import VIEW, draw_keyframe, write_export
+from app.work.task import Task
+
+_MAX_DRAWING = 2  # workers that a server lends to pictures: jobs go on in the meantime
+_MAX_RUNNING = 64
+
+
+class OnDemand:
+    """Makes each file once, however many ask for it at the same time."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+        self._running: dict[Path, asyncio.Task[Any]] = {}
+        self._drawing = asyncio.Semaphore(_MAX_DRAWING)
+
+    async def export(self, result: Result, path: Path, layer: str | None) -> None:
+        """Write a layer of a result, or all of them, as a file for other programs.
+
+        Raises
+        ------
+        Problem
+            503: the workers died of it.
+        """
+        await self._once(path, lambda: self._runner.run_in_worker(write_export, result.folder, path, layer))
+
+    async def keyframe(self, result: Result, frame: int) -> Path:
+        """Return the folder of the pictures of a keyframe.
+
+        Raises
+        ------
+        Problem
+            404: no such keyframe; 503: too many wait for pictures, or the workers died of it.
+        """
+        folder = result.cache / "bev" / str(frame)
+        if (folder / VIEW).exists():
+            return folder
+        if folder not in self._running and len(self._running) >= _MAX_RUNNING:
+            raise Problem(503, "Busy", "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
+        nearest = await self._once(folder, lambda: self._draw(_task_of(result), frame, folder))
+        if nearest != frame:
+            raise Problem(
+                404,
+                "No such keyframe",
+                f"Scan {frame} is not a keyframe of job {result.job_id}; the nearest one is {nearest}. "
+                f"GET {result.address}/keyframes lists them.",
+                nearest=nearest,
+            )
+        return folder
+
+    async def _draw(self, task: Task, frame: int, folder: Path) -> int:
+        async with self._drawing:
+            return await self._runner.run_in_worker(draw_keyframe, task, frame, folder)
+
+    async def _once(self, path: Path, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:  # noqa: ANN401
+        """Wait for the work on a file, begun here or by another request; a request that goes away does not end it."""
+        if path not in self._running:
+            task = asyncio.create_task(work())
+            self._running[path] = task
+            task.add_done_callback(lambda _: self._running.pop(path, None))
+        return await asyncio.shield(self._running[path])
+
+
+def _task_of(result: Result) -> Task:
+    return Task(
+        kind=JobKind.INTERSECTIONS,
+        job_id=result.job_id,
+        drive_name=result.drive_name,
+        request=result.request,
+        drive=result.drive,
+        scratch=result.cache,
+        result=result.folder,
+    )
+
+
+async def _on_demand(request: Request) -> OnDemand:  # async: no trip to the thread pool
+    on_demand: OnDemand = request.app.state.on_demand
+    return on_demand
+
+
+OnDemandDep = Annotated[OnDemand, Depends(_on_demand)]
