@@ -95,7 +95,7 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
     in_place = target.is_dir() and (target.is_mount() or not os.access(target.parent, os.W_OK | os.X_OK))
     temporary = target / f".partial-{secrets.token_hex(4)}" if in_place else _temporary_name(target)
     created: list[Path] = []
-    ours = True  # whose code is running: an error of the caller's may be about something else than this folder
+    ours = True  # whether this function is running: an error of the caller may concern something else than the folder
     try:
         _make_parents(temporary, created)
         temporary.mkdir()
@@ -128,12 +128,12 @@ def reason_of(error: OSError) -> str:
 
 
 def _temporary_name(path: Path) -> Path:
-    """Return a hidden name beside `path`, another one at each call: leftovers of a killed run never hinder."""
+    """Return a hidden name beside `path`, another one at each call: leftovers of a killed run are no obstacle."""
     return path.parent / f".{path.name[:200]}.partial-{secrets.token_hex(4)}"
 
 
 def _concerns(error: OSError, temporary: Path) -> bool:
-    """Tell whether an error arose from writing there; a failed write to an open file names no file."""
+    """Return whether an error arose from writing there; a failed write to an open file does not name the file."""
     if not isinstance(error.filename, str | bytes):
         return error.errno in _DISK_ERRORS
     return Path(os.fsdecode(error.filename)).is_relative_to(temporary)
@@ -153,13 +153,13 @@ def _refuse_foreign(target: Path, out: Path, marker: str) -> None:
     if foreign and marker not in foreign:
         shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         raise OutputError(
-            f"{out} exists and is no InterLoc result: it holds {shown} but no {marker}. "
+            f"{out} exists and is not an InterLoc result: it holds {shown} but no {marker}. "
             "It was not touched. Give the name of a new or an empty folder."
         )
 
 
 def _make_parents(temporary: Path, created: list[Path]) -> None:
-    """Create the missing folders above, noting each, so that a failed run can take them away again."""
+    """Create the missing folders above, noting each, so that a failed run can remove them again."""
     missing = [folder for folder in temporary.parents if not folder.exists()]
     for folder in reversed(missing):
         folder.mkdir(exist_ok=True)

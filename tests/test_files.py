@@ -218,9 +218,11 @@ def test_a_folder_of_something_else_is_not_touched(tmp_path: Path) -> None:
     out = tmp_path / "photos"
     out.mkdir()
     (out / "a.jpg").write_bytes(b"mine")
-    with pytest.raises(OutputError, match=r"photos exists and is no InterLoc result: it holds a.jpg but no run.json"):  # noqa: SIM117
-        with atomic_folder(out):
-            pytest.fail("refused before the work starts, not after")
+    with (
+        pytest.raises(OutputError, match=r"photos exists and is not an InterLoc result: it holds a.jpg but no run"),
+        atomic_folder(out),
+    ):
+        pytest.fail("refused before the work starts, not after")
     assert contents(tmp_path) == {"photos/a.jpg": b"mine"}
 
 

@@ -33,25 +33,25 @@ def command(results: tuple[Path, ...], as_json: bool) -> None:
                 f"{result} was not scored against a map: `interloc evaluate {result} --osm FILE` does that"
             )
     reports = [read_json(result / "report.json") for result in results]
-    told = compare_reports(names, reports, [read_json(result / "run.json") for result in results])
+    comparison = compare_reports(names, reports, [read_json(result / "run.json") for result in results])
     if as_json:
-        console.say_json(told)
+        console.say_json(comparison)
         return
-    _say_table(["", *names], [[row["name"], *map(_said, row["values"])] for row in told["figures"]])
+    _print_table(["", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["figures"]])
     click.echo()
-    if told["settings"]:
-        _say_table(["setting", *names], [[row["name"], *map(_said, row["values"])] for row in told["settings"]])
+    if comparison["settings"]:
+        _print_table(["setting", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["settings"]])
     else:
         click.echo("the same settings")
     click.echo()
-    click.echo(f"{told['found_by_all']} nodes found by all, {told['missed_by_all']} missed by all")
-    for name, only in zip(names, told["found_only_by"], strict=True):
+    click.echo(f"{comparison['found_by_all']} nodes found by all, {comparison['missed_by_all']} missed by all")
+    for name, only in zip(names, comparison["found_only_by"], strict=True):
         click.echo(f"only {name}: {len(only)}" + (f" ({', '.join(map(str, only[:20]))})" if only else ""))
-    for warning in told["warnings"]:
+    for warning in comparison["warnings"]:
         click.echo(f"note: {warning}")
 
 
-def _say_table(head: list[str], rows: list[list[str]]) -> None:
+def _print_table(head: list[str], rows: list[list[str]]) -> None:
     widths = [max(len(row[column]) for row in [head, *rows]) for column in range(len(head))]
     for row in [head, *rows]:
         first, *rest = (
@@ -60,7 +60,7 @@ def _say_table(head: list[str], rows: list[list[str]]) -> None:
         click.echo("  ".join([first, *rest]).rstrip())
 
 
-def _said(value: Any) -> str:
+def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return "-" if value is None else str(value)

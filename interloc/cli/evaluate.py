@@ -40,7 +40,7 @@ def command(
     if graph is None:
         graph = options.fetch_map(result, quiet=quiet)
     evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
-    with result_folder(out) as folder:  # all of the new report, or the folder as it was
+    with result_folder(out) as folder:  # the whole new report, or the folder as it was
         for name in (*file_names(georeferenced=True).values(), RUN_FILE):
             with atomic_write(folder / name) as file:
                 file.write((out / name).read_bytes())

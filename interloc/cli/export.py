@@ -18,11 +18,7 @@ from interloc.cli import console, options
     type=click.Path(path_type=Path, dir_okay=False),
     help="File to write; its name ends in .gpkg, .fgb or .kml.",
 )
-@click.option(
-    "--layer",
-    type=click.Choice(["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]),
-    help="Only this layer. [default: all in a .gpkg, else intersections]",
-)
+@click.option("--layer", help="Only this layer, such as detections. [default: all in a .gpkg, else intersections]")
 @options.QUIET
 @options.JSON
 def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bool) -> None:

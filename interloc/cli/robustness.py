@@ -19,8 +19,13 @@ if TYPE_CHECKING:
 @options.DRIVE
 @options.OUT
 @options.map_options
-@click.option("--levels", default="0/0,5/5,5/20,20/5,20/20", show_default=True, help="r-FPR/r-FNR in percent.")
-@click.option("--seed", default=0, show_default=True, help="Of the label errors.")
+@click.option(
+    "--levels",
+    default="0/0,5/5,5/20,20/5,20/20",
+    show_default=True,
+    help="r-FPR/r-FNR of each, in percent.",
+)
+@click.option("--seed", default=0, show_default=True, help="Seed of the random label errors.")
 @options.config_options
 @options.drive_options
 @options.workers_option
@@ -44,7 +49,7 @@ def command(
 ) -> None:
     """Repeat the paper's experiment on errors of the road labels over DRIVE (Table IV, Fig. 8).
 
-    Road points are dropped (r-FNR), and points of sidewalk, parking and other ground are taken for road (r-FPR).
+    Road points are dropped (r-FNR), and points of sidewalk, parking and other ground are labelled road (r-FPR).
 
     \b
     Example:
@@ -52,11 +57,7 @@ def command(
     """
     from interloc.drives.label_errors import MislabelledDrive
     from interloc.evaluation.evaluate import Evaluation, evaluate
-    from interloc.evaluation.label_errors import (
-        label_error_table,
-        parse_level,
-        write_label_errors,
-    )
+    from interloc.evaluation.label_errors import label_error_table, parse_level, write_label_errors
     from interloc.files import atomic_folder
     from interloc.pipeline import detect
 

@@ -1,4 +1,4 @@
-"""What the commands tell about a run and its evaluation."""
+"""What the commands print about a run and its evaluation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         ("georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"),
         (
             "time",
-            f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms a keyframe, {run['workers']} process(es)",
+            f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {run['workers']} process(es)",
         ),
         ("written to", str(out)),
     ]

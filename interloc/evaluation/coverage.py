@@ -1,4 +1,4 @@
-"""Does the map belong to the drive? Distance of the track from the roads, before anything is scored."""
+"""Whether the map belongs to the drive: distance of the track from the roads, before anything is scored."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from interloc.results import DriveResult
 logger = logging.getLogger(__name__)
 
 TRACK_OFF_ROAD_M = 5.0
-"""A track whose median distance from the roads is larger is suspicious: 0.4 to 1.1 m on KITTI."""
+"""A larger median distance of the track from the roads is suspicious: on KITTI it is 0.4 to 1.1 m."""
 
 
 def drive_bounds(result: DriveResult, *, margin_m: float = 200.0) -> Bounds:
@@ -35,7 +35,7 @@ def drive_bounds(result: DriveResult, *, margin_m: float = 200.0) -> Bounds:
 def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
     """Return west, south, east, north of (K, 2) longitudes, latitudes of the keyframes and a margin."""
     west_south, east_north = lonlat.min(axis=0), lonlat.max(axis=0)
-    # The corner that is further from the equator has the shorter degrees of longitude.
+    # Degrees of longitude are shorter at the corner that is further from the equator.
     lat = west_south[1] if abs(west_south[1]) > abs(east_north[1]) else east_north[1]
     margin = lonlat_from_enu(lat, 0.0, np.array([margin_m, margin_m])) - np.array([0.0, lat])
     west, south = west_south - margin
@@ -46,12 +46,12 @@ def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
 def track_to_road(track_lonlat: FloatArray, graph: RoadGraph) -> FloatArray:
     """Return the distance of (K, 2) track points from the nearest drivable road, (K,) metres.
 
-    Infinite where the map holds no drivable road within two kilometres or so.
+    Infinite where the map holds no drivable road within about two kilometres.
     """
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
     edges = graph.edges_of(road_ways(graph, "drive+service"))
-    # A plane around the drive has room for its neighbourhood only, and the map may be of another continent.
+    # The plane is accurate only around the drive, and the map may be of another continent.
     (west, south), (east, north) = track_lonlat.min(axis=0) - 0.02, track_lonlat.max(axis=0) + 0.02
     edges = edges[within((west, south, east, north), graph.lonlat)[edges].any(axis=1)]
     if len(edges) == 0:
@@ -80,7 +80,7 @@ def check_coverage(track_lonlat: FloatArray, graph: RoadGraph, *, roi_m: float) 
     track_to_road_m : float
         Median distance of the track from the nearest drivable road, metres.
     warnings : tuple of str
-        What a reader of the figures should know.
+        Reasons to read the figures with care.
 
     Raises
     ------

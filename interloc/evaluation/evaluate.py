@@ -51,7 +51,7 @@ class Evaluation:
     track_to_road_m : float
         Median distance of the track from the nearest drivable road, metres.
     warnings : tuple of str
-        What a reader of the figures should know.
+        Reasons to read the figures with care.
     """
 
     drive: str
@@ -85,26 +85,26 @@ def evaluate(
     Parameters
     ----------
     result
-        What `detect` found, with georeference.
+        Result of `detect`, with georeference.
     graph
         The roads around the drive.
     policy
-        Which OSM nodes are intersections.
+        Which OSM nodes count as intersections.
     roi_m
         Side S of the ROI, metres; default: the one that the run used (120 in the paper).
     relevant_zone_m
         Side of the relevant zone, metres; default: S - 2 a_o of the run (40 in the paper).
     tolerance_m
-        Reach of the merging of policy `consolidated`, metres.
+        Radius of the merging under policy `consolidated`, metres.
 
     Raises
     ------
     GeoreferenceError
-        The run knows no longitude and latitude.
+        The run has no longitude and latitude.
     MapError
         The map is of another place.
     ConfigError
-        The policy is unknown, or the zones have no extent.
+        The policy is unknown, or the sizes of the zones are not valid.
     """
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(

@@ -52,7 +52,7 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     track = plane(result.trajectory_lonlat)
     low, high = track.min(axis=0) - _MAP_MARGIN_M, track.max(axis=0) + _MAP_MARGIN_M
     width, height = high - low
-    # A map as large as a page at most; the long side decides the scale.
+    # The map is at most as large as a page; its longer side decides the scale.
     scale = min(9.0 / width, 9.5 / height)
     figure = new_figure(max(5.5, width * scale + 0.8), max(3.0, height * scale) + 1.5)
     axes = figure.add_subplot()

@@ -78,7 +78,7 @@ def parse_level(level: str) -> tuple[float, float]:
 
 
 def label_error_table(levels: Sequence[tuple[str, Evaluation]]) -> list[LabelErrorRow]:
-    """Return one row per level, in the given order, with the paper's figures beside ours.
+    """Return one row per level, in the given order, with the paper's figures beside those of this drive.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def write_label_errors(levels: Sequence[tuple[str, Evaluation]], out_dir: Path) 
         The folder is missing, or a file could not be written.
     """
     if not levels:
-        raise ConfigError("no level of label errors was evaluated. Expected at least one, such as 5/20.")
+        raise ConfigError("no level of label errors is given. Expected at least one, such as 5/20.")
     if not out_dir.is_dir():
         raise OutputError(f"{out_dir}: no such folder.")
     rows = label_error_table(levels)

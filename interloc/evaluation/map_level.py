@@ -1,4 +1,4 @@
-"""The fused map against the OSM nodes, one-to-one: what is there, what is there twice, and how far off."""
+"""The fused map against the OSM nodes, one-to-one: intersections that exist, duplicates, errors of the positions."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def assign_intersections(
     relevant_zone_m: float,
     gate_m: float = GATE_M,
 ) -> MapLevel:
-    """Assign fused intersections to nodes, one-to-one, with the least total of distances cut off at the gate."""
+    """Assign fused intersections to nodes, one-to-one, with the smallest sum of distances, each cut off at the gate."""
     assert intersections.lonlat is not None
     node = np.full(len(intersections), UNMATCHED, dtype=np.int64)
     error = np.full(len(intersections), np.inf)
@@ -87,7 +87,7 @@ def assign_intersections(
 
 
 def _assign(a_lonlat: FloatArray, b_lonlat: FloatArray, gate_m: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """Solve the assignment within each group of points that the gate connects: groups are small, the whole is not."""
+    """Solve the assignment within each group of points that the gate connects: the groups are small."""
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - slow to import
     from scipy.sparse import coo_array  # noqa: PLC0415
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415

@@ -131,7 +131,7 @@ def pairs_within(centre_lonlat: FloatArray, lonlat: FloatArray, radius_m: float)
     empty = np.empty(0, dtype=np.int64)
     if len(centre_lonlat) == 0 or len(lonlat) == 0:
         return empty, empty
-    # Straight lines through the Earth: no projection to choose, hence none that a long drive could outgrow.
+    # Straight lines through the Earth need no projection, so no drive is too long for it.
     tree = cKDTree(ecef_from_geodetic(lonlat[:, 1], lonlat[:, 0]))
     centres = ecef_from_geodetic(centre_lonlat[:, 1], centre_lonlat[:, 0])
     near: Any = tree.query_ball_point(centres, radius_m * 1.001 + 0.1, return_sorted=True)

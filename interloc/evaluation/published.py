@@ -1,4 +1,4 @@
-"""The figures that the paper reports, to stand beside ours."""
+"""The figures that the paper reports, for comparison with those of this implementation."""
 
 from __future__ import annotations
 

@@ -52,12 +52,12 @@ def write_report(evaluation: Evaluation, result: DriveResult, out_dir: Path) -> 
     record = report_record(evaluation)
     with atomic_write(out_dir / "report.html") as handle:
         handle.write(render_html(record, result, pictures).encode())
-    with atomic_write(out_dir / "report.json") as handle:  # last: whoever waits for it finds the rest
+    with atomic_write(out_dir / "report.json") as handle:  # last: where it is, the rest is complete
         handle.write(encode(record, indent=2).encode() + b"\n")
 
 
 def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str, str]) -> str:
-    """Return the page of a report as one file that asks no server for anything.
+    """Return the page of a report as one file that needs no server.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
 
 
 def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
-    """Return a page template of this package, with our ways to say numbers as filters."""
+    """Return a page template of this package, with the filters `percent` and `metres`."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
 
     environment = Environment(
@@ -102,7 +102,7 @@ def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
 
 
 def data_address(content: bytes, mime_type: str) -> str:
-    """Return bytes as an address that a page can show without asking a server."""
+    """Return bytes as an address that a page can show without a request to a server."""
     return f"data:{mime_type};base64,{base64.b64encode(content).decode()}"
 
 

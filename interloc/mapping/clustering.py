@@ -2,8 +2,8 @@
 
 Three steps, none of which depends on the order of the detections or needs more memory than is linear in them: the peaks
 of the weighted density of all detections; peaks that stand for one intersection (two passes with drift, an estimate
-that jumps between two places) joined, unless they were seen side by side; each detection to its nearest centre, at most
-one of a keyframe to each.
+that jumps between two places) joined, unless they were seen side by side; each detection to its nearest centre, which
+takes at most one detection per keyframe.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 
 _CELLS_PER_BANDWIDTH = 4
-_CHOICES = 4  # nearest centres that a detection may go to: more never lie within reach of one
+_MAX_CENTRES = 4
+"""Centres lie so far apart that at most four are within the merging radius of a detection."""
 
 
 def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float) -> IntArray:
@@ -63,7 +64,7 @@ def find_peaks(xy: FloatArray, weight: FloatArray, *, bandwidth_m: float) -> Int
     low, first = np.unique(low[order], return_index=True)
     parent = np.arange(len(mass))
     parent[low] = high[order][first]
-    while True:  # halve the way to the peak until all are there
+    while True:  # let all jump to the parent of their parent until they are at the peak
         grandparent = parent[parent]
         if np.array_equal(grandparent, parent):
             break
@@ -90,7 +91,7 @@ def join_peaks(
         Groups whose means lie further apart are not joined.
     together : float
         Two groups are two intersections if more than this share of the keyframes that saw the rarer one saw both.
-        Not one keyframe is enough: a false detection beside a real one must not tear two passes apart.
+        One keyframe is not enough: a false detection beside a real one must not separate two passes.
 
     Returns
     -------
@@ -100,7 +101,7 @@ def join_peaks(
     Notes
     -----
     Closest first. Joined groups move to their common mean and keep the keyframes of both, so chains do not grow
-    beyond `radius_m` and a pair that was told apart in one pass stays apart in the next.
+    beyond `radius_m` and a pair that was seen side by side in one pass stays apart in the next.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
 
@@ -138,7 +139,7 @@ def join_peaks(
 
 
 def assign(xy: FloatArray, keyframe: IntArray, centres: FloatArray, *, radius_m: float) -> IntArray:
-    """Give each detection to a centre: nearest pairs first, a centre takes at most one detection of a keyframe.
+    """Give each detection to a centre: nearest pairs first, at most one detection per keyframe and centre.
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ def assign(xy: FloatArray, keyframe: IntArray, centres: FloatArray, *, radius_m:
     assignment = np.full(len(xy), -1, dtype=np.int64)
     if not len(xy) or not len(centres):
         return assignment
-    choices = min(_CHOICES, len(centres))
+    choices = min(_MAX_CENTRES, len(centres))
     distance, nearest = cKDTree(centres).query(xy, k=choices, distance_upper_bound=radius_m)
     distance, nearest = np.asarray(distance).reshape(-1), np.asarray(nearest).reshape(-1)
     detection = np.repeat(np.arange(len(xy)), choices)

@@ -1,4 +1,4 @@
-"""What the sightings of an intersection say together: where it is, how surely, how often it was seen, its branches."""
+"""From all sightings of an intersection: its position with uncertainty, how often it was seen, its branches."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.geometry import wrap_bearing
 
 _ROUNDS = 30
-_SETTLED_M = 1e-4
+_CONVERGED_M = 1e-4
 
 
 def robust_centres(
@@ -50,7 +50,7 @@ def robust_centres(
             moved[held, axis] = np.bincount(labels, pull * xy[:, axis], len(centres))[held] / total[held]
         step = float(np.abs(moved - centres).max(initial=0.0))
         centres = moved
-        if step < _SETTLED_M:
+        if step < _CONVERGED_M:
             break
     return centres
 
@@ -88,11 +88,11 @@ def position_std(
     xy, weight, labels, centres
         As in `robust_centres`.
     travelled_m : (D,) float64
-        Way driven up to the keyframe of each detection.
+        Distance driven up to the keyframe of each detection.
     correlation_m : float
-        Way after which the windows of two keyframes have no scan of the intersection in common.
+        Distance after which the windows of two keyframes have no scan of the intersection in common.
     prior_std_m : float
-        What one independent sighting is typically off, for intersections that were seen too rarely to tell.
+        Typical error of one independent sighting, for intersections that were seen too rarely to estimate it.
     clip_m : float
         Distances count as no more than this, since such members do not move the centre either.
 
@@ -106,7 +106,7 @@ def position_std(
     Neighbouring keyframes see the intersection through nearly the same scans, so their errors agree, and 40 sightings
     of one pass are not 40 measurements. Two windows share the part r = max(0, 1 - d / correlation_m) of their scans
     when d metres of driving lie between them; taking r as the correlation of their errors, n sightings with weights w
-    are worth n_eff = (sum w)^2 / sum_ij w_i w_j r_ij independent ones: about 1.5 a pass, however dense the keyframes.
+    are worth n_eff = (sum w)^2 / sum_ij w_i w_j r_ij independent ones: about 1.5 per pass, however dense the keyframes.
     The scatter s^2 within such sightings underestimates the variance by 1 - 1 / n_eff, and says nothing at all for
     n_eff = 1. Hence the posterior with a prior worth two sightings (scaled inverse chi-squared):
     variance = (n_eff s^2 + 2 prior^2) / (n_eff + 1), and the variance of the centre is that over n_eff.
@@ -139,7 +139,7 @@ def _shared(place: FloatArray, w: FloatArray, length: float) -> FloatArray:
 def visibility(
     centres: FloatArray, keyframe_xy: FloatArray, *, certain_m: float, limit_m: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Say which keyframes could have seen which centres, and how surely.
+    """Return which keyframes could have seen which centres, with the probability of that.
 
     Parameters
     ----------
@@ -190,8 +190,8 @@ def fuse_bearings(
 
     Notes
     -----
-    Peaks of a density on the circle, each refined to the weighted circular mean of the bearings around it. Less than
-    three branches make no intersection (paper, section III-C): the best supported ones fill up to three.
+    Peaks of a density on the circle, each refined to the weighted circular mean of the bearings around it. An
+    intersection has at least three branches (paper, section III-C): the best supported ones fill up to three.
     """
     owner = np.repeat(np.arange(len(bearings_deg)), [len(b) for b in bearings_deg])
     if not owner.size:

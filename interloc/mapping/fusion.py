@@ -40,7 +40,7 @@ def fuse(
     IntersectionTable
         In the order of first sight.
     (D,) int64
-        Row of the intersection of each detection, -1 for none. No two detections of a keyframe share one.
+        Row of the intersection of each detection, -1 for none. No two detections of one keyframe share an intersection.
 
     Notes
     -----
@@ -63,11 +63,11 @@ def fuse(
     )
     count = int(labels.max(initial=-1)) + 1
     centres = heaviest_member(scene.xy, scene.weight, labels, count, scale_m=config.bandwidth_m)
-    centres, labels = _settle(scene, centres, labels, config)
-    centres, labels = _settle(scene, centres, labels, config)
+    centres, labels = _reassign(scene, centres, labels, config)
+    centres, labels = _reassign(scene, centres, labels, config)
 
     kept = _worth_keeping(scene, centres, labels, config)
-    centres, labels = _settle(scene, centres[kept], None, config)
+    centres, labels = _reassign(scene, centres[kept], None, config)
     centres, labels = _in_order_of_sight(scene, centres, labels)
     return _table(keyframes, detections, scene, centres, labels, config), labels
 
@@ -83,7 +83,7 @@ class _Scene:
     keyframe : (D,) int64
     keyframe_xy : (K, 2) float64
     travelled_m : (K,) float64
-        Way driven up to each keyframe.
+        Distance driven up to each keyframe.
     origin_lonlat : (2,) float64 or None
         Origin of the plane, degrees; None in W.
     """
@@ -129,10 +129,10 @@ def _unrolled(lonlat: FloatArray, origin: FloatArray) -> FloatArray:
     return enu_from_lonlat(origin[1], 0.0, np.stack([turned, lonlat[:, 1]], axis=-1))
 
 
-def _settle(
+def _reassign(
     scene: _Scene, centres: FloatArray, labels: IntArray | None, config: FusionConfig
 ) -> tuple[FloatArray, IntArray]:
-    """Move the centres to their members, then hand out the detections anew; centres left without any go."""
+    """Move the centres to their members, then assign the detections anew; centres left without any are dropped."""
     if labels is None:
         labels = assign(scene.xy, scene.keyframe, centres, radius_m=config.merge_radius_m)
     centres = robust_centres(scene.xy, scene.weight, labels, centres, scale_m=config.bandwidth_m)
@@ -174,7 +174,7 @@ def _in_order_of_sight(scene: _Scene, centres: FloatArray, labels: IntArray) -> 
     order = np.array(sorted(range(len(centres)), key=first.__getitem__), dtype=np.int64)
     place = np.empty(len(centres) + 1, dtype=np.int64)
     place[order] = np.arange(len(centres))
-    place[-1] = -1  # what label -1 picks
+    place[-1] = -1  # picked by label -1
     return centres[order], place[labels]
 
 

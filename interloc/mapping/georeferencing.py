@@ -105,5 +105,5 @@ def _fixes(
 
 
 def _stack(columns: Sequence[FloatArray]) -> FloatArray:
-    """Concatenate (n, 2) arrays, none of them too."""
+    """Concatenate (n, 2) arrays, of which there may be none."""
     return np.concatenate([np.zeros((0, 2)), *(np.asarray(c, dtype=np.float64).reshape(-1, 2) for c in columns)])

@@ -1,7 +1,7 @@
-"""What an OSM file is, told from its first bytes and its XML prolog, before any parser trusts it.
+"""Which kind of OSM file this is, from its first bytes and its XML prolog, before it is given to a parser.
 
-A map is somebody's upload: this module refuses what is no map, names the usual mistakes, and bounds what a small
-compressed file may unpack to.
+A map may be an upload of anybody: this module refuses what is not a map, names the usual mistakes, and limits what a
+small compressed file may unpack to.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Prolog:
 
 
 def read_prolog(path: Path, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES) -> Prolog:
-    """Tell what kind of OSM file this is and check that it can be given to a parser.
+    """Return which kind of OSM file this is, and check that it can be given to a parser.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def read_prolog(path: Path, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES) -> 
 
 
 def _container_of(path: Path) -> Container:
-    """Tell the container from the content: names are often wrong after a download."""
+    """Return the container, judged by the content: names are often wrong after a download."""
     if path.is_dir():
         raise MapError(f"{path}: is a folder. Expected an OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
     try:
@@ -127,11 +127,11 @@ def _scan_xml(path: Path, stream: BinaryIO, container: Container, max_unpacked_b
             )
         # A parser holds a whole tag in memory, so a tag without end is the one thing that streaming does not bound.
         if len(block) == _BLOCK_BYTES and b">" not in block:
-            raise MapError(f"{path}: holds a tag longer than {_BLOCK_BYTES:,} bytes; this is no OSM file.")
+            raise MapError(f"{path}: holds a tag longer than {_BLOCK_BYTES:,} bytes; this is not an OSM file.")
         if not scanner.finished:
             scanner.feed(block)
         if scanner.finished and container == "osm":
-            break  # nothing to unpack: the parser itself will find what is wrong further on
+            break  # nothing to unpack: the parser itself finds errors further on
     if unpacked == 0:
         raise MapError(f"{path}: holds nothing once unpacked. Usual cause: an export that failed.")
     scanner.close()
@@ -202,7 +202,7 @@ class _PrologScanner:
         try:
             west, south, east, north = (float(attributes[key]) for key in ("minlon", "minlat", "maxlon", "maxlat"))
         except (KeyError, ValueError):
-            return  # old writers had other forms of it; without bounds every node counts
+            return  # old writers had other forms of bounds; without bounds every node counts
         old = self.bounds or (west, south, east, north)
         self.bounds = (min(old[0], west), min(old[1], south), max(old[2], east), max(old[3], north))
 

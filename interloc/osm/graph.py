@@ -59,7 +59,7 @@ class RoadGraph:
         State of the OSM data, ISO 8601: what the file declares, else the latest edit of a highway in it.
     bounds : Bounds or None
         What the map covers, where the file says so. Ways that leave it are present to their ends, but what they
-        meet out there is not: a junction outside is no ground truth.
+        meet out there is not: a junction outside does not count as ground truth.
     clipped_ways : int
         Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist.
     """

@@ -1,7 +1,7 @@
 """GeoJSON (RFC 7946) as InterLoc writes and reads it: one feature per line, the same bytes for the same input.
 
-Where a run has no georeference the same structure carries metres of W and says so (`local`), under another file name:
-nothing pretends to be longitude and latitude.
+Without georeference the same structure carries metres of W, under another file name and marked as `local`, so that
+nobody takes them for longitude and latitude.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ RUN_AGAIN = "Run `interloc detect` again."
 
 
 def rounded(value: float, decimals: int) -> float | None:
-    """Return a number as it is printed; None (null in the file) for what JSON cannot say."""
+    """Return a number as it is printed; None (null in the file) for NaN and infinity."""
     return round(float(value), decimals) + 0.0 if math.isfinite(value) else None  # + 0.0: no negative zero
 
 
@@ -94,7 +94,7 @@ def _bbox(features: Sequence[dict[str, Any]]) -> list[float] | None:
 
 
 def damaged(path: Path, what: str) -> OutputError:
-    """Return the error that says what is wrong with a file of a result."""
+    """Return the error about a damaged file of a result."""
     return OutputError(f"{path} is damaged: {what}. {RUN_AGAIN}")
 
 

@@ -22,7 +22,7 @@ def read_results(folder: Path) -> DriveResult:
     Raises
     ------
     OutputError
-        The folder is not a result, is damaged, or was written by a newer version; the message says what to do.
+        The folder is not a result, is damaged, or was written by a newer version.
     """
     run = _read_run(folder)
     georeferenced = run["georeferenced"]

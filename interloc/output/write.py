@@ -38,8 +38,8 @@ def write_results(result: DriveResult, folder: Path) -> None:
 
     Notes
     -----
-    `run.json` goes first and comes last: a folder that has it is complete. The trajectory is thinned to one point
-    every 0.5 m; first and last scan stay.
+    `run.json` is removed first and written last: a folder that has it is complete. The trajectory is thinned to one
+    point every 0.5 m; first and last scan stay.
     """
     names = file_names(georeferenced=result.is_georeferenced)
     local = not result.is_georeferenced
@@ -117,7 +117,7 @@ def _intersection_features(result: DriveResult) -> list[dict[str, Any]]:
 
 
 def thin(xy: FloatArray, step_m: float) -> IntArray:
-    """Return the rows of (N, 2) positions that lie at least `step_m` from the one kept before; first and last stay."""
+    """Return the rows of (N, 2) positions that lie `step_m` or more from the one kept before; first and last stay."""
     kept: list[int] = []
     x, y = xy[:, 0].tolist(), xy[:, 1].tolist()
     for row in range(len(xy)):

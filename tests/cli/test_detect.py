@@ -114,7 +114,7 @@ def test_a_folder_of_somebody_else_is_refused(interloc: Callable, drive: Path, t
     (tmp_path / "thesis.tex").write_text("mine")
     outcome = interloc("detect", drive, "-o", tmp_path)
     assert outcome.code == 1
-    assert "is no InterLoc result: it holds thesis.tex but no run.json. It was not touched." in outcome.complaint
+    assert "is not an InterLoc result: it holds thesis.tex but no run.json. It was not touched." in outcome.complaint
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 

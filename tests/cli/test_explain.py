@@ -44,5 +44,5 @@ def test_a_scan_that_the_drive_does_not_have(frame: int, interloc: Callable, dri
 
 def test_a_folder_of_somebody_else_is_refused(interloc: Callable, drive: Path, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
-    assert "is no InterLoc result" in interloc("explain", drive, "--frame", 0, "-o", tmp_path, "--quiet").complaint
+    assert "is not an InterLoc result" in interloc("explain", drive, "--frame", 0, "-o", tmp_path, "--quiet").complaint
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]

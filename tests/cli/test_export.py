@@ -26,5 +26,8 @@ def test_complaints_in_one_line(local_drive: Path, tmp_path: Path, interloc: Cal
     outcome = interloc("export", out, "-o", tmp_path / "out.shp")
     assert outcome.code == 2
     assert "unknown format '.shp'" in outcome.complaint
+    outcome = interloc("export", out, "-o", tmp_path / "out.kml", "--layer", "roads")
+    assert outcome.code == 2
+    assert "Expected one of intersections, detections, trajectory" in outcome.complaint
     assert "run.json is missing" in interloc("export", tmp_path, "-o", tmp_path / "out.kml").complaint
     assert [path.name for path in tmp_path.iterdir()] == ["out"]

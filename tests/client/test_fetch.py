@@ -136,7 +136,7 @@ def test_a_folder_of_something_else_is_not_touched(here: Any, scored: Any, tmp_p
     (tmp_path / "thesis.tex").write_text("precious")
     outcome = here("fetch", scored["job"], "-o", tmp_path)
     assert outcome.code == 1
-    assert "is no InterLoc result" in outcome.err
+    assert "is not an InterLoc result" in outcome.err
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["thesis.tex"]
 
 

@@ -162,7 +162,9 @@ def test_a_run_that_found_nothing_has_a_report(run: Run, graph: Graph, tmp_path:
 def test_a_road_without_junction_has_a_report(run: Run, graph: Graph, tmp_path: Path) -> None:
     made = run([(0, 100)], [(0, 1, 100)])
     write_report(evaluate(made, graph([(0, 0)], arm_m=150), policy="consolidated"), made, tmp_path)
-    assert "no OSM intersection of this policy" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "did not come close to any OSM intersection of this policy" in (tmp_path / "report.html").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_the_same_evaluation_gives_the_same_files(scored: Scored, folder: Path, tmp_path: Path) -> None:

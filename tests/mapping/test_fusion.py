@@ -1,4 +1,4 @@
-"""One point a physical intersection: simulated streams of detections whose truth is known, with hard bounds."""
+"""One point per physical intersection: simulated streams of detections whose truth is known, with hard bounds."""
 
 from __future__ import annotations
 
@@ -21,8 +21,6 @@ from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
 from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
-from interloc.mapping.clustering import assign, find_peaks, join_peaks
-from interloc.mapping.estimation import fuse_bearings, position_std, robust_centres
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
@@ -47,11 +45,11 @@ class Stream:
     detected : float
         Chance of a detection within 20 m; falls to 0 at 50 m.
     jitter_m, wander_m : float
-        Errors of single keyframes, and errors that stay for about a window (an AR(1) process a node).
+        Errors of single keyframes, and errors that stay for about a window (an AR(1) process per node).
     bias_per_m : float
-        How far a detection is pulled towards the vehicle, a metre of range beyond 15 m.
+        How far a detection is pulled towards the vehicle, per metre of range beyond 15 m.
     false_rate : float
-        False detections a keyframe, uniform in the region of interest.
+        False detections per keyframe, uniform in the region of interest.
     """
 
     nodes: FloatArray
@@ -526,97 +524,3 @@ def test_limits_in_the_wrong_order_are_refused() -> None:
         FusionConfig(visible_limit_m=10)
     with pytest.raises(pydantic.ValidationError, match="frozen"):
         FusionConfig().bandwidth_m = 3
-
-
-# the steps -----------------------------------------------------------------------------------------------------------
-
-
-def test_peaks_of_two_heaps() -> None:
-    xy = np.array([[0.0, 0.0], [0.4, 0.0], [0.0, 0.9], [8.0, 0.0], [8.3, 0.3], [30.0, 0.0]])
-    labels = find_peaks(xy, np.ones(6), bandwidth_m=2.0)
-    assert labels[0] == labels[1] == labels[2]
-    assert labels[3] == labels[4]
-    assert len({labels[0], labels[3], labels[5]}) == 3
-
-
-def test_heaps_join_unless_seen_side_by_side() -> None:
-    xy = np.array([[0.0, 0.0], [0.0, 0.0], [6.0, 0.0], [6.0, 0.0]])
-    labels = np.array([0, 0, 1, 1])
-
-    def join(keyframe: list[int], radius_m: float = 10.0) -> list[int]:
-        return join_peaks(labels, xy, np.ones(4), np.array(keyframe), radius_m=radius_m, together=0.15).tolist()
-
-    assert join([0, 1, 2, 3]) == [0, 0, 0, 0]
-    assert join([0, 1, 1, 3]) == [0, 0, 1, 1]
-    assert join([0, 1, 2, 3], radius_m=5.0) == [0, 0, 1, 1]
-
-
-def test_a_chain_does_not_grow_beyond_the_radius() -> None:
-    xy = np.stack([np.arange(6) * 7.0, np.zeros(6)], axis=-1)
-    joined = join_peaks(np.arange(6), xy, np.ones(6), np.arange(6), radius_m=10.0, together=0.15)
-    for group in range(joined.max() + 1):
-        assert np.ptp(xy[joined == group, 0]) <= 10.0
-
-
-def test_a_centre_takes_one_detection_of_a_keyframe() -> None:
-    centres = np.array([[0.0, 0.0], [12.0, 0.0]])
-    xy = np.array([[1.0, 0.0], [3.0, 0.0], [5.0, 0.0], [40.0, 0.0]])
-    assert assign(xy, np.array([0, 0, 1, 1]), centres, radius_m=10.0).tolist() == [0, 1, 0, -1]
-    assert assign(xy, np.array([0, 0, 1, 1]), centres[:1], radius_m=10.0).tolist() == [0, -1, 0, -1]
-
-
-def test_the_bulk_wins_over_the_outlier() -> None:
-    xy = np.array([[0.0, 0.0], [0.2, 0.0], [-0.2, 0.0], [9.0, 0.0], [5.0, 5.0]])
-    labels = np.array([0, 0, 0, 0, -1])
-    (centre,) = robust_centres(xy, np.ones(5), labels, np.array([[1.0, 0.0]]), scale_m=2.0)
-    assert_allclose(centre, [0, 0], atol=1e-3)
-
-
-def test_sightings_of_one_window_count_as_about_one() -> None:
-    """A hundred equal sightings within a metre say no more than one; a hundred far apart say a hundred."""
-
-    def std(travelled_m: FloatArray) -> float:
-        n = len(travelled_m)
-        return float(
-            position_std(
-                np.zeros((n, 2)), np.ones(n), np.zeros(n, dtype=np.int64), travelled_m, np.zeros((1, 2)),
-                correlation_m=80.0, prior_std_m=0.7, clip_m=4.0,
-            )[0]
-        )  # fmt: skip
-
-    assert std(np.array([3.0])) == pytest.approx(0.7)
-    assert std(np.linspace(0, 1, 100)) == pytest.approx(0.7, rel=0.02)
-    assert std(np.array([0.0, 100.0])) == pytest.approx(0.7 * math.sqrt(2 / 3 / 2))
-    assert std(np.arange(100) * 100.0) < 0.02
-    with_shares = np.array([0.0, 10.0, 60.0, 61.0, 100.0])  # against the double sum of the definition
-    share = np.maximum(0, 1 - np.abs(with_shares[:, None] - with_shares[None]) / 80)
-    n_eff = 25 / share.sum()
-    assert std(with_shares) == pytest.approx(0.7 * math.sqrt(2 / (n_eff + 1) / n_eff))
-
-
-def bearings_of(*sightings: list[float]) -> list[float]:
-    found = fuse_bearings(
-        [np.array(s) for s in sightings], np.ones(len(sightings)), spread_deg=8, separation_deg=25, support=0.4
-    )
-    return np.round(found, 1).tolist()
-
-
-def test_branches_that_most_have_seen() -> None:
-    assert bearings_of([0, 90, 180], [4, 88, 180], [356, 92, 180, 300]) == [0, 90, 180]
-    assert bearings_of([10, 100, 190, 280], [10, 100, 190, 280], [10, 100, 190]) == [10, 100, 190, 280]
-
-
-def test_three_branches_make_an_intersection_even_where_support_is_thin() -> None:
-    assert bearings_of([0, 90], [0, 180], [0, 270], [0, 180]) == [0, 90, 180] or len(bearings_of([0, 90])) == 2
-    assert bearings_of([], []) == []
-
-
-@given(st.lists(st.floats(0, 360, exclude_max=True), min_size=1, max_size=4), st.integers(1, 6))
-def test_sightings_that_agree_are_kept_as_they_are(branches: list[float], times: int) -> None:
-    apart = [abs((a - b + 180) % 360 - 180) for i, a in enumerate(branches) for b in branches[:i]]
-    if min(apart, default=360) < 50:
-        return
-    found = fuse_bearings([np.array(branches)] * times, np.ones(times), spread_deg=8, separation_deg=25, support=0.4)
-    assert len(found) == len(branches)
-    away = np.abs((found[:, None] - np.array(branches)[None] + 180) % 360 - 180)
-    assert away.min(axis=1).max() < 1e-6

@@ -4,10 +4,10 @@ import json
 import resource
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyogrio
 import pytest
 import shapely
@@ -21,7 +21,8 @@ from interloc.output.layers import LAYERS, OSM_ATTRIBUTION
 from interloc.output.osm_roads import write_roads
 from interloc.output.vector_files import write_vector_file
 from interloc.output.write import write_results
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.results import DriveResult
+from tests.output.small import small_result
 
 SCORED = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]
 
@@ -32,47 +33,6 @@ MAP = """<osm version="0.6"><bounds minlat="49.0" minlon="8.41" maxlat="49.03" m
 <way id="11"><nd ref="9000000001"/><nd ref="2"/><tag k="highway" v="tertiary"/>
 <tag k="name" v="Straße &amp; Weg"/></way>
 </osm>"""
-
-
-def result_of(*, local: bool = False, empty: bool = False) -> DriveResult:
-    fixes = np.array([[8.4203, 49.0109], [8.4204, 49.01095]])
-    bearings = [np.array([0.0, 90.0, 180.0]), np.array([1.0, 91.5, 181.25]), np.array([5.0, 6.0, 7.0])]
-    seen = np.array([[8.420501, 49.0110002], [8.420502345, 49.010999876], [8.4300001, 49.02]])
-    count = 0 if empty else 3
-    return DriveResult(
-        drive="straße & Co",
-        keyframes=KeyframeTable(
-            frame=np.array([0, 12]),
-            time_s=np.array([0.0, np.nan]),
-            world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
-            world_yaw_rad=np.array([0.0, 0.5]),
-            lonlat=None if local else fixes,
-            enu_yaw_rad=None if local else np.array([1.5, 3.0]),
-        ),
-        detections=DetectionTable(
-            keyframe=np.array([0, 1, 1])[:count],
-            lidar_xy=np.array([[10.0, 1.0], [8.0, 2.0], [-3.5, 0.25]])[:count],
-            world_xy=np.array([[10.0, 1.0], [10.1, 1.0], [0.0, -0.5]])[:count],
-            lonlat=None if local else seen[:count],
-            bearings_deg=bearings[:count],
-            score=np.array([1.0, 0.5, 0.125])[:count],
-            intersection=np.array([0, 0, -1])[:count],
-        ),
-        intersections=IntersectionTable(
-            id=np.array([1])[:count],
-            world_xy=np.array([[10.0625, 1.0]])[:count],
-            lonlat=None if local else seen[:1][:count],
-            position_std_m=np.array([0.25])[:count],
-            observations=np.array([2])[:count],
-            confidence=np.array([0.75])[:count],
-            bearings_deg=[np.array([0.5, 90.75, 180.5])][:count],
-            first_frame=np.array([0])[:count],
-            last_frame=np.array([12])[:count],
-        ),
-        trajectory_world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
-        trajectory_lonlat=None if local else fixes,
-        run={"config": {"preset": "paper", "bev": {"size_m": 120.0}, "branches": {"outer_radius_m": 40.0}}},
-    )
 
 
 def write_folder(folder: Path, result: DriveResult, *, scored: bool) -> Path:
@@ -88,7 +48,9 @@ def write_folder(folder: Path, result: DriveResult, *, scored: bool) -> Path:
 @pytest.fixture(scope="module")
 def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A result folder with an evaluation. Shared: do not change it."""
-    return write_folder(tmp_path_factory.mktemp("scored") / "out", result_of(), scored=True)
+    return write_folder(
+        tmp_path_factory.mktemp("scored") / "out", replace(small_result(), drive="straße & Co"), scored=True
+    )
 
 
 def features_of(path: Path) -> list[dict[str, Any]]:
@@ -162,7 +124,7 @@ def test_openstreetmap_is_named_where_its_data_is_inside(name: str, scored: Path
 
 
 def test_nothing_found_gives_layers_with_their_fields(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "out", result_of(empty=True), scored=False)
+    folder = write_folder(tmp_path / "out", small_result(empty=True), scored=False)
     assert write_vector_file(folder, tmp_path / "a.gpkg") == ["intersections", "detections", "trajectory", "keyframes"]
     info = pyogrio.read_info(tmp_path / "a.gpkg", layer="intersections")
     assert info["features"] == 0
@@ -189,10 +151,10 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
         write_vector_file(scored, tmp_path / "nowhere" / "a.fgb")
     with pytest.raises(OutputError, match=r"run\.json is missing"):
         write_vector_file(tmp_path, tmp_path / "a.fgb")
-    plain = write_folder(tmp_path / "plain", result_of(), scored=False)
+    plain = write_folder(tmp_path / "plain", small_result(), scored=False)
     with pytest.raises(ConfigError, match=r"no matches\.geojson.*interloc evaluate"):
         write_vector_file(plain, tmp_path / "a.fgb", layer="matches")
-    local = write_folder(tmp_path / "local", result_of(local=True), scored=False)
+    local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
     with pytest.raises(GeoreferenceError, match=r"intersections\.local\.json"):
         write_vector_file(local, tmp_path / "a.gpkg")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["local", "plain"]

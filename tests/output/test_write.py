@@ -20,45 +20,7 @@ from interloc.output.layout import result_folder
 from interloc.output.read import read_results
 from interloc.output.write import thin, write_results
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
-
-
-def small_result(*, local: bool = False) -> DriveResult:
-    """Two keyframes, two detections of one intersection and one of none."""
-    fixes, seen = np.array([[8.42, 49.01], [8.4201, 49.0101]]), np.array([[8.4205, 49.011]] * 2 + [[8.43, 49.02]])
-    return DriveResult(
-        drive="07",
-        keyframes=KeyframeTable(
-            frame=np.array([0, 12]),
-            time_s=np.array([0.0, np.nan]),
-            world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
-            world_yaw_rad=np.array([0.0, 0.5]),
-            lonlat=None if local else fixes,
-            enu_yaw_rad=None if local else np.array([math.pi / 2, math.pi]),
-        ),
-        detections=DetectionTable(
-            keyframe=np.array([0, 1, 1]),
-            lidar_xy=np.array([[10.0, 1.0], [8.0, 2.0], [-3.5, 0.25]]),
-            world_xy=np.array([[10.0, 1.0], [10.1, 1.0], [0.0, -0.5]]),
-            lonlat=None if local else seen,
-            bearings_deg=[np.array([0.0, 90.0, 180.0]), np.array([1.0, 91.5, 181.25]), np.array([5.0, 6.0, 7.0])],
-            score=np.array([1.0, 0.5, 0.125]),
-            intersection=np.array([0, 0, -1]),
-        ),
-        intersections=IntersectionTable(
-            id=np.array([1]),
-            world_xy=np.array([[10.0625, 1.0]]),
-            lonlat=None if local else seen[:1],
-            position_std_m=np.array([0.25]),
-            observations=np.array([2]),
-            confidence=np.array([0.75]),
-            bearings_deg=[np.array([0.5, 90.75, 180.5])],
-            first_frame=np.array([0]),
-            last_frame=np.array([12]),
-        ),
-        trajectory_world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
-        trajectory_lonlat=None if local else fixes,
-        run={"config": {"preset": "paper"}, "peak_memory_mb": 12.5},
-    )
+from tests.output.small import small_result
 
 
 def load(path: Path) -> dict[str, Any]:
@@ -100,10 +62,10 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     ]
     detections = load(tmp_path / "detections.geojson")
     assert list(detections) == ["type", "bbox", "features"]  # no crs
-    assert detections["bbox"] == [8.4205, 49.011, 8.43, 49.02]
+    assert detections["bbox"] == [8.4205, 49.010999876, 8.43, 49.02]
     assert detections["features"][1] == {
         "type": "Feature",
-        "geometry": {"type": "Point", "coordinates": [8.4205, 49.011]},
+        "geometry": {"type": "Point", "coordinates": [8.420502345, 49.010999876]},
         "properties": {
             "frame": 12,
             "x_m": 8.0,
@@ -139,7 +101,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "world_y_m": 1.0,
     }
     (line,) = load(tmp_path / "trajectory.geojson")["features"]
-    assert line["geometry"] == {"type": "LineString", "coordinates": [[8.42, 49.01], [8.4201, 49.0101]]}
+    assert line["geometry"] == {"type": "LineString", "coordinates": [[8.4203, 49.0109], [8.4204, 49.01095]]}
     assert line["properties"] == {"scans": 2, "thinned_to_m": 0.5}
     assert load(tmp_path / "run.json") == {
         "format": "interloc-result",

@@ -1,0 +1,52 @@
+"""A result that can be checked by eye."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+
+
+def small_result(*, local: bool = False, empty: bool = False) -> DriveResult:
+    """Return two keyframes, two detections of one intersection and one of none; or keyframes that saw nothing."""
+    count = 0 if empty else 3
+    fixes = np.array([[8.4203, 49.0109], [8.4204, 49.01095]])
+    seen = np.array([[8.4205, 49.011], [8.420502345, 49.010999876], [8.43, 49.02]])
+    return DriveResult(
+        drive="07",
+        keyframes=KeyframeTable(
+            frame=np.array([0, 12]),
+            time_s=np.array([0.0, np.nan]),
+            world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
+            world_yaw_rad=np.array([0.0, 0.5]),
+            lonlat=None if local else fixes,
+            enu_yaw_rad=None if local else np.array([math.pi / 2, math.pi]),
+        ),
+        detections=DetectionTable(
+            keyframe=np.array([0, 1, 1])[:count],
+            lidar_xy=np.array([[10.0, 1.0], [8.0, 2.0], [-3.5, 0.25]])[:count],
+            world_xy=np.array([[10.0, 1.0], [10.1, 1.0], [0.0, -0.5]])[:count],
+            lonlat=None if local else seen[:count],
+            bearings_deg=[np.array([0.0, 90.0, 180.0]), np.array([1.0, 91.5, 181.25]), np.array([5.0, 6.0, 7.0])][
+                :count
+            ],
+            score=np.array([1.0, 0.5, 0.125])[:count],
+            intersection=np.array([0, 0, -1])[:count],
+        ),
+        intersections=IntersectionTable(
+            id=np.array([1])[:count],
+            world_xy=np.array([[10.0625, 1.0]])[:count],
+            lonlat=None if local else seen[:1][:count],
+            position_std_m=np.array([0.25])[:count],
+            observations=np.array([2])[:count],
+            confidence=np.array([0.75])[:count],
+            bearings_deg=[np.array([0.5, 90.75, 180.5])][:count],
+            first_frame=np.array([0])[:count],
+            last_frame=np.array([12])[:count],
+        ),
+        trajectory_world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
+        trajectory_lonlat=None if local else fixes,
+        run={"config": {"preset": "paper"}, "peak_memory_mb": 12.5},
+    )
