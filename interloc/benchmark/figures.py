@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from interloc.arrays import FloatArray
+from interloc.benchmark.metrics import errors_m, estimate, f1
 from interloc.benchmark.row import MapPicture, Point, Row
-from interloc.benchmark.score import errors_m, estimate, f1
 from interloc.benchmark.tables import Measured, ours
 from interloc.drawing import BLUE, FAINT, GREEN, INK, MUTED, PURPLE, SKY, VERMILION, new_figure, quiet
 from interloc.evaluation.figures import PERCENTILES
@@ -123,7 +123,7 @@ def drive_boxes_figure(measured: Measured) -> Figure:
     axes.set(xticks=range(len(names)), xticklabels=names, xlim=(-0.6, len(names) - 0.4), ylabel="center error [m]")
     if max(map(len, names)) > 9:
         axes.tick_params(axis="x", labelrotation=30)
-    axes.set_title("Center error a drive (5th, 25th, 50th, 75th, 95th percentile)", **_TITLE)
+    axes.set_title("Center error per drive (5th, 25th, 50th, 75th, 95th percentile)", **_TITLE)
     return figure
 
 
@@ -138,7 +138,7 @@ def curves_figure(measured: Measured) -> Figure:
 
 
 def noise_figure(measured: Measured) -> Figure:
-    """Draw center errors and F1 curves of each level of label errors, a line of figures a preset (paper, Fig. 8)."""
+    """Draw center errors and F1 curves of each level of label errors, one row of figures per preset (paper, Fig. 8)."""
     count = len(measured.presets)
     figure = new_figure(10.5, 4.1 * count)
     grid = figure.subplots(count, 2, width_ratios=(1, 1.25), squeeze=False)

@@ -1,4 +1,4 @@
-"""Running a benchmark: every drive with every preset, level of label errors and seed; finished rows are kept."""
+"""Running a benchmark: every drive with every preset, level of label errors and seed. Finished rows are kept."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from interloc.benchmark.cases import Case
-from interloc.benchmark.fingerprint import MEASURING, code_fingerprint, fingerprint
+from interloc.benchmark.fingerprint import fingerprint, measuring_program
 from interloc.benchmark.measure import GroundTruth, measure
+from interloc.benchmark.metrics import ace_m, precision, recall
 from interloc.benchmark.row import Cell, Row, read_row, write_row
-from interloc.benchmark.score import ace_m, precision, recall
 from interloc.config import DetectorConfig
 from interloc.errors import InterLocError, OutputError
 from interloc.files import reason_of
@@ -37,20 +37,20 @@ Log = Callable[[str], None]
 
 
 def _no_report(task: str, what: str, done: int, total: int) -> None:
-    """Keep it."""
+    """Do nothing."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Settings of the method under a name.
+class NamedConfig:
+    """A configuration of the method under a name.
 
     Attributes
     ----------
     name : str
-        In the tables.
+        Name in the tables.
     config : DetectorConfig
     arguments : tuple of str
-        The same for the command line.
+        The same as options of the command line.
     """
 
     name: str
@@ -59,23 +59,23 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Plan:
+class Benchmark:
     """What is to be measured.
 
     Attributes
     ----------
     cases : tuple of Case
         Simulated drives once for each seed, recorded ones once.
-    settings : tuple of Settings
+    configs : tuple of NamedConfig
     noises : tuple of str
-        Label errors, r-FPR / r-FNR in percent; "0/0" for none.
+        Levels of label errors, r-FPR / r-FNR in percent; "0/0": without.
     seeds : int
-        Of the label errors, for recorded drives; a simulated drive brings its own.
+        Number of seeds of the label errors on recorded drives; a simulated drive has its own seed.
     truth : GroundTruth
     """
 
     cases: tuple[Case, ...]
-    settings: tuple[Settings, ...]
+    configs: tuple[NamedConfig, ...]
     noises: tuple[str, ...] = (NO_NOISE,)
     seeds: int = 1
     truth: GroundTruth = _DRIVE_POLICY
@@ -85,14 +85,14 @@ class Plan:
         """Names of the drives, each once, in order."""
         return list(dict.fromkeys(case.name for case in self.cases))
 
-    def cells(self, case: Case) -> list[tuple[Cell, Settings]]:
+    def cells(self, case: Case) -> list[tuple[Cell, NamedConfig]]:
         """Return what is to be measured on a drive."""
         found = []
-        for settings in self.settings:
+        for config in self.configs:
             for noise in self.noises:
-                # Without label errors chance has no say in a recorded drive.
+                # Without label errors nothing is random in a recorded drive.
                 seeds = [case.seed] if case.seed is not None else range(self.seeds if noise != NO_NOISE else 1)
-                found += [(Cell(drive=case.name, preset=settings.name, noise=noise, seed=s), settings) for s in seeds]
+                found += [(Cell(drive=case.name, preset=config.name, noise=noise, seed=s), config) for s in seeds]
         return found
 
 
@@ -101,7 +101,7 @@ class _Task:
     """The cells of one drive that are not measured yet: the unit of parallel work."""
 
     case: Case
-    cells: tuple[tuple[Cell, Settings, str], ...]
+    cells: tuple[tuple[Cell, NamedConfig, str], ...]
     truth: GroundTruth
     out: Path
 
@@ -110,25 +110,27 @@ class _Task:
         return self.case.name if self.case.seed is None else f"{self.case.name} seed {self.case.seed}"
 
 
-def run_plan(plan: Plan, out: Path, *, workers: int = 1, fresh: bool = False, report: Report = _no_report) -> list[Row]:
+def run_benchmark(
+    benchmark: Benchmark, out: Path, *, workers: int = 1, fresh: bool = False, report: Report = _no_report
+) -> list[Row]:
     """Measure everything that is planned, and keep each row in `out/rows` as soon as it is there.
 
     Parameters
     ----------
-    plan
+    benchmark
     out
-        Folder of the benchmark; is made where it is missing.
+        Folder of the benchmark; is made if it is missing.
     workers : int
-        Drives at a time, each in a process. The rows do not depend on it.
+        Number of drives at a time, each in a process. The rows do not depend on it.
     fresh : bool
-        Measure anew what is kept from before.
+        Measure kept rows again.
     report
-        Is told what is being done.
+        Called with what is being done.
 
     Returns
     -------
     list of Row
-        In the order of the plan.
+        In the order of the benchmark.
 
     Raises
     ------
@@ -138,21 +140,21 @@ def run_plan(plan: Plan, out: Path, *, workers: int = 1, fresh: bool = False, re
     rows_dir = _make_folder(out)
     done: dict[Cell, Row] = {}
     tasks = []
-    for case in plan.cases:
-        facts: dict[str, Any] = {"drive": case.facts(), "program": [code_fingerprint(MEASURING), versions()]}
-        facts |= {"truth": [plan.truth.policy, plan.truth.tolerance_m]}
+    for case in benchmark.cases:
+        facts: dict[str, Any] = {"drive": case.facts(), "program": [measuring_program(), versions()]}
+        facts |= {"truth": [benchmark.truth.policy, benchmark.truth.tolerance_m]}
         missing = []
-        for cell, settings in plan.cells(case):
-            mark = fingerprint({**facts, "cell": cell.model_dump(), "config": settings.config.model_dump(mode="json")})
+        for cell, named in benchmark.cells(case):
+            mark = fingerprint({**facts, "cell": cell.model_dump(), "config": named.config.model_dump(mode="json")})
             row = None if fresh else read_row(cell, mark, rows_dir)
             if row is None:
-                missing.append((cell, settings, mark))
+                missing.append((cell, named, mark))
             else:
                 done[cell] = row
         if missing:
             tasks.append((case, missing))
     if done:
-        logger.info("%d of the rows are kept from before (%s); --fresh measures them anew", len(done), rows_dir)
+        logger.info("%d of the rows are kept from before (%s); --fresh measures them again", len(done), rows_dir)
     try:
         for case, _ in tasks:  # all of them before any long work
             case.check()
@@ -160,7 +162,7 @@ def run_plan(plan: Plan, out: Path, *, workers: int = 1, fresh: bool = False, re
         _remove_if_empty(rows_dir, out)
         raise
     at_once = max(1, min(workers, len(tasks)))
-    full = [_Task(case, tuple(cells), plan.truth, out) for case, cells in tasks]
+    full = [_Task(case, tuple(cells), benchmark.truth, out) for case, cells in tasks]
     try:
         if at_once > 1:
             found = run_in_processes(
@@ -176,7 +178,7 @@ def run_plan(plan: Plan, out: Path, *, workers: int = 1, fresh: bool = False, re
         for leftover in out.glob(".twin-*"):
             shutil.rmtree(leftover, ignore_errors=True)
     done |= {row.cell: row for rows in found for row in rows}
-    return [done[cell] for case in plan.cases for cell, _ in plan.cells(case)]
+    return [done[cell] for case in benchmark.cases for cell, _ in benchmark.cells(case)]
 
 
 def _make_folder(out: Path) -> Path:
@@ -184,7 +186,7 @@ def _make_folder(out: Path) -> Path:
     try:
         if out.is_dir() and not rows.is_dir() and any(out.iterdir()):
             raise OutputError(
-                f"{out} exists and is no benchmark: it has no {ROWS}/. It was not touched. "
+                f"{out} exists and is not a benchmark: it has no {ROWS}/. It was not touched. "
                 "Give the name of a new or an empty folder."
             )
         rows.mkdir(parents=True, exist_ok=True)
@@ -218,15 +220,15 @@ def _run_task(task: _Task, report: Report, log: Log) -> list[Row]:
     rows = []
     graph = read_osm(task.case.osm)
     with task.case.opened(task.out, progress("simulate")) as drive:
-        for cell, settings, mark in task.cells:
+        for cell, named, mark in task.cells:
             row = measure(
                 cell,
                 mark,
                 drive,
                 graph,
-                settings.config,
+                named.config,
                 task.truth,
-                partial(task.case.explain, settings=settings.arguments),
+                partial(task.case.explain, settings=named.arguments),
                 progress=progress(f"{cell.preset} {cell.noise}"),
             )
             write_row(row, task.out / ROWS)
@@ -237,7 +239,7 @@ def _run_task(task: _Task, report: Report, log: Log) -> list[Row]:
 
 
 def describe(row: Row) -> str:
-    """Say the main figures of a row in a line."""
+    """Return the main figures of a row in one line."""
     cell = row.cell
     ace, pre, rec = ace_m([row]), precision([row]), recall([row])
     return (

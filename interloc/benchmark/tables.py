@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from interloc.benchmark.metrics import METRICS, Estimate, estimate
 from interloc.benchmark.row import Row
-from interloc.benchmark.score import METRICS, Estimate, estimate
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
 
 MISSING = "–"  # noqa: RUF001 - a dash, not a minus
@@ -74,10 +74,10 @@ class Measured:
 
 
 def performance_table(measured: Measured, noise: str) -> Table:
-    """Return the performance a drive (paper, Table "Performance on SemanticKITTI sequences") at a level of errors."""
+    """Return the performance per drive (paper, Table "Performance on SemanticKITTI sequences") at a level of errors."""
     columns = [*measured.drives, *([ALL] if len(measured.drives) > 1 else [])]
     groups = []
-    for title, metric, say, published in (
+    for title, metric, write, published in (
         ("ACE [m]", "ace_m", metres, _published_ace),
         ("ACE, pairs < 10 m [m]", "ace_under_10_m", metres, None),
         ("Pre@5 [%]", "precision_at_5", percent, _published_precision),
@@ -86,13 +86,13 @@ def performance_table(measured: Measured, noise: str) -> Table:
         ("map precision [%]", "map_precision", percent, None),
         ("map recall [%]", "map_recall", percent, None),
         ("map median error [m]", "map_median_m", metres, None),
-        ("ms a keyframe", "ms_a_keyframe", one_decimal, None),
+        ("ms per keyframe", "ms_a_keyframe", one_decimal, None),
     ):
         group = []
         if published is not None and noise == "0/0":
             values = [published(_published(measured, column)) for column in columns]
             if any(value is not None for value in values):
-                group.append(("", PUBLISHED, *(_say(Estimate(value), say) for value in values)))
+                group.append(("", PUBLISHED, *(_write(Estimate(value), write) for value in values)))
         for preset in measured.presets:
             cells = []
             for column in columns:
@@ -101,7 +101,7 @@ def performance_table(measured: Measured, noise: str) -> Table:
                     total = measured.estimate("nodes_in_zone", preset=preset, noise=noise, drive=column)
                     cells.append(counted(value, total))
                 else:
-                    cells.append(_say(value, say))
+                    cells.append(_write(value, write))
             group.append(("", ours(preset), *cells))
         group[0] = (title, *group[0][1:])
         groups.append(tuple(group))
@@ -110,7 +110,7 @@ def performance_table(measured: Measured, noise: str) -> Table:
     if noise == "0/0" and any(drive in PERFORMANCE for drive in measured.drives):
         notes.append("Published: SemanticKITTI with RangeNet++ labels.")
     return Table(
-        title=f"I. Performance a drive{level}",
+        title=f"I. Performance per drive{level}",
         header=("", "", *columns),
         groups=tuple(groups),
         labels=2,
@@ -128,8 +128,8 @@ def comparison_table(measured: Measured) -> Table:
     lines = []
     for preset in measured.presets:
         values = (
-            _say(measured.estimate(metric, preset=preset, noise=noise), say)
-            for metric, say in (("ace_m", metres), ("precision_at_6_9", percent), ("recall_at_13_3", percent))
+            _write(measured.estimate(metric, preset=preset, noise=noise), write)
+            for metric, write in (("ace_m", metres), ("precision_at_6_9", percent), ("recall_at_13_3", percent))
         )
         lines.append((f"InterLoc, {ours(preset)}", *values))
     return Table(
@@ -150,8 +150,8 @@ def noise_table(measured: Measured) -> Table:
             lines.append((PUBLISHED, metres(published.ace_m), percent(published.precision), percent(published.recall)))
         for preset in measured.presets:
             values = (
-                _say(measured.estimate(metric, preset=preset, noise=noise), say)
-                for metric, say in (("ace_m", metres), ("precision_at_5", percent), ("recall_at_5", percent))
+                _write(measured.estimate(metric, preset=preset, noise=noise), write)
+                for metric, write in (("ace_m", metres), ("precision_at_5", percent), ("recall_at_5", percent))
             )
             lines.append((ours(preset), *values))
         groups.append(tuple((noise if number == 0 else "", *line) for number, line in enumerate(lines)))
@@ -196,27 +196,27 @@ def text(table: Table) -> str:
 
 
 def ours(preset: str) -> str:
-    """Name a preset so that nobody takes `paper` for what the paper reports."""
+    """Return the name of a preset in the tables: `paper` alone would look like what the paper reports."""
     return f"preset {preset}"
 
 
 def metres(value: float) -> str:
-    """Say metres in a table."""
+    """Write metres in a table."""
     return f"{value:.2f}"
 
 
 def percent(value: float) -> str:
-    """Say a share in percent in a table."""
+    """Write a share in percent in a table."""
     return f"{100.0 * value:.1f}"
 
 
 def one_decimal(value: float) -> str:
-    """Say a number with one decimal."""
+    """Write a number with one decimal."""
     return f"{value:.1f}"
 
 
 def counted(found: Estimate, total: Estimate) -> str:
-    """Say how many of how many: "25/26"; with several seeds the means."""
+    """Write a count and its total: "25/26"; with several seeds the means."""
     if found.mean is None or total.mean is None:
         return MISSING
     if found.seeds == 1:
@@ -224,10 +224,10 @@ def counted(found: Estimate, total: Estimate) -> str:
     return f"{found.mean:.1f}/{total.mean:.1f}"
 
 
-def _say(value: Estimate, say: Callable[[float], str] | None) -> str:
-    if value.mean is None or say is None:
+def _write(value: Estimate, write: Callable[[float], str] | None) -> str:
+    if value.mean is None or write is None:
         return MISSING
-    return say(value.mean) if value.spread is None else f"{say(value.mean)} ± {say(value.spread)}"
+    return write(value.mean) if value.spread is None else f"{write(value.mean)} ± {write(value.spread)}"
 
 
 def _published(measured: Measured, column: str) -> Published | None:

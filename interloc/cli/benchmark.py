@@ -12,6 +12,7 @@ from interloc.cli import console, options
 
 if TYPE_CHECKING:
     from interloc.benchmark.cases import Case, Poses
+    from interloc.benchmark.run import NamedConfig
     from interloc.osm.policies import Policy
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -125,7 +126,7 @@ def twins(
     Example:
       interloc benchmark twins --kitti kitti --sequences 00,05 --noise 20/20 -o out
     """
-    from interloc.benchmark.plans import twin_cases
+    from interloc.benchmark.cases import twin_cases
 
     cases = twin_cases(kitti, _list(sequences), seeds=seeds, poses=poses, keep=keep, max_scans=max_scans)
     _measure(
@@ -171,7 +172,7 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: str
     Example:
       interloc benchmark semantickitti --root SemanticKITTI --oxts KITTI/raw --osm maps --labels predictions -o out
     """
-    from interloc.benchmark.plans import semantickitti_cases
+    from interloc.benchmark.cases import semantickitti_cases
 
     cases = semantickitti_cases(root, oxts, osm, _list(sequences), labels=labels)
     _measure(
@@ -212,7 +213,7 @@ def drives(
     Example:
       interloc benchmark drives monday tuesday --osm town.osm.gz -o out
     """
-    from interloc.benchmark.plans import folder_cases
+    from interloc.benchmark.cases import folder_cases
 
     if oxts is not None and len(drives) > 1:
         raise click.UsageError("--oxts is of one drive; put oxts/data or geo.csv into each of several drives")
@@ -247,17 +248,16 @@ def _measure(
     as_json: bool,
 ) -> None:
     from interloc.benchmark.measure import GroundTruth
-    from interloc.benchmark.record import benchmark_record
-    from interloc.benchmark.run import NO_NOISE, Plan, Settings, run_plan
+    from interloc.benchmark.report import PAGE, benchmark_record, write_benchmark
+    from interloc.benchmark.run import NO_NOISE, Benchmark, run_benchmark
     from interloc.benchmark.tables import Measured, tables, text
-    from interloc.benchmark.write import PAGE, write_benchmark
     from interloc.errors import InterLocError, is_interruption
     from interloc.evaluation.label_errors import parse_level
     from interloc.processes import cores
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
-    named = [_settings(Settings, preset, settings) for preset in presets]
-    plan = Plan(
+    named = [_named_config(preset, settings) for preset in presets]
+    benchmark = Benchmark(
         tuple(cases),
         tuple(named),
         tuple(dict.fromkeys([NO_NOISE, *levels])),
@@ -267,7 +267,7 @@ def _measure(
     console.set_up_log(quiet=quiet)
     bars = _Bars(quiet=quiet)
     try:
-        rows = run_plan(plan, out, workers=workers or cores(), fresh=fresh, report=bars)
+        rows = run_benchmark(benchmark, out, workers=workers or cores(), fresh=fresh, report=bars)
     except (KeyboardInterrupt, SystemError) as error:
         if not is_interruption(error):
             raise
@@ -276,7 +276,9 @@ def _measure(
         ) from None
     finally:
         bars.close()
-    measured = Measured(tuple(rows), tuple(plan.drives), tuple(each.name for each in named), plan.noises, labels)
+    measured = Measured(
+        tuple(rows), tuple(benchmark.drives), tuple(each.name for each in named), benchmark.noises, labels
+    )
     configs = {each.name: each.config for each in named}
     write_benchmark(measured, configs, out, title=title, about=about, policy=policy)
     if as_json:
@@ -286,11 +288,13 @@ def _measure(
     click.echo(f"\nreport  {out / PAGE}")
 
 
-def _settings(kind: Any, preset: str, settings: tuple[str, ...]) -> Any:
-    """Return a preset with some settings changed, under a name that says so."""
+def _named_config(preset: str, settings: tuple[str, ...]) -> NamedConfig:
+    """Return a preset with some settings changed, under a name that shows them."""
+    from interloc.benchmark.run import NamedConfig
+
     changed = "".join(f" {setting}" for setting in settings)
     arguments = ("--preset", preset, *(part for setting in settings for part in ("--set", setting)))
-    return kind(preset + changed, options.configure(preset, settings), arguments)
+    return NamedConfig(preset + changed, options.configure(preset, settings), arguments)
 
 
 class _Bars:

@@ -203,7 +203,7 @@ def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool
     Example:
       interloc simulate twin 07 --kitti kitti -o drive && interloc run drive -o out --osm kitti/osm/07.osm.gz
     """
-    from interloc.benchmark.plans import twin_cases
+    from interloc.benchmark.cases import twin_cases
     from interloc.simulate.twins import simulate_twin
 
     quiet = common["quiet"]

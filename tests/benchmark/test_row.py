@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from interloc.benchmark.fingerprint import MEASURING, SIMULATING, code_fingerprint, file_facts, fingerprint
+import interloc
+from interloc.benchmark.fingerprint import file_facts, fingerprint, imported_by
 from interloc.benchmark.row import Cell, Row, read_row, write_row
 from interloc.errors import OutputError
 
@@ -51,7 +52,13 @@ def test_file_names_hold_no_paths() -> None:
 def test_fingerprints_differ_with_the_facts() -> None:
     assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
     assert fingerprint({"a": 1}) != fingerprint({"a": 2})
-    assert code_fingerprint(MEASURING) != code_fingerprint(SIMULATING)
+
+
+def test_a_simulated_drive_depends_on_all_that_the_simulator_imports() -> None:
+    package = Path(interloc.__file__).parent
+    found = {path.relative_to(package).as_posix() for path in imported_by(package / "simulate")}
+    assert {"simulate/town.py", "kernels/raycast.py", "osm/container.py", "geometry.py", "__init__.py"} <= found
+    assert not found & {"pipeline.py", "mapping/fusion.py", "benchmark/run.py"}
 
 
 def test_a_changed_file_is_noticed(tmp_path: Path) -> None:

@@ -10,17 +10,16 @@ from typing import Any
 import pytest
 
 from interloc.benchmark import run as running
-from interloc.benchmark.cases import FolderCase, TwinCase
-from interloc.benchmark.plans import folder_cases, twin_cases
+from interloc.benchmark.cases import FolderCase, TwinCase, folder_cases, twin_cases
+from interloc.benchmark.report import write_benchmark
 from interloc.benchmark.row import Cell, Row
-from interloc.benchmark.run import Plan, Settings, run_plan
+from interloc.benchmark.run import Benchmark, NamedConfig, run_benchmark
 from interloc.benchmark.tables import Measured
-from interloc.benchmark.write import write_benchmark
 from interloc.config import DEFAULT, PAPER
 from interloc.errors import OutputError
 
-DEFAULTS = Settings("default", DEFAULT, ("--preset", "default"))
-PAPERS = Settings("paper", PAPER, ("--preset", "paper"))
+DEFAULTS = NamedConfig("default", DEFAULT, ("--preset", "default"))
+PAPERS = NamedConfig("paper", PAPER, ("--preset", "paper"))
 
 
 def figures(rows: list[Row]) -> list[dict]:
@@ -29,15 +28,15 @@ def figures(rows: list[Row]) -> list[dict]:
 
 
 @pytest.fixture(scope="module")
-def plan(town: Path) -> Plan:
+def benchmark(town: Path) -> Benchmark:
     cases = folder_cases([town], [town / "map.osm"], labels="labels", oxts=None)
-    return Plan(tuple(cases), (DEFAULTS, PAPERS), ("0/0", "20/20"), seeds=2)
+    return Benchmark(tuple(cases), (DEFAULTS, PAPERS), ("0/0", "20/20"), seeds=2)
 
 
 @pytest.fixture(scope="module")
-def finished(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Row]]:
+def finished(benchmark: Benchmark, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Row]]:
     out = tmp_path_factory.mktemp("benchmark") / "out"
-    return out, run_plan(plan, out)
+    return out, run_benchmark(benchmark, out)
 
 
 def test_every_cell_is_measured_once(finished: tuple[Path, list[Row]]) -> None:
@@ -50,14 +49,16 @@ def test_every_cell_is_measured_once(finished: tuple[Path, list[Row]]) -> None:
     assert sum(row.nodes_found for row in rows) > 0
 
 
-def test_finished_rows_are_kept(plan: Plan, finished: tuple[Path, list[Row]], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_finished_rows_are_kept(
+    benchmark: Benchmark, finished: tuple[Path, list[Row]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     out, rows = finished
     monkeypatch.setattr(running, "measure", None)  # nothing may be measured
-    assert run_plan(plan, out) == rows
+    assert run_benchmark(benchmark, out) == rows
 
 
 def test_a_run_goes_on_where_it_stopped(
-    plan: Plan, finished: tuple[Path, list[Row]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    benchmark: Benchmark, finished: tuple[Path, list[Row]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, rows = finished
     measure, calls = running.measure, []
@@ -70,33 +71,33 @@ def test_a_run_goes_on_where_it_stopped(
 
     monkeypatch.setattr(running, "measure", stop_at_third)
     with pytest.raises(KeyboardInterrupt):
-        run_plan(plan, tmp_path / "out")
+        run_benchmark(benchmark, tmp_path / "out")
     assert len(list((tmp_path / "out" / "rows").iterdir())) == 2
-    again = run_plan(plan, tmp_path / "out")
+    again = run_benchmark(benchmark, tmp_path / "out")
     assert len(calls) == 3 + 4
     assert figures(again) == figures(rows)
 
 
 def test_other_settings_are_measured_anew(
-    plan: Plan, finished: tuple[Path, list[Row]], monkeypatch: pytest.MonkeyPatch
+    benchmark: Benchmark, finished: tuple[Path, list[Row]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, _ = finished
     monkeypatch.setattr(running, "measure", None)
-    other = Settings("paper", DEFAULT.model_copy(update={"preset": "other"}))
+    other = NamedConfig("paper", DEFAULT.model_copy(update={"preset": "other"}))
     with pytest.raises(TypeError):
-        run_plan(Plan(plan.cases, (other,)), out)
+        run_benchmark(Benchmark(benchmark.cases, (other,)), out)
     with pytest.raises(TypeError):
-        run_plan(plan, out, fresh=True)
+        run_benchmark(benchmark, out, fresh=True)
 
 
-def test_a_folder_of_something_else_is_not_touched(plan: Plan, tmp_path: Path) -> None:
+def test_a_folder_of_something_else_is_not_touched(benchmark: Benchmark, tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(OutputError, match=r"no benchmark: it has no rows/\. It was not touched"):
-        run_plan(plan, tmp_path)
+    with pytest.raises(OutputError, match=r"is not a benchmark: it has no rows/\. It was not touched"):
+        run_benchmark(benchmark, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-def test_files_of_a_benchmark(plan: Plan, finished: tuple[Path, list[Row]]) -> None:
+def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[Row]]) -> None:
     out, rows = finished
     measured = Measured(tuple(rows), ("town",), ("default", "paper"), ("0/0", "20/20"))
     configs = {"default": DEFAULT, "paper": PAPER}
@@ -117,7 +118,7 @@ def test_files_of_a_benchmark(plan: Plan, finished: tuple[Path, list[Row]]) -> N
             assert place["see"][0].startswith("interloc explain ")
     page = (out / "benchmark.html").read_text()
     assert "Town &amp; country" in page
-    assert page.count("data:image/") == 3 + 2  # boxes, curves, label errors, a map a preset
+    assert page.count("data:image/") == 3 + 2  # boxes, curves, label errors, a map per preset
     assert "http" not in page.replace("http://www.w3.org", "")
     assert "IV. Errors of the labels" in (out / "benchmark.txt").read_text()
     names = {path.name for path in (out / "figures").iterdir()}
@@ -144,14 +145,14 @@ def test_the_command_that_shows_a_frame_of_a_twin_makes_the_twin_first() -> None
 def test_twins_in_processes_are_the_same_and_leave_nothing_behind(kitti: Path, tmp_path: Path) -> None:
     """Two twins at once in processes, one of them again here, from the folder where it was kept."""
     cases = twin_cases(kitti, ["07", "10"], max_scans=8)
-    at_once = run_plan(Plan(tuple(cases), (DEFAULTS,)), tmp_path / "a", workers=2)
+    at_once = run_benchmark(Benchmark(tuple(cases), (DEFAULTS,)), tmp_path / "a", workers=2)
     assert [row.cell.drive for row in at_once] == ["07", "10"]
     assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["rows"]
 
     kept = twin_cases(kitti, ["10"], max_scans=8, keep=tmp_path / "keep")
-    (first,) = run_plan(Plan(tuple(kept), (DEFAULTS,)), tmp_path / "b")
+    (first,) = run_benchmark(Benchmark(tuple(kept), (DEFAULTS,)), tmp_path / "b")
     scan = tmp_path / "keep/10_suma_seed0/velodyne/000000.bin"
     made = scan.stat().st_mtime_ns
-    (second,) = run_plan(Plan(tuple(kept), (DEFAULTS,)), tmp_path / "c")
+    (second,) = run_benchmark(Benchmark(tuple(kept), (DEFAULTS,)), tmp_path / "c")
     assert scan.stat().st_mtime_ns == made
     assert figures([first])[0]["errors_m"] == figures([second])[0]["errors_m"] == at_once[1].errors_m

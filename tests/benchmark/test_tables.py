@@ -53,7 +53,7 @@ def test_performance_stands_beside_the_published_figures(row: Rows) -> None:
     assert lines["Pre@5 [%]", "preset default"] == ("100.0", "0.0", "66.7")
     assert lines["Rec@5 [%]", "preset default"] == ("66.7", "–", "66.7")  # noqa: RUF001
     assert lines["nodes found / in zone", "preset default"] == ("1/1", "1/1", "2/2")
-    assert lines["ms a keyframe", "preset default"] == ("5.0", "5.0", "5.0")
+    assert lines["ms per keyframe", "preset default"] == ("5.0", "5.0", "5.0")
 
 
 def test_the_published_average_stands_only_beside_its_own_eight_sequences(row: Rows) -> None:

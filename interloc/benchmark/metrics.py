@@ -17,7 +17,7 @@ PRECISION_THRESHOLD_M, RECALL_THRESHOLD_M = 6.9, 13.3
 """Of the comparison with MMInsectDet (paper, section V-C)."""
 
 Metric = Callable[[Sequence[Row]], float | None]
-"""A figure of some rows, pooled: as if they were one drive. None where it is undefined."""
+"""Returns a figure of some rows, pooled as if they were one drive; None where it is undefined."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Estimate:
     spread : float or None
         Sample standard deviation over the seeds; None for one seed.
     seeds : int
-        Over how many.
+        Number of seeds.
     """
 
     mean: float | None
@@ -102,8 +102,8 @@ def map_median_m(rows: Sequence[Row]) -> float | None:
     return None if len(errors) == 0 else float(np.median(errors))
 
 
-def ms_a_keyframe(rows: Sequence[Row]) -> float | None:
-    """Return the processor time from files to intersections, milliseconds a keyframe."""
+def ms_per_keyframe(rows: Sequence[Row]) -> float | None:
+    """Return the processor time from files to intersections, milliseconds per keyframe."""
     keyframes = sum(row.keyframes for row in rows)
     return 1e3 * sum(row.compute_s for row in rows) / keyframes if keyframes else None
 
@@ -121,7 +121,7 @@ METRICS: dict[str, Metric] = {
     "map_precision": map_precision,
     "map_recall": map_recall,
     "map_median_m": map_median_m,
-    "ms_a_keyframe": ms_a_keyframe,
+    "ms_a_keyframe": ms_per_keyframe,
 }
 """Every figure under the name that `benchmark.json` gives it."""
 

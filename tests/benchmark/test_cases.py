@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from interloc.benchmark.plans import folder_cases, semantickitti_cases, twin_cases
+from interloc.benchmark.cases import folder_cases, semantickitti_cases, twin_cases
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
 
 
