@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
     from interloc.benchmark.run import NamedConfig
     from interloc.osm.policies import Policy
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 SEQUENCES = "00,02,05,06,07,08,09,10"
 
@@ -29,49 +27,48 @@ def _lists(_: click.Context, __: click.Parameter, values: tuple[str, ...]) -> tu
     return tuple(dict.fromkeys(part for value in values for part in _list(value)))
 
 
-def measuring_options(command: Command) -> Command:
-    """Add the options that all benchmarks share."""
-    for decorate in reversed(
-        (
-            options.OUT,
-            click.option(
-                "--preset",
-                "presets",
-                multiple=True,
-                callback=_lists,
-                default=["default,paper"],
-                show_default="both",
-                help="Settings to measure, side by side; repeat, or join with commas.",
-            ),
-            click.option(
-                "--set", "settings", multiple=True, metavar="NAME=VALUE", help="Change a setting of every preset."
-            ),
-            click.option(
-                "--noise",
-                "noises",
-                multiple=True,
-                callback=_lists,
-                metavar="FPR/FNR",
-                help="Label errors to add, r-FPR/r-FNR in percent, such as 20/20; repeat, or join with commas. "
-                "Without errors (0/0) is measured in any case.",
-            ),
-            click.option(
-                "--seeds",
-                type=click.IntRange(1, 100),
-                default=1,
-                show_default=True,
-                help="Measure so often, and give mean and spread.",
-            ),
-            options.POLICY,
-            options.TOLERANCE,
-            click.option("--fresh", is_flag=True, help="Measure anew what is kept in OUT/rows from before."),
-            options.workers_option,
-            options.QUIET,
-            options.JSON,
-        )
-    ):
-        command = decorate(command)
-    return command
+measuring_options = options.together(
+    options.OUT,
+    click.option(
+        "--preset",
+        "presets",
+        multiple=True,
+        callback=_lists,
+        default=["default,paper"],
+        show_default="both",
+        help="Presets to measure side by side; repeat the option, or join them with commas.",
+    ),
+    click.option(
+        "--set",
+        "settings",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Change a setting of every preset; may be repeated.",
+    ),
+    click.option(
+        "--noise",
+        "noises",
+        multiple=True,
+        callback=_lists,
+        metavar="FPR/FNR",
+        help="Label errors to add, r-FPR/r-FNR in percent, such as 20/20; repeat the option, or join them with commas. "
+        "The drive without label errors (0/0) is always measured.",
+    ),
+    click.option(
+        "--seeds",
+        type=click.IntRange(1, 100),
+        default=1,
+        show_default=True,
+        help="Number of seeds to measure; the tables give mean and spread.",
+    ),
+    options.POLICY,
+    options.TOLERANCE,
+    click.option("--fresh", is_flag=True, help="Measure again what is kept in OUT/rows."),
+    options.workers_option,
+    options.QUIET,
+    options.JSON,
+)
+"""Options that all benchmarks share."""
 
 
 @click.group(short_help="Measure presets on many drives: the tables of the paper.")
@@ -85,8 +82,8 @@ def command() -> None:
       interloc benchmark semantickitti --root data --oxts raw --osm maps --labels predictions -o out
       interloc benchmark drives first second --osm map.osm.gz -o out   any drives
 
-    OUT/benchmark.html has tables, figures and maps; OUT/failures what went wrong where. A run that was stopped goes
-    on where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
+    OUT/benchmark.html has tables, figures and maps; OUT/failures lists what went wrong where. A run that was stopped
+    continues where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
     """
 
 
@@ -98,16 +95,18 @@ def command() -> None:
     help="Folder with oxts/NN.txt.gz, poses_suma/NN.txt, poses_gt/NN.txt, calib/NN.txt, times/NN.txt, osm/NN.osm.gz "
     "and, for real houses, osm_buildings/NN.osm.gz.",
 )
-@click.option("--sequences", default=SEQUENCES, show_default=True, help="KITTI odometry sequences.")
+@click.option("--sequences", default=SEQUENCES, show_default=True, help="KITTI odometry sequences to measure.")
 @click.option(
     "--poses",
     type=click.Choice(["suma", "gt"]),
     default="suma",
     show_default=True,
-    help="Poses that go with the drives: SemanticKITTI's, which drift, or KITTI's ground truth.",
+    help="Poses to write with the drives: SemanticKITTI's, which drift, or KITTI's ground truth.",
 )
-@click.option("--keep", type=click.Path(path_type=Path), help="Keep the simulated drives here for the next time.")
-@click.option("--max-scans", type=click.IntRange(min=1), help="Only so many keyframes of each sequence: a quick look.")
+@click.option(
+    "--keep", type=click.Path(path_type=Path), help="Folder in which the simulated drives are kept for the next time."
+)
+@click.option("--max-scans", type=click.IntRange(min=1), help="Number of keyframes of each sequence, for a quick look.")
 @measuring_options
 def twins(
     kitti: Path,
@@ -120,7 +119,7 @@ def twins(
 ) -> None:
     """Simulate drives along the real tracks of KITTI sequences over their real maps, and measure them.
 
-    A seed decides houses, cars, noise and label errors. Each drive is gone when it is measured, unless --keep.
+    The seed decides houses, cars, noise and label errors. Each drive is deleted once it is measured, unless --keep.
 
     \b
     Example:
@@ -151,7 +150,7 @@ def twins(
     "--oxts",
     required=True,
     type=click.Path(path_type=Path),
-    help="Folder with NN.txt[.gz] (a row a frame) or with KITTI raw drives (2011_10_03_drive_0027_sync, ...).",
+    help="Folder with NN.txt[.gz] (one row per frame) or with KITTI raw drives (2011_10_03_drive_0027_sync, ...).",
 )
 @click.option(
     "--osm", required=True, type=click.Path(path_type=Path), help="Folder with NN.osm, .osm.gz, .osm.bz2 or .osm.pbf."
@@ -193,7 +192,7 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: str
     multiple=True,
     required=True,
     type=click.Path(path_type=Path),
-    help="OSM file: one for all drives, or repeat it, one a drive in their order.",
+    help="OSM file: one for all drives, or repeat the option: one per drive, in their order.",
 )
 @options.drive_options
 @measuring_options
@@ -216,7 +215,7 @@ def drives(
     from interloc.benchmark.cases import folder_cases
 
     if oxts is not None and len(drives) > 1:
-        raise click.UsageError("--oxts is of one drive; put oxts/data or geo.csv into each of several drives")
+        raise click.UsageError("--oxts belongs to one drive; put oxts/data or geo.csv into each of several drives")
     given = {"labels": labels, "label_scheme": label_scheme, "pose_frame": pose_frame, "layout": layout, "oxts": oxts}
     cases = folder_cases(drives, maps, **given)
     _measure(
@@ -298,7 +297,7 @@ def _named_config(preset: str, settings: tuple[str, ...]) -> NamedConfig:
 
 
 class _Bars:
-    """One progress bar a task, gone when the task is."""
+    """One progress bar per task, removed when the task ends."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet

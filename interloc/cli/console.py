@@ -1,4 +1,4 @@
-"""Speaking to the user: progress bars, log lines, tables of facts."""
+"""Output for the user: progress bars, log lines, tables of facts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import click
 
 
 def set_up_log(*, quiet: bool) -> None:
-    """Show what the library logs on stderr, a line each, warnings marked; only warnings with `quiet`."""
+    """Show what the library logs on stderr, one line per message, warnings marked; only warnings with `quiet`."""
     logger = logging.getLogger("interloc")
     for handler in list(logger.handlers):
         logger.removeHandler(handler)
@@ -36,15 +36,15 @@ def _ignore(_: object) -> None:
 
 
 class Interruption:
-    """Ctrl-C or SIGTERM, remembered: an exception raised within a callback of a library would be lost."""
+    """Ctrl-C or SIGTERM, recorded because an exception raised within a callback of a library may be lost."""
 
     asked = False
 
     @classmethod
     def ask(cls, signum: int, frame: FrameType | None) -> None:  # noqa: ARG003 - the signature of a signal handler
-        """Handle the signal: stop here, or else at the next sign of progress."""
+        """Handle the signal: stop here, or else at the next report of progress."""
         cls.asked = True
-        sys.unraisablehook = _ignore  # objects that were stopped half-made complain when they are cleared away
+        sys.unraisablehook = _ignore  # objects that are half made raise errors when they are deleted
         raise KeyboardInterrupt
 
 
@@ -56,7 +56,7 @@ class Bar:
         self._bar: Any = None
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
-        """Show how much of how much is done, and a note behind it."""
+        """Show how much of the total is done, followed by a note."""
         if Interruption.asked:
             raise KeyboardInterrupt
         if self._quiet or not sys.stderr.isatty():

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from interloc.client.connection import Connection
 
 
-@click.command(short_help="Bring a result from a server.")
+@click.command(short_help="Fetch a result from a server.")
 @click.argument("job")
 @options.OUT
 @options.server_options
 @options.QUIET
 @options.JSON
 def command(job: str, out: Path, server: str, token: str | None, quiet: bool, as_json: bool) -> None:
-    """Bring the result folder of JOB from a server, just as the server has it; wait for the job where it still runs.
+    """Fetch the result folder of JOB from a server, exactly as the server has it; wait for the job if it still runs.
 
     \b
     Example:
@@ -43,18 +43,18 @@ def wait_for(connection: Connection, job: str, *, quiet: bool) -> JobAnswer:
     """Follow a job to its end, with its progress."""
     from interloc.client.jobs import follow
 
-    said = ""
+    shown = ""
     with console.progress("job", "keyframe", quiet=quiet) as bar:
 
-        def tell(change: JobAnswer) -> None:
-            nonlocal said
-            if change.message and change.message != said and not quiet:
-                said = change.message
-                click.echo(f"{change.stage}: {said}", err=True)
+        def show(change: JobAnswer) -> None:
+            nonlocal shown
+            if change.message and change.message != shown and not quiet:
+                shown = change.message
+                click.echo(f"{change.stage}: {shown}", err=True)
             if change.progress.total:
                 bar(change.progress.done, change.progress.total)
 
-        return follow(connection, job, tell)
+        return follow(connection, job, show)
 
 
 def bring(connection: Connection, job: JobAnswer, out: Path, *, quiet: bool) -> None:
@@ -79,7 +79,7 @@ def result_facts(job: JobAnswer, out: Path) -> list[tuple[str, str]]:
 
 
 def result_summary(job: JobAnswer, out: Path) -> dict[str, Any]:
-    """Return the same for a program."""
+    """Return the outcome for a program."""
     _, report = _records(out)
     return {"out": str(out), "job": job.id, "drive": job.drive_id, "summary": job.summary, "report": report}
 

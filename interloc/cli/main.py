@@ -25,13 +25,13 @@ COMMANDS = {
     "reduce": "reduce",
     "simulate": "simulate",
     "benchmark": "benchmark",
-    "serve": "serve",
-    "token": "token",
+    "serve": "service:serve",
+    "token": "service:token",
     "push": "push",
     "fetch": "fetch",
     "config": "config",
 }
-"""Command -> module of this package, which has a click command `command`."""
+"""Name -> module of this package and, after a colon, the name of the click command in it (else `command`)."""
 
 
 class _Commands(click.Group):
@@ -43,7 +43,8 @@ class _Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"interloc.cli.{COMMANDS[cmd_name]}").command
+        module, _, name = COMMANDS[cmd_name].partition(":")
+        command: click.Command = getattr(import_module(f"interloc.cli.{module}"), name or "command")
         return command
 
 
@@ -61,7 +62,7 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line."""
-    for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM as Ctrl-C: half-written results are taken away
+    for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM is treated as Ctrl-C: half-written results are removed
         signal.signal(stop, Interruption.ask)
     sys.exit(run())
 
@@ -94,7 +95,7 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def _fault(error: Exception) -> int:
-    """Report what should not have happened; raise it on request."""
+    """Report an unexpected error, or raise it if INTERLOC_DEBUG is set."""
     if is_interruption(error):
         return _fail("interrupted; nothing was written", 1)
     if os.environ.get("INTERLOC_DEBUG"):

@@ -20,7 +20,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 DRIVE = click.argument("drive", type=click.Path(path_type=Path))
 OUT = click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Result folder to write.")
-QUIET = click.option("--quiet", is_flag=True, help="No progress, no notes; warnings and errors only.")
+QUIET = click.option("--quiet", is_flag=True, help="Print warnings and errors only.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON.")
 POLICY = click.option(
     "--policy",
@@ -34,7 +34,9 @@ OSM = click.option("--osm", type=click.Path(path_type=Path), help="OSM file: .os
 OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 
 
-def _together(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
+def together(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
+    """Return a decorator that adds several options, in this order."""
+
     def decorate(command: Command) -> Command:
         for decorator in reversed(decorators):
             command = decorator(command)
@@ -43,7 +45,7 @@ def _together(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]
     return decorate
 
 
-reading_options = _together(
+reading_options = together(
     click.option(
         "--label-scheme",
         default="auto",
@@ -72,7 +74,7 @@ reading_options = _together(
 )
 """How a drive is to be read, whatever its labels."""
 
-drive_options = _together(
+drive_options = together(
     click.option(
         "--labels",
         type=click.Choice(["labels", "predictions"]),
@@ -92,17 +94,23 @@ label_folders_option = click.option(
     help="Folder of the labels; may be given twice.",
 )
 
-map_options = _together(OSM, OVERPASS, POLICY, TOLERANCE)
+map_options = together(OSM, OVERPASS, POLICY, TOLERANCE)
 
-config_options = _together(
+config_options = together(
     click.option(
         "--preset",
         type=click.Choice(["default", "paper"]),
         default="default",
         show_default=True,
-        help="Settings to start from.",
+        help="Preset to start from.",
     ),
-    click.option("--set", "settings", multiple=True, metavar="NAME=VALUE", help="One setting, bev.resolution_m=0.25."),
+    click.option(
+        "--set",
+        "settings",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Change a setting, for example bev.resolution_m=0.25; may be repeated.",
+    ),
 )
 
 
@@ -110,22 +118,22 @@ workers_option = click.option(
     "--workers",
     type=click.IntRange(1, 256),
     show_default="as many as pay off",
-    help="Processes; the result does not depend on it.",
+    help="Number of processes; the result does not depend on it.",
 )
 
-server_options = _together(
+server_options = together(
     click.option(
         "--server",
         envvar="INTERLOC_SERVER",
         default="http://127.0.0.1:8000",
         show_default=True,
         metavar="URL",
-        help="Address of the service; INTERLOC_SERVER too.",
+        help="Address of the service; also read from INTERLOC_SERVER.",
     ),
     click.option(
         "--token",
         envvar="INTERLOC_TOKEN",
-        help="API token; better by INTERLOC_TOKEN: others on this machine can see the options of a command.",
+        help="API token; INTERLOC_TOKEN is safer, since others on this machine can see the options of a command.",
     ),
 )
 
@@ -146,13 +154,13 @@ def configure(preset: str, settings: tuple[str, ...]) -> DetectorConfig:
 
 
 def check_map_choice(osm: Path | None, *, overpass: bool) -> None:
-    """Refuse to guess where the map comes from."""
+    """Raise a usage error unless exactly one source of the map is given."""
     if (osm is None) == (not overpass):
         raise click.UsageError("give the map by one of --osm FILE and --overpass")
 
 
 def require_georeference(drive: Drive) -> None:
-    """Refuse an evaluation that cannot be, before any long work starts."""
+    """Raise an error if a drive cannot be evaluated, before any long work starts."""
     from interloc.errors import GeoreferenceError
 
     if drive.georeference is None:

@@ -23,21 +23,23 @@ if TYPE_CHECKING:
 _THREADS = 8
 
 
-@click.command(short_help="Send a drive to a server; have it worked on there.")
+@click.command(short_help="Send a drive to a server, and have it processed there.")
 @options.DRIVE
 @options.server_options
 @options.label_folders_option
 @options.reading_options
 @click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
-@click.option("--osm", type=click.Path(path_type=Path), help="OSM file that goes along, for the evaluation.")
+@click.option("--osm", type=click.Path(path_type=Path), help="OSM file to send too, for the evaluation.")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
 @click.option("--raw", is_flag=True, help="Send scans and labels as they are; the server reduces them.")
-@click.option("--keep-raw", is_flag=True, help="Let the server keep them, with --raw.")
-@click.option("--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Files sent at once.")
-@click.option("--run", is_flag=True, help="Have the intersections found, and scored where there is a map.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Bring the result to this folder; with --run.")
+@click.option("--keep-raw", is_flag=True, help="Let the server keep scans and labels; needs --raw.")
+@click.option(
+    "--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Number of files sent at once."
+)
+@click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
+@click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the result to this folder; needs --run.")
 @options.config_options
-@click.option("--overpass", is_flag=True, help="Let the server fetch the map; with --run.")
+@click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
 @options.POLICY
 @options.TOLERANCE
 @options.QUIET
@@ -64,7 +66,7 @@ def command(
     as_json: bool,
     **reading: Any,
 ) -> None:
-    """Send DRIVE to a server, reduced to what the method needs; again after an interruption: only what is missing.
+    """Send DRIVE to a server, reduced to what the method needs. After an interruption only what is missing is sent.
 
     \b
     Examples:
@@ -115,9 +117,9 @@ def command(
 
 
 def _check_usage(*, run: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]) -> None:
-    """Refuse options that would do nothing."""
+    """Raise a usage error for options that would have no effect."""
     if not run and (out is not None or overpass or settings):
-        raise click.UsageError("-o, --overpass and --set belong to --run")
+        raise click.UsageError("-o, --overpass and --set need --run")
     if osm is not None and overpass:
         raise click.UsageError("give the map by one of --osm FILE and --overpass")
 
@@ -142,26 +144,26 @@ def _send(
     threads: int,
     quiet: bool,
 ) -> Pushed:
-    """Push the drive with a progress bar; say what an interruption leaves."""
+    """Push the drive with a progress bar; report what an interruption leaves on the server."""
     from interloc.client.push import push
     from interloc.errors import InterLocError, is_interruption
 
     last: list[UploadProgress] = []
     with console.progress("push", "file", quiet=quiet) as bar:
 
-        def tell(progress: UploadProgress) -> None:
+        def show(progress: UploadProgress) -> None:
             last[:] = [progress]
             rate = console.size(int(progress.bytes_per_s))
             bar(progress.done, progress.total, f"{console.size(progress.bytes_sent)}, {rate}/s")
 
-        def tell_stage(stage: str) -> None:
+        def show_stage(stage: str) -> None:
             bar.close()
             if not quiet and os.isatty(2):
                 click.echo(stage, err=True)
 
         try:
             return push(
-                connection, drive, prepared, push_options, threads=threads, on_stage=tell_stage, on_progress=tell
+                connection, drive, prepared, push_options, threads=threads, on_stage=show_stage, on_progress=show
             )
         except BaseException as error:
             if not is_interruption(error):

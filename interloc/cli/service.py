@@ -1,7 +1,10 @@
-"""What the commands of the service share: its settings, and a word where it is not installed."""
+"""`interloc serve` and `interloc token`: the web service on this machine, and who may use it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,21 +14,120 @@ from interloc.errors import ConfigError, InterLocError
 
 if TYPE_CHECKING:
     from app.settings import Settings
+    from app.store.database import Database
 
-DATA_DIR = click.option(
+_DATA_DIR = click.option(
     "--data-dir", type=click.Path(path_type=Path), help="Folder of drives and results.  [default: ./interloc-data]"
 )
 
 
-def read_settings(given: dict[str, Any]) -> Settings:
-    """Read the environment, and let the options that were given prevail.
+@click.command(short_help="Run the web service and its page.")
+@click.option("--host", help="Address to listen on.  [default: 127.0.0.1]")
+@click.option("--port", type=click.IntRange(0, 65535), help="Port to listen on; 0: any free one.  [default: 8000]")
+@_DATA_DIR
+@click.option("--workers", type=click.IntRange(1, 256), help="Number of worker processes.  [default: one per core]")
+@click.option("--dask", metavar="ADDRESS", help="Dask scheduler that does the work instead, as tcp://host:8786.")
+@click.option("--allow-anonymous", is_flag=True, default=None, help="Serve other machines without any token.")
+@click.option("--root-path", metavar="PATH", help="Path under which a reverse proxy publishes the service.")
+@click.option("--log-format", type=click.Choice(["json", "text"]), help="Format of the log on stderr.  [default: json]")
+@click.option(
+    "--log-level",
+    type=click.Choice(["debug", "info", "warning", "error"]),
+    help="Least severe messages to log.  [default: info]",
+)
+def serve(**given: Any) -> None:
+    """Run the web service: upload drives, run jobs, see the results on a map.
+
+    Every option is also a setting INTERLOC_<NAME> of the environment; the README lists them all.
+
+    \b
+    Examples:
+      interloc serve                                        for this machine only
+      interloc token add alice && interloc serve --host 0.0.0.0
+    """
+    settings = _read_settings(given)
+    from app.server import serve as run_server
+    from interloc.pipeline import versions
+
+    def print_address(port: int) -> None:
+        host = f"[{settings.host}]" if ":" in settings.host else settings.host
+        address = f"http://{host}:{port}{settings.root_path}/"
+        folder = Path(settings.data_dir).absolute()
+        click.echo(f"InterLoc {versions()['interloc']} at {address} (data in {folder}); Ctrl-C stops it")
+
+    run_server(settings, print_address)
+
+
+@click.group(short_help="Tokens of the web service: add, list, revoke.")
+def token() -> None:
+    """Manage who may use the web service. A running server applies the change within seconds.
+
+    \b
+    Example:
+      interloc token add alice
+    """
+
+
+@token.command()
+@click.argument("name")
+@_DATA_DIR
+def add(name: str, data_dir: Path | None) -> None:
+    """Make a token for NAME and print it: only its hash is kept, so it cannot be shown again."""
+    from app.store.tokens import add_token
+
+    with _database(data_dir) as database:
+        text = add_token(database, name)
+    click.echo(text)
+    click.echo("Clients send it as `Authorization: Bearer TOKEN`; it is not shown again.", err=True)
+
+
+@token.command("list")
+@_DATA_DIR
+def list_(data_dir: Path | None) -> None:
+    """List who has a token, and since when."""
+    from app.store.tokens import list_tokens
+
+    with _database(data_dir) as database:
+        tokens = list_tokens(database)
+    for each in tokens:
+        click.echo(f"{each.name:<24} since {datetime.fromtimestamp(each.created_at, UTC):%Y-%m-%d %H:%M} UTC")
+    if not tokens:
+        click.echo("no tokens", err=True)
+
+
+@token.command()
+@click.argument("name")
+@_DATA_DIR
+def revoke(name: str, data_dir: Path | None) -> None:
+    """Refuse the token of NAME from now on."""
+    from app.store.tokens import revoke_token
+
+    with _database(data_dir) as database:
+        revoke_token(database, name)
+    click.echo(f"the token of {name} is revoked")
+
+
+@contextmanager
+def _database(data_dir: Path | None) -> Iterator[Database]:
+    settings = _read_settings({"data_dir": data_dir})
+    from app.context import open_database
+
+    database = open_database(settings)
+    try:
+        yield database
+    finally:
+        database.close()
+
+
+def _read_settings(given: dict[str, Any]) -> Settings:
+    """Read the settings from the environment and from the options that were given, which take precedence.
 
     Raises
     ------
     InterLocError
         The service is not installed.
     ConfigError
-        A setting has no meaning.
+        A setting is not valid.
     """
     try:
         from app.settings import Settings

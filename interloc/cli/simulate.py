@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
     from interloc.benchmark.cases import Poses
     from interloc.simulate.config import SimulationOptions, TrackConfig
 
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 DRIVE = click.option(
     "-o",
@@ -41,33 +39,28 @@ SPEED = click.option(
 )
 
 
-def scene_options(command: Command) -> Command:
-    """Add the options that all simulations share."""
-    for decorate in reversed(
-        (
-            click.option(
-                "--seed",
-                type=click.IntRange(min=0),
-                default=0,
-                show_default=True,
-                help="Seed of everything random: houses, cars, noise. The same seed gives the same drive.",
-            ),
-            click.option("--exact", is_flag=True, help="A LiDAR without noise, dropout and loss of range."),
-            click.option("--bare", is_flag=True, help="No houses, hedges and parked cars: nothing hides the road."),
-            click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
-            click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
-            click.option(
-                "--columns",
-                type=click.IntRange(8, 8192),
-                default=2083,
-                show_default=True,
-                help="Shots of each of the 64 lasers per turn.",
-            ),
-            options.QUIET,
-        )
-    ):
-        command = decorate(command)
-    return command
+scene_options = options.together(
+    click.option(
+        "--seed",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Seed of everything random: houses, cars, noise. The same seed gives the same drive.",
+    ),
+    click.option("--exact", is_flag=True, help="A LiDAR without noise, dropout and loss of range."),
+    click.option("--bare", is_flag=True, help="No houses, hedges and parked cars: nothing hides the road."),
+    click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
+    click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
+    click.option(
+        "--columns",
+        type=click.IntRange(8, 8192),
+        default=2083,
+        show_default=True,
+        help="Shots of each of the 64 lasers per turn.",
+    ),
+    options.QUIET,
+)
+"""Options that all simulations share."""
 
 
 @click.group(short_help="Make a drive whose truth is known: town, track or KITTI twin.")
