@@ -12,11 +12,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.output.geojson import damaged, read_file, rounded
@@ -37,11 +37,13 @@ class Decimals:
 
 Metres = Annotated[float, Decimals(4)]
 Ratio = Annotated[float, Decimals(6)]
-WorldX = Annotated[Metres, Field(description="Position in W, metres.")]
-WorldY = Annotated[Metres, Field(description="Position in W, metres.")]
+WorldX = Annotated[Metres, Field(description="Position in W, metres forward of the first scan.")]
+WorldY = Annotated[Metres, Field(description="Position in W, metres to the left of the first scan.")]
 BranchCount = Annotated[int, Field(description="Number of branches.")]
 BranchBearings = Annotated[list[float], Field(description="Bearing of each branch, leaving the intersection, degrees.")]
 OsmNode = Annotated[int, Field(description="Id of the OpenStreetMap node.")]
+
+_Position = tuple[float, float]
 
 
 class _Strict(BaseModel):
@@ -215,13 +217,29 @@ class Layer:
             return Rows(path, self._file.model_validate_json(content).features)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
-            message = first["msg"][:1].lower() + first["msg"][1:]
-            raise damaged(path, f"{_place(first['loc'])}{message}") from error
+            place = ".".join(str(step) for step in first["loc"])  # features.2.properties.x_m
+            raise damaged(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
 
     @cached_property
-    def _file(self) -> type[_Collection[Any]]:
-        geometry = _Point if self.geometry == "Point" else Union[_Line, None]  # noqa: UP007 - built at run time
-        return _Collection[_Feature[geometry, self.properties]]  # type: ignore[valid-type, name-defined]
+    def _file(self) -> Any:  # noqa: ANN401 - a model that is made here
+        """Model of the whole file."""
+        is_point = self.geometry == "Point"
+        kind: Any = Literal[self.geometry]
+        geometry = create_model(
+            "Geometry",
+            __base__=_Strict,
+            type=(kind, ...),
+            coordinates=(_Position if is_point else list[_Position], ...),
+        )
+        feature = create_model(
+            "Feature",
+            __base__=_Strict,
+            geometry=(geometry if is_point else geometry | None, ...),
+            properties=(self.properties, ...),
+            world_xy_m=(tuple[_Position, ...], ()),  # of the trajectory
+        )
+        collection: Any = Literal["FeatureCollection"]
+        return create_model("Collection", __base__=_Strict, type=(collection, ...), features=(list[feature], ...))
 
 
 LAYERS = {
@@ -261,11 +279,11 @@ class Rows:
     path : Path
         The file.
     features : list
-        Features, valid under the model of the layer.
+        Features, with `geometry`, `properties` (a model of the layer) and `world_xy_m`.
     """
 
     path: Path
-    features: list[_Feature[Any, Any]]
+    features: list[Any]
 
     def column(self, name: str) -> list[Any]:
         """Return a property of all features."""
@@ -289,35 +307,6 @@ class Rows:
         return np.array([f.geometry.coordinates for f in self.features], dtype=np.float64).reshape(-1, 2)
 
 
-_Position = tuple[float, float]
-
-
-class _Point(_Strict):
-    type: Literal["Point"]
-    coordinates: _Position
-
-
-class _Line(_Strict):
-    type: Literal["LineString"]
-    coordinates: list[_Position]
-
-
-_GeometryT = TypeVar("_GeometryT")
-_PropertiesT = TypeVar("_PropertiesT")
-_FeatureT = TypeVar("_FeatureT")
-
-
-class _Feature(_Strict, Generic[_GeometryT, _PropertiesT]):
-    geometry: _GeometryT
-    properties: _PropertiesT
-    world_xy_m: tuple[_Position, ...] = ()  # of the trajectory; not a list, whose default would be copied per feature
-
-
-class _Collection(_Strict, Generic[_FeatureT]):
-    type: Literal["FeatureCollection"]
-    features: list[_FeatureT]
-
-
 def _kind(annotation: Any) -> str:  # noqa: ANN401
     """Return the kind of a property from its annotation, null aside."""
     alternatives = get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
@@ -329,17 +318,3 @@ def _printed(values: Column, metadata: list[Any]) -> Sequence[Any]:
     plain: Sequence[Any] = values.tolist() if isinstance(values, np.ndarray) else values
     places = next((each.places for each in metadata if isinstance(each, Decimals)), None)
     return plain if places is None else [rounded(value, places) for value in plain]
-
-
-def _place(location: tuple[int | str, ...]) -> str:
-    """Return where in a file something is wrong: ("features", 2, "properties", "x_m") -> "feature 3, x_m: "."""
-    match location:
-        case ("features", int(row), "properties", name, *_):
-            return f"feature {row + 1}, {name}: "
-        case ("features", int(row), name, *_):
-            return f"feature {row + 1}, {name}: "
-        case ("features", int(row)):
-            return f"feature {row + 1}: "
-        case (name, *_):
-            return f"{name}: "
-    return ""

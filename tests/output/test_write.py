@@ -293,24 +293,24 @@ def test_a_newer_format_is_said(tmp_path: Path) -> None:
 
 
 DAMAGE = {
-    "truncated": ("detections.geojson", lambda t: t[: len(t) // 2], r"detections.geojson is damaged: invalid JSON"),
-    "binary": ("keyframes.geojson", lambda _: "\x00\x01", r"keyframes.geojson is damaged: invalid JSON"),
-    "a list": ("keyframes.geojson", lambda _: "[]", r"input should be an object"),
-    "no collection": ("keyframes.geojson", lambda _: "{}", r"type: field required"),
+    "truncated": ("detections.geojson", lambda t: t[: len(t) // 2], r"detections.geojson is damaged: Invalid JSON"),
+    "binary": ("keyframes.geojson", lambda _: "\x00\x01", r"keyframes.geojson is damaged: Invalid JSON"),
+    "a list": ("keyframes.geojson", lambda _: "[]", r"Input should be an object"),
+    "no collection": ("keyframes.geojson", lambda _: "{}", r"type: Field required"),
     "a missing property": (
         "detections.geojson",
         lambda t: t.replace('"x_m"', '"y"', 1),
-        r"feature 1, x_m: field required",
+        r"features.0.properties.x_m: Field required",
     ),
     "words": (
         "detections.geojson",
         lambda t: t.replace('"x_m":10.0', '"x_m":"10"'),
-        r"feature 1, x_m: input should be a valid number",
+        r"features.0.properties.x_m: Input should be a valid number",
     ),
     "a fraction": (
         "keyframes.geojson",
         lambda t: t.replace('"frame":12', '"frame":1.5'),
-        r"feature 2, frame: input should be a valid integer",
+        r"features.1.properties.frame: Input should be a valid integer",
     ),
     "descending": ("keyframes.geojson", lambda t: t.replace('"frame":0', '"frame":99'), r"frames do not ascend"),
     "a stranger": (
@@ -326,22 +326,22 @@ DAMAGE = {
     "bearings": (
         "intersections.geojson",
         lambda t: t.replace("[0.5,", '["N",'),
-        r"feature 1, branch_bearings_deg: input should be a valid number",
+        r"features.0.properties.branch_bearings_deg.0: Input should be a valid number",
     ),
     "a polygon": (
         "intersections.geojson",
         lambda t: t.replace("Point", "Polygon"),
-        r"feature 1, geometry: input should be 'Point'",
+        r"features.0.geometry.type: Input should be 'Point'",
     ),
     "nowhere": (
         "intersections.geojson",
         lambda t: t.replace("[8.4205,49.011]", "[8.4]"),
-        r"feature 1, geometry: field required",
+        r"features.0.geometry.*: Field required",
     ),
     "no geometry": (
         "detections.geojson",
         lambda t: t.replace('"geometry"', '"g"', 1),
-        r"feature 1, geometry: field required",
+        r"features.0.geometry.*: Field required",
     ),
     "two tracks": ("trajectory.geojson", lambda _: '{"type":"FeatureCollection","features":[]}', r"0 features instead"),
     "a short track": (
@@ -352,7 +352,7 @@ DAMAGE = {
     "no features": (
         "keyframes.geojson",
         lambda _: '{"type":"FeatureCollection","features":[1]}',
-        r"feature 1: input should be an object",
+        r"features.0: Input should be an object",
     ),
     "no flag": (
         "run.json",
