@@ -1,12 +1,1 @@
-"""The web service of InterLoc."""
-
-# Imports only go down in this order (what stands on one line may use what stands further left):
-#   settings, paths
-#   store
-#   metrics, logs, context, security
-#   http
-#   schemas, work
-#   jobs
-#   drives, results
-#   routes
-#   main, server
+"""The web service; its layers, from the server down to the settings, are in pyproject.toml (import-linter)."""

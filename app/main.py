@@ -44,7 +44,7 @@ API = "/api/v1"
 
 @contextmanager
 def _remembering_faults(app: FastAPI) -> Iterator[None]:
-    """Keep why the start failed: the server knows it as text only."""
+    """Keep the exception of a failed start: uvicorn reports it as text only."""
     try:
         yield
     except Exception as error:
@@ -93,7 +93,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         description=DESCRIPTION,
         openapi_tags=TAGS,
         generate_unique_id_function=operation_id,
-        responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` says where."}},
+        responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` lists where."}},
     )
     app.openapi = Description(app)  # type: ignore[method-assign] # as FastAPI's documentation has it
     app.state.page_files = PageFiles(settings)

@@ -1,4 +1,4 @@
-"""Names of uploaded files: relative paths that can neither leave the folder of the drive nor surprise a file system."""
+"""Paths of uploaded files: relative, inside the folder of the drive, and valid on every file system."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import unicodedata
 from interloc.errors import InterLocError
 
 MAX_PATH = 512
-"""Characters."""
+"""Maximum number of characters of a path."""
 
 MAX_SEGMENT_BYTES = 255
-"""Of one folder or file name in UTF-8: what file systems take."""
+"""Maximum size of one folder or file name in UTF-8, which is the limit of common file systems."""
 
 MAX_DEPTH = 16
 
@@ -20,18 +20,18 @@ MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
 ARCHIVE_ENDINGS = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst")
 """Endings of archives, for those who choose one; the service itself looks at the first bytes."""
 
-_SHOWN = 80
+_MAX_SHOWN_CHARS = 80
 _CONTROLS = {"Cc", "Cs", "Zl", "Zp"}
 
 
 class BadNameError(InterLocError):
-    """A name that no file of a drive can have."""
+    """The path is not valid for a file of a drive."""
 
     http_status = 422
 
 
 def check_path(path: str) -> str:
-    """Return a path as it is, where it is a name for a file of a drive.
+    """Return a path unchanged if it is valid for a file of a drive.
 
     Raises
     ------
@@ -41,21 +41,21 @@ def check_path(path: str) -> str:
     """
     complaint = _complaint(path)
     if complaint:
-        name = path if len(path) <= _SHOWN else path[:_SHOWN] + "..."
+        name = path if len(path) <= _MAX_SHOWN_CHARS else path[:_MAX_SHOWN_CHARS] + "..."
         raise BadNameError(
             f"{name!a} {complaint}. Expected a path relative to the folder of the drive, with forward slashes, "
-            "as velodyne/000000.bin."
+            "for example velodyne/000000.bin."
         )
     return path
 
 
 def is_map(path: str) -> bool:
-    """Tell whether a file is an OpenStreetMap file; a drive takes those at any time."""
+    """Return whether a file is an OpenStreetMap file by its name; a drive takes those at any time."""
     return path.lower().endswith(MAP_ENDINGS)
 
 
 def _complaint(path: str) -> str | None:
-    """Say what is wrong with a path."""
+    """Return what is wrong with a path."""
     segments = path.split("/")
     rules = (
         (not path, "is empty"),

@@ -22,17 +22,17 @@ _bearer = HTTPBearer(
 
 
 async def client_of(request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
-    """Return the name of the client, which the gate has found out; all of the API depends on it."""
+    """Return the name of the client, which the gate has determined; the whole API depends on it."""
     client: str = request.state.client
     return client
 
 
 ClientDep = Annotated[str, Depends(client_of)]
-"""Name of the client (of its token): owner of what it makes."""
+"""Name of the client, which is the name of its token: the owner of what it makes."""
 
 
 def check_exposure(context: Context) -> None:
-    """Refuse to listen where other machines can connect, unless tokens keep them out or it is wanted.
+    """Refuse to listen where other machines can connect, unless there is a token or it is wanted.
 
     Raises
     ------

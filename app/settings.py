@@ -12,7 +12,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 MB = 1024**2
 GB = 1024**3
 
-_SHORTEST_TOKEN = 16
+_MIN_TOKEN_CHARS = 16
 
 
 class Settings(BaseSettings):
@@ -28,58 +28,81 @@ class Settings(BaseSettings):
     static_dir: Path | None = Field(None, description="Folder of the page; the one beside the package by default.")
 
     # Where it listens.
-    host: str = Field("127.0.0.1", description="Address to listen on; others than this machine's need a token.")
-    port: int = Field(8000, ge=0, le=65535, description="0: any free one.")
-    root_path: str = Field("", description="Path under which a reverse proxy shows the service, as /interloc.")
+    host: str = Field(
+        "127.0.0.1", description="Address to listen on; every other address than this machine's own needs a token."
+    )
+    port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0: any free port.")
+    root_path: str = Field("", description="Path under which a reverse proxy shows the service, for example /interloc.")
     trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
     allowed_hosts: str = Field(
         "", description="Names under which a reverse proxy shows the service, separated by commas."
     )
-    token: SecretStr | None = Field(None, description="One API token; more are made with `interloc token add`.")
-    allow_anonymous: bool = Field(False, description="Serve other addresses than this machine's without any token.")
+    token: SecretStr | None = Field(None, description="An API token; further ones are made with `interloc token add`.")
+    allow_anonymous: bool = Field(False, description="Serve other machines without any token.")
 
     # Who does the work.
-    workers: int | None = Field(None, ge=1, le=256, description="Worker processes; one a core by default.")
-    dask: str | None = Field(None, description="Address of a Dask scheduler to use instead, as tcp://host:8786.")
-    jobs_at_once: int | None = Field(None, ge=1, le=256, description="Jobs worked on together; two by default.")
-    max_attempts: int = Field(3, ge=1, le=20, description="Tries of a job whose worker dies.")
-    lease_s: float = Field(30.0, ge=1.0, description="A job whose server is silent for so long is taken over.")
+    workers: int | None = Field(None, ge=1, le=256, description="Number of worker processes; one per core by default.")
+    dask: str | None = Field(
+        None, description="Address of a Dask scheduler that does the work instead, for example tcp://host:8786."
+    )
+    jobs_at_once: int | None = Field(
+        None, ge=1, le=256, description="Number of jobs worked on at the same time; two by default."
+    )
+    max_attempts: int = Field(
+        3, ge=1, le=20, description="Number of times that a job is tried whose worker or server dies."
+    )
+    lease_s: float = Field(
+        30.0,
+        ge=1.0,
+        description="Time in seconds after which a job is taken over from a server that gives no sign of life.",
+    )
 
     # Limits.
-    max_file_bytes: int = Field(256 * MB, ge=1, description="One uploaded file.")
-    max_archive_bytes: int = Field(32 * GB, ge=1, description="One uploaded archive.")
+    max_file_bytes: int = Field(256 * MB, ge=1, description="Maximum size of one uploaded file.")
+    max_archive_bytes: int = Field(32 * GB, ge=1, description="Maximum size of one uploaded archive.")
     max_archive_ratio: float = Field(
-        200.0, ge=1.0, description="Unpacked size over packed size; labels alone reach more than 100."
+        200.0, ge=1.0, description="Maximum ratio of unpacked to packed size; labels alone reach more than 100."
     )
-    max_batch_bytes: int = Field(512 * MB, ge=1, description="One multipart request.")
-    max_batch_files: int = Field(1000, ge=1, description="Files in one multipart request.")
-    max_drive_bytes: int = Field(64 * GB, ge=1, description="All files of a drive, unpacked.")
-    max_drive_files: int = Field(200_000, ge=1, description="Files of a drive.")
-    min_free_bytes: int = Field(1 * GB, ge=0, description="No upload or job begins with less space on the disk.")
-    idle_timeout_s: float = Field(60.0, gt=0, description="A request whose body pauses for so long is given up.")
-    max_queued_jobs: int = Field(100, ge=1, description="Jobs of one client that wait or run.")
-    upload_expires_h: float = Field(7 * 24.0, gt=0, description="An upload untouched for so long is removed.")
+    max_batch_bytes: int = Field(512 * MB, ge=1, description="Maximum size of one multipart request.")
+    max_batch_files: int = Field(1000, ge=1, description="Maximum number of files in one multipart request.")
+    max_drive_bytes: int = Field(64 * GB, ge=1, description="Maximum size of all files of a drive, unpacked.")
+    max_drive_files: int = Field(200_000, ge=1, description="Maximum number of files of a drive.")
+    min_free_bytes: int = Field(1 * GB, ge=0, description="Free disk space below which no upload and no job begins.")
+    idle_timeout_s: float = Field(
+        60.0, gt=0, description="Time in seconds after which a request is given up whose body does not go on."
+    )
+    max_queued_jobs: int = Field(100, ge=1, description="Maximum number of jobs of one client that wait or run.")
+    upload_expires_h: float = Field(
+        7 * 24.0, gt=0, description="Time in hours after which an upload is removed that nobody has touched."
+    )
 
     # What the page may show and fetch.
-    overpass: bool = Field(True, description="Let jobs fetch the map from a public Overpass server.")
-    overpass_url: str = Field("https://overpass-api.de/api", description="Overpass server that jobs ask.")
-    tile_url: str | None = Field(
-        "https://tile.openstreetmap.org/{z}/{x}/{y}.png", description="Tiles that the page offers; empty for none."
+    overpass: bool = Field(True, description="Whether jobs may fetch the map from a public Overpass server.")
+    overpass_url: str = Field(
+        "https://overpass-api.de/api", description="Address of the Overpass server that jobs ask."
     )
-    tile_attribution: str = Field("© OpenStreetMap contributors", description="Shown on the tiles.")
+    tile_url: str | None = Field(
+        "https://tile.openstreetmap.org/{z}/{x}/{y}.png",
+        description="Address pattern of the map tiles that the page offers; empty for none.",
+    )
+    tile_attribution: str = Field("© OpenStreetMap contributors", description="Attribution shown on the map tiles.")
 
     # What is logged.
-    log_format: Literal["json", "text"] = Field("json", description="json (a line each) or text.")
+    log_format: Literal["json", "text"] = Field(
+        "json", description="Format of the log: json (one object per line) or text."
+    )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
-        "info", description="debug, info, warning or error; checks of health are debug."
+        "info", description="Lowest level that is logged: debug, info, warning or error; health checks are debug."
     )
 
     @field_validator("token")
     @classmethod
     def _check_token(cls, token: SecretStr | None) -> SecretStr | None:
         value = token.get_secret_value() if token is not None else ""
-        if token is not None and (len(value) < _SHORTEST_TOKEN or not value.isascii() or not value.isprintable()):
-            raise ValueError(f"a token has {_SHORTEST_TOKEN} or more printable ASCII characters: others are guessed")
+        if token is not None and (len(value) < _MIN_TOKEN_CHARS or not value.isascii() or not value.isprintable()):
+            raise ValueError(
+                f"a token has {_MIN_TOKEN_CHARS} or more printable ASCII characters: shorter ones can be guessed"
+            )
         return token
 
     @field_validator("root_path")
@@ -87,12 +110,12 @@ class Settings(BaseSettings):
     def _check_root_path(cls, path: str) -> str:
         path = path.rstrip("/")
         if path and not path.startswith("/"):
-            raise ValueError("a path begins with /, as /interloc")
+            raise ValueError("a path begins with /, for example /interloc")
         return path
 
     @property
     def is_loopback(self) -> bool:
-        """True where only this machine can connect."""
+        """Whether only this machine can connect."""
         try:
             return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
         except ValueError:

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class DriveState(StrEnum):
-    """What can be done with a drive."""
+    """The state of a drive."""
 
     UPLOADING = "uploading"
     """It takes files."""
@@ -17,7 +17,7 @@ class DriveState(StrEnum):
 
 
 class JobState(StrEnum):
-    """How far a job is."""
+    """The state of a job."""
 
     ACCEPTED = "accepted"
     RUNNING = "running"

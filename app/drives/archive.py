@@ -1,4 +1,4 @@
-"""An archive that came in becomes a job that unpacks it."""
+"""Uploaded archives: each becomes a job that unpacks it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from app.work.archive_files import MAGIC_BYTES, archive_kind
 
 
 def check_magic(head: bytes) -> None:
-    """Refuse what is no archive by its first bytes.
+    """Refuse a file that is not an archive by its first bytes.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def check_magic(head: bytes) -> None:
 
 
 def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival) -> Job:
-    """Keep an archive, and have it unpacked.
+    """Store an archive, and queue the job that unpacks it.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
 
 
 def unpacked(job: Job) -> UnpackedArchive:
-    """Say how the unpacking went, or that it goes on.
+    """Return the outcome of the unpacking, or that it goes on.
 
     Raises
     ------

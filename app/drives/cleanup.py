@@ -1,4 +1,4 @@
-"""Clean-up: uploads that were left alone, and what servers left behind that were ended in the middle of something."""
+"""Clean-up of abandoned uploads, and of what servers left behind that were killed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from app.store.models import Base, Drive, Job
 
 PERIOD_S = 3600.0
 LEFT_ALONE_S = 24 * 3600.0
-"""No upload of a file, and no work on a folder that has no row yet, takes so long."""
+"""Age from which a file or folder without a row in the database is a leftover: no upload takes so long."""
 
 _log = logging.getLogger(__name__)
 
@@ -37,9 +37,9 @@ class SweepReport:
     Attributes
     ----------
     drives : list of str
-        Ids of uploads that nobody touched for too long.
+        Ids of uploads that were abandoned.
     leftovers : list of str
-        Files and folders that nothing knows, by their keys.
+        Keys of files and folders that have no row in the database.
     """
 
     drives: list[str]
@@ -47,7 +47,7 @@ class SweepReport:
 
 
 def sweep(context: Context) -> SweepReport:
-    """Remove what nobody needs any more; doing it again, or by several servers at once, does no harm."""
+    """Remove what is no longer needed; several servers may do this at the same time."""
     report = SweepReport(_remove_expired(context), [])
     for key in _leftovers(context):
         context.storage.delete(key)
@@ -62,9 +62,9 @@ def sweep(context: Context) -> SweepReport:
 
 
 def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
-    """Remove what a ready drive need not keep: all that was uploaded but maps, which jobs read from there.
+    """Remove the uploaded files of a ready drive except maps, which jobs read from there.
 
-    Small files and reduced scans are kept in its reduced folder. Doing it again does nothing.
+    Small files and reduced scans are in its reduced folder. Doing it again changes nothing.
     """
     if keep_raw:
         return
@@ -79,7 +79,7 @@ def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
         if not is_map(path.relative_to(root).as_posix())
     ]
     if raw:
-        os.sync()  # what replaces them, and the row that says so, must outlive a power cut that comes now
+        os.sync()  # what replaces them, and the row in the database, must survive a power failure
     for path in raw:
         with suppress(OSError):
             path.unlink()
@@ -90,7 +90,7 @@ def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
 
 
 def _remove_expired(context: Context) -> list[str]:
-    """Remove uploads that were left alone."""
+    """Remove uploads that were abandoned."""
     with context.database.reading() as session:
         oldest = context.database.clock(session) - 3600 * context.settings.upload_expires_h
         found = session.scalars(
@@ -114,7 +114,7 @@ def _is_worked_on() -> Exists:
 
 
 def _leftovers(context: Context) -> Iterator[str]:
-    """Find what is old and belongs to nothing."""
+    """Find what is old and belongs to no drive and no job."""
     yield from (f"{INCOMING}/{path.name}" for path in _old(context.storage.folder(INCOMING)))
     tables: dict[str, type[Base]] = {"drives": Drive, "jobs": Job}
     for folder, table in tables.items():
@@ -150,7 +150,7 @@ def _is_old(path: Path) -> bool:
 
 
 class Sweeper:
-    """Cleans up now and then, from `start` to `stop`."""
+    """Cleans up once per hour, from `start` to `stop`."""
 
     def __init__(self, context: Context) -> None:
         self._context = context

@@ -1,4 +1,4 @@
-"""The commit of a drive, as its client sees it."""
+"""The commit of a drive: its begin, and its outcome for the client."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from interloc.drives.inspect import DriveReport
 
 
 def begin_commit(context: Context, drive_id: str, owner: str, request: CommitRequest) -> Job | None:
-    """Queue the check of a drive; join the one that runs already.
+    """Queue the check of a drive; return the running one if there is one.
 
     Returns
     -------
     Job or None
-        None where the drive is ready.
+        None if the drive is ready.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
                 409,
                 "Archive is being unpacked",
                 f"Job {unpacking.id} still unpacks an archive of the drive. Commit it when "
-                f"GET /api/v1/jobs/{unpacking.id} says that it has ended.",
+                f"GET /api/v1/jobs/{unpacking.id} shows that it has ended.",
                 headers={"Retry-After": "5"},
             )
         if request.options is not None:
@@ -61,7 +61,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
 
 
 def queue_commit(session: Session, context: Context, drive: Drive, owner: str, *, check_only: bool = False) -> Job:
-    """Queue the check of a drive, within a transaction that has locked it."""
+    """Queue the check of a drive, in a transaction that has locked it."""
     work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
     job, _ = submit(session, context.database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work)
     drive.state = DriveState.CHECKING
@@ -87,7 +87,7 @@ def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
 
 
 def not_sound(drive: Drive) -> Problem:
-    """Say what is wrong with a drive."""
+    """Return the problem of a drive that has errors."""
     report = DriveReport.model_validate(drive.report or {"path": drive.name, "name": drive.name})
     errors = [problem for problem in report.problems if problem.severity == "error"]
     first = f"{errors[0].path}: {errors[0].message}" if errors else "see its report."

@@ -1,4 +1,4 @@
-"""The demo drive of a client: made once, and found again."""
+"""The demo drive of a client, which is made once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 
 NAME = "Demo: a small made-up town"
-_NEEDED_BYTES = 400_000_000  # while it is made; most of it goes when it is committed
+_NEEDED_BYTES = 400_000_000  # while it is made; most of it is removed by the commit
 
 
 def begin_demo(context: Context, owner: str) -> Job:

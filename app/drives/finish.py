@@ -1,4 +1,4 @@
-"""What the end of a commit, or of the unpacking of an archive, means for the drive: written as the job ends."""
+"""The end of a commit, an unpacking or a demo, written into the drive in the transaction that ends the job."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome | Problem) -> None:
-    """Write what a job did to its drive.
+    """Write the outcome of a job into its drive.
 
     Parameters
     ----------
@@ -35,30 +35,30 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
         The transaction in which the job ends.
     context
     job
-        Its end is written already; it is changed where its outcome cannot be taken.
+        Its end is written already; it becomes a failure if its files cannot be placed in the drive.
     outcome
-        What it found, or why it failed.
+        Its outcome, or why it failed.
 
     Notes
     -----
-    Files go only once the transaction is through; `tidy_drive` says which, and the clean-up repeats it.
+    Files are removed only after the transaction; `tidy_drive` decides which, and the clean-up repeats it.
     """
     drive = session.get(Drive, job.drive_id, with_for_update=True, populate_existing=True)
     if drive is None:
         return
     drive.touched_at = context.database.clock(session)
     if job.kind == JobKind.COMMIT:
-        _settle_commit(session, context, job, drive, outcome)
+        _finish_commit(session, context, job, drive, outcome)
     elif job.kind in {JobKind.UNPACK, JobKind.DEMO}:
-        _settle_unpack(session, context, job, drive, outcome)
-        if job.kind == JobKind.DEMO and job.state == JobState.SUCCESSFUL:  # nobody may wait for it any more
+        _finish_unpack(session, context, job, drive, outcome)
+        if job.kind == JobKind.DEMO and job.state == JobState.SUCCESSFUL:  # its client may be gone
             queue_commit(session, context, drive, job.owner)
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
     archive = job.request.get("archive")
 
     def tidy(_session: Session) -> None:
         try:
-            context.storage.delete(f"jobs/{job_id}/result")  # its contents are the drive's now
+            context.storage.delete(f"jobs/{job_id}/result")  # its contents were moved into the drive
             if archive is not None:
                 context.storage.delete(f"{drive_key(drive_id)}/{archive}")
             if state == DriveState.READY:
@@ -69,8 +69,8 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     event.listen(session, "after_commit", tidy, once=True)
 
 
-def _settle_commit(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
-    """Make the drive ready, or open it again with the report of what is wrong."""
+def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
+    """Make the drive ready, or reopen it with the report of what is wrong."""
     drive.state = DriveState.UPLOADING
     if isinstance(outcome, Problem):
         return
@@ -79,7 +79,7 @@ def _settle_commit(session: Session, context: Context, job: Job, drive: Drive, o
         return
     built = context.storage.folder(f"jobs/{job.id}/result")
     target = context.storage.folder(reduced_key(drive.id))
-    if (built / REDUCED).is_dir():  # else it is there: the transaction did not come through, and is tried again
+    if (built / REDUCED).is_dir():  # otherwise it was moved by a transaction that failed and is repeated now
         context.storage.delete(reduced_key(drive.id))
         (built / REDUCED).replace(target)
     for name in TRAJECTORY:
@@ -99,8 +99,8 @@ def _settle_commit(session: Session, context: Context, job: Job, drive: Drive, o
     drive.state = DriveState.READY
 
 
-def _settle_unpack(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
-    """Give the files of an archive their places: all or none."""
+def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
+    """Place the unpacked files in the drive: all or none."""
     if isinstance(outcome, Problem):
         return
     scratch = context.storage.folder(f"jobs/{job.id}/scratch")
@@ -114,7 +114,7 @@ def _settle_unpack(session: Session, context: Context, job: Job, drive: Drive, o
         with session.begin_nested(), Placement(context, drive.id) as placement:
             refuse_unless_open(drive, ["archive"])
             for arrival in arrivals:
-                # A second name: where the server dies before the transaction is through, all is done once more.
+                # A second name: if the server dies before the end of the transaction, all of this is repeated.
                 link(scratch / UNPACKED / arrival.path, arrival.temporary)
             known = sizes_of(session, drive.id, [arrival.path for arrival in arrivals])
             register(context, session, lock_counts(session, drive.id), arrivals, known)

@@ -1,4 +1,4 @@
-"""Which scans a client should send that thins and reduces a drive itself."""
+"""The plan for a client that reduces a drive itself: which scans it should send."""
 
 from __future__ import annotations
 

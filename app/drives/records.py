@@ -22,17 +22,17 @@ from interloc.drives.inspect import DriveReport
 
 
 def drive_key(drive_id: str) -> str:
-    """Return where all of a drive is stored."""
+    """Return the key of everything that belongs to a drive."""
     return f"drives/{drive_id}"
 
 
 def files_key(drive_id: str) -> str:
-    """Return where the files of a drive are stored as they came."""
+    """Return the key of the files of a drive as uploaded."""
     return f"drives/{drive_id}/files"
 
 
 def reduced_key(drive_id: str) -> str:
-    """Return where a committed drive is stored."""
+    """Return the key of a committed drive."""
     return f"drives/{drive_id}/reduced"
 
 
@@ -72,7 +72,7 @@ def find_drive(session: Session, drive_id: str) -> Drive:
 
 
 def lock_drive(session: Session, drive_id: str) -> Drive:
-    """Return a drive that nobody else changes until the transaction ends.
+    """Return a drive and lock it until the transaction ends.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def lock_drive(session: Session, drive_id: str) -> Drive:
 
 
 def no_drive(drive_id: str) -> Problem:
-    """Say that there is no such drive."""
+    """Return the problem of a drive that does not exist."""
     return Problem(
         404,
         "Drive not found",
@@ -128,7 +128,7 @@ def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, Uploade
     Raises
     ------
     Problem
-        404: it was never there. 410: it is not kept any more.
+        404: there is no such file. 410: it is not kept any more.
     """
     with context.database.reading() as session:
         find_drive(session, drive_id)
@@ -201,7 +201,7 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
 
 
 def remove_empty(folder: Path, root: Path) -> None:
-    """Remove a folder and those above it up to a root, as far as they are empty: a file may want their name."""
+    """Remove a folder and those above it below a root, as far as they are empty, so that a file can take the name."""
     while folder != root:
         with suppress(OSError):
             folder.rmdir()
@@ -216,12 +216,12 @@ def delete_drive(context: Context, drive_id: str, *, only_if: Callable[[Session,
     context
     drive_id
     only_if
-        Asked in the transaction that removes it.
+        Condition, evaluated in the transaction that removes the drive.
 
     Returns
     -------
     bool
-        False where `only_if` said no.
+        Whether the drive was removed.
 
     Raises
     ------
@@ -241,7 +241,7 @@ def delete_drive(context: Context, drive_id: str, *, only_if: Callable[[Session,
 
 
 def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> DriveModel:
-    """Show a drive."""
+    """Return a drive as clients see it."""
     expires_at = drive.touched_at + 3600 * settings.upload_expires_h
     return DriveModel(
         id=drive.id,
@@ -260,5 +260,5 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> Dri
 
 
 def file_model(file: DriveFile) -> UploadedFile:
-    """Show a file."""
+    """Return a file as clients see it."""
     return UploadedFile(path=file.path, size_bytes=file.size_bytes, sha256=file.sha256)

@@ -1,4 +1,4 @@
-"""The last step of an upload: files that came in take their names, all or none, together with their rows."""
+"""The last step of an upload: received files get their names and their rows in the database, all or none."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _COUNT = (
 
 
 def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
-    """Give files their places in a drive.
+    """Place received files in a drive.
 
     Parameters
     ----------
@@ -55,13 +55,13 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
     Returns
     -------
     bool
-        True where all of them are new, False where one replaced another.
+        Whether all of them are new; False if one replaced another.
 
     Raises
     ------
     Problem
-        404: there is no such drive (any more). 409: it takes no files now, or a name is that of a folder. 413: it
-        would become too large. Nothing has changed then.
+        404: there is no such drive. 409: it takes no files now, or a name is that of a folder. 413: it would become
+        too large. Nothing was changed.
     """
     with Placement(context, drive_id) as placement, context.database.writing() as session:
         counts = lock_counts(session, drive_id)
@@ -83,7 +83,7 @@ class DriveCounts:
 
 
 def lock_counts(session: Session, drive_id: str) -> DriveCounts:
-    """Return the counts of a drive, which nobody else changes until the transaction ends.
+    """Return the counts of a drive and lock it until the transaction ends.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None
 
 
 def check_upload(context: Context, drive_id: str, path: str, length: int) -> None:
-    """Refuse before a long body is read what would be refused after it.
+    """Refuse an upload before its body is read, if it would be refused afterwards.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def check_upload(context: Context, drive_id: str, path: str, length: int) -> Non
 
 
 def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str, int]:
-    """Return the sizes of those files that are there already."""
+    """Return the sizes of those files that exist already."""
     known: dict[str, int] = {}
     for start in range(0, len(paths), _AT_ONCE):
         rows = session.execute(
@@ -176,7 +176,7 @@ def register(
 
 
 class Placement:
-    """Moves files to their places; a block that fails, its transaction included, gets the old ones back."""
+    """Moves files to their places; if the block or its transaction fails, the old files are restored."""
 
     def __init__(self, context: Context, drive_id: str) -> None:
         self._incoming = context.storage.folder(INCOMING)
@@ -197,7 +197,7 @@ class Placement:
         try:
             self._move(arrivals)
         except BaseException:
-            self._restore()  # while the drive is still locked: nobody else has put a file there
+            self._restore()  # while the drive is still locked, so that no other request has put a file there
             raise
 
     def _move(self, arrivals: Iterable[Arrival]) -> None:
@@ -227,7 +227,7 @@ class Placement:
                     old.unlink()
 
     def _restore(self) -> None:
-        """Put everything back as it was, folders too: an empty one would hinder a file of its name."""
+        """Restore everything, folders too: an empty one would block a file of its name."""
         while self._moved:
             target, old = self._moved.pop()
             with suppress(OSError):
@@ -238,7 +238,7 @@ class Placement:
             remove_empty(target.parent, self._files)
 
     def _save(self, target: Path) -> Path | None:
-        """Keep the file that is about to be replaced; readers find it under its name all the while."""
+        """Keep the file that is about to be replaced; until then readers find it under its name."""
         old = self._incoming / secrets.token_hex(12)
         try:
             os.link(target, old)

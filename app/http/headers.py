@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from typing import cast
+from typing import Annotated, cast
 
 import http_sf
+from fastapi import Depends, Header, Response
 from starlette.datastructures import Headers
 
 from app.http.problems import Problem
@@ -29,6 +30,23 @@ def wait_of(prefer: str | None) -> int:
         elif name.strip() == "wait" and re.fullmatch(r'\s*"?\d{1,9}"?\s*', value):
             return min(int(value.strip(' "')), MAX_WAIT_S)
     return seconds
+
+
+async def _wait_seconds(
+    response: Response,
+    prefer: Annotated[
+        str | None,
+        Header(description="wait=SECONDS, at most 300, 50 by default; respond-async not to wait (RFC 7240)."),
+    ] = None,
+) -> int:
+    seconds = wait_of(prefer)
+    if prefer:
+        response.headers["Preference-Applied"] = f"wait={seconds}"
+    return seconds
+
+
+WaitSeconds = Annotated[int, Depends(_wait_seconds)]
+"""The time that a request may wait for its work, from its header Prefer."""
 
 
 def sha256_of(headers: Headers) -> str | None:

@@ -1,4 +1,4 @@
-"""One attempt at a job: prepare, all parts, finish, through the executor, and the end of it in the database."""
+"""One attempt at a job: prepare, all parts and finish in the executor; then the end of the job in the database."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from app.work.progress import ProgressFiles
 from app.work.task import Cancelled, Outcome, Part, Plan
 
 FinishDrive = Callable[[Session, Context, Job, Outcome | Problem], None]
-"""Writes what the end of a job, good or bad, means for its drive, within the transaction that ends the job."""
+"""Writes what the end of a job, successful or not, means for its drive, in the transaction that ends the job."""
 
 Stop = Literal["cancelled", "lost", "shutdown"]
 
-_LOOK_S = 0.5  # how often progress is read, and the stop of the attempt noticed
-_QUIET_END_S = 30.0  # for work to end that was asked to
+_LOOK_S = 0.5  # interval at which progress is read and a stop is noticed
+_QUIET_END_S = 30.0  # time for work to end by itself once it was asked to
 _log = logging.getLogger(__name__)
 
 

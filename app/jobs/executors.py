@@ -21,28 +21,28 @@ Result = TypeVar("Result")
 
 
 class WorkExecutor(Protocol):
-    """What the service needs of an executor; both give pieces of work out in the order in which they came."""
+    """What the service needs of an executor; both hand work out in the order of submission."""
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401
         """Do a piece of work; its future raises `WorkerLostError` when its worker dies."""
         ...
 
     def submit_urgent(self, fn: Callable[..., Result], /, *args: Any) -> Future[Result]:  # noqa: ANN401
-        """Do a short piece of work that somebody waits for, before all that has not begun."""
+        """Do a short piece of work that somebody waits for, before all work that has not begun."""
         ...
 
     def stop(self) -> None:
-        """End everything at once; work that runs is lost."""
+        """End all workers at once; running work is lost."""
         ...
 
     @property
     def slots(self) -> int:
-        """Pieces of work that run at the same time."""
+        """Number of pieces of work that run at the same time."""
         ...
 
     @property
     def alive(self) -> int:
-        """How many of the slots can work."""
+        """Number of slots that can work."""
         ...
 
 
@@ -53,7 +53,7 @@ def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExe
     ----------
     settings
     count_loss
-        Called when a worker died.
+        Called when a worker process died.
 
     Raises
     ------
@@ -65,15 +65,15 @@ def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExe
     return ProcessExecutor(settings.workers or cores(), count_loss)
 
 
-class DaskExecutor(Executor):
+class DaskExecutor:
     """Work on the workers of a Dask cluster, which see the data folder at the same place.
 
     Parameters
     ----------
     address
-        Of the scheduler, as ``tcp://host:8786``.
+        Address of the scheduler, for example ``tcp://host:8786``.
     count_loss
-        Called when workers died of a piece of work.
+        Called when a piece of work killed its workers.
     """
 
     def __init__(self, address: str, count_loss: Callable[[], None]) -> None:
@@ -91,7 +91,7 @@ class DaskExecutor(Executor):
                 f"INTERLOC_DASK: no Dask scheduler answers at {address} ({error or type(error).__name__}). "
                 "Start one (`dask scheduler`), and workers (`dask worker ADDRESS`) that see the data folder."
             ) from error
-        # Not pure: the same call again is done again, its outcome is a file and not its value.
+        # Not pure: a repeated call must be executed again, because its outcome is a file, not its value.
         self._executor: Executor = self._client.get_executor(pure=False)
         self._count_loss = count_loss
         self._known_slots = (0.0, 0)
@@ -102,7 +102,7 @@ class DaskExecutor(Executor):
 
     @property
     def alive(self) -> int:
-        """Threads of all workers, asked for now and then."""
+        """Number of threads of all workers, asked for every few seconds."""
         until, slots = self._known_slots
         if time.monotonic() >= until:
             with suppress(OSError, TimeoutError):  # the scheduler is away; the client keeps trying
@@ -152,6 +152,3 @@ class DaskExecutor(Executor):
     def stop(self) -> None:  # noqa: D102 - see WorkExecutor
         self._executor.shutdown(wait=False)
         self._client.close(timeout=5)
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002, D102
-        self.stop()

@@ -13,12 +13,12 @@ _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def is_final(error: BaseException) -> bool:
-    """Tell whether trying again would end the same way: the input is at fault, or the disk is full."""
+    """Return whether another try would fail the same way: the input is at fault, or the disk is full."""
     return isinstance(error, InterLocError | Problem) or (isinstance(error, OSError) and error.errno in _DISK)
 
 
 def problem_of(error: BaseException, what: str, tries: int) -> Problem:
-    """Put an error of the work into words.
+    """Return the problem document for an error of the work.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def problem_of(error: BaseException, what: str, tries: int) -> Problem:
     what
         Which piece of work: "keyframes 240 to 480".
     tries
-        How often it was tried.
+        Number of times that it was tried.
     """
     if isinstance(error, Problem):
         return error
@@ -37,13 +37,13 @@ def problem_of(error: BaseException, what: str, tries: int) -> Problem:
     return Problem(
         500,
         "Fault of the service",
-        f"The service failed at {what}, {_times(tries)}. That is a fault of its own, and its log tells more; "
+        f"The service failed at {what}, {_times(tries)}. This is a fault of the service, and its log has the details; "
         "please report it.",
     )
 
 
 def lost_workers(reason: str, what: str, tries: int) -> Problem:
-    """Say that a piece of work killed its workers."""
+    """Return the problem of a piece of work that killed its workers."""
     return Problem(
         500,
         "Worker lost",
@@ -53,17 +53,17 @@ def lost_workers(reason: str, what: str, tries: int) -> Problem:
 
 
 def lost_servers(attempts: int) -> Problem:
-    """Say that a job outlived too many servers."""
+    """Return the problem of a job whose servers were ended too often."""
     return Problem(
         500,
         "Server lost",
         f"The server that worked on the job was ended {_times(attempts)}, so the service gave up. Usual cause: too "
-        "little memory on its machine. Start the job again when that is settled.",
+        "little memory on its machine. Start the job again when there is more.",
     )
 
 
 def cancelled() -> Problem:
-    """Say that somebody wanted it so."""
+    """Return the problem of a job that a client cancelled."""
     return Problem(409, "Cancelled", "The job was cancelled before it ended.")
 
 

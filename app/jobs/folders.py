@@ -1,4 +1,4 @@
-"""The folders of a job: scratch while it runs, result once it has ended well."""
+"""The folders of a job: scratch while it runs, result once it was successful."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ATTEMPT = "result-"
 
 
 def task_of(context: Context, claim: Claim, slots: int) -> Task:
-    """Return the work of a claimed job as workers see it."""
+    """Return the task of a claimed job for the workers."""
     job, storage = claim.job, context.storage
     name = claim.lease.rpartition("-")[2]
     return Task(
@@ -40,14 +40,14 @@ def _limits(context: Context, slots: int) -> dict[str, Any]:
 
 
 def without_paths(problem: Problem, task: Task) -> Problem:
-    """Name files as their client knows them: where the data folder lies is nobody's business."""
+    """Name files as their client knows them: problems must not reveal where the data folder is."""
     for folder in (task.drive / "files", task.drive / "reduced", task.drive, task.result, task.scratch):
         problem.detail = problem.detail.replace(f"{folder}/", "").replace(str(folder), task.drive_name)
     return problem
 
 
 def place_result(storage: Storage, task: Task) -> None:
-    """Give the result of an attempt its place, within the transaction that ends the job."""
+    """Move the result of an attempt to its place, in the transaction that ends the job."""
     if task.result.is_dir():
         storage.delete(f"jobs/{task.job_id}/result")
         task.result.rename(task.result.with_name("result"))

@@ -1,4 +1,4 @@
-"""Work in processes of this machine, a process a slot: one that dies takes nothing with it but its own work."""
+"""Worker processes of this machine, one per slot: a process that dies loses nothing but its own work."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import threading
 import traceback
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -20,13 +20,13 @@ from typing import Any, TypeVar
 from interloc.processes import end_with_parent, interrupts_held_back
 
 _log = logging.getLogger(__name__)
-_context = get_context("spawn")  # nothing of the server's threads, locks and connections gets into a worker
+_context = get_context("spawn")  # a worker inherits none of the threads, locks and connections of the server
 
 Result = TypeVar("Result")
 
 
 class WorkerLostError(Exception):
-    """The worker that did a piece of work is gone, and the work with it; it can be tried again."""
+    """The worker that did a piece of work died, and the work is lost; it can be tried again."""
 
 
 @dataclass
@@ -35,15 +35,15 @@ class _Work:
     future: Future[Any] = field(default_factory=Future)
 
 
-class ProcessExecutor(Executor):
-    """A number of worker processes that take pieces of work in the order in which they came.
+class ProcessExecutor:
+    """Worker processes that take pieces of work in the order of submission.
 
     Parameters
     ----------
     slots
-        Processes. They start in the background, and each one is replaced when it dies.
+        Number of processes. They start in the background; one that dies is replaced.
     count_loss
-        Called when one died.
+        Called when a process died.
     """
 
     def __init__(self, slots: int, count_loss: Callable[[], None] = lambda: None) -> None:
@@ -58,7 +58,7 @@ class ProcessExecutor(Executor):
         return self._take(_Work((fn, args, kwargs)), self._waiting.append)
 
     def submit_urgent(self, fn: Callable[..., Result], /, *args: Any) -> Future[Result]:  # noqa: ANN401
-        """Do a short piece of work before all that waits."""
+        """Do a short piece of work before all work that waits."""
         return self._take(_Work((fn, args, {})), self._waiting.appendleft)
 
     def _take(self, work: _Work, enqueue: Callable[[_Work], None]) -> Future[Any]:
@@ -71,7 +71,7 @@ class ProcessExecutor(Executor):
 
     @property
     def alive(self) -> int:
-        """How many slots can work; a process that died is replaced when there is work for it."""
+        """Number of slots that can work; a process that died is replaced when there is work for it."""
         return sum(slot.thread.is_alive() for slot in self._slots)
 
     @property
@@ -80,7 +80,7 @@ class ProcessExecutor(Executor):
         return [pid for slot in self._slots if (pid := slot.pid) is not None]
 
     def stop(self) -> None:
-        """End all workers at once; work that runs is lost, work that waits is cancelled."""
+        """End all workers at once; running work is lost, waiting work is cancelled."""
         with self._change:
             self._stopping = True
             waiting = list(self._waiting)
@@ -88,17 +88,14 @@ class ProcessExecutor(Executor):
             self._change.notify_all()
         for work in waiting:
             work.future.cancel()
-            work.future.set_running_or_notify_cancel()  # else who waits for it waits on
+            work.future.set_running_or_notify_cancel()  # otherwise whoever waits for it would wait for ever
         for slot in self._slots:
             slot.kill()
         for slot in self._slots:
             slot.thread.join(10)
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002, D102
-        self.stop()
-
     def next_work(self) -> _Work | None:
-        """Return the next piece of work for a slot, which may have to wait for it; None when there will be none."""
+        """Wait for the next piece of work for a slot and return it; None when the executor was stopped."""
         with self._change:
             while True:
                 while not self._waiting and not self._stopping:
@@ -111,12 +108,12 @@ class ProcessExecutor(Executor):
 
     @property
     def is_stopping(self) -> bool:
-        """True once `stop` was called."""
+        """Whether `stop` was called."""
         return self._stopping
 
 
 class _Slot:
-    """A thread that feeds one worker process, and starts another one when it dies."""
+    """A thread that hands work to one worker process, and replaces the process when it dies."""
 
     def __init__(self, executor: ProcessExecutor, number: int) -> None:
         self._executor = executor
@@ -146,7 +143,7 @@ class _Slot:
         while (work := self._executor.next_work()) is not None:
             try:
                 self._do(work)
-            except BaseException as error:  # noqa: BLE001 - a slot must not die of a piece of work
+            except BaseException as error:  # noqa: BLE001 - no piece of work may end a slot
                 if not work.future.done():
                     work.future.set_exception(error)
         self._end()
@@ -183,7 +180,7 @@ class _Slot:
             process = _context.Process(target=_work, args=(theirs,), daemon=True)
             with interrupts_held_back():
                 process.start()
-            theirs.close()  # so that its end is seen here
+            theirs.close()  # so that the end of the process is noticed here
             self._worker = process, ours
 
     def _end(self) -> None:
@@ -207,8 +204,8 @@ def _reason(code: int | None) -> str:
 
 
 def _work(connection: Connection) -> None:
-    """Be a worker: do what comes through the pipe until it is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's business
+    """Work as a worker process: do what comes through the pipe until it is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
     end_with_parent()
     _warm_up()
     while True:
@@ -220,9 +217,9 @@ def _work(connection: Connection) -> None:
         try:
             function, args, kwargs = pickle.loads(content)  # noqa: S301 - from our own server
             answer = pickle.dumps((True, function(*args, **kwargs)))
-        except BaseException as error:  # noqa: BLE001 - all of it belongs to the one who asked
+        except BaseException as error:  # noqa: BLE001 - every error is passed to the server
             answer = _failure(error)
-        with suppress(OSError):  # nobody listens any more: the next receive ends this
+        with suppress(OSError):  # the server closed the pipe: the next receive ends this process
             connection.send_bytes(answer)
 
 
@@ -231,7 +228,7 @@ def _failure(error: BaseException) -> bytes:
     try:
         content = pickle.dumps((False, error))
         pickle.loads(content)  # noqa: S301 - some exceptions can be pickled but not come back
-    except Exception:  # noqa: BLE001
+    except Exception:  # noqa: BLE001 - some exceptions cannot be unpickled, for whatever reason
         plain = RuntimeError(f"{type(error).__name__}: {error}")
         plain.add_note("\n".join(getattr(error, "__notes__", [])))
         return pickle.dumps((False, plain))
@@ -245,6 +242,6 @@ def _warm_up() -> None:
 
 
 def _forget_peak_memory() -> None:
-    """Let the peak memory be that of the next piece of work, where the system can (Linux)."""
+    """Reset the peak memory, so that it is that of the next piece of work; possible on Linux only."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")

@@ -1,8 +1,8 @@
 """The queue: jobs in a table, each leased to one server at a time. Every change is one short transaction.
 
-A lease is a name that is written into the job when it is claimed, new at every claim. Whatever is said of a job is said
-under that name: a server that was silent for too long, and whose job another one has taken over, changes nothing.
-All times are the database's.
+A lease is a name that is written into the job when it is claimed, new at every claim. Every change of a running job
+names its lease: a server that was silent for too long, and whose job another one has taken over, changes nothing.
+All times are those of the clock of the database.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Claim:
         As it was when it was claimed.
     drive_name, drive_state : str
     lease : str
-        The name under which it is held.
+        The name under which the server holds it.
     """
 
     job: Job
@@ -54,7 +54,7 @@ class JobQueue:
     ----------
     database
     lease_s
-        A job whose server is silent for so long is taken over.
+        Time after which a job is taken over whose server has not renewed its lease.
     """
 
     def __init__(self, database: Database, lease_s: float) -> None:
@@ -68,14 +68,14 @@ class JobQueue:
         Parameters
         ----------
         urgent_only
-            Only kinds that somebody waits for.
+            Take only jobs that somebody waits for.
 
         Notes
         -----
-        A job whose drive is being checked is left alone; one whose server has not been heard of for too long is taken
-        over, which counts as another attempt.
+        A job whose drive is being checked is left alone; one whose lease has run out is taken over, which counts as
+        another attempt.
         """
-        with self._database.reading() as session:  # an idle server must not take the write lock twice a second
+        with self._database.reading() as session:  # an idle server must not take the write lock twice per second
             if session.execute(self._claimable(self._database.clock(session), urgent_only=urgent_only)).first() is None:
                 return None
         with self._database.writing() as session:
@@ -121,7 +121,7 @@ class JobQueue:
         return query.where(is_urgent) if urgent_only else query
 
     def heartbeat(self, leases: Iterable[str]) -> dict[str, Held]:
-        """Say that this server is at work, and learn which of its leases are lost and which jobs were cancelled."""
+        """Renew leases; return which of them are lost and which jobs were cancelled."""
         leases = list(leases)
         with self._database.writing() as session:
             until = self._database.clock(session) + self._lease_s
@@ -131,7 +131,7 @@ class JobQueue:
             return self._look(session, leases)
 
     def look(self, leases: Iterable[str]) -> dict[str, Held]:
-        """Learn which leases are lost and which jobs were cancelled."""
+        """Return which leases are lost and which jobs were cancelled."""
         with self._database.reading() as session:
             return self._look(session, list(leases))
 
@@ -146,12 +146,12 @@ class JobQueue:
         return {lease: ("cancelled" if ours[lease] else "held") if lease in ours else "lost" for lease in leases}
 
     def progress(self, claim: Claim, **values: Any) -> bool:  # noqa: ANN401 - columns of the job
-        """Write how far a job is; False where it is not ours any more."""
+        """Write the progress of a job; False if the lease is lost."""
         with self._database.writing() as session:
             return _change(session, claim, **values)
 
     def release(self, claim: Claim) -> bool:
-        """Give a job back unfinished, as a server does that is told to stop; the attempt does not count."""
+        """Give a job back unfinished because the server stops; the attempt does not count."""
         with self._database.writing() as session:
             return _change(
                 session,
@@ -173,7 +173,7 @@ class JobQueue:
         error: dict[str, Any] | None = None,
         summary: dict[str, Any] | None = None,
     ) -> bool:
-        """End a job within a transaction of the caller; False where it is not ours any more: nothing may follow."""
+        """End a job in a transaction of the caller; False if the lease is lost: then nothing else may be written."""
         return _change(
             session,
             claim,
@@ -209,7 +209,7 @@ def submit(
     key: str | None = None,
     limit: int | None = None,
 ) -> tuple[Job, bool]:
-    """Put a job into the queue, within a transaction of the caller.
+    """Put a job into the queue, in a transaction of the caller.
 
     Parameters
     ----------
@@ -219,20 +219,20 @@ def submit(
     kind, drive_id, owner, request
         See `Job`.
     key
-        Idempotency key: the same one again gives the same job.
+        Idempotency key: the same key returns the same job.
     limit
-        Most jobs of this owner and kind that may wait or run.
+        Maximum number of jobs of this owner and kind that may wait or run.
 
     Returns
     -------
     Job
     bool
-        True where it is new.
+        Whether the job is new.
 
     Raises
     ------
     Problem
-        404 there is no such drive; 409 it takes files still; 422 the key was used for something else; 429 too many
+        404 there is no such drive; 409 it is not committed; 422 the key was used for another request; 429 too many
         jobs.
     """
     if not database.is_sqlite:  # one submission of a client at a time, so that key and limit hold
@@ -263,7 +263,7 @@ def submit(
 
 
 def not_ready(drive: Drive) -> Problem:
-    """Say that a drive must be committed first."""
+    """Return the problem of a drive that must be committed first."""
     return Problem(
         409,
         "Drive not ready",
@@ -273,7 +273,7 @@ def not_ready(drive: Drive) -> Problem:
 
 
 def cancel(session: Session, database: Database, job: Job) -> None:
-    """Ask for the end of a job, within a transaction; one that does not run yet ends at once."""
+    """Cancel a job in a transaction of the caller; one that does not run yet ends at once."""
     if job.state in FINAL or job.cancel_requested:
         return
     job.version += 1

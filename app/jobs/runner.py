@@ -1,4 +1,4 @@
-"""The runner of a server: takes jobs from the queue, works on each in a thread, and keeps the leases alive."""
+"""The runner of a server takes jobs from the queue, works on each in a thread, and renews the leases."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from app.work.kinds import URGENT
 
 _POLL_S = 0.5
 _JOBS_AT_ONCE = 2
-_URGENT_AT_ONCE = 4  # besides: nobody who uploads waits for somebody's long job
+_URGENT_AT_ONCE = 4  # in addition, so that no upload waits for a long job
 _log = logging.getLogger(__name__)
 
 Returned = TypeVar("Returned")
@@ -53,7 +53,7 @@ class Runner:
         self._executor: WorkExecutor | None = None
 
     def ailment(self) -> str | None:
-        """Return why no job could be worked on, None where all is well."""
+        """Return why no job can be worked on; None if jobs can be."""
         if self._executor is None or not all(thread.is_alive() for thread in self._threads):
             return "the runner does not run"
         return None if self._executor.alive else "there is no worker"
@@ -93,7 +93,7 @@ class Runner:
         raise AssertionError
 
     def stop(self) -> None:
-        """End soon: work that runs is given up, its job given back to the queue with all parts that are done."""
+        """End soon: running work is given up, and its job returned to the queue with all parts that are done."""
         self._stopping.set()
         self._context.jobs_changed.set()
         with self._lock:
@@ -118,7 +118,7 @@ class Runner:
                 self._context.jobs_changed.clear()
 
     def _claim(self) -> bool:
-        """Take one job, where there is room for it; tell whether there was one."""
+        """Take one job if there is room for it; return whether there was one."""
         with self._lock:
             kinds = [attempt.claim.job.kind for attempt, _ in self._attempts.values()]
         urgent = sum(kind in URGENT for kind in kinds)
@@ -151,23 +151,23 @@ class Runner:
     def _keep_leases(self) -> None:
         """Renew the leases of this server, and stop what was cancelled or lost."""
         lease_s = self._context.settings.lease_s
-        heard = renewed = time.monotonic()
+        asked = renewed = time.monotonic()
         while not self._stopping.wait(_POLL_S):
             with self._lock:
                 attempts = {lease: attempt for lease, (attempt, _) in self._attempts.items()}
             now = time.monotonic()
             if not attempts:
-                heard = now
+                asked = now
                 continue
             try:
                 if now - renewed >= lease_s / 5:
                     held = self._queue.heartbeat(attempts)
-                    heard = renewed = now
+                    asked = renewed = now
                 else:
                     held = self._queue.look(attempts)
             except SQLAlchemyError as error:
                 _log.warning("the leases of %d jobs could not be renewed: %s", len(attempts), error)
-                if now - heard > lease_s:  # others have taken the jobs over, or will
+                if now - asked > lease_s:  # other servers have taken the jobs over, or will
                     for attempt in attempts.values():
                         attempt.stop("lost")
                 continue
@@ -176,7 +176,7 @@ class Runner:
                     attempts[lease].stop(state)
 
     def _tidy_scratch(self) -> None:
-        """Remove what a server left behind that was killed between the end of a job and its tidying."""
+        """Remove the scratch of jobs that have ended, left behind by a server that was killed before it could tidy."""
         try:
             found = jobs_with_scratch(self._context.storage)
             with self._context.database.reading() as session:

@@ -1,4 +1,4 @@
-"""Is a request for a job one that can be done? Settings, labels and map are looked at before it is queued."""
+"""Check whether a requested job can be done: its settings and map are looked at before it is queued."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from interloc.config import DetectorConfig, parse_config, preset
 
 
 def check_request(session: Session, context: Context, new: NewJob) -> dict[str, Any]:
-    """Return the request as it is kept and worked on, with all settings spelled out.
+    """Return the request as it is stored and worked on, with all settings spelled out.
 
     Raises
     ------
     ConfigError
         A setting is refused.
     Problem
-        422 the map cannot be had; 507 the disk is full.
+        422 there is no such map; 507 the disk is full.
     """
     if context.storage.free_bytes() < context.settings.min_free_bytes:
         raise disk_full()
@@ -55,7 +55,7 @@ def _config_of(new: NewJob) -> DetectorConfig:
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """Lay settings over others, section by section; a new `kind` starts from the defaults of that kind."""
+    """Merge settings into others, section by section; a new `kind` starts from the defaults of that kind."""
     merged = dict(base)
     for name, value in changes.items():
         before = base.get(name)

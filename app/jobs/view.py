@@ -39,9 +39,9 @@ def job_model(job: Job, drive_name: str, root_path: str, now: float) -> JobModel
     job
     drive_name
     root_path
-        Under which the service is reached.
+        Path under which the service is reached.
     now
-        By the clock of the database.
+        Time by the clock of the database.
     """
     return JobModel(
         id=job.id,
@@ -74,7 +74,7 @@ def _progress(job: Job, now: float) -> Progress:
 
 
 def _links(job: Job, address: str) -> dict[str, str]:
-    """Return the addresses of what the result of a job holds."""
+    """Return the addresses of the job and of the parts of its result."""
     links = {"self": address, "events": f"{address}/events"}
     summary = job.summary
     if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:

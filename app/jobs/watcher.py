@@ -1,4 +1,4 @@
-"""Changes of jobs, for all who listen on this server: one question to the database twice a second, however many."""
+"""Changes of jobs for all listeners of this server: two queries per second, however many listeners there are."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Change:
-    """A job as it stands after a change.
+    """A job after a change.
 
     Attributes
     ----------
     version : int
     is_final : bool
-        Nothing follows.
+        Whether no further change can follow.
     data : str
-        `JobModel` as JSON, made once for all who listen.
+        `JobModel` as JSON, made once for all listeners.
     """
 
     version: int
@@ -44,7 +44,7 @@ class Change:
 
     @classmethod
     def of(cls, job: JobModel) -> Change:
-        """Make it from a job."""
+        """Return the change that led to this job."""
         return cls(job.version, job.state in FINAL, job.model_dump_json())
 
 
@@ -79,9 +79,9 @@ class JobWatcher:
     async def _poll(self) -> None:
         try:
             await self._pass_on_changes()
-        except Exception:  # noqa: BLE001 - the listeners must hear of it
+        except Exception:  # noqa: BLE001 - the listeners must not wait for ever
             _log.exception("changes of jobs could not be passed on")
-        finally:  # whatever happened, nobody listens to silence
+        finally:  # whatever happened, end the streams of all listeners
             for queues in self._listeners.values():
                 for queue in queues:
                     queue.put_nowait(None)
@@ -103,7 +103,7 @@ class JobWatcher:
 
 
 def _changes(context: Context, known: dict[str, int]) -> dict[str, Change | None]:
-    """Return the jobs whose version is not the known one; None for those that are gone."""
+    """Return the jobs whose version is not the known one; None for those that were removed."""
     with context.database.reading() as session:
         rows = session.execute(select(Job.id, Job.version).where(Job.id.in_(list(known))))
         versions = {row.id: row.version for row in rows}
@@ -127,12 +127,12 @@ WatcherDep = Annotated[JobWatcher, Depends(_watcher)]
 
 
 async def wait_for_job(context: Context, job_id: str, seconds: float) -> Job:
-    """Return a job when it has ended, or as it is after some seconds, or when the server is to stop.
+    """Wait until a job has ended, some seconds have passed or the server stops; return the job.
 
     Raises
     ------
     Problem
-        404 there is no such job (any more).
+        404 there is no such job, or it was removed.
     """
     end = time.monotonic() + seconds
     pause_s = _FIRST_LOOK_S

@@ -1,17 +1,16 @@
-"""Endpoints: a whole drive as one archive."""
+"""Endpoint for a whole drive as one archive."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.context import Context, ContextDep
 from app.drives.archive import check_magic, queue_archive, unpacked
 from app.drives.upload import check_upload
-from app.http.headers import wait_of
+from app.http.headers import WaitSeconds
 from app.http.intake import Arrival, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.multipart import BatchReader, boundary_of
@@ -24,10 +23,6 @@ from app.store.models import Job
 
 router = APIRouter(prefix="/drives/{drive_id}/archive", tags=["Uploads"])
 
-PreferHeader = Annotated[
-    str | None,
-    Header(description="wait=SECONDS, at most 300, 50 by default; respond-async not to wait (RFC 7240)."),
-]
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _KINDS = ("application/octet-stream", "application/zip", "application/x-tar", "application/gzip", "application/zstd")
 _FORM = {"schema": {"type": "object", "properties": {"archive": _BINARY["schema"]}, "required": ["archive"]}}
@@ -51,7 +46,7 @@ async def post_archive(
     response: Response,
     context: ContextDep,
     client: ClientDep,
-    prefer: PreferHeader = None,
+    wait_s: WaitSeconds,
 ) -> UnpackedArchive:
     """Upload the files of a drive as .zip, .tar, .tar.gz or .tar.zst, and wait until it is unpacked.
 
@@ -72,18 +67,15 @@ async def post_archive(
         job = await receive(request, intake.take, finish)
     finally:
         await run_in_threadpool(intake.discard)
-    wait_s = wait_of(prefer)
     job = await wait_for_job(context, job.id, wait_s)
     if job.state not in FINAL:
         response.status_code = 202
         response.headers["Location"] = f"{context.settings.root_path}/api/v1/jobs/{job.id}"
-    if prefer:
-        response.headers["Preference-Applied"] = f"wait={wait_s}"
     return unpacked(job)
 
 
 class _Body:
-    """An archive that is the body itself; what is none is refused by its first bytes."""
+    """An archive as the body itself; what is not an archive is refused by its first bytes."""
 
     def __init__(self, context: Context) -> None:
         self._intake = Intake(context, "archive", context.settings.max_archive_bytes)

@@ -12,11 +12,10 @@ from app.drives.commit import begin_commit, committed
 from app.drives.plan import plan_upload
 from app.drives.records import find_trajectory
 from app.http.delivery import WholeFile
-from app.http.headers import wait_of
+from app.http.headers import WaitSeconds
 from app.http.problems import ProblemDocument
 from app.jobs.runner import RunnerDep
 from app.jobs.watcher import wait_for_job
-from app.routes.archive import PreferHeader
 from app.routes.drives import NOT_FOUND
 from app.schemas.drives import CommitRequest, DriveModel, PlanRequest, ReductionPlanModel
 from app.security import ClientDep
@@ -33,7 +32,7 @@ _CONFLICT: dict[int | str, dict[str, Any]] = {
 async def plan_reduction(
     drive_id: str, request: PlanRequest, context: ContextDep, runner: RunnerDep, _client: ClientDep
 ) -> ReductionPlanModel:
-    """Tell which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
+    """Return which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
 
     For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
     """
@@ -48,7 +47,7 @@ async def plan_reduction(
         **_CONFLICT,
         422: {
             "model": ProblemDocument,
-            "description": "The drive has errors: `problems` lists all, `report` tells more.",
+            "description": "The drive has errors: `problems` lists all, `report` has the details.",
         },
         507: {"model": ProblemDocument, "description": "The disk is full."},
     },
@@ -59,16 +58,16 @@ async def commit_drive(
     response: Response,
     context: ContextDep,
     client: ClientDep,
+    wait_s: WaitSeconds,
     request: CommitRequest | None = None,
-    prefer: PreferHeader = None,
 ) -> DriveModel:
     """Check all files, reduce the scans to what the method needs, and make the drive ready for jobs.
 
-    Waits for the end of it. A drive with errors is open again afterwards: mend its files and commit it once more.
-    Commit of a drive that is being checked waits along; of one that is ready changes nothing.
+    Waits until the check has ended. A drive with errors is open again afterwards: correct its
+    files and commit it again. The commit of a drive that is being checked waits for that check; that of a ready drive
+    changes nothing.
     """
     job = await run_in_threadpool(begin_commit, context, drive_id, client, request or CommitRequest())
-    wait_s = wait_of(prefer)
     if job is not None:
         job = await wait_for_job(context, job.id, wait_s)
     drive = await run_in_threadpool(committed, context, drive_id, job)
@@ -76,8 +75,6 @@ async def commit_drive(
         response.status_code = 202
     if drive.state == DriveState.CHECKING or job is not None:
         response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive_id}"
-    if prefer:
-        response.headers["Preference-Applied"] = f"wait={wait_s}"
     return drive
 
 
@@ -89,7 +86,7 @@ async def commit_drive(
         **NOT_FOUND,
         **_CONFLICT,
     },
-    summary="Show where a drive went",
+    summary="Show the trajectory of a drive",
 )
 def show_trajectory(drive_id: str, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""

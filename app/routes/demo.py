@@ -11,11 +11,10 @@ from fastapi.concurrency import run_in_threadpool
 from app.context import ContextDep
 from app.drives.commit import begin_commit, committed
 from app.drives.demo import begin_demo
-from app.http.headers import wait_of
+from app.http.headers import WaitSeconds
 from app.http.problems import ProblemDocument
 from app.jobs.failures import raise_failure
 from app.jobs.watcher import wait_for_job
-from app.routes.archive import PreferHeader
 from app.schemas.drives import CommitRequest, DriveModel
 from app.security import ClientDep
 from app.states import DriveState, JobState
@@ -29,14 +28,11 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
 
 
 @router.post("/demo", summary="Make a demo drive", operation_id="make_demo_drive", responses=_ANSWERS)
-async def make_demo(
-    response: Response, context: ContextDep, client: ClientDep, prefer: PreferHeader = None
-) -> DriveModel:
+async def make_demo(response: Response, context: ContextDep, client: ClientDep, wait_s: WaitSeconds) -> DriveModel:
     """Simulate a drive through a small made-up town, and commit it; its map is `map.osm` among its files.
 
-    It takes half a minute. Asked again, it answers with the drive that there is.
+    This takes half a minute. A second request answers with the drive that exists.
     """
-    wait_s = wait_of(prefer)
     end = time.monotonic() + wait_s
     job = await run_in_threadpool(begin_demo, context, client)
     drive_id, check = job.drive_id, None
@@ -50,6 +46,4 @@ async def make_demo(
     if drive.state != DriveState.READY:
         response.status_code = 202
     response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive_id}"
-    if prefer:
-        response.headers["Preference-Applied"] = f"wait={wait_s}"
     return drive

@@ -29,7 +29,7 @@ def create_drive(new: NewDrive, response: Response, context: ContextDep, client:
 def list_drives(
     context: ContextDep,
     _client: ClientDep,
-    after: Annotated[str | None, Query(max_length=100, description="`next` of the page before.")] = None,
+    after: Annotated[str | None, Query(max_length=100, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> DriveList:
     """List drives, the newest first, without their reports."""

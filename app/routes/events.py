@@ -1,4 +1,4 @@
-"""Endpoint: the changes of a job as they happen."""
+"""Endpoint for the changes of a job as they happen."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ async def follow_job(
     context: ContextDep,
     watcher: WatcherDep,
     last_event_id: Annotated[
-        str | None, Header(max_length=40, description="Id of the last event that arrived; that state is not repeated.")
+        str | None, Header(max_length=40, description="Id of the last event that arrived; it is not sent again.")
     ] = None,
 ) -> AsyncIterator[ServerSentEvent]:
     """Send the job as it is now, then after each change, until it has ended (server-sent events).
 
-    Each event is named `job`, its data is the job as JSON, its id counts the changes. Comments keep the connection
-    open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do by themselves.
+    Each event is named `job`; its data is the job as JSON, its id the number of changes. Comments keep the connection
+    open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do.
     """
     current = Change.of(job)
     with context.metrics.listeners.track_inprogress():

@@ -33,10 +33,10 @@ CLOSED: dict[int | str, dict[str, Any]] = {
     409: {"model": ProblemDocument, "description": "The drive takes no such files in its state, or names conflict."}
 }
 UPLOAD: dict[int | str, dict[str, Any]] = {
-    400: {"model": ProblemDocument, "description": "The body ended too soon, or is a part of a file."},
+    400: {"model": ProblemDocument, "description": "The body ended too soon, or is only a part of a file."},
     **NOT_FOUND,
     **CLOSED,
-    413: {"model": ProblemDocument, "description": "The file, or the drive with it, would be too large."},
+    413: {"model": ProblemDocument, "description": "The file is too large, or the drive would become too large."},
     415: {"model": ProblemDocument, "description": "The body is compressed, or of a kind that is not taken."},
     507: {"model": ProblemDocument, "description": "The disk is full."},
 }
@@ -47,7 +47,7 @@ def list_files(
     drive_id: str,
     context: ContextDep,
     _client: ClientDep,
-    after: Annotated[str | None, Query(max_length=512, description="`next` of the page before.")] = None,
+    after: Annotated[str | None, Query(max_length=512, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
 ) -> FileList:
     """List what was uploaded, in the order of the paths. To resume an upload, send what is missing or differs."""
@@ -79,9 +79,9 @@ def list_files(
 async def put_file(
     drive_id: str, path: FilePath, request: Request, response: Response, context: ContextDep, _client: ClientDep
 ) -> UploadedFile:
-    """Upload one file as it is: 201 where it is new, 200 where it replaced one of its name.
+    """Upload one file as it is: 201 if it is new, 200 if it replaced a file of the same name.
 
-    It takes its name only when it has come in whole and is on disk; doing it again changes nothing.
+    It gets its name only when it was received completely and is on disk; repeating the request changes nothing.
     """
     check_path(path)
     sha256 = sha256_of(request.headers)

@@ -22,7 +22,7 @@ from interloc.config import PRESETS, DetectorConfig
 
 router = APIRouter(tags=["Jobs"])
 
-JobId = Annotated[str, Path(max_length=64, description="As POST /api/v1/jobs gave it.")]
+JobId = Annotated[str, Path(max_length=64, description="Id of the job, from POST /api/v1/jobs.")]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such job."}}
 
 
@@ -35,11 +35,11 @@ def _problem(description: str) -> dict[str, Any]:
     status_code=202,
     summary="Start a job",
     responses={
-        200: {"model": JobModel, "description": "The key was sent before: that job."},
+        200: {"model": JobModel, "description": "The key was sent before: the job of that request."},
         404: _problem("There is no such drive."),
         409: _problem("The drive is not committed."),
         422: _problem("A setting is refused, the map is not among the files, or the key was used for another request."),
-        429: _problem("Too many jobs of this client wait or run; Retry-After tells when to ask again."),
+        429: _problem("Too many jobs of this client wait or run; Retry-After says when to try again."),
         507: _problem("The disk is full."),
     },
 )
@@ -53,14 +53,14 @@ def create_job(
         Header(
             min_length=1,
             max_length=200,
-            description="Any text; the same one again, after an answer was lost, starts nothing twice.",
+            description="Any text; a repeated request with the same key (after a lost answer) starts no second job.",
         ),
     ] = None,
 ) -> JobModel:
     """Find the intersections of a drive, and score them where a map is given.
 
-    The job waits in a queue; it survives restarts of the service. Follow it by its events or ask for it now and then.
-    A job of a drive whose check still runs waits for it.
+    The job waits in a queue, and survives restarts of the service. Follow its events, or ask for it from time to
+    time. A job of a drive whose check still runs waits for it.
     """
     database, settings = context.database, context.settings
     with database.writing() as session:
@@ -90,9 +90,10 @@ def list_jobs(
     drive: Annotated[str | None, Query(max_length=64, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
-        JobKind | Literal["all"], Query(description="commit and unpack are the checks of uploads.")
+        JobKind | Literal["all"],
+        Query(description="Only those of this kind; commit and unpack are the checks of uploads."),
     ] = JobKind.INTERSECTIONS,
-    after: Annotated[str | None, Query(max_length=100, description="`next` of the page before.")] = None,
+    after: Annotated[str | None, Query(max_length=100, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
     """List jobs, the newest first."""
@@ -114,7 +115,7 @@ def list_jobs(
 
 @router.get("/jobs/{job_id}", responses=NOT_FOUND, summary="Show a job")
 def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
-    """Show how far a job is, why it failed, or what it found and where that is."""
+    """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     with context.database.reading() as session:
         job, name = find_job(session, job_id)
         return job_model(job, name, context.settings.root_path, context.database.clock(session))
@@ -126,7 +127,7 @@ def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
     summary="Cancel a job, or remove one that has ended",
     responses={
         **NOT_FOUND,
-        200: {"description": "It has ended, by this request or before."},
+        200: {"description": "It has ended, by this request or earlier."},
         202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
         204: {"description": "The job and its results are removed."},
         409: _problem("It has not ended, so it cannot be removed."),
@@ -182,8 +183,8 @@ def show_preset(name: Literal["default", "paper"], _client: ClientDep) -> Preset
 
 
 _PRESET_MEANINGS = {
-    "default": "The best that this version knows.",
-    "paper": "The paper to the letter, with the parameters of its Table I: the yardstick.",
+    "default": "The best settings of this version.",
+    "paper": "Exactly the method of the paper with the parameters of its Table I, as a reference.",
 }
 
 

@@ -1,4 +1,4 @@
-"""What the method saw at one keyframe, as pictures for the map."""
+"""The steps of the method at one keyframe, as pictures for the map."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class KeyframeDetection(BaseModel):
     model_config = ConfigDict(extra="allow")
 
     lonlat: LonLat | None
-    x_m: float = Field(description="Ahead of the LiDAR.")
-    y_m: float = Field(description="To its left.")
+    x_m: float = Field(description="Metres ahead of the LiDAR.")
+    y_m: float = Field(description="Metres to the left of the LiDAR.")
     world_x_m: float
     world_y_m: float
     branch_count: int
@@ -49,26 +49,28 @@ class KeyframeCandidate(BaseModel):
     inner_radius_m: float
     branches: int
     kept: bool
-    why_not: str | None = Field(description="Why it is no intersection.", examples=["2 branches, 3 needed"])
+    why_not: str | None = Field(description="Why it is not an intersection.", examples=["2 branches, 3 needed"])
 
 
 class KeyframeView(BaseModel):
-    """Where the pictures of a keyframe lie, and the numbers behind them."""
+    """The corners of the pictures of a keyframe, and the numbers behind them."""
 
     model_config = ConfigDict(extra="allow")
 
     frame: int
     time_s: float | None
-    size_px: int = Field(description="Cells a side; a picture has one pixel a cell, or a whole number of them.")
-    resolution_m: float = Field(description="Side of a cell.")
+    size_px: int = Field(
+        description="Cells per side; a picture has one pixel per cell, or a whole number of pixels per cell."
+    )
+    resolution_m: float = Field(description="Side of a cell in metres.")
     corners_lonlat: list[LonLat] | None = Field(
         description="Upper left, upper right, lower right, lower left of the pictures; null without georeference."
     )
-    corners_world_m: list[tuple[float, float]] = Field(description="The same in W, metres.")
+    corners_world_m: list[tuple[float, float]] = Field(description="The same corners in W, in metres.")
     layers: list[str]
-    outer_radius_m: float = Field(description="Reach of the branches around a candidate.")
-    relevant_zone_m: float = Field(description="Side of the zone in which a missed node counts.")
-    min_points: int = Field(description="Points that made a cell road.")
+    outer_radius_m: float = Field(description="Outer radius in metres of the branches around a candidate.")
+    relevant_zone_m: float = Field(description="Side in metres of the zone in which a missed node counts.")
+    min_points: int = Field(description="Number of points from which a cell was road.")
     candidates: list[KeyframeCandidate]
     detections: list[KeyframeDetection]
 
@@ -89,7 +91,7 @@ async def _deliver(
             return await run_in_threadpool(
                 deliver, request, folder / file, name=f"{result.slug}-{frame}-{file}", cache_control=_KEEP
             )
-        except FileNotFoundError:  # just forgotten in favour of newer ones
+        except FileNotFoundError:  # just removed in favour of newer ones
             if attempt == 2:
                 raise
     raise AssertionError
@@ -109,12 +111,12 @@ async def read_keyframe_picture(
     request: Request,
     results: ResultsDep,
     on_demand: OnDemandDep,
-    layer: Annotated[Layer, Query(description="Which step; `all` is several in one, opaque.")] = "bev",
+    layer: Annotated[Layer, Query(description="Step to show; `all` shows several in one opaque picture.")] = "bev",
 ) -> Response:
     """Show the region of interest, aligned with W: +x to the right, +y up. Transparent where there is nothing.
 
-    `GET .../keyframes/{frame}/bev` tells where the corners lie, to put it on a map. It is drawn when first asked for,
-    which takes some tenths of a second.
+    `GET .../keyframes/{frame}/bev` has the corners, to place the picture on a map. The picture is drawn when it is
+    first requested, which takes some tenths of a second.
     """
     return await _deliver(request, results, on_demand, job_id, frame, f"{layer}.png")
 
@@ -122,7 +124,7 @@ async def read_keyframe_picture(
 @get_and_head(
     router,
     "/jobs/{job_id}/keyframes/{frame}/bev",
-    summary="Where the pictures of a keyframe lie, and the numbers behind them",
+    summary="The corners of the pictures of a keyframe, and the numbers behind them",
     operation_id="read_keyframe_view",
     response_model=KeyframeView,
     responses=_PROBLEMS,

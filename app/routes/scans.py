@@ -1,4 +1,4 @@
-"""Endpoints: several files in one request."""
+"""Endpoint for several files in one request."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ router = APIRouter(prefix="/drives/{drive_id}/scans", tags=["Uploads"])
 _FILES = {"type": "array", "items": {"type": "string", "format": "binary"}}
 _FILE = {"type": "string", "format": "binary"}
 _ABOUT = {
-    "scans": {**_FILES, "description": "Scans, with filenames as 000000.bin."},
-    "labels": {**_FILES, "description": "Their labels, with filenames as 000000.label."},
-    "predictions": {**_FILES, "description": "Labels of a network, likewise."},
+    "scans": {**_FILES, "description": "Scans, with file names such as 000000.bin."},
+    "labels": {**_FILES, "description": "Their labels, with file names such as 000000.label."},
+    "predictions": {**_FILES, "description": "Labels predicted by a network, with the same file names."},
     "poses": {**_FILE, "description": "poses.txt"},
     "calib": {**_FILE, "description": "calib.txt"},
     "times": {**_FILE, "description": "times.txt"},
     "geo": {**_FILE, "description": "geo.csv"},
-    "files": {**_FILES, "description": "Any other files, with their paths in the drive as filenames."},
+    "files": {**_FILES, "description": "Any other files, with their paths in the drive as file names."},
 }
 
 
@@ -43,7 +43,7 @@ _ABOUT = {
     summary="Upload a batch of scans",
 )
 async def post_scans(drive_id: str, request: Request, context: ContextDep, _client: ClientDep) -> UploadedBatch:
-    """Upload several files at once, all or none of them. It may be done again, and replaces files of the same names."""
+    """Upload several files at once, all or none of them. A repeated request replaces files of the same names."""
     limits = context.settings
     length = declared_length(request, limits.max_batch_bytes, "A request with several files")
     boundary = boundary_of(request.headers.get("content-type"))

@@ -20,7 +20,7 @@ router = APIRouter(tags=["System"])
 
 
 class Health(BaseModel):
-    """The process lives."""
+    """The process runs."""
 
     status: Literal["ok"] = "ok"
 
@@ -30,24 +30,24 @@ class Readiness(BaseModel):
 
     ready: bool
     reasons: dict[str, str] = Field(
-        description="What is amiss, by part; empty when all is well.",
+        description="What is wrong, by part; empty if nothing is.",
         examples=[{"disk": "0.4 GB free, 1.0 GB must stay free (INTERLOC_MIN_FREE_BYTES)"}],
     )
 
 
-@router.get("/healthz", summary="Tell that the process lives")
+@router.get("/healthz", summary="Show that the process runs")
 async def show_health() -> Health:
-    """Answer; nothing else is looked at. For the check that restarts a hung container."""
+    """Answer without any check. For the probe that restarts a container that hangs."""
     return Health()
 
 
 @router.get(
     "/readyz",
-    summary="Tell whether the service can work",
-    responses={503: {"model": Readiness, "description": "It cannot; the reasons are named."}},
+    summary="Show whether the service can work",
+    responses={503: {"model": Readiness, "description": "It cannot; `reasons` lists why."}},
 )
 def show_readiness(context: ContextDep, runner: RunnerDep, response: Response) -> Readiness:
-    """Ask the database, the disk and the workers. For load balancers: no request comes while it says 503."""
+    """Check the database, the disk and the workers. For load balancers: they send no requests while this is 503."""
     reasons = {part: reason for part, reason in _ailments(context, runner).items() if reason is not None}
     if reasons:
         response.status_code = 503

@@ -28,7 +28,7 @@ LabelCounts = Annotated[
 
 
 class DriveOptionsModel(BaseModel):
-    """How the files are to be read where they leave it open; the same choices as on the command line."""
+    """How the files are read; the same choices as on the command line."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -38,7 +38,7 @@ class DriveOptionsModel(BaseModel):
         description="auto, semantickitti, learning, kitti360, or the ids of road, as 40,60.",
         examples=["auto"],
     )
-    pose_frame: PoseFrame = Field("auto", description="Whose poses the pose file holds.")
+    pose_frame: PoseFrame = Field("auto", description="Sensor whose poses the pose file holds.")
     layout: LayoutChoice = Field("auto", description="Layout of the folder.")
     oxts: str | None = Field(
         None,
@@ -70,8 +70,10 @@ class NewDrive(BaseModel):
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"name": "2011_09_30_drive_0027"}]})
 
-    name: Name = Field(description="Shown in lists and results.")
-    keep_raw: bool = Field(False, description="Keep the scans as uploaded beside what the method needs of them.")
+    name: Name = Field(description="Name shown in lists and results.")
+    keep_raw: bool = Field(
+        False, description="Keep the scans as uploaded, in addition to what the method needs of them."
+    )
     options: DriveOptionsModel = Field(default_factory=DriveOptionsModel)
 
 
@@ -86,19 +88,21 @@ class DriveModel(BaseModel):
     owner: str
     keep_raw: bool
     options: DriveOptionsModel
-    files: int = Field(description="Files uploaded.")
+    files: int = Field(description="Number of uploaded files.")
     size_bytes: int = Field(description="Size of the files as uploaded.")
     stored_bytes: int = Field(description="Size of what is kept of them.")
     created_at: datetime
-    expires_at: datetime | None = Field(None, description="When an upload that is left alone is removed.")
-    report: DriveReport | None = Field(None, description="What the last commit found, as `interloc info` tells it.")
+    expires_at: datetime | None = Field(None, description="When the upload is removed if it is left alone.")
+    report: DriveReport | None = Field(
+        None, description="What the last commit found, in the form of `interloc info --json`."
+    )
 
 
 class DriveList(BaseModel):
     """A page of drives, the newest first."""
 
     drives: list[DriveModel]
-    next: str | None = Field(None, description="Give it as `after` for the next page; null on the last.")
+    next: str | None = Field(None, description="Value of `after` for the next page; null on the last page.")
 
 
 class UploadedFile(BaseModel):
@@ -106,18 +110,18 @@ class UploadedFile(BaseModel):
 
     path: str = Field(examples=["velodyne/000000.bin"])
     size_bytes: int
-    sha256: str = Field(description="Of its contents, hexadecimal.")
+    sha256: str = Field(description="SHA-256 of its contents, hexadecimal.")
 
 
 class FileList(BaseModel):
     """A page of files, in the order of their paths. Send what is missing here to resume an upload."""
 
     files: list[UploadedFile]
-    next: str | None = Field(None, description="Give it as `after` for the next page; null on the last.")
+    next: str | None = Field(None, description="Value of `after` for the next page; null on the last page.")
 
 
 class CommitRequest(BaseModel):
-    """How to read the drive; fields that are left out stay as they were at its creation."""
+    """How to read the drive; fields that are left out keep their values."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -147,13 +151,17 @@ class PlanRequest(BaseModel):
         description="Numbers of all scans of the drive."
     )
     label_folders: list[LabelFolder] = Field(["labels"], min_length=1, max_length=2)
-    scan_folder: ScanFolder | None = Field(None, description="Where the scans lie; told from the small files if null.")
+    scan_folder: ScanFolder | None = Field(
+        None, description="Folder of the scans; determined from the small files if null."
+    )
     label_counts: dict[LabelFolder, LabelCounts] = Field(
         {},
         description="For each label folder, how many points of the scans `frames_to_look_into` carry each label id.",
         examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
     )
-    options: DriveOptionsModel | None = Field(None, description="Those of the drive by default.")
+    options: DriveOptionsModel | None = Field(
+        None, description="How the files are read; the options of the drive by default."
+    )
     keyframes: KeyframeConfig | None = Field(
         default_factory=KeyframeConfig,
         description="Scans to send: the keyframes by these settings, those of the default preset if left out; "
@@ -177,7 +185,7 @@ class JudgedLabels(BaseModel):
     """What the label ids of a folder mean."""
 
     folder: LabelFolder
-    scheme: str | None = Field(description="Name of the label scheme; null where there is nothing to tell it from.")
+    scheme: str | None = Field(description="Name of the label scheme; null if it cannot be determined.")
     road: list[int] = Field(description="Ids of road.")
     confusable: list[int] = Field(description="Ids of sidewalk, parking and other ground.")
     road_share: float | None = Field(description="Share of road among the points counted.")
@@ -191,14 +199,14 @@ class ReductionPlanModel(BaseModel):
     """Which scans to send, and all that is known of the drive without them."""
 
     layout: str | None
-    pose_frame: str | None = Field(description="Whose poses the pose file holds.")
+    pose_frame: str | None = Field(description="Sensor whose poses the pose file holds.")
     pose_frame_reason: str | None
-    georeference: str | None = Field(description="Where it comes from.")
-    georeference_reason: str | None = Field(description="Why there is none.")
-    length_m: float | None = Field(description="Way driven.")
+    georeference: str | None = Field(description="Source of the georeference.")
+    georeference_reason: str | None = Field(description="Why there is no georeference.")
+    length_m: float | None = Field(description="Distance driven in metres.")
     scans: int = Field(description="Number of all scans.")
     frames: list[int] = Field(description="Numbers of the scans to send.")
-    frames_to_look_into: list[int] = Field(description="Numbers of the scans whose labels tell the label scheme.")
+    frames_to_look_into: list[int] = Field(description="Numbers of the scans whose labels determine the label scheme.")
     labels: list[JudgedLabels] = Field(description="What the label ids mean, for each folder of `label_counts`.")
     manifest: dict[str, Any] | None = Field(
         description="reduced.json, to be completed with the label folders that `label_counts` left out; "
@@ -218,5 +226,5 @@ class UnpackedArchive(BaseModel):
 
     job_id: str = Field(description="The job that unpacks it.")
     state: str = Field(examples=["successful"])
-    files: int | None = Field(None, description="Files that it held; null until it is unpacked.")
-    size_bytes: int | None = Field(None, description="Their size.")
+    files: int | None = Field(None, description="Number of its files; null until it is unpacked.")
+    size_bytes: int | None = Field(None, description="Total size of its files; null until it is unpacked.")

@@ -22,7 +22,7 @@ class OsmFile(BaseModel):
 
 
 class OsmOverpass(BaseModel):
-    """The map of today from a public Overpass server."""
+    """The current map from a public Overpass server."""
 
     model_config = ConfigDict(extra="forbid")
     overpass: Literal[True]
@@ -45,18 +45,20 @@ class NewJob(BaseModel):
         description="Settings that differ from the preset, in its shape (GET /api/v1/presets/{name}).",
         examples=[{"bev": {"resolution_m": 0.25}}],
     )
-    labels: LabelFolder | None = Field(None, description="Folder of the labels; the one that is there by default.")
-    osm: Annotated[OsmFile | OsmOverpass | None, Field(description="Map to score against; none: only detect.")] = None
+    labels: LabelFolder | None = Field(None, description="Folder of the labels; by default the one that exists.")
+    osm: Annotated[OsmFile | OsmOverpass | None, Field(description="Map to score against; null: detect only.")] = None
     policy: Policy = Field("drive", description=POLICY_HELP)
     tolerance_m: float = Field(15.0, gt=0, le=100, description=TOLERANCE_HELP)
-    name: str | None = Field(None, max_length=200, description="Shown in lists.")
+    name: str | None = Field(None, max_length=200, description="Name shown in lists.")
 
 
 class Progress(BaseModel):
-    """How far a job is."""
+    """The progress of a job."""
 
     done: int
-    total: int | None = Field(description="Keyframes (scans of a commit, files of an archive); null until known.")
+    total: int | None = Field(
+        description="Number of keyframes (of scans for a commit, of files for an archive); null until known."
+    )
     fraction: float = Field(ge=0, le=1)
     seconds_left: float | None
 
@@ -83,15 +85,17 @@ class JobModel(BaseModel):
         None,
         description="Outcome in figures: keyframes, detections, intersections, seconds, peak_memory_bytes, report.",
     )
-    links: dict[str, str] = Field(default_factory=dict, description="Results of a successful job, by name.")
-    version: int = Field(description="Counts the changes; the id of its events.")
+    links: dict[str, str] = Field(
+        default_factory=dict, description="Addresses of the results of a successful job, by name."
+    )
+    version: int = Field(description="Number of changes so far; the id of its events.")
 
 
 class JobList(BaseModel):
     """A page of jobs, the newest first."""
 
     jobs: list[JobModel]
-    next: str | None = Field(None, description="Give it as `after` for the next page; null on the last.")
+    next: str | None = Field(None, description="Value of `after` for the next page; null on the last page.")
 
 
 class PresetModel(BaseModel):

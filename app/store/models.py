@@ -12,7 +12,7 @@ from app.states import DriveState, JobState
 
 
 def new_id() -> str:
-    """Return an id that nobody can guess."""
+    """Return an id that cannot be guessed."""
     return secrets.token_hex(8)
 
 
@@ -33,10 +33,10 @@ class Drive(Base):
     state: Mapped[str] = mapped_column(default=DriveState.UPLOADING)
     """See `DriveState`."""
     options: Mapped[dict[str, Any]] = mapped_column(default=dict)
-    """How it is to be read: label_scheme, pose_frame, layout, oxts."""
+    """How its files are read: label_scheme, pose_frame, layout, oxts."""
     keep_raw: Mapped[bool] = mapped_column(default=False)
     report: Mapped[dict[str, Any] | None]
-    """The DriveReport of its last commit, good or bad."""
+    """The `DriveReport` of its last commit, successful or not."""
     file_count: Mapped[int] = mapped_column(default=0)
     size_bytes: Mapped[int] = mapped_column(default=0)
     """Size of the files as uploaded."""
@@ -49,7 +49,7 @@ class Drive(Base):
 
 
 class DriveFile(Base):
-    """One uploaded file; it stays listed when the drive was reduced, so that an upload can go on."""
+    """An uploaded file; it stays listed when the drive was reduced, so that an upload can be resumed."""
 
     __tablename__ = "drive_files"
 
@@ -76,16 +76,16 @@ class Job(Base):
     """See `JobState`."""
     stage: Mapped[str] = mapped_column(default="waiting")
     message: Mapped[str | None] = mapped_column(Text)
-    """What it is waiting for, in words."""
+    """What it is waiting for, for the client."""
     done: Mapped[int] = mapped_column(default=0)
     total: Mapped[int | None]
     """Keyframes (intersections), scans (commit), files (unpack)."""
     version: Mapped[int] = mapped_column(default=1)
-    """Counts the changes; the id of the events."""
+    """Number of changes; the id of the events."""
     error: Mapped[dict[str, Any] | None]
     """The problem document of its failure."""
     summary: Mapped[dict[str, Any] | None]
-    """The outcome in a few figures, with timings and memory."""
+    """The outcome as a few figures, with timings and memory."""
 
     created_at: Mapped[float]
     started_at: Mapped[float | None]

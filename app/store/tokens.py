@@ -30,7 +30,7 @@ def add_token(database: Database, name: str) -> str:
     Returns
     -------
     str
-        The token; nobody can find it out later.
+        The token; it cannot be shown again.
 
     Raises
     ------
@@ -71,9 +71,9 @@ def revoke_token(database: Database, name: str) -> None:
 
 
 class TokenBook:
-    """Tells whose a token is; what the database said is believed for some seconds.
+    """The clients of tokens; answers of the database are kept for some seconds.
 
-    A token is looked up by its hash, so the time that this takes tells nothing of how near a guess was.
+    A token is looked up by its hash, so the time of the look-up does not reveal how close a guess was.
     """
 
     def __init__(self, database: Database, settings: Settings) -> None:
@@ -85,7 +85,7 @@ class TokenBook:
         self._exist: tuple[bool, float] = (False, float("-inf"))
 
     def recall(self, token: str) -> str | None:
-        """Return the client of a token without asking the database; None where it must be asked."""
+        """Return the client of a token without asking the database; None if it must be asked."""
         digest = _sha256(token)
         if digest == self._own:
             return OPERATOR
@@ -93,7 +93,7 @@ class TokenBook:
         return client if time.monotonic() < until else None
 
     def client_of(self, token: str) -> str | None:
-        """Return the client of a token, None for nobody's."""
+        """Return the client of a token; None if the token is unknown."""
         client = self.recall(token)
         if client is not None:
             return client
@@ -107,7 +107,7 @@ class TokenBook:
         return client
 
     def exist(self) -> bool:
-        """Tell whether there is any token."""
+        """Return whether there is any token."""
         if self._own is not None:
             return True
         known, until = self._exist
@@ -118,12 +118,12 @@ class TokenBook:
         return known
 
     def are_needed(self) -> bool:
-        """Tell whether a client must have one: also when the last one was revoked while other machines can connect."""
+        """Return whether clients need a token: also after the last one was revoked, if other machines can connect."""
         return not self._anonymous and (self._exposed or self.exist())
 
     @property
     def need_is_known(self) -> bool:
-        """True where `are_needed` will not ask the database."""
+        """Whether `are_needed` answers without asking the database."""
         return self._anonymous or self._exposed or self._own is not None or time.monotonic() < self._exist[1]
 
 

@@ -1,4 +1,4 @@
-"""Reading of archives that nobody vouches for: .zip, .tar, .tar.gz, .tar.zst, member by member, in one pass."""
+"""Reading of untrusted archives: .zip, .tar, .tar.gz, .tar.zst, member by member, in one pass."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from interloc.errors import InterLocError
 ArchiveKind = Literal["zip", "tar", "tar.gz", "tar.zst"]
 
 MAGIC_BYTES = 262
-"""From the beginning of a file; enough to tell its kind."""
+"""Number of bytes at the beginning of a file that determine its kind."""
 
 _MAX_HEADER_BYTES = 1 << 20  # of a long name or extended header of a tar file, which are read into memory
-_MAX_WINDOW_BYTES = 1 << 27  # of zstandard: what its own tools take without being told to
+_MAX_WINDOW_BYTES = 1 << 27  # of zstandard: the limit of its own tools unless an option raises it
 _BLOCK = 512
 _HEADERS = (
     tarfile.XHDTYPE,
@@ -39,7 +39,7 @@ _HEADERS = (
 
 
 class ArchiveError(InterLocError):
-    """An archive that is damaged, or that holds what no drive has."""
+    """The archive is damaged, or holds what a drive cannot have."""
 
     http_status = 422
 
@@ -51,11 +51,11 @@ class Member:
     Attributes
     ----------
     name : str
-        As it stands there; not checked.
+        As written in the archive; not checked.
     size_bytes : int
-        As announced; not to be trusted.
+        As written in the archive; not to be trusted.
     open : callable
-        Returns its contents; to be read before the next member is asked for.
+        Returns its contents; they must be read before the next member is asked for.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Member:
 
 
 def archive_kind(head: bytes) -> ArchiveKind | None:
-    """Tell an archive by its first `MAGIC_BYTES`."""
+    """Return the kind of an archive by its first `MAGIC_BYTES`; None if it is not an archive."""
     if head.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         return "zip"
     if head.startswith(b"\x1f\x8b"):
@@ -92,7 +92,8 @@ def members(path: Path, count: Callable[[int], None]) -> Iterator[Iterator[Membe
     Raises
     ------
     ArchiveError
-        It is none, damaged or cut short, or holds links, devices or encrypted files. Raised within the block too.
+        The file is not an archive, is damaged or cut short, or holds links, devices or encrypted files. Also raised
+        within the block.
     """
     with path.open("rb") as file:
         kind = archive_kind(file.read(MAGIC_BYTES))
@@ -174,7 +175,7 @@ def _tar_members(stream: BinaryIO, count: Callable[[int], None]) -> Iterator[Mem
 
 
 class _CarefulTarInfo(tarfile.TarInfo):
-    """A header that is not believed when it announces a name of gigabytes, which would be read into memory."""
+    """A header that is refused when it announces a name of gigabytes, which would be read into memory."""
 
     def _proc_member(self, archive: tarfile.TarFile) -> tarfile.TarInfo:
         if self.type in _HEADERS and self.size > _MAX_HEADER_BYTES:
@@ -184,7 +185,7 @@ class _CarefulTarInfo(tarfile.TarInfo):
 
 
 class _Watched(io.RawIOBase):
-    """The bytes of a tar file: counted, and seen to the end, which a whole one marks by a block of zeros."""
+    """The bytes of a tar file, counted and read to the end, which a complete one marks by a block of zeros."""
 
     def __init__(self, stream: BinaryIO, count: Callable[[int], None]) -> None:
         self._stream = stream
@@ -198,7 +199,7 @@ class _Watched(io.RawIOBase):
         return data
 
     def drain(self) -> None:
-        """Read what follows the last member, so that checksums at the end are looked at."""
+        """Read what follows the last member, so that checksums at the end are verified."""
         while self.read(1 << 16):
             pass
         if self._last != bytes(_BLOCK):

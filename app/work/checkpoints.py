@@ -1,4 +1,4 @@
-"""What was found in a range of keyframes, kept in a file: a restart goes on where it stopped, to the last bit.
+"""What was found in a range of keyframes, kept in a file: a restart goes on from there, with identical results.
 
 The file is an ``.npz`` of plain arrays (no pickle); the detections of all keyframes stand one after the other.
 """
@@ -52,7 +52,7 @@ def write_checkpoint(path: Path, part: RangeResult) -> None:
 
 
 def read_checkpoint(path: Path) -> RangeResult | None:
-    """Read what `write_checkpoint` wrote; None where there is nothing, or nothing that this version can go on with."""
+    """Read what `write_checkpoint` wrote; None if there is nothing, or nothing that this version can use."""
     try:
         with path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -79,7 +79,7 @@ def read_checkpoint(path: Path) -> RangeResult | None:
 
 
 def _made_by() -> str:
-    """Name what the numbers depend on: a service that was updated meanwhile does not mix two versions."""
+    """Return the versions that the numbers depend on, so that an updated service does not mix two versions."""
     return " ".join(f"{name} {version}" for name, version in versions().items())
 
 

@@ -10,11 +10,11 @@ from app.work.places import LISTING, place_unpacked
 from app.work.task import Outcome, Part, Plan, Report, Task
 
 _SCANS = 281
-_COLUMNS = 1024  # shots of a laser a turn: half of a real one's, which is enough and half the work
+_COLUMNS = 1024  # shots per laser and turn: half of a real sensor's, which is enough and half the work
 
 
 def prepare(task: Task) -> Plan:
-    """Tell how many scans there will be, about."""
+    """Return the approximate number of scans as one part."""
     del task
     return Plan([Part(0, 0, _SCANS)], _SCANS)
 
@@ -46,7 +46,7 @@ def run(task: Task, part: Part, report: Report) -> None:
 
 
 def finish(task: Task, plan: Plan) -> Outcome:
-    """Say what was made; the server gives the files their places, and commits the drive."""
+    """Sum up what was made; the server moves the files into the drive, and commits it."""
     del plan
     listing = json.loads((task.scratch / LISTING).read_text())
     return Outcome({"files": len(listing), "size_bytes": sum(file["size_bytes"] for file in listing)})

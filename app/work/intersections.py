@@ -29,19 +29,19 @@ from interloc.pipeline import RangeResult, assemble, detect_range
 from interloc.results import DriveResult
 
 _RANGE = 240
-"""Keyframes of a part with images of `_CELLS` a side: a second or two of work, of which the halo is a twentieth."""
+"""Keyframes per part with images of `_CELLS` cells per side: one or two seconds of work, 5 % of it for the halo."""
 
 _MAP_RATIO = 60
-"""Real maps unpack to 10 to 30 times their size. What unpacks to more is made to keep a worker busy."""
+"""Real maps unpack to 10 to 30 times their size; a higher ratio indicates a decompression bomb."""
 
-_MAP_FREE_BYTES = 64 * 1024**2  # for small ones, whatever they are
+_MAP_FREE_BYTES = 64 * 1024**2  # small maps may unpack to this much, whatever their ratio
 
-_SHORTEST_RANGE = 40
+_MIN_RANGE = 40
 _CELLS = 750
 
 
 def prepare(task: Task) -> Plan:
-    """Open the drive and the map, so that what is wrong with them shows before the long work."""
+    """Open the drive and the map, so that what is wrong with them is reported before the long work."""
     progress = ProgressFiles(task)
     progress.report_stage("preparing")
     drive, keyframes = open_input(task)
@@ -121,8 +121,8 @@ def config_of(task: Task) -> DetectorConfig:
 
 
 def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:
-    """Cut the keyframes into ranges; the same ones on every server, so that each finds the other's checkpoints."""
-    length = max(_SHORTEST_RANGE, min(_RANGE, _RANGE * _CELLS**2 // config.bev.cells**2))
+    """Cut the keyframes into ranges; the same on every server, so that each finds the checkpoints of the others."""
+    length = max(_MIN_RANGE, min(_RANGE, _RANGE * _CELLS**2 // config.bev.cells**2))
     count = max(1, round(keyframes / length))
     edges = [round(i * keyframes / count) for i in range(count + 1)]
     return [Part(number, start, stop) for number, (start, stop) in enumerate(pairwise(edges))]
@@ -164,8 +164,8 @@ def _read_map(task: Task, drive: Drive, keyframes: IntArray) -> RoadGraph:
     osm: dict[str, Any] = task.request["osm"]
     if "file" in osm:
         path = task.drive / "files" / osm["file"]
-        most_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
-        return read_osm(path, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, most_bytes))
+        max_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
+        return read_osm(path, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
     progress = ProgressFiles(task)
 
     def wait(reason: str, seconds: float) -> None:
@@ -180,7 +180,7 @@ def _read_map(task: Task, drive: Drive, keyframes: IntArray) -> RoadGraph:
 
 
 def _evaluate(task: Task, drive: Drive, keyframes: IntArray, result: DriveResult, folder: Path) -> dict[str, Any]:
-    from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once a job
+    from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once per job
     from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
     from interloc.output.osm_roads import write_roads  # noqa: PLC0415
 

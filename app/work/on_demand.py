@@ -23,9 +23,9 @@ from interloc.output.vector_files import write_vector_file
 from interloc.reduction.plan import ReductionPlan, judge_counts, plan_reduction
 
 VIEW = "view.json"
-"""Where the pictures of a keyframe lie, and the numbers behind them; the file that makes the folder complete."""
+"""File with the corners of the pictures of a keyframe and the numbers behind them; it is written last."""
 
-_KEPT = 300  # keyframes of a job whose pictures are kept, some 100 kB each
+_KEPT = 300  # keyframes per job whose pictures are kept, about 100 kB each
 
 
 def draw_keyframe(task: Task, frame: int, folder: Path) -> int:
@@ -43,7 +43,7 @@ def draw_keyframe(task: Task, frame: int, folder: Path) -> int:
     Returns
     -------
     int
-        The keyframe nearest to `frame`. Nothing was drawn where it is another one.
+        The keyframe nearest to `frame`. Nothing was drawn if it is another one.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where the work on uploads leaves what it made, for the server that takes it from there."""
+"""Names of the files through which a worker hands its result to the server."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from typing import Any
 from interloc.output.layout import file_names
 
 REDUCED = "reduced"
-"""Folder of a reduced drive in the folder of the result of a commit."""
+"""Folder of the reduced drive in the result of a commit, and in the folder of a drive."""
 
 TRAJECTORY = tuple(file_names(georeferenced=known)["trajectory"] for known in (True, False))
-"""Beside it: the trajectory, with and without georeference."""
+"""Names of the trajectory beside it, with and without georeference."""
 
 UNPACKED = "unpacked"
-"""Folder of the files of an archive in the scratch folder."""
+"""Folder of unpacked files in the scratch folder."""
 
 LISTING = "unpacked.json"
-"""Beside it: a list of their paths, sizes and SHA-256."""
+"""File beside it that lists their paths, sizes and SHA-256."""
 
 
 def link(source: Path, target: Path) -> None:
-    """Give a file a second name; where the file system cannot, a copy."""
+    """Give a file a second name, or copy it where the file system has no links."""
     try:
         os.link(source, target)
     except FileExistsError:
@@ -34,7 +34,7 @@ def link(source: Path, target: Path) -> None:
 
 
 def place_unpacked(files: Path, listing: list[dict[str, Any]], scratch: Path) -> None:
-    """Give files and their list the places where the server looks for them; the list comes last, and says that all is.
+    """Move files and their list to where the server expects them; the list comes last and marks them as complete.
 
     Files without a list are those of an attempt that was killed in between.
     """

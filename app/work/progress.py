@@ -48,7 +48,7 @@ class ProgressFiles:
 
     def stop(self) -> None:
         """Ask all work of the attempt to end soon."""
-        with suppress(OSError):  # a full disk: the folder that vanishes with the attempt says the same
+        with suppress(OSError):  # disk full: the work then ends when the folder of the attempt is removed
             self._stop.touch()
 
     def check(self) -> None:

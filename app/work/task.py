@@ -1,4 +1,4 @@
-"""A piece of work as worker processes see it: a task cut into parts, all of it files in the data folder.
+"""A job as worker processes see it: a task that is cut into parts and works on files in the data folder.
 
 Every kind of job is a module of this package with three functions that run in worker processes, on this machine or on
 a cluster, and know neither the database nor the web:
@@ -6,12 +6,12 @@ a cluster, and know neither the database nor the web:
 ``prepare(task) -> Plan``
     Look at the input, cut the work into parts.
 ``run(task, part, report) -> None``
-    Do one part and leave its outcome in the scratch folder, written whole or not at all. A part that is there already
-    (a restart) is not done again.
+    Do one part and leave its outcome in the scratch folder, written whole or not at all. A part whose outcome exists
+    already (after a restart) is not done again.
 ``finish(task, plan) -> Outcome``
     Join the parts into the result.
 
-They raise `InterLocError` where the input is at fault: the job fails with that message and is not tried again.
+They raise `InterLocError` if the input is at fault: the job fails with that message and is not tried again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Report = Callable[[int], None]
 """Called with the number of units of the part that are done; raises `Cancelled` when nobody waits for the rest."""
 
 
-class Cancelled(InterLocError):  # noqa: N818 - it is no fault
+class Cancelled(InterLocError):  # noqa: N818 - it is not a fault
     """The job was cancelled while it ran."""
 
 
@@ -46,11 +46,11 @@ class Task:
     scratch : Path
         Folder of this job for checkpoints and progress; it outlives a restart and goes when the job ends.
     result : Path
-        Folder of the result of this attempt; the runner puts it in its place when the job has ended well.
+        Folder of the result of this attempt; the runner moves it to its place when the job was successful.
     limits : dict
         Settings of the service by name: limits that the work must keep to, how many workers there are, ...
     attempt : str
-        Names this attempt: two servers that take each other for dead do not stop each other's work.
+        Name of this attempt, so that two servers that take each other for dead do not stop each other's work.
     """
 
     kind: str
@@ -81,9 +81,9 @@ class Plan:
     ----------
     parts
     total : int
-        Units in all: keyframes, scans, files.
+        Number of units of all parts: keyframes, scans, files.
     notes : dict
-        What `finish` needs to know of it.
+        What `prepare` passes on to `finish`.
     """
 
     parts: list[Part]
@@ -93,12 +93,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a task ended.
+    """The outcome of a task.
 
     Attributes
     ----------
     summary : dict
-        For the client, in figures.
+        Figures for the client.
     report : dict or None
         What a check found (`DriveReport.to_dict`).
     """

@@ -1,4 +1,4 @@
-"""Unpacking of an archive: nothing in it is trusted, and nothing of it stays where something is wrong."""
+"""Unpacking of an archive: nothing in it is trusted, and nothing of it is kept if anything is wrong."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from interloc.errors import OutputError
 _PIECE = 1 << 20
 _MB = 1 << 20
 _LOOK_BYTES = 64 * _MB
-_FREE_RATIO_BYTES = 64 * _MB  # a small archive may unpack to so much, however well it is packed
+_FREE_RATIO_BYTES = 64 * _MB  # small archives may unpack to this much, whatever their ratio
 
 _SIGNS = re.compile(
     r"(?P<root>(?:.*/)?)"
@@ -32,7 +32,7 @@ _PARTS = frozenset(
 
 
 def prepare(task: Task) -> Plan:
-    """Tell how much there is to do: megabytes of contents are not known before, files neither."""
+    """Return one part; its units are packed megabytes, because neither files nor contents can be counted before."""
     size = _archive(task).stat().st_size
     return Plan([Part(0, 0, max(1, size // _MB))], max(1, size // _MB), {"archive_bytes": size})
 
@@ -56,7 +56,7 @@ def run(task: Task, part: Part, report: Report) -> None:
 
 
 def finish(task: Task, plan: Plan) -> Outcome:
-    """Say what was unpacked; the server gives the files their places."""
+    """Sum up what was unpacked; the server moves the files into the drive."""
     listing = json.loads((task.scratch / LISTING).read_text())
     return Outcome(
         {
@@ -80,12 +80,12 @@ class _File:
 
 
 class _Unpacking:
-    """Files as they come out of an archive, under numbers instead of names."""
+    """Files unpacked so far, stored under numbers instead of names."""
 
     def __init__(self, task: Task, folder: Path, look_up: Callable[[], None]) -> None:
         self._folder = folder
         self._limits = task.limits
-        self._most_bytes = min(
+        self._max_bytes = min(
             int(self._limits["max_drive_bytes"]),
             max(_FREE_RATIO_BYTES, int(_archive(task).stat().st_size * self._limits["max_archive_ratio"])),
         )
@@ -97,7 +97,7 @@ class _Unpacking:
         self._members = 0
 
     def count(self, size: int) -> None:
-        """Count what the decompressor gives, headers and padding included."""
+        """Count decompressed bytes, headers and padding included."""
         self._streamed += size
         self._check_size(self._streamed, "the archive")
 
@@ -107,7 +107,7 @@ class _Unpacking:
         Raises
         ------
         ArchiveError
-            Its name cannot be one of a drive, comes twice, or there is too much.
+            Its name is not valid or comes twice, or there is too much.
         """
         self._members += 1
         if self._members > self._limits["max_drive_files"]:
@@ -137,7 +137,7 @@ class _Unpacking:
         self._files[name] = _File(name, place, size, digest.hexdigest())
 
     def sort(self) -> list[dict[str, Any]]:
-        """Give the files of the drive their names, and return the list of them.
+        """Give the files of the drive their names, and return a list of them.
 
         Raises
         ------
@@ -164,10 +164,10 @@ class _Unpacking:
             raise ArchiveError(f"{name}: is larger than {limit / _MB:,.0f} MB, the limit of a file.")
 
     def _check_size(self, size: int, name: str) -> None:
-        """Refuse what unpacks to too much; look now and then whether there is room, and whether anybody waits."""
-        if size > self._most_bytes:
+        """Refuse what unpacks to too much; check from time to time for free space and for a cancelled job."""
+        if size > self._max_bytes:
             raise ArchiveError(
-                f"{name}: the archive unpacks to more than {self._most_bytes / _MB:,.0f} MB, the limit for a drive or "
+                f"{name}: the archive unpacks to more than {self._max_bytes / _MB:,.0f} MB, the limit for a drive or "
                 f"{self._limits['max_archive_ratio']:g} times its own size. Send the files one by one instead."
             )
         if self._unpacked + self._streamed - self._looked_at > _LOOK_BYTES:
@@ -178,7 +178,7 @@ class _Unpacking:
 
 
 def _is_litter(name: str) -> bool:
-    """Tell what file managers put into archives: hidden files, and the shadows of another system."""
+    """Return whether a file was put into the archive by a file manager: hidden files, metadata of other systems."""
     segments = name.split("/")
     hidden = any(segment.startswith(".") and segment not in {".", ".."} for segment in segments)
     return (hidden and not {"", ".", ".."} & set(segments)) or segments[0] == "__MACOSX" or segments[-1] == "Thumbs.db"
@@ -222,7 +222,7 @@ def _root(names: Collection[str]) -> str:
     if len(roots) > 1:
         raise ArchiveError(
             f"the archive holds {len(roots)} drives: {roots[0] or './'} and {roots[1]}"
-            f"{' and more' if len(roots) > 2 else ''}. Pack one drive an archive, and make a drive for each."
+            f"{' and more' if len(roots) > 2 else ''}. Pack one drive per archive, and make a drive for each."
         )
     if roots:
         return roots[0]
