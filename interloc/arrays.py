@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,3 +15,5 @@ UInt8Array = NDArray[np.uint8]
 UInt32Array = NDArray[np.uint32]
 UInt64Array = NDArray[np.uint64]
 BoolArray = NDArray[np.bool_]
+StructuredArray = NDArray[np.void]  # a table with named columns ...
+Record = Any  # ... and a row of one

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 from interloc.arrays import IntArray
@@ -58,7 +58,7 @@ def detect_range(
     start: int,
     stop: int,
     config: DetectorConfig,
-    progress: Callable[[], None] | None = None,
+    progress: Progress | None = None,
 ) -> RangeResult:
     """Find the intersections around the keyframes of a range: a pure function, the unit of parallel work.
 
@@ -72,31 +72,17 @@ def detect_range(
         result is exactly that of a run over the whole drive.
     config
     progress
-        Called after each keyframe of the range.
+        Called with the keyframes of the range that are done, and with all of them.
     """
     detector = Detector(config)
     first = max(0, start - config.keyframes.window)
     last = min(len(keyframes), stop + config.keyframes.after)
+    windows = detector.completed(scans_of(drive, keyframes[first:last]))
     found: list[KeyframeDetections] = []
-    number = first  # of the next keyframe to complete
-
-    def take(detections: KeyframeDetections) -> None:
-        found.append(detections)
+    for window in islice(windows, start - first, stop - first):
+        found.append(window.detect())
         if progress is not None:
-            progress()
-
-    for scan in scans_of(drive, keyframes[first:last]):
-        completed = detector.advance(scan)
-        if completed is not None:
-            if start <= number < stop:
-                take(detector.detect(completed))
-            number += 1
-    while number < stop:
-        completed = detector.complete()
-        assert completed is not None
-        if number >= start:
-            take(detector.detect(completed))
-        number += 1
+            progress(len(found), stop - start)
     return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes())
 
 
@@ -136,7 +122,7 @@ def detect(
         workers = min(cores(), max(1, len(keyframes) // _MIN_KEYFRAMES_PER_PROCESS))
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:
-        results = [_detect_here(drive, keyframes, config, progress)]
+        results = [detect_range(drive, keyframes, 0, len(keyframes), config, progress)]
     else:
         results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress)
     return assemble(
@@ -202,22 +188,10 @@ def assemble(
 
 
 def split(count: int, workers: int) -> list[tuple[int, int]]:
-    """Cut the keyframes 0..count into ranges: several a process, so that they end together, but none too short."""
+    """Cut the keyframes 0..count into ranges: several per process, so that they end together, but none too short."""
     parts = 1 if workers <= 1 else max(1, min(4 * workers, count // _MIN_RANGE_KEYFRAMES))
     edges = [round(i * count / parts) for i in range(parts + 1)]
     return list(pairwise(edges))
-
-
-def _detect_here(drive: Drive, keyframes: IntArray, config: DetectorConfig, progress: Progress | None) -> RangeResult:
-    done = 0
-
-    def count() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, len(keyframes))
-
-    return detect_range(drive, keyframes, 0, len(keyframes), config, count)
 
 
 def _detect_in_processes(

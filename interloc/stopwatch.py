@@ -1,4 +1,4 @@
-"""Time a stage, summed over a run."""
+"""Time spent per stage."""
 
 from __future__ import annotations
 

@@ -158,9 +158,10 @@ def test_ranges_with_their_halo_find_exactly_what_one_run_does(drive: FolderDriv
 
 
 def test_range_calls_back_after_each_of_its_keyframes(drive: FolderDrive) -> None:
-    calls: list[None] = []
-    part = detect_range(drive, keyframes_of(drive, CONFIG), 20, 33, CONFIG, lambda: calls.append(None))
-    assert len(calls) == len(part.detections) == 13
+    calls: list[tuple[int, int]] = []
+    part = detect_range(drive, keyframes_of(drive, CONFIG), 20, 33, CONFIG, lambda *done: calls.append(done))
+    assert calls == [(i, 13) for i in range(1, 14)]
+    assert len(part.detections) == 13
 
 
 def test_two_processes_find_exactly_what_one_does(drive: FolderDrive, result: DriveResult) -> None:
@@ -184,7 +185,7 @@ def test_ranges_cover_all_keyframes_once(count: int, workers: int) -> None:
     assert all(start < stop for start, stop in ranges)
 
 
-def test_ranges_are_several_a_process_but_none_is_short() -> None:
+def test_ranges_are_several_per_process_but_none_is_short() -> None:
     assert len(split(5000, 1)) == 1
     assert len(split(5000, 2)) == 8
     assert len(split(500, 2)) == 5

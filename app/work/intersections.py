@@ -60,14 +60,7 @@ def run(task: Task, part: Part, report: Report) -> None:
         report(part.stop - part.start)
         return
     drive, keyframes = open_input(task)
-    done = 0
-
-    def count() -> None:
-        nonlocal done
-        done += 1
-        report(done)
-
-    found = detect_range(drive, keyframes, part.start, part.stop, config_of(task), count)
+    found = detect_range(drive, keyframes, part.start, part.stop, config_of(task), lambda done, _: report(done))
     write_checkpoint(path, found)
 
 

@@ -18,7 +18,7 @@ _GROW = 16  # tiles that the pool grows by at least
 
 
 class TileGrid:
-    """Point counts a cell of W, stored where there are points only; its memory follows what it holds, not the drive."""
+    """Point counts per cell of W, stored where there are points only: memory follows what it holds, not the drive."""
 
     def __init__(self) -> None:
         self.pool = np.zeros((0, grid.TILE * grid.TILE), np.int32)
@@ -61,13 +61,32 @@ class TileGrid:
 
 
 @dataclass(frozen=True)
+class BevImage:
+    """The binary image of the region of interest (paper, section III-B.3).
+
+    Attributes
+    ----------
+    image
+        Set where enough road points fell into the cell.
+    roi
+        Where it lies in W.
+    min_points : int
+        How many are enough.
+    """
+
+    image: BinaryImage
+    roi: Roi
+    min_points: int
+
+
+@dataclass(frozen=True)
 class _Entry:
     keyframe: Keyframe
     votes: list[tuple[Int32Array, list[tuple[int, int]], int]]  # where, in which tiles, for or against road
 
 
 class RoadAccumulator:
-    """The road points of the keyframes k-n .. k+n, as counts a cell of a grid anchored in W.
+    """The road points of the keyframes k-n .. k+n, as counts per cell of a grid anchored in W.
 
     A keyframe adds its cells when it enters the window and takes them back when it leaves: counts are whole numbers, so
     the sum is the same as if all scans were concatenated anew.
@@ -132,23 +151,23 @@ class RoadAccumulator:
         self._next += 1
         return keyframe
 
-    def bev(self, keyframe: Keyframe) -> tuple[BinaryImage, Roi]:
-        """Project what is accumulated to the binary image around a keyframe (paper, eq. 3)."""
-        roi = self.roi(keyframe)
+    @property
+    def tiles(self) -> int:
+        """Number of tiles that memory was taken for."""
+        return len(self._grid.pool)
+
+    def bev(self) -> BevImage:
+        """Project what is accumulated to the binary image around the keyframe completed last (paper, eq. 3)."""
+        keyframe = self._window[self._next - 1 - self._first].keyframe
+        roi = roi_around(keyframe, self._config)
         image = BinaryImage.empty(roi.size, roi.size)
         tiles = np.array([roi.left, roi.left + roi.size - 1, roi.top - roi.size + 1, roi.top]) // grid.TILE
         table = self._grid.table(tiles)
-        min_points = self.min_points(keyframe)
+        min_points = self._min_points(keyframe)
         grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, image.words)
-        return image, roi
+        return BevImage(image, roi, min_points)
 
-    def roi(self, keyframe: Keyframe) -> Roi:
-        """Return the square of cells around a keyframe."""
-        r, size = self._config.resolution_m, self._config.cells
-        x, y = keyframe.T_world_lidar[0, 3], keyframe.T_world_lidar[1, 3]
-        return Roi(math.floor(x / r) - size // 2, math.floor(y / r) - size // 2 + size - 1, size, r)
-
-    def min_points(self, keyframe: Keyframe) -> int:
+    def _min_points(self, keyframe: Keyframe) -> int:
         """Return m, in the share of a full window's keyframes that lie in the region of interest."""
         m = self._config.min_points
         if not self._config.adaptive:
@@ -157,3 +176,10 @@ class RoadAccumulator:
         positions = np.array([entry.keyframe.T_world_lidar[:2, 3] for entry in self._window])
         near = int((np.abs(positions - centre).max(axis=1) < self._config.size_m / 2).sum())
         return max(1, round(m * near / (self._before + 1 + self._after)))
+
+
+def roi_around(keyframe: Keyframe, config: BevConfig) -> Roi:
+    """Return the square of cells around a keyframe."""
+    r, size = config.resolution_m, config.cells
+    x, y = keyframe.T_world_lidar[0, 3], keyframe.T_world_lidar[1, 3]
+    return Roi(math.floor(x / r) - size // 2, math.floor(y / r) - size // 2 + size - 1, size, r)

@@ -1,16 +1,19 @@
-"""Segmentation of the road branches around a candidate (paper, section III-C.1)."""
+"""Segmentation of the road branches around the candidates (paper, section III-C.1)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray, StructuredArray
 from interloc.config import BranchConfig
 from interloc.detection.candidates import Candidates
-from interloc.detection.centerline import BORDER_PX, Centerline
-from interloc.kernels import skeleton as sk
+from interloc.detection.centerline import Centerline
+from interloc.detection.lines import least_squares, through_start_and_mean
+from interloc.kernels.skeleton import trace_branches
 
 
 @dataclass(frozen=True)
@@ -19,32 +22,30 @@ class Branches:
 
     Attributes
     ----------
-    which : int
-        Number of the candidate.
+    index : int
+        Position of the candidate among all of the image.
     candidate : (2,) float64
         Row and column, pixels.
     inner : float
         Radius of the inner circle, pixels.
-    directions : (B, 2) float64
-        Unit direction (row, column) of each branch, away from the candidate.
-    points : (B, 2) float64
-        A point on the line of each branch.
-    weights : (B,) float64
-        How much each line counts: 1 in the paper, else the inverse of its variance at the candidate, 1 / m^2; 0 for a
-        branch that is too short to tell its direction.
+    directions, points, weights : (B, 2), (B, 2), (B,) float64
+        The line of each branch, see `interloc.detection.lines.Lines`; weights in 1 / m^2.
     lengths : (B,) float64
         Pixels of centerline in each branch.
+    reaches : (B,) float64
+        Distance from the candidate at which each branch ends, pixels.
     core : (C, 2) float64
         Junction pixels of the centerline that the candidate stands for; empty for Harris corners.
     """
 
-    which: int
+    index: int
     candidate: FloatArray
     inner: float
     directions: FloatArray
     points: FloatArray
     weights: FloatArray
     lengths: FloatArray
+    reaches: FloatArray
     core: FloatArray
 
     @property
@@ -57,83 +58,120 @@ class Branches:
         """(B, 2) float64 unit normals of the lines."""
         return np.column_stack([self.directions[:, 1], -self.directions[:, 0]])
 
-    def only(self, which: list[int], candidate: FloatArray) -> Branches:
+    def select(self, indices: list[int], candidate: FloatArray) -> Branches:
         """Return some of the branches, around another point."""
         return replace(
             self,
             candidate=candidate,
-            directions=self.directions[which],
-            points=self.points[which],
-            weights=self.weights[which],
-            lengths=self.lengths[which],
+            directions=self.directions[indices],
+            points=self.points[indices],
+            weights=self.weights[indices],
+            lengths=self.lengths[indices],
+            reaches=self.reaches[indices],
         )
 
 
-def inner_radius(
-    candidates: Candidates, which: int, others: IntArray, resolution_m: float, config: BranchConfig
-) -> float:
-    """Return the radius in pixels within which the centerline is bent by the junction itself."""
-    radius = config.inner_radius_m / resolution_m
-    if config.inner_widths is None:
-        return radius
-    radius = min(radius, config.inner_widths * float(candidates.widths[which]))
-    others = others[others != which]
-    if len(others):
-        gaps = candidates.positions[others] - candidates.positions[which]
-        radius = min(radius, 0.6 * float(np.hypot(gaps[:, 0], gaps[:, 1]).min()))
-    return radius
+class Piece(NamedTuple):
+    """A connected piece of centerline that starts at the inner circle of a candidate.
+
+    Attributes
+    ----------
+    pixels : (P,) int32
+        Positions among the pixels of the centerline.
+    reach : float
+        Greatest distance from the candidate, pixels.
+    at_candidate : bool
+        It ends before another candidate.
+    is_branch : bool
+        It counts as a branch; otherwise it is too short.
+    """
+
+    pixels: Int32Array
+    reach: float
+    at_candidate: bool
+    is_branch: bool
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """All pieces around one candidate; those that are branches are in the order of its `Branches`.
+
+    Attributes
+    ----------
+    traced, table
+        See `interloc.kernels.skeleton.trace_branches`.
+    is_branch : (P,) bool
+    """
+
+    traced: Int32Array
+    table: StructuredArray
+    is_branch: BoolArray
+
+    def __iter__(self) -> Iterator[Piece]:
+        for row, is_branch in zip(self.table, self.is_branch.tolist(), strict=True):
+            pixels = self.traced[row["begin"] : row["end"]]
+            yield Piece(pixels, float(row["reach"]), bool(row["at_candidate"]), is_branch)
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """What became of the candidates of an image.
+
+    Attributes
+    ----------
+    branches : list of Branches
+        Of each candidate.
+    pieces : list of Pieces
+        Of each candidate: the pieces of centerline from which its branches were taken.
+    blockers : (E,) int64
+        The candidates at which branches end: all, as in the paper, or only those that have enough branches themselves.
+    kept : list of int
+        The candidates that are intersections: enough branches, and far enough from the border of the image.
+    """
+
+    branches: list[Branches]
+    pieces: list[Pieces]
+    blockers: IntArray
+    kept: list[int]
 
 
 def segment_all(
     candidates: Candidates, centerline: Centerline, resolution_m: float, config: BranchConfig
-) -> tuple[list[Branches], IntArray]:
-    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C).
-
-    Returns
-    -------
-    list of Branches
-        Of the candidates with enough branches.
-    (E,) int64
-        The candidates at which branches end: all, as in the paper, or only those that have enough branches themselves.
-    """
-    enders = np.arange(len(candidates.positions))
-    kept = _enough(candidates, enders, centerline, resolution_m, config)
-    if not config.end_at_rejected and len(kept) < len(enders):
-        enders = np.array([branches.which for branches in kept], np.int64)
-        kept = _enough(candidates, enders, centerline, resolution_m, config)
-    size = centerline.image.height
-    inside = candidates.inside(size, config.margin_m / resolution_m)
-    return [branches for branches in kept if branches.which in inside], enders
+) -> Segmentation:
+    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C)."""
+    every = blockers = np.arange(len(candidates.positions))
+    found = [segment_branches(candidates, i, every, centerline, resolution_m, config) for i in every.tolist()]
+    if not config.end_at_rejected:
+        blockers = _with_enough_branches(found, every, config)
+        if len(blockers) < len(every):
+            for i in blockers.tolist():
+                found[i] = segment_branches(candidates, i, blockers, centerline, resolution_m, config)
+    inside = candidates.inside(centerline.image.height, config.margin_m / resolution_m)
+    kept = np.intersect1d(_with_enough_branches(found, blockers, config), inside).tolist()
+    return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], blockers, kept)
 
 
-def _enough(
-    candidates: Candidates,
-    enders: IntArray,
-    centerline: Centerline,
-    resolution_m: float,
-    config: BranchConfig,
-) -> list[Branches]:
-    branches = [segment_branches(candidates, int(i), enders, centerline, resolution_m, config) for i in enders]
-    return [b for b in branches if b.count >= config.min_branches]
+def _with_enough_branches(found: list[tuple[Branches, Pieces]], candidates: IntArray, config: BranchConfig) -> IntArray:
+    return np.array([i for i in candidates.tolist() if found[i][0].count >= config.min_branches], np.int64)
 
 
 def segment_branches(
     candidates: Candidates,
-    which: int,
-    enders: IntArray,
+    index: int,
+    blockers: IntArray,
     centerline: Centerline,
     resolution_m: float,
     config: BranchConfig,
-) -> Branches:
+) -> tuple[Branches, Pieces]:
     """Follow the centerline from the inner circle outwards and lay a line through each branch.
 
     Parameters
     ----------
     candidates
         All of the image.
-    which
+    index
         The one looked at.
-    enders : (E,) int64
+    blockers : (E,) int64
         The ones before which a branch ends.
     centerline
     resolution_m
@@ -145,50 +183,48 @@ def segment_branches(
     -----
     Paper, eq. 7 to 9.
     """
-    inner = inner_radius(candidates, which, enders, resolution_m, config)
-    table = sk.follow_branches(
+    position, width = candidates.positions[index], float(candidates.widths[index])
+    inner = inner_radius(candidates, index, blockers, resolution_m, config)
+    traced, pieces = trace_branches(
         centerline.rows,
         centerline.cols,
         centerline.neighbours,
-        candidates.positions[which],
-        candidates.positions[enders[enders != which]],
-        float(candidates.widths[which]),
+        position,
+        candidates.positions[blockers[blockers != index]],
         inner,
         config.outer_radius_m / resolution_m,
         config.stop_m / resolution_m,
-        config.fit_length_m / resolution_m,
-        config.fit_least_m / resolution_m,
-        config.full_fit_m / resolution_m,
-        config.straight_m / resolution_m,
-        config.trim_m / resolution_m,
-        centerline.image.height,
-        BORDER_PX,
     )
-    # A piece that another candidate cuts short is a road between two intersections.
-    table = table[(table[:, sk.REACH] * resolution_m >= config.min_reach_m) | (table[:, sk.AT_CANDIDATE] > 0)]
-    means = table[:, [sk.MEAN_ROW, sk.MEAN_COL]]
+    # A short piece is a spur; but one that another candidate cuts short is a road between two intersections.
+    is_branch = (pieces["reach"] * resolution_m >= config.min_reach_m) | pieces["at_candidate"]
     if config.line == "start_and_mean":
-        points = table[:, [sk.START_ROW, sk.START_COL]]
-        directions = _unit(means - points)
-        has_line = np.ones(len(table), np.bool_)
-        weights = np.ones(len(table))
+        lines = through_start_and_mean(pieces)
     else:
-        points = table[:, [sk.FIT_ROW, sk.FIT_COL]]
-        has_line = table[:, sk.FIT_LENGTH] * resolution_m >= config.min_fit_m
-        fitted = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
-        directions = np.where(has_line[:, None], fitted, _unit(means - candidates.positions[which]))
-        weights = np.where(has_line, table[:, sk.WEIGHT] / resolution_m**2, 0.0)
-    return Branches(
-        which,
-        candidates.positions[which],
-        inner,
-        directions,
-        points,
-        weights,
-        table[:, sk.LENGTH],
-        candidates.cores[which],
+        lines = least_squares(centerline, traced, pieces, position, width, inner, resolution_m, config)
+    branches = Branches(
+        index=index,
+        candidate=position,
+        inner=inner,
+        directions=lines.directions[is_branch],
+        points=lines.points[is_branch],
+        weights=lines.weights[is_branch],
+        lengths=(pieces["end"] - pieces["begin"])[is_branch].astype(np.float64),
+        reaches=pieces["reach"][is_branch],
+        core=candidates.core(index),
     )
+    return branches, Pieces(traced, pieces, is_branch)
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
-    return vectors / np.maximum(np.hypot(vectors[:, 0], vectors[:, 1]), 1e-9)[:, None]
+def inner_radius(
+    candidates: Candidates, index: int, blockers: IntArray, resolution_m: float, config: BranchConfig
+) -> float:
+    """Return the radius in pixels within which the centerline is bent by the junction itself."""
+    radius = config.inner_radius_m / resolution_m
+    if config.inner_widths is None:
+        return radius
+    radius = min(radius, config.inner_widths * float(candidates.widths[index]))
+    others = blockers[blockers != index]
+    if len(others):
+        gaps = candidates.positions[others] - candidates.positions[index]
+        radius = min(radius, 0.6 * float(np.hypot(gaps[:, 0], gaps[:, 1]).min()))
+    return radius

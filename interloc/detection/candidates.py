@@ -23,13 +23,20 @@ class Candidates:
         Row and column in the image, pixels.
     widths : (C,) float64
         Road width there, pixels.
-    cores : list of (J, 2) float64
-        Row and column of the junction pixels that each one stands for; empty for Harris corners.
+    merged : list of (M, 2) float64
+        Row and column of the Harris corners or junctions of the centerline that each one stands for.
+    are_junctions : bool
+        Whether these are junctions of the centerline.
     """
 
     positions: FloatArray
     widths: FloatArray
-    cores: list[FloatArray]
+    merged: list[FloatArray]
+    are_junctions: bool
+
+    def core(self, index: int) -> FloatArray:
+        """Return row and column of the junctions of the centerline in a candidate, (J, 2); none for Harris corners."""
+        return self.merged[index] if self.are_junctions else np.empty((0, 2))
 
     def inside(self, size: int, margin: float) -> IntArray:
         """Return which candidates lie at least a margin from the border of an image of ``size`` pixels a side."""
@@ -48,7 +55,7 @@ def find_candidates(
     resolution_m
         Side of a pixel.
     config
-        Its kind chooses the way: Harris corners (the paper's), or junctions of the centerline.
+        Its kind decides what is looked for: Harris corners (as in the paper), or junctions of the centerline.
     """
     if isinstance(config, HarrisCandidates):
         return _harris(centerline, resolution_m, config)
@@ -64,10 +71,11 @@ def harris_corners(centerline: Centerline, config: HarrisCandidates) -> tuple[In
 
 def _harris(centerline: Centerline, resolution_m: float, config: HarrisCandidates) -> Candidates:
     corners, _ = harris_corners(centerline, config)
-    positions = np.column_stack([centerline.rows[corners], centerline.cols[corners]]).astype(np.float64)
-    positions, groups = merge_until_stable(positions, config.merge_m / resolution_m)
+    points = np.column_stack([centerline.rows[corners], centerline.cols[corners]]).astype(np.float64)
+    positions, groups = merge_until_stable(points, config.merge_m / resolution_m)
     widths = centerline.widths(corners)
-    return Candidates(positions, np.array([widths[group].mean() for group in groups]), [np.empty((0, 2))] * len(groups))
+    mean_widths = np.array([widths[group].mean() for group in groups])
+    return Candidates(positions, mean_widths, [points[group] for group in groups], are_junctions=False)
 
 
 def merge_until_stable(positions: FloatArray, radius: float) -> tuple[FloatArray, list[list[int]]]:
@@ -107,7 +115,7 @@ def _crossings(centerline: Centerline, resolution_m: float, config: CrossingCand
     junctions = np.flatnonzero(centerline.degrees >= 3).astype(np.int32)
     widths = centerline.widths(junctions)
     reach = np.clip(widths * config.merge_widths, config.merge_min_m / resolution_m, config.merge_max_m / resolution_m)
-    # Two junctions are one where their halves of the way between them meet.
+    # Two junctions are one where their halves of the line between them meet.
     near = skeleton.grow_from(centerline.rows, centerline.cols, centerline.neighbours, junctions, reach / 2)
     labels, count = skeleton.label_pieces(centerline.neighbours, near, junctions)
     label = labels[junctions]
@@ -117,4 +125,5 @@ def _crossings(centerline: Centerline, resolution_m: float, config: CrossingCand
     width = np.zeros(count)
     np.maximum.at(width, label, widths)
     pixels = np.column_stack([centerline.rows[junctions], centerline.cols[junctions]]).astype(np.float64)
-    return Candidates(np.column_stack([rows, cols]), width, [pixels[label == i] for i in range(count)])
+    merged = [pixels[label == i] for i in range(count)]
+    return Candidates(np.column_stack([rows, cols]), width, merged, are_junctions=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from interloc.arrays import FloatArray, Int32Array
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray, Int32Array
 from interloc.config import CenterlineConfig
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton
@@ -30,6 +32,8 @@ class Centerline:
         The road that it is the axis of; gives the local width.
     max_width : int
         Pixels; a wider road counts as this wide.
+    spurs : (S, 2) int32
+        Row and column of the pixels of dead ends that were removed.
     """
 
     image: BinaryImage
@@ -38,6 +42,7 @@ class Centerline:
     neighbours: Int32Array
     occupancy: BinaryImage
     max_width: int
+    spurs: Int32Array = field(default_factory=lambda: np.empty((0, 2), np.int32))
 
     @classmethod
     def of(cls, image: BinaryImage, occupancy: BinaryImage, max_width: int | None = None) -> Centerline:
@@ -50,6 +55,19 @@ class Centerline:
     def degrees(self) -> Int32Array:
         """(P,) int32: 1 at a tip, 2 on a line, 3 or 4 at a junction."""
         return skeleton.degrees_of(self.neighbours)
+
+    @cached_property
+    def border_distance(self) -> Int32Array:
+        """(P,) int32: pixels between each one and the border of the image."""
+        last = self.image.height - 1
+        inward: Int32Array = np.minimum(np.minimum(self.rows, self.cols), last - np.maximum(self.rows, self.cols))
+        return inward
+
+    @cached_property
+    def is_tip(self) -> BoolArray:
+        """(P,) bool: whether the centerline ends there, and not because the border cuts it."""
+        tips: BoolArray = (self.degrees <= 1) & (self.border_distance >= BORDER_PX)
+        return tips
 
     def widths(self, pixels: Int32Array) -> FloatArray:
         """Return the local road width in pixels, (N,) float64, at some pixels given by their positions."""
@@ -97,5 +115,6 @@ def _without_spurs(centerline: Centerline, widths: float) -> Centerline:
     )
     if keep.all():
         return centerline
+    spurs = np.column_stack([centerline.rows[~keep], centerline.cols[~keep]])
     skeleton.clear_pixels(centerline.image.words, centerline.rows[~keep], centerline.cols[~keep])
-    return Centerline.of(centerline.image, centerline.occupancy, centerline.max_width)
+    return replace(Centerline.of(centerline.image, centerline.occupancy, centerline.max_width), spurs=spurs)

@@ -66,7 +66,7 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
     if len(groups) < 2 or not _have_junctions_each(branches.core, [place for place, _ in groups]):
         return [branches]
     places = [place for place, _ in groups]
-    return [_connected(branches.only(sorted(members), place), places) for place, members in groups]
+    return [_connected(branches.select(sorted(members), place), places) for place, members in groups]
 
 
 def _connected(part: Branches, places: list[FloatArray]) -> Branches:
@@ -83,6 +83,7 @@ def _connected(part: Branches, places: list[FloatArray]) -> Branches:
         points=np.vstack([part.points, part.candidate]),
         weights=np.append(part.weights, 0.0),
         lengths=np.append(part.lengths, length),
+        reaches=np.append(part.reaches, length),
     )
 
 

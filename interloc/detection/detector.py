@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
 from interloc.config import DEFAULT, DetectorConfig, ScoreConfig
-from interloc.detection.accumulation import RoadAccumulator
-from interloc.detection.branches import segment_all
+from interloc.detection.accumulation import BevImage, RoadAccumulator
+from interloc.detection.branches import Segmentation, segment_all
 from interloc.detection.candidates import Candidates, find_candidates
 from interloc.detection.centerline import Centerline, extract_centerline
 from interloc.detection.compound import split_compound
@@ -50,15 +50,74 @@ class KeyframeDetections:
 
 @dataclass(frozen=True)
 class Steps:
-    """The images and points between the steps for one keyframe, for pictures."""
+    """The images and points between the steps for one keyframe, for pictures.
+
+    Attributes
+    ----------
+    roi
+        Where the images lie in W.
+    min_points : int
+        Points from which a cell is road: m, lowered where keyframes are sparse.
+    bev, occupancy, centerline, candidates
+        Of sections III-B.3 to 6 of the paper.
+    segmentation
+        The branches of each candidate, and which candidates were kept (III-C.1).
+    junctions
+        The intersections: the candidates that were kept, corrected (III-C.2); one may have been split into several.
+    """
 
     roi: Roi
+    min_points: int
     bev: BinaryImage
     occupancy: BinaryImage
     centerline: Centerline
     candidates: Candidates
-    enders: IntArray  # the candidates at which branches end
+    segmentation: Segmentation
     junctions: list[Junction]
+
+
+@dataclass(frozen=True)
+class Window:
+    """The road around one keyframe, whose neighbours have all been accumulated.
+
+    Attributes
+    ----------
+    keyframe
+    bev
+        Of the keyframe (paper, III-B.3).
+    config
+    stopwatch
+        Of the detector.
+    """
+
+    keyframe: Keyframe
+    bev: BevImage
+    config: DetectorConfig
+    stopwatch: Stopwatch
+
+    def steps(self) -> Steps:
+        """Run the steps of the paper."""
+        bev, config, resolution_m, lap = self.bev.image, self.config, self.config.bev.resolution_m, self.stopwatch.lap
+        self.stopwatch.start()
+        occupancy = infer_occupancy(bev, resolution_m, config.occupancy)  # III-B.4
+        lap("occupancy")
+        centerline = extract_centerline(occupancy, config.centerline)  # III-B.5
+        lap("centerline")
+        candidates = find_candidates(centerline, resolution_m, config.candidates)  # III-B.6
+        lap("candidates")
+        segmentation = segment_all(candidates, centerline, resolution_m, config.branches)  # III-C.1
+        branches = [segmentation.branches[i] for i in segmentation.kept]
+        if config.compound is not None:
+            branches = [part for b in branches for part in split_compound(b, resolution_m, config.compound)]
+        prior = config.branches.candidate_std_m
+        junctions = [refine(b, 0.0 if prior is None else prior**-2) for b in branches]  # III-C.2
+        lap("refinement")
+        roi, min_points = self.bev.roi, self.bev.min_points
+        return Steps(roi, min_points, bev, occupancy, centerline, candidates, segmentation, junctions)
+
+    def detect(self) -> KeyframeDetections:
+        """Return the detections of the keyframe."""
+        return locate(self.steps(), self.keyframe, self.config.score)
 
 
 class Detector:
@@ -72,22 +131,30 @@ class Detector:
 
     def __init__(self, config: DetectorConfig = DEFAULT) -> None:
         self.config = config
-        self._selector = KeyframeSelector(config.keyframes)
         self.stopwatch = Stopwatch()
+        self._selector = KeyframeSelector(config.keyframes)
         self._road = RoadAccumulator(config.keyframes, config.bev)
 
     def push(self, scan: ScanLike) -> KeyframeDetections | None:
         """Take the next scan; return the detections of the keyframe that it completes, if any."""
-        keyframe = self.advance(scan)
-        return None if keyframe is None else self.detect(keyframe)
+        window = self._take(scan)
+        return None if window is None else window.detect()
 
     def finish(self) -> Iterator[KeyframeDetections]:
         """Return the detections of the last keyframes, whose windows the end of the drive cuts short."""
-        while (keyframe := self.complete()) is not None:
-            yield self.detect(keyframe)
+        for window in self.completed([]):
+            yield window.detect()
 
-    def advance(self, scan: ScanLike) -> Keyframe | None:
-        """Take the next scan without detecting anything; return the keyframe that it completes, if any."""
+    def completed(self, scans: Iterable[ScanLike]) -> Iterator[Window]:
+        """Take the last scans of a drive; return the window of each keyframe, in order, without detecting anything."""
+        for scan in scans:
+            window = self._take(scan)
+            if window is not None:
+                yield window
+        while (keyframe := self._road.finish()) is not None:
+            yield self._window(keyframe)
+
+    def _take(self, scan: ScanLike) -> Window | None:
         if not self._selector.is_keyframe(scan.T_world_lidar):
             return None
         self.stopwatch.start()
@@ -97,40 +164,18 @@ class Detector:
         keyframe = Keyframe(scan.frame, scan.T_world_lidar, scan.time_s)
         completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
         self.stopwatch.lap("accumulate")
-        return completed
+        return None if completed is None else self._window(completed)
 
-    def complete(self) -> Keyframe | None:
-        """Complete the next keyframe although not all its successors came; None when there is none left."""
-        return self._road.finish()
-
-    def detect(self, keyframe: Keyframe) -> KeyframeDetections:
-        """Return the detections of the keyframe that was completed last."""
-        steps = self.steps(keyframe)
-        return locate(steps.junctions, steps.roi, keyframe, self.config.score)
-
-    def steps(self, keyframe: Keyframe) -> Steps:
-        """Run the steps of the paper on what is accumulated around the keyframe that was completed last."""
-        config, resolution_m, lap = self.config, self.config.bev.resolution_m, self.stopwatch.lap
+    def _window(self, completed: Keyframe) -> Window:
         self.stopwatch.start()
-        bev, roi = self._road.bev(keyframe)  # III-B.3
-        lap("bev")
-        occupancy = infer_occupancy(bev, resolution_m, config.occupancy)  # III-B.4
-        lap("occupancy")
-        centerline = extract_centerline(occupancy, config.centerline)  # III-B.5
-        lap("centerline")
-        candidates = find_candidates(centerline, resolution_m, config.candidates)  # III-B.6
-        lap("candidates")
-        branches, enders = segment_all(candidates, centerline, resolution_m, config.branches)  # III-C.1
-        if config.compound is not None:
-            branches = [part for b in branches for part in split_compound(b, resolution_m, config.compound)]
-        prior = config.branches.candidate_std_m
-        junctions = [refine(b, 0.0 if prior is None else prior**-2) for b in branches]  # III-C.2
-        lap("refinement")
-        return Steps(roi, bev, occupancy, centerline, candidates, enders, junctions)
+        bev = self._road.bev()  # III-B.3
+        self.stopwatch.lap("bev")
+        return Window(completed, bev, self.config, self.stopwatch)
 
 
-def locate(junctions: list[Junction], roi: Roi, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDetections:
+def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDetections:
     """Turn junctions of the image into positions in W and in L (paper, eq. 12)."""
+    junctions, roi = steps.junctions, steps.roi
     positions = np.array([j.position for j in junctions], np.float64).reshape(-1, 2)
     world_xy = roi.world(positions[:, 0], positions[:, 1])
     T = keyframe.T_world_lidar

@@ -19,7 +19,7 @@ class Roi:
     left, top : int
         Cell index along x of the first column, along y of the first row; rows go down, against +y.
     size : int
-        Cells a side.
+        Cells per side.
     resolution_m : float
         Side of a cell.
     """
@@ -36,7 +36,7 @@ class Roi:
         return np.stack([x, y], axis=-1)
 
     def image(self, world_xy: FloatArray) -> FloatArray:
-        """Return the row, column, (..., 2), of points of W: `world` undone."""
+        """Return the row, column, (..., 2), of points of W: the inverse of `world`."""
         cols = world_xy[..., 0] / self.resolution_m - 0.5 - self.left
         rows = self.top + 0.5 - world_xy[..., 1] / self.resolution_m
         return np.stack([rows, cols], axis=-1)
@@ -44,7 +44,7 @@ class Roi:
 
 @dataclass(frozen=True)
 class BinaryImage:
-    """A binary image packed 64 columns a word (layout: `interloc.kernels.bits`).
+    """A binary image packed 64 columns per word (layout: `interloc.kernels.bits`).
 
     Attributes
     ----------

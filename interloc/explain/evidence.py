@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -58,10 +59,8 @@ class Evidence:
         Of the keyframe's own scan, in L.
     window
         All keyframes accumulated, in the order of the drive.
-    min_points : int
-        Points that made a cell road: m, adapted where the configuration says so.
     steps
-        The images between the steps.
+        What the detector did.
     verdicts
         What became of each candidate, the nearest to the vehicle first.
     detections
@@ -76,7 +75,6 @@ class Evidence:
     config: DetectorConfig
     points: GroundPoints
     window: list[WindowScan]
-    min_points: int
     steps: Steps
     verdicts: list[Verdict]
     detections: KeyframeDetections
@@ -129,14 +127,8 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
     scans = list(scans_of(drive, keyframes[first : number + config.keyframes.after + 1]))
     scan = scans[number - first]
 
-    detector = Detector(config)
-    keyframe = None
-    for other in scans:
-        keyframe = detector.advance(other) or keyframe
-    while keyframe is None or keyframe.frame != scan.frame:  # the end of the drive cuts the window short
-        keyframe = detector.complete()
-    steps = detector.steps(keyframe)
-    road_map = detector._road  # noqa: SLF001 - what the steps do not keep
+    window = next(islice(Detector(config).completed(scans), number - first, None))
+    steps, keyframe = window.steps(), window.keyframe
     return Evidence(
         asked=frame,
         index=scan.index,
@@ -146,10 +138,9 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
         config=config,
         points=drive.ground_points(scan.index),
         window=[_window_scan(other, first + i - number, config) for i, other in enumerate(scans)],
-        min_points=road_map.min_points(keyframe),
         steps=steps,
-        verdicts=judge(steps, keyframe.T_world_lidar[:2, 3], config),
-        detections=locate(steps.junctions, steps.roi, keyframe, config.score),
+        verdicts=judge(steps, keyframe.T_world_lidar[:2, 3], config.branches),
+        detections=locate(steps, keyframe, config.score),
     )
 
 

@@ -7,8 +7,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.config import CenterlineConfig, HarrisCandidates
-from interloc.detection.centerline import extract_centerline
+from interloc.config import HarrisCandidates
 from interloc.drawing import BLUE, GREEN, INK, MUTED, PAPER, PURPLE, SKY, VERMILION, YELLOW
 from interloc.drive import Georeference
 from interloc.explain.canvas import Canvas
@@ -71,7 +70,7 @@ def describe_overlays(evidence: Evidence, drive_name: str, georeference: Georefe
         "layers": list(OVERLAYS),
         "outer_radius_m": config.branches.outer_radius_m,
         "relevant_zone_m": max(0.0, config.bev.size_m - 2 * config.branches.outer_radius_m),
-        "min_points": evidence.min_points,
+        "min_points": evidence.steps.min_points,
         **{key: numbers[key] for key in ("keyframe", "keyframes_in_drive", "pose", "window", "points", "cells")},
         "candidates": numbers["candidates"],
         "detections": numbers["detections"],
@@ -99,9 +98,7 @@ def _occupancy(canvas: Canvas, evidence: Evidence) -> None:
 def _centerline(canvas: Canvas, evidence: Evidence) -> None:
     steps = evidence.steps
     if evidence.config.centerline.spur_widths > 0:
-        whole = extract_centerline(steps.occupancy, CenterlineConfig(spur_widths=0.0))
-        rows, cols = np.nonzero(is_set(whole.image) & ~is_set(steps.centerline.image))
-        gone = evidence.around(rows.astype(np.float64), cols.astype(np.float64))
+        gone = evidence.around(*steps.centerline.spurs.T.astype(np.float64))
         canvas.lines(np.stack([gone, gone], axis=1), VERMILION, 0.35)
     canvas.lines(_whole_line(evidence), INK, 0.35)
 

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, Int32Array
-from interloc.config import CenterlineConfig
-from interloc.detection.centerline import extract_centerline
 from interloc.detection.image import Roi
 from interloc.drawing import BLUE, INK, MUTED, PAPER, VERMILION
 from interloc.explain.evidence import Evidence, WindowScan
@@ -92,7 +90,7 @@ def bev(axes: Axes, evidence: Evidence) -> list[str]:
     """Draw the binary image (paper, III-B.3)."""
     image = evidence.steps.bev
     paint(axes, evidence, [(is_set(image), INK)])
-    m, full = evidence.min_points, evidence.config.bev.min_points
+    m, full = evidence.steps.min_points, evidence.config.bev.min_points
     points = "point" if m == 1 else "points"
     swatch(axes, INK, f"cell with {m} road {points} or more")
     metre = evidence.roi.resolution_m
@@ -122,10 +120,7 @@ def centerline(axes: Axes, evidence: Evidence) -> list[str]:
     facts = []
     line = segments(evidence, np.ones(len(steps.centerline.rows), np.bool_))
     if evidence.config.centerline.spur_widths > 0:
-        whole = extract_centerline(steps.occupancy, CenterlineConfig(spur_widths=0.0))
-        gone = is_set(whole.image) & ~is_set(steps.centerline.image)
-        rows, cols = np.nonzero(gone)
-        x, y = evidence.around(rows.astype(np.float64), cols.astype(np.float64)).T
+        x, y = evidence.around(*steps.centerline.spurs.T.astype(np.float64)).T
         axes.scatter(x, y, s=5, marker="s", linewidths=0, color=VERMILION, zorder=3)
         axes.plot([], [], color=VERMILION, linewidth=2.2, label="dead end dropped: no road")
         facts = [f"dead ends up to {evidence.config.centerline.spur_widths:g} x road width dropped"]

@@ -34,7 +34,7 @@ def record(evidence: Evidence, drive_name: str, truth: GroundTruth | None) -> di
             "other_ground": len(evidence.points.confusable),
             "road_in_window": sum(len(scan.cells) for scan in evidence.window),
         },
-        "min_points": evidence.min_points,
+        "min_points": steps.min_points,
         "cells": {
             "bev": pixels(steps.bev),
             "occupancy": pixels(steps.occupancy),

@@ -90,18 +90,14 @@ def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale
 
 def branch_lines(evidence: Evidence, verdict: Verdict) -> list[FloatArray]:
     """Return the ends, (2, 2), of the lines: from a little behind the refined point to the end of the branch."""
-    branches = verdict.branches
-    reaches = [piece.reach for piece in verdict.pieces if piece.is_branch]
     lines = []
     for i in verdict.detections:
         junction = evidence.steps.junctions[i]
-        for k in range(branches.count):
-            belongs = (junction.branches.points == branches.points[k]).all(axis=1).any()  # it may have been split
-            if not belongs or branches.weights[k] <= 0:
-                continue
+        branches = junction.branches
+        for k in np.flatnonzero(branches.weights > 0):
             point, outwards = branches.points[k], branches.directions[k]
             middle = point + ((junction.position - point) @ outwards) * outwards
-            far = point + (reaches[k] - (point - verdict.position) @ outwards) * outwards
+            far = point + (branches.reaches[k] - (point - verdict.position) @ outwards) * outwards
             ends = np.stack([middle - 0.7 * branches.inner * outwards, far])
             lines.append(evidence.around(ends[:, 0], ends[:, 1]))
     return lines

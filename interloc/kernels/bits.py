@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from interloc.arrays import Int32Array, UInt8Array, UInt64Array
-from interloc.kernels._compile import compiled
+from interloc.kernels import compiled
 
 
 def words_for(width: int) -> int:

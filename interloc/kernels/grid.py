@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, Int32Array, IntArray, UInt64Array
-from interloc.kernels._compile import compiled
+from interloc.kernels import compiled
 
 TILE = 256
 _SHIFT = 8

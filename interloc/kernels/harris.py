@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from interloc.arrays import FloatArray, Int32Array, UInt64Array
-from interloc.kernels._compile import compiled
+from interloc.kernels import compiled
 
 
 @compiled

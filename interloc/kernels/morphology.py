@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from interloc.arrays import IntArray, UInt64Array
-from interloc.kernels._compile import compiled
+from interloc.kernels import compiled
 
 
 def disc_half_widths(diameter_px: int) -> IntArray:

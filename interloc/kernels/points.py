@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from interloc.arrays import Float32Array, UInt8Array, UInt32Array
-from interloc.kernels._compile import compiled
+from interloc.kernels import compiled
 
 
 @compiled

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from interloc.arrays import Float32Array, FloatArray, Int32Array, UInt8Array
-from interloc.kernels._compile import compiled
+from interloc.kernels import compiled
 
 PROFILE_STEPS = 96
 BUCKETS = 2048

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, Int32Array, UInt64Array
-from interloc.kernels._compile import compiled
+from interloc.arrays import BoolArray, FloatArray, Int32Array, StructuredArray, UInt64Array
+from interloc.kernels import compiled
 from interloc.kernels.bits import nearest_clear, popcount
 
 
@@ -237,36 +237,31 @@ def grow_from(
     return left >= 0.0
 
 
-# Columns of what `follow_branches` returns for each branch; rows and columns of the image in pixels.
-START_ROW, START_COL, MEAN_ROW, MEAN_COL, LENGTH, AT_CANDIDATE = range(6)
-FIT_ROW, FIT_COL, FIT_D_ROW, FIT_D_COL, FIT_LENGTH, FIT_RMS, REACH, WEIGHT, FIT_START = range(6, 15)
-BRANCH_COLUMNS = 15
-
-RING_PX = 4.0  # a line grows by this much at a time
-GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
-PIXEL_PX = 0.1  # how well its line is known
+PIECE = np.dtype(
+    [
+        ("begin", np.int64),  # its pixels are traced[begin:end]
+        ("end", np.int64),
+        ("start", np.float64, (2,)),  # row and column of its pixel nearest to the candidate
+        ("mean", np.float64, (2,)),  # row and column
+        ("reach", np.float64),  # greatest distance from the candidate, pixels
+        ("at_candidate", np.bool_),  # it ends before another candidate
+    ]
+)
+"""What `trace_branches` returns for each piece."""
 
 
 @compiled
-def follow_branches(
+def trace_branches(
     rows: Int32Array,
     cols: Int32Array,
     neighbours: Int32Array,
     candidate: FloatArray,
-    others: FloatArray,
-    width: float,
+    blockers: FloatArray,
     inner: float,
     outer: float,
     stop: float,
-    fit_length: float,
-    least_fit: float,
-    full_fit: float,
-    straight: float,
-    trim: float,
-    size: int,
-    border: int,
-) -> FloatArray:
-    """Find the pieces of centerline that leave the inner circle around a candidate, and measure each.
+) -> tuple[Int32Array, StructuredArray]:
+    """Find the connected pieces of centerline between two circles around a candidate that start at the inner one.
 
     Parameters
     ----------
@@ -274,181 +269,76 @@ def follow_branches(
         The centerline, see `neighbours_of`.
     candidate : (2,) float64
         Row and column of the candidate.
-    others : (C, 2) float64
-        Those before which a branch ends.
-    width, inner, outer : float
-        Road width and radii of the annulus, pixels.
+    blockers : (C, 2) float64
+        The candidates before which a piece ends.
+    inner, outer : float
+        Radii of the circles, pixels.
     stop : float
-        A branch ends this far before another candidate.
-    fit_length, least_fit, full_fit, straight, trim : float
-        The line is fitted to pixels within ``inner`` + ``fit_length`` of the candidate that lie at least ``trim`` from
-        a tip of the branch and from the border of the image; beyond ``least_fit`` only as far as their root mean
-        square distance from the line stays within ``straight``. Its weight is its length, as far as ``full_fit``
-        counts, over its variance.
-    size, border : int
-        Pixels per side of the image; width of the margin that counts as its border.
+        A piece ends this far before another candidate.
 
     Returns
     -------
-    (B, BRANCH_COLUMNS) float64
-        See the names of the columns above. The fitted line is given by a point and a unit direction away from the
-        candidate; its length and weight are 0 where there is too little to fit.
+    traced : (N,) int32
+        Pixels of all pieces, as positions in ``rows``: piece by piece, each from the inner circle outwards.
+    pieces : (P,) PIECE
+        In the order of their first pixels in the image.
     """
     n = rows.size
-    r0, c0 = candidate[0], candidate[1]
     distance = np.empty(n)
     for i in range(n):
-        dr, dc = rows[i] - r0, cols[i] - c0
+        dr, dc = rows[i] - candidate[0], cols[i] - candidate[1]
         distance[i] = np.sqrt(dr * dr + dc * dc)
+    starts = np.empty(n, np.int32)
+    n_starts = 0
+    for i in range(n):
+        if inner < distance[i] < outer:
+            for k in range(4):
+                q = neighbours[i, k]
+                if q >= 0 and distance[q] <= inner:
+                    starts[n_starts] = i
+                    n_starts += 1
+                    break
+
     seen = np.zeros(n, np.bool_)
-    stack = np.empty(n, np.int32)
-    tips = np.empty(64, np.int32)
-    branches = np.zeros((32, BRANCH_COLUMNS))
-    n_rings = max(1, int(fit_length / RING_PX))
-    rings = np.zeros((branches.shape[0], n_rings, 6))
-    sums = np.empty(6)
-    count = 0
-    for s in range(n):
-        if seen[s] or not (inner < distance[s] < outer) or count == branches.shape[0]:
+    traced = np.empty(n, np.int32)
+    pieces = np.zeros(n_starts, PIECE)
+    count, end = 0, 0
+    for s in starts[:n_starts]:
+        if seen[s]:
             continue
-        starts = False
-        for k in range(4):
-            q = neighbours[s, k]
-            if q >= 0 and distance[q] <= inner:
-                starts = True
-        if not starts:
-            continue
-        # Collect the piece.
-        top, end = 0, 1
-        stack[0] = s
+        here = end
+        piece = pieces[count]
+        count += 1
+        piece.begin = here
+        traced[end] = s
+        end += 1
         seen[s] = True
-        at_candidate = False
-        n_tips = 0
         first = s
-        sum_r, sum_c, reach = 0.0, 0.0, 0.0
-        while top < end:
-            p = stack[top]
-            top += 1
-            sum_r += rows[p]
-            sum_c += cols[p]
-            reach = max(reach, distance[p])
+        while here < end:
+            p = traced[here]
+            here += 1
+            piece.mean[0] += rows[p]
+            piece.mean[1] += cols[p]
+            piece.reach = max(piece.reach, distance[p])
             if distance[p] < distance[first]:
                 first = p
-            onward = 0
             for k in range(4):
                 q = neighbours[p, k]
-                if q < 0:
-                    continue
-                if seen[q] or not (inner < distance[q] < outer):
-                    onward += 1
+                if q < 0 or seen[q] or not (inner < distance[q] < outer):
                     continue
                 blocked = False
-                for o in range(others.shape[0]):
-                    dr, dc = rows[q] - others[o, 0], cols[q] - others[o, 1]
+                for b in range(blockers.shape[0]):
+                    dr, dc = rows[q] - blockers[b, 0], cols[q] - blockers[b, 1]
                     if dr * dr + dc * dc < stop * stop:
                         blocked = True
-                onward += 1
                 if blocked:
-                    at_candidate = True
+                    piece.at_candidate = True
                     continue
                 seen[q] = True
-                stack[end] = q
+                traced[end] = q
                 end += 1
-            near_border = min(rows[p], cols[p], size - 1 - rows[p], size - 1 - cols[p]) < border
-            if onward <= 1 and not near_border and n_tips < tips.size:
-                tips[n_tips] = p
-                n_tips += 1
-        row = branches[count]
-        row[START_ROW], row[START_COL] = rows[first], cols[first]
-        row[MEAN_ROW], row[MEAN_COL] = sum_r / end, sum_c / end
-        row[LENGTH], row[AT_CANDIDATE], row[REACH] = end, at_candidate, reach
-        # Moments of its trustworthy part, ring by ring from the inner circle outwards.
-        for j in range(end):
-            p = stack[j]
-            ring = int((distance[p] - inner) / RING_PX)
-            if ring >= n_rings:
-                continue
-            margin = min(rows[p], cols[p], size - 1 - rows[p], size - 1 - cols[p])
-            usable = margin >= trim
-            for t in range(n_tips):
-                dr, dc = rows[p] - rows[tips[t]], cols[p] - cols[tips[t]]
-                if dr * dr + dc * dc < trim * trim:
-                    usable = False
-            if not usable:
-                continue
-            dr, dc = rows[p] - r0, cols[p] - c0
-            rings[count, ring, 0] += 1.0
-            rings[count, ring, 1] += dr
-            rings[count, ring, 2] += dc
-            rings[count, ring, 3] += dr * dr
-            rings[count, ring, 4] += dr * dc
-            rings[count, ring, 5] += dc * dc
-        count += 1
-
-    # Lay a line through each branch, from where its neighbours do not bend it any more, as long as it is straight.
-    for i in range(count):
-        row = branches[i]
-        start = int(max(_wedge(branches, i, count, r0, c0, width) - inner, 0.0) / RING_PX)
-        sums[:] = 0.0
-        first_ring = -1
-        for ring in range(min(start, n_rings - 1), n_rings):
-            if rings[i, ring, 0] == 0.0:
-                continue
-            if first_ring < 0:
-                first_ring = ring
-            for k in range(6):
-                sums[k] += rings[i, ring, k]
-            m = sums[0]
-            if m < 2.0:
-                continue
-            ur, uc = sums[1] / m, sums[2] / m
-            vrr, vrc, vcc = sums[3] / m - ur * ur, sums[4] / m - ur * uc, sums[5] / m - uc * uc
-            angle = 0.5 * np.arctan2(2.0 * vrc, vrr - vcc)
-            d_row, d_col = np.cos(angle), np.sin(angle)
-            rms = np.sqrt(max(vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row, 0.0))
-            length = (ring + 1 - first_ring) * RING_PX
-            if rms > straight and length > least_fit:
-                break
-            if d_row * ur + d_col * uc < 0.0:
-                d_row, d_col = -d_row, -d_col
-            row[FIT_ROW], row[FIT_COL] = r0 + ur, c0 + uc
-            row[FIT_D_ROW], row[FIT_D_COL] = d_row, d_col
-            row[FIT_START], row[FIT_LENGTH], row[FIT_RMS] = inner + first_ring * RING_PX, length, rms
-
-    # A short branch may look straight by chance: it is not better known than the others around it.
-    common, total = 0.0, 0.0
-    for i in range(count):
-        scatter = max(branches[i, FIT_RMS] - GRID_PX, 0.0)
-        common += branches[i, FIT_LENGTH] * scatter * scatter
-        total += branches[i, FIT_LENGTH]
-    for i in range(count):
-        row = branches[i]
-        if row[FIT_LENGTH] > 0.0:
-            scatter = max(row[FIT_RMS] - GRID_PX, 0.0)
-            variance = 0.5 * (scatter * scatter + common / total) + PIXEL_PX * PIXEL_PX
-            variance *= _spread(row[FIT_START], row[FIT_LENGTH])
-            row[WEIGHT] = min(row[FIT_LENGTH], full_fit) / full_fit / variance
-    return branches[:count]
-
-
-@compiled
-def _spread(start: float, length: float) -> float:
-    """Return by how much the variance of a fitted line grows where it is prolonged back to the candidate."""
-    far = (start + 0.5 * length) / length
-    return 1.0 + 12.0 * far * far
-
-
-@compiled
-def _wedge(branches: FloatArray, which: int, count: int, r0: float, c0: float, width: float) -> float:
-    """Return how far from the candidate the surface of a branch parts from that of its nearest neighbour, pixels.
-
-    Two roads of width w at an angle t part at (w / 2) / sin(t / 2); the centerline is bent until there.
-    """
-    least = np.pi
-    r, c = branches[which, MEAN_ROW] - r0, branches[which, MEAN_COL] - c0
-    for i in range(count):
-        if i != which:
-            ri, ci = branches[i, MEAN_ROW] - r0, branches[i, MEAN_COL] - c0
-            least = min(least, abs(np.arctan2(r * ci - c * ri, r * ri + c * ci)))
-    distance: float = 0.5 * width / max(np.sin(0.5 * least), 0.25)
-    return distance
+        piece.end = end
+        piece.start[0], piece.start[1] = rows[first], cols[first]
+        piece.mean[0] /= end - piece.begin
+        piece.mean[1] /= end - piece.begin
+    return traced[:end], pieces[:count]

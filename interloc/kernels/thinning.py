@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from interloc.arrays import Int32Array, IntArray, UInt8Array, UInt64Array
-from interloc.kernels._compile import compiled
+from interloc.kernels import compiled
 from interloc.kernels.bits import lowest_bit, popcount
 
 

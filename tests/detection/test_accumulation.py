@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from interloc.arrays import BoolArray, Float32Array
 from interloc.config import BevConfig, KeyframeConfig
-from interloc.detection.accumulation import RoadAccumulator
-from interloc.detection.image import BinaryImage, Roi
+from interloc.detection.accumulation import BevImage, RoadAccumulator, TileGrid, roi_around
 from interloc.detection.keyframes import Keyframe
 
 Scans = list[tuple[Keyframe, Float32Array]]
@@ -54,13 +53,13 @@ def literal_bev(scans: Scans, k: int, before: int, after: int, bev: BevConfig, m
     return counts[::-1] >= min_points  # rows go down
 
 
-def run(accumulator: RoadAccumulator, scans: Scans) -> Iterator[tuple[Keyframe, BinaryImage, Roi]]:
+def run(accumulator: RoadAccumulator, scans: Scans) -> Iterator[tuple[Keyframe, BevImage]]:
     for keyframe, points in scans:
         completed = accumulator.add(keyframe, points)
         if completed is not None:
-            yield completed, *accumulator.bev(completed)
+            yield completed, accumulator.bev()
     while (completed := accumulator.finish()) is not None:
-        yield completed, *accumulator.bev(completed)
+        yield completed, accumulator.bev()
 
 
 @pytest.mark.parametrize("lookahead", [0, 3, None])
@@ -69,9 +68,9 @@ def test_every_image_is_that_of_the_concatenated_scans(lookahead: int | None, st
     scans = random_walk(8, 40, step_m)
     config = KeyframeConfig(window=6, lookahead=lookahead)
     done = list(run(RoadAccumulator(config, BEV), scans))
-    assert [keyframe.frame for keyframe, _, _ in done] == list(range(40))
-    for k, (_, image, _) in enumerate(done):
-        np.testing.assert_array_equal(image.to_array(), literal_bev(scans, k, 6, config.after, BEV, 3))
+    assert [keyframe.frame for keyframe, _ in done] == list(range(40))
+    for k, (_, bev_image) in enumerate(done):
+        np.testing.assert_array_equal(bev_image.image.to_array(), literal_bev(scans, k, 6, config.after, BEV, 3))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 5), st.none() | st.integers(0, 8), st.integers(1, 12))
@@ -81,9 +80,11 @@ def test_every_image_of_any_walk_is_that_of_the_concatenated_scans(
 ) -> None:
     scans = random_walk(seed, count, 5.0)
     config = KeyframeConfig(window=window, lookahead=lookahead)
-    for k, (_, image, _) in enumerate(run(RoadAccumulator(config, BEV), scans)):
+    for k, (_, bev_image) in enumerate(run(RoadAccumulator(config, BEV), scans)):
         if sum(len(points) for _, points in scans[max(0, k - window) : k + config.after + 1]):
-            np.testing.assert_array_equal(image.to_array(), literal_bev(scans, k, window, config.after, BEV, 3))
+            np.testing.assert_array_equal(
+                bev_image.image.to_array(), literal_bev(scans, k, window, config.after, BEV, 3)
+            )
 
 
 def test_keyframe_completes_when_its_last_successor_came() -> None:
@@ -107,7 +108,7 @@ def test_nothing_added_nothing_completes() -> None:
 def test_window_lies_around_the_keyframe_on_whole_cells() -> None:
     T = np.eye(4)
     T[:2, 3] = -7.3, 100.9
-    roi = RoadAccumulator(KeyframeConfig(), BEV).roi(Keyframe(0, T, None))
+    roi = roi_around(Keyframe(0, T, None), BEV)
     assert (roi.left, roi.top, roi.size) == (-15 - 40, 201 + 39, 80)
     lower_left = roi.world(np.array(79.0), np.array(0.0)) - 0.25
     assert lower_left.tolist() == [-27.5, 80.5]
@@ -116,9 +117,8 @@ def test_window_lies_around_the_keyframe_on_whole_cells() -> None:
 def test_scans_without_road_points_give_empty_images() -> None:
     accumulator = RoadAccumulator(KeyframeConfig(lookahead=0), BEV)
     empty = np.empty((0, 3), np.float32)
-    keyframe = accumulator.add(Keyframe(0, np.eye(4), None), empty)
-    assert keyframe is not None
-    assert not accumulator.bev(keyframe)[0].words.any()
+    accumulator.add(Keyframe(0, np.eye(4), None), empty)
+    assert not accumulator.bev().image.words.any()
 
 
 def straight(count: int, step_m: float) -> Scans:
@@ -131,20 +131,30 @@ def straight(count: int, step_m: float) -> Scans:
     return scans
 
 
-def test_memory_does_not_grow_with_the_drive_and_is_clean_in_the_end() -> None:
+def test_memory_does_not_grow_with_the_drive() -> None:
     accumulator = RoadAccumulator(KeyframeConfig(window=5), BEV)
-    sizes = [len(accumulator._grid.pool) for _ in run(accumulator, straight(400, 25.0))]  # 10 km
+    sizes = [accumulator.tiles for _ in run(accumulator, straight(400, 25.0))]  # 10 km
     assert max(sizes) == sizes[10]
-    assert len(accumulator._window) <= 11
-    while accumulator._window:
-        entry = accumulator._window.popleft()
-        for where, tiles, vote in entry.votes:
-            counted = np.bincount(where, minlength=accumulator._grid.pool.size)
-            accumulator._grid.pool.reshape(-1)[:] -= vote * counted
-            accumulator._grid.release(tiles)
-    assert not accumulator._grid.pool.any()
-    assert not accumulator._grid._slots
-    assert sorted(accumulator._grid._free) == list(range(len(accumulator._grid.pool)))
+
+
+def test_a_place_that_was_left_is_as_clean_as_one_never_seen() -> None:
+    away = np.eye(4)
+    away[0, 3] = 1000.0
+    back = straight(9, 1.0)
+    accumulator = RoadAccumulator(KeyframeConfig(window=2, lookahead=0), BEV)
+    for keyframe, points in [*back, *((Keyframe(i, away, None), points) for i, (_, points) in enumerate(back))]:
+        accumulator.add(keyframe, points)
+    accumulator.add(Keyframe(20, np.eye(4), None), np.empty((0, 3), np.float32))
+    assert not accumulator.bev().image.words.any()
+
+
+def test_a_tile_is_free_again_when_its_last_user_left() -> None:
+    tiles, places = TileGrid(), np.array([0, 1, 0, 0])
+    first, second = tiles.acquire(places), tiles.acquire(places)
+    tiles.release(first)
+    assert (tiles.table(places) >= 0).all()
+    tiles.release(second)
+    assert (tiles.table(places) == -1).all()
 
 
 @pytest.mark.parametrize(
@@ -156,20 +166,20 @@ def test_memory_does_not_grow_with_the_drive_and_is_clean_in_the_end() -> None:
         (25.0, 1),  # 1 of 9, and never less than one point
     ],
 )
-def test_sparse_keyframes_need_fewer_points_in_a_cell(step_m: float, expected: int) -> None:
+def test_sparse_keyframes_need_fewer_points_per_cell(step_m: float, expected: int) -> None:
     bev = BevConfig(size_m=40, resolution_m=0.5, min_points=5, adaptive=True, max_range_m=30)
     scans = straight(9, step_m)
     accumulator = RoadAccumulator(KeyframeConfig(window=4), bev)
-    for k, (_, image, _) in enumerate(run(accumulator, scans)):
+    for k, (_, bev_image) in enumerate(run(accumulator, scans)):
         if k == 4:
-            np.testing.assert_array_equal(image.to_array(), literal_bev(scans, k, 4, 4, bev, expected))
+            np.testing.assert_array_equal(bev_image.image.to_array(), literal_bev(scans, k, 4, 4, bev, expected))
 
 
-def test_start_of_a_drive_needs_fewer_points_in_a_cell() -> None:
+def test_start_of_a_drive_needs_fewer_points_per_cell() -> None:
     bev = BevConfig(size_m=40, resolution_m=0.5, min_points=5, adaptive=True, max_range_m=30)
     scans = straight(9, 1.0)
     first = next(run(RoadAccumulator(KeyframeConfig(window=4, lookahead=0), bev), scans))
-    np.testing.assert_array_equal(first[1].to_array(), literal_bev(scans, 0, 4, 0, bev, 1))
+    np.testing.assert_array_equal(first[1].image.to_array(), literal_bev(scans, 0, 4, 0, bev, 1))
 
 
 def test_points_of_other_ground_take_road_points_back() -> None:
@@ -178,11 +188,10 @@ def test_points_of_other_ground_take_road_points_back() -> None:
     here, there = [0.1, 0.1, -1.7], [3.1, 0.1, -1.7]
     road = np.array([here] * 3 + [there] * 3, np.float32)
     other = np.array([there] * 2 + [[9.1, 9.1, -1.7]], np.float32)
-    keyframe = accumulator.add(Keyframe(0, np.eye(4), None), road, other)
-    assert keyframe is not None
-    image, roi = accumulator.bev(keyframe)
-    rows, cols = image.pixels()
-    np.testing.assert_allclose(roi.world(rows, cols), [[0.1, 0.1]])
+    accumulator.add(Keyframe(0, np.eye(4), None), road, other)
+    bev_image = accumulator.bev()
+    rows, cols = bev_image.image.pixels()
+    np.testing.assert_allclose(bev_image.roi.world(rows, cols), [[0.1, 0.1]])
 
 
 def test_votes_against_road_leave_with_their_keyframe() -> None:
@@ -190,6 +199,5 @@ def test_votes_against_road_leave_with_their_keyframe() -> None:
     accumulator = RoadAccumulator(KeyframeConfig(window=0, lookahead=0), bev)
     point = np.array([[0.1, 0.1, -1.7]], np.float32)
     accumulator.add(Keyframe(0, np.eye(4), None), point, np.repeat(point, 5, axis=0))
-    keyframe = accumulator.add(Keyframe(1, np.eye(4), None), point)
-    assert keyframe is not None
-    assert accumulator.bev(keyframe)[0].pixels()[0].size == 1
+    accumulator.add(Keyframe(1, np.eye(4), None), point)
+    assert accumulator.bev().image.pixels()[0].size == 1

@@ -32,13 +32,14 @@ def arms(*angles_deg: float, length: int = 140) -> Centerline:
 
 
 def candidates(*positions: tuple[float, float], width: float = 20.0) -> Candidates:
-    return Candidates(np.array(positions), np.full(len(positions), width), [np.empty((0, 2))] * len(positions))
+    merged = [np.empty((0, 2))] * len(positions)
+    return Candidates(np.array(positions), np.full(len(positions), width), merged, are_junctions=False)
 
 
 def branches_at_the_middle(line: Centerline, config: BranchConfig, *others: tuple[float, float]) -> Branches:
     """Follow the branches of a candidate in the middle; they end before the others."""
     every = np.arange(1 + len(others))
-    return segment_branches(candidates(MIDDLE, *others), 0, every, line, 1.0, config)
+    return segment_branches(candidates(MIDDLE, *others), 0, every, line, 1.0, config)[0]
 
 
 def angles_deg(branches: Branches) -> list[float]:
@@ -116,18 +117,34 @@ def test_arm_that_ends_at_another_candidate_is_a_branch_however_short() -> None:
 
 
 def test_branch_runs_on_past_a_candidate_that_ends_none() -> None:
-    found = segment_branches(candidates(MIDDLE, (150.0, 163.0)), 0, np.array([0]), arms(0, 120, 240), 1.0, PAPER)
+    two = candidates(MIDDLE, (150.0, 163.0))
+    found, _ = segment_branches(two, 0, np.array([0]), arms(0, 120, 240), 1.0, PAPER)
     assert found.lengths.min() >= 20
 
 
-@pytest.mark.parametrize(("end_at_rejected", "enders"), [(True, [0, 1]), (False, [0])])
-def test_candidate_that_is_no_intersection_ends_branches_if_told_so(end_at_rejected: bool, enders: list[int]) -> None:
+@pytest.mark.parametrize(("end_at_rejected", "blockers"), [(True, [0, 1]), (False, [0])])
+def test_candidate_that_is_no_intersection_ends_branches_if_asked_to(
+    end_at_rejected: bool, blockers: list[int]
+) -> None:
     both = candidates(MIDDLE, (150.0, 175.0))
     config = BranchConfig(end_at_rejected=end_at_rejected)
-    kept, found = segment_all(both, arms(0, 120, 240), 1.0, config)
-    assert found.tolist() == enders
-    assert [branches.which for branches in kept] == [0]
-    assert (kept[0].lengths.min() > 20) == (not end_at_rejected)
+    found = segment_all(both, arms(0, 120, 240), 1.0, config)
+    assert found.blockers.tolist() == blockers
+    assert found.kept == [0]
+    assert (found.branches[0].lengths.min() > 20) == (not end_at_rejected)
+
+
+def test_every_candidate_keeps_the_pieces_that_it_was_judged_by() -> None:
+    line = arms(0, 120, 240)
+    found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, 1.0, BranchConfig(end_at_rejected=False))
+    for branches, pieces in zip(found.branches, found.pieces, strict=True):
+        taken = [piece for piece in pieces if piece.is_branch]
+        assert [len(piece.pixels) for piece in taken] == branches.lengths.tolist()
+        assert [piece.reach for piece in taken] == branches.reaches.tolist()
+        place = np.column_stack([line.rows, line.cols]) - branches.candidate
+        for piece in pieces:
+            assert np.hypot(*place[piece.pixels].T).max() == piece.reach
+            assert np.hypot(*place[piece.pixels].T).min() > branches.inner
 
 
 def test_two_arms_that_leave_the_circle_as_one_are_one() -> None:
@@ -176,10 +193,11 @@ def test_no_line_no_branches() -> None:
 
 def test_some_branches_can_be_taken_around_another_point() -> None:
     found = branches_at_the_middle(arms(0, 90, 180, 270), PAPER)
-    part = found.only([0, 2], np.array([140.0, 150.0]))
+    part = found.select([0, 2], np.array([140.0, 150.0]))
     assert part.count == 2
     assert part.candidate.tolist() == [140, 150]
     np.testing.assert_array_equal(part.directions, found.directions[[0, 2]])
     np.testing.assert_array_equal(part.points, found.points[[0, 2]])
     np.testing.assert_array_equal(part.weights, found.weights[[0, 2]])
     np.testing.assert_array_equal(part.lengths, found.lengths[[0, 2]])
+    np.testing.assert_array_equal(part.reaches, found.reaches[[0, 2]])

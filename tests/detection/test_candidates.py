@@ -180,6 +180,6 @@ def test_no_line_no_candidates(config: HarrisCandidates | CrossingCandidates) ->
 
 def test_candidates_inside_keep_the_margin_to_every_border() -> None:
     positions = np.array([[10, 50], [9.9, 50], [50, 89], [50, 89.1], [50, 10], [89.1, 10], [50, 50]])
-    found = Candidates(positions, np.ones(7), [np.empty((0, 2))] * 7)
+    found = Candidates(positions, np.ones(7), [np.empty((0, 2))] * 7, are_junctions=True)
     assert found.inside(100, 10).tolist() == [0, 2, 4, 6]
     assert found.inside(100, 0).tolist() == list(range(7))

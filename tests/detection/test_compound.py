@@ -23,13 +23,14 @@ def blob(*branches: Branch, core: list[tuple[float, float]], inner: float = 15.0
     directions = np.column_stack([-np.sin(angles), np.cos(angles)])
     count = len(branches)
     return Branches(
-        which=0,
+        index=0,
         candidate=np.zeros(2),
         inner=inner,
         directions=directions,
         points=points,
         weights=np.ones(count),
         lengths=np.full(count, 30.0),
+        reaches=np.full(count, 40.0),
         core=np.array(core).reshape(-1, 2),
     )
 

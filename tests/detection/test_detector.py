@@ -304,11 +304,18 @@ def test_every_step_is_timed(drive: list[Scan]) -> None:
     assert all(seconds >= 0 for seconds in detector.stopwatch.seconds.values())
 
 
+def test_windows_stay_what_they_are_while_the_drive_goes_on(drive: list[Scan]) -> None:
+    config = quick(3)
+    online = Detector(config)
+    pushed = [key(f) for scan in drive if (f := online.push(scan)) is not None] + [key(f) for f in online.finish()]
+    windows = list(Detector(config).completed(drive))
+    assert [key(window.detect()) for window in reversed(windows)] == pushed[::-1]
+
+
 def test_steps_hold_the_images_between(draw_roads: Draw) -> None:
     detector = Detector(causal(DEFAULT))
-    keyframe = detector.advance(Scan(0, np.eye(4), draw_roads(*x_shape(90), width_m=8)))
-    assert keyframe is not None
-    steps = detector.steps(keyframe)
+    (window,) = detector.completed([Scan(0, np.eye(4), draw_roads(*x_shape(90), width_m=8))])
+    steps = window.steps()
     bev, occupancy, line = (image.to_array() for image in (steps.bev, steps.occupancy, steps.centerline.image))
     assert bev.shape == occupancy.shape == line.shape == (750, 750)
     assert not np.any((line == 1) & (occupancy == 0))

@@ -28,13 +28,14 @@ def branches(
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
     weight = np.ones(len(points)) if weights is None else np.array(weights)
     return Branches(
-        which=0,
+        index=0,
         candidate=np.array(candidate),
         inner=inner,
         directions=directions.reshape(-1, 2),
         points=np.array(points).reshape(-1, 2),
         weights=weight,
         lengths=np.full(len(points), 50.0),
+        reaches=np.full(len(points), 60.0),
         core=np.empty((0, 2)),
     )
 

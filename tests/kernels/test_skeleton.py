@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interloc.arrays import FloatArray, Int32Array, UInt8Array
+from interloc.arrays import Int32Array, StructuredArray, UInt8Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton as sk
 from interloc.kernels.thinning import DELETABLE, thin
@@ -312,26 +312,20 @@ def test_reach_is_that_of_the_plain_twin(seed: int, count: int) -> None:
     assert {pixel for pixel, is_near in zip(pixels, near, strict=True) if is_near} == expected
 
 
-# --- branches --------------------------------------------------------------------------------------------------------
+# --- pieces around a candidate ---------------------------------------------------------------------------------------
 
 
-def branches(
-    image: BinaryImage,
-    *candidates: Pixel,
-    width: float = 0.0,
-    inner: float = 10.0,
-    outer: float = 60.0,
-    fit: float = 99.0,
-    least_fit: float = 99.0,
-    full_fit: float = 20.0,
-    straight: float = 1.0,
-    trim: float = 0.0,
-) -> FloatArray:
-    """Follow the branches of the first candidate; they end 5 pixels before another one, the border is 8 wide."""
-    rows, cols, neighbours = graph(image)
+def trace(
+    image: BinaryImage, *candidates: Pixel, inner: float = 10.0, outer: float = 60.0
+) -> tuple[Int32Array, StructuredArray]:
+    """Trace the pieces around the first candidate; they end 5 pixels before another one."""
     first, others = np.array(candidates[0], np.float64), np.array(candidates[1:], np.float64).reshape(-1, 2)
-    fits = fit, least_fit, full_fit, straight, trim
-    return sk.follow_branches(rows, cols, neighbours, first, others, width, inner, outer, 5.0, *fits, image.height, 8)
+    return sk.trace_branches(*graph(image), first, others, inner, outer, 5.0)
+
+
+def lengths(table: StructuredArray) -> list[int]:
+    found: list[int] = (table["end"] - table["begin"]).tolist()
+    return found
 
 
 def cross(size: int = 201) -> UInt8Array:
@@ -341,163 +335,66 @@ def cross(size: int = 201) -> UInt8Array:
     return image
 
 
-def test_crossing_lines_have_four_branches_from_circle_to_circle() -> None:
-    table = branches(BinaryImage.from_array(cross()), (100, 100))
-    starts = table[:, [sk.START_ROW, sk.START_COL]]
-    means = table[:, [sk.MEAN_ROW, sk.MEAN_COL]]
-    # The rings are open: pixels 11 to 59 away, their mean 35 away.
-    assert starts.tolist() == [[89, 100], [100, 89], [100, 111], [111, 100]]
-    assert means.tolist() == [[65, 100], [100, 65], [100, 135], [135, 100]]
-    assert table[:, sk.LENGTH].tolist() == [49] * 4
-    assert table[:, sk.REACH].tolist() == [59] * 4
-    assert not table[:, sk.AT_CANDIDATE].any()
+def test_crossing_lines_have_four_pieces_from_circle_to_circle() -> None:
+    _, table = trace(BinaryImage.from_array(cross()), (100, 100))
+    # The ring is open: pixels 11 to 59 away, their mean 35 away.
+    assert table["start"].tolist() == [[89, 100], [100, 89], [100, 111], [111, 100]]
+    assert table["mean"].tolist() == [[65, 100], [100, 65], [100, 135], [135, 100]]
+    assert lengths(table) == [49] * 4
+    assert table["reach"].tolist() == [59] * 4
+    assert not table["at_candidate"].any()
 
 
-def test_branches_point_away_and_are_straight() -> None:
-    table = branches(BinaryImage.from_array(cross()), (100, 100))
-    directions = table[:, [sk.FIT_D_ROW, sk.FIT_D_COL]]
-    np.testing.assert_allclose(directions, [[-1, 0], [0, -1], [0, 1], [1, 0]], atol=1e-12)
-    np.testing.assert_allclose(table[:, sk.FIT_RMS], 0, atol=1e-6)
-    np.testing.assert_allclose(table[:, sk.FIT_LENGTH], 49, atol=sk.RING_PX)
+def test_piece_ends_before_another_candidate() -> None:
+    _, table = trace(BinaryImage.from_array(cross()), (100, 100), (100, 140))
+    assert table["at_candidate"].tolist() == [0, 0, 1, 0]
+    assert table["reach"][2] == 35  # the pixel 5 before the other one is the first that does not belong to it any more
+    assert lengths(table)[2] == 25
 
 
-def test_branch_ends_before_another_candidate() -> None:
-    table = branches(BinaryImage.from_array(cross()), (100, 100), (100, 140))
-    assert table[:, sk.AT_CANDIDATE].tolist() == [0, 0, 1, 0]
-    assert table[2, sk.REACH] == 35  # the pixel 5 before the other one is the first that does not belong to it any more
-    assert table[2, sk.LENGTH] == 25
-
-
-def test_line_that_does_not_come_from_the_inner_circle_is_no_branch() -> None:
+def test_line_that_does_not_come_from_the_inner_circle_is_no_piece() -> None:
     image = cross()
     image[130, 110:150] = 1  # beside
     image[100, 105:115] = 0  # cut off
-    table = branches(BinaryImage.from_array(image), (100, 100))
-    assert len(table) == 3
+    assert len(trace(BinaryImage.from_array(image), (100, 100))[1]) == 3
 
 
-def test_line_that_forks_outside_of_the_inner_circle_is_one_branch() -> None:
+def test_line_that_forks_outside_of_the_inner_circle_is_one_piece() -> None:
     image = cross()
     image[np.arange(71, 100), 100 + np.arange(49, 20, -1)] = 1  # leaves the right arm at column 120
-    table = branches(BinaryImage.from_array(image), (100, 100))
+    _, table = trace(BinaryImage.from_array(image), (100, 100))
     assert len(table) == 4
-    assert table[2, sk.LENGTH] > 49 + 20
+    assert lengths(table)[2] > 49 + 20
 
 
-def test_line_is_fitted_to_the_trusted_part_only() -> None:
-    image = np.zeros((201, 201), np.uint8)
-    image[100, 100:151] = 1
-    image[np.arange(93, 100), np.arange(157, 150, -1)] = 1  # the tip bends away, 45 degrees, and ends 57 pixels off
-    packed = BinaryImage.from_array(image)
-    bent = branches(packed, (100, 100), trim=0.0)
-    assert abs(bent[0, sk.FIT_D_ROW]) > 0.02
-    trimmed = branches(packed, (100, 100), trim=12.0)
-    assert abs(trimmed[0, sk.FIT_D_ROW]) < 1e-9
-    short = branches(packed, (100, 100), fit=30.0)
-    assert abs(short[0, sk.FIT_D_ROW]) < 1e-9
-    assert short[0, sk.FIT_LENGTH] == pytest.approx(30, abs=sk.RING_PX)
-
-
-def test_line_is_fitted_as_far_as_the_branch_is_straight() -> None:
-    image = np.zeros((201, 201), np.uint8)
-    image[100, 100:130] = 1
-    image[np.arange(80, 100), np.arange(149, 129, -1)] = 1  # turns off by 45 degrees 30 pixels from the candidate
-    packed = BinaryImage.from_array(image)
-    (whole,) = branches(packed, (100, 100))
-    (straight,) = branches(packed, (100, 100), least_fit=8.0, straight=0.3)
-    assert abs(whole[sk.FIT_D_ROW]) > 0.3
-    assert abs(straight[sk.FIT_D_ROW]) < 0.05
-    assert straight[sk.FIT_RMS] <= 0.3
-    assert straight[sk.FIT_LENGTH] == pytest.approx(20, abs=2 * sk.RING_PX)
-    assert whole[sk.LENGTH] == straight[sk.LENGTH]
-
-
-def test_line_is_fitted_to_the_least_length_however_bent() -> None:
-    image = np.zeros((201, 201), np.uint8)
-    angles = np.linspace(0, 1.5, 500)  # an arc of 40 pixels' radius
-    image[np.round(60 + 40 * np.cos(angles)).astype(int), np.round(100 + 40 * np.sin(angles)).astype(int)] = 1
-    packed = BinaryImage.from_array(image)
-    thin(packed.words, DELETABLE)
-    (row,) = branches(packed, (100, 100), least_fit=24.0, straight=0.1)
-    assert row[sk.FIT_RMS] > 0.1
-    assert row[sk.FIT_LENGTH] == pytest.approx(24, abs=sk.RING_PX)
-
-
-def test_line_begins_where_the_road_parts_from_its_neighbours() -> None:
-    image = np.zeros((201, 201), np.uint8)
-    image[100, 100:180] = 1
-    image[20:101, 100] = 1
-    image[100, 100:130] = 0
-    image[np.round(100 - 4 * np.linspace(1, 0, 60)).astype(int), np.linspace(100, 130, 60).astype(int)] = 1  # bent
-    packed = BinaryImage.from_array(image)
-    early = branches(packed, (100, 100), inner=5.0)
-    late = branches(packed, (100, 100), inner=5.0, width=43.0)  # two such roads part at 30 pixels: 43 / 2 / sin 45
-    assert abs(early[-1, sk.FIT_D_ROW]) > 0.02
-    assert abs(late[-1, sk.FIT_D_ROW]) < 0.01
-    assert late[-1, sk.FIT_LENGTH] == pytest.approx(30, abs=2 * sk.RING_PX)
-    np.testing.assert_array_equal(early[:, sk.LENGTH], late[:, sk.LENGTH])
-
-
-def test_longer_line_weighs_more() -> None:
-    image = BinaryImage.from_array(cross())
-    weights = [branches(image, (100, 100), fit=fit)[0, sk.WEIGHT] for fit in (12.0, 24.0, 48.0)]
-    assert 0 < weights[0] < weights[1] < weights[2]
-
-
-def test_bent_line_weighs_less_than_a_straight_one() -> None:
-    image = cross()
-    image[100, 131:] = 0
-    image[np.arange(101, 131), np.arange(131, 161)] = 1
-    table = branches(BinaryImage.from_array(image), (100, 100))
-    assert table[2, sk.FIT_RMS] > 1
-    assert 0 < table[2, sk.WEIGHT] < table[0, sk.WEIGHT]
-
-
-def test_branch_with_nothing_to_trust_has_no_line() -> None:
-    image = np.zeros((201, 201), np.uint8)
-    image[100, 100:116] = 1
-    table = branches(BinaryImage.from_array(image), (100, 100), trim=20.0)
-    assert table[0, sk.LENGTH] == 5
-    assert table[0, sk.FIT_LENGTH] == table[0, sk.WEIGHT] == 0
-
-
-@pytest.mark.parametrize("angle_deg", [0, 10, 45, 77, 90, 135, 200, 290])
-def test_fitted_line_is_that_of_total_least_squares(angle_deg: float) -> None:
-    along = np.array([-math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))])  # row, column
-    image = np.zeros((201, 201), np.uint8)
-    end = np.round(100 + 80 * along).astype(int)
-    cv2.line(image, (100, 100), (int(end[1]), int(end[0])), 1)
-    packed = BinaryImage.from_array(image)
-    (row,) = branches(packed, (100, 100))
-    points = np.column_stack(packed.pixels()).astype(np.float64)
-    distance = np.hypot(*(points - 100).T)
-    points = points[(distance > 10) & (distance < 60)]
-    centred = points - points.mean(axis=0)
-    direction = np.linalg.svd(centred)[2][0]
-    direction *= np.sign(direction @ along)
-    np.testing.assert_allclose(row[[sk.FIT_ROW, sk.FIT_COL]], points.mean(axis=0))
-    np.testing.assert_allclose(row[[sk.FIT_D_ROW, sk.FIT_D_COL]], direction, atol=1e-9)
-    across = centred @ np.array([-direction[1], direction[0]])
-    np.testing.assert_allclose(row[sk.FIT_RMS], np.sqrt(np.mean(across**2)), atol=1e-6)
-    assert direction @ along > 0.999
+def test_a_star_of_forty_rays_has_forty_pieces() -> None:
+    image = np.zeros((801, 801), np.uint8)
+    for angle in np.arange(40) * np.pi / 20:
+        for r in np.arange(100, 390, 0.5):
+            image[round(400 + r * math.sin(angle)), round(400 + r * math.cos(angle))] = 1
+    _, table = trace(BinaryImage.from_array(image), (400, 400), inner=150.0, outer=380.0)
+    assert len(table) == 40
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5))
 @settings(deadline=None, max_examples=20)
-def test_branches_are_those_of_the_plain_twin(seed: int, count: int) -> None:
+def test_pieces_around_a_candidate_are_those_of_the_plain_twin(seed: int, count: int) -> None:
     line, _ = thinned_blobs(seed)
     pixels = list(zip(*(axis.tolist() for axis in line.pixels()), strict=True))
     picks = np.random.default_rng(seed).choice(len(pixels), count, replace=False)
     candidates = [pixels[i] for i in picks]
-    table = branches(line, *candidates, inner=8.0, outer=30.0)
-    expected = plain_branches(plain_joined(line.to_array()), candidates, 8.0, 30.0, 5.0)
-    assert len(table) == len(expected)
-    measured = sorted((row[sk.LENGTH], row[sk.MEAN_ROW], row[sk.MEAN_COL], row[sk.AT_CANDIDATE]) for row in table)
-    literal = sorted((len(piece), *np.mean(sorted(piece), axis=0), blocked) for piece, blocked in expected)
-    np.testing.assert_allclose(measured, literal)
+    traced, table = trace(line, *candidates, inner=8.0, outer=30.0)
+    expected = plain_pieces(plain_joined(line.to_array()), candidates, 8.0, 30.0, 5.0)
+    for row, (piece, blocked) in zip(table, expected, strict=True):
+        assert {pixels[i] for i in traced[row["begin"] : row["end"]]} == piece
+        away = {pixel: math.dist(pixel, candidates[0]) for pixel in piece}
+        assert away[int(row["start"][0]), int(row["start"][1])] == min(away.values())
+        assert row["reach"] == pytest.approx(max(away.values()))
+        assert row["mean"] == pytest.approx(np.mean(sorted(piece), axis=0))
+        assert row["at_candidate"] == blocked
 
 
-def plain_branches(
+def plain_pieces(
     graph_of: dict[Pixel, set[Pixel]], candidates: list[Pixel], inner: float, outer: float, stop: float
 ) -> list[tuple[set[Pixel], bool]]:
     """Return the pieces of the annulus around the first candidate that touch its inner disc."""

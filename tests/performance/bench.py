@@ -118,11 +118,9 @@ def kernels(root: Path) -> dict[str, float]:
 
 def steps_at(drive: Drive) -> Steps:
     """Run the preset paper up to the middle of a drive and return the images there."""
-    detector = Detector(PAPER)
-    for scan in scans_of(drive):
-        keyframe = detector.advance(scan)
-        if keyframe is not None and keyframe.frame >= drive.frames[len(drive.frames) // 2]:
-            return detector.steps(keyframe)
+    for window in Detector(PAPER).completed(scans_of(drive)):
+        if window.keyframe.frame >= drive.frames[len(drive.frames) // 2]:
+            return window.steps()
     raise SystemExit("the drive is too short: give one of 100 keyframes or more")
 
 

@@ -1,0 +1,144 @@
+"""Lines through branches: small drawings checked by eye."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from interloc.arrays import StructuredArray, UInt8Array
+from interloc.detection.centerline import Centerline
+from interloc.detection.image import BinaryImage
+from interloc.detection.lines import LIMITS, RING_PX, fit_lines
+from interloc.kernels.skeleton import trace_branches
+from interloc.kernels.thinning import DELETABLE, thin
+
+
+def fit(
+    image: BinaryImage,
+    candidate: tuple[int, int],
+    *,
+    width: float = 0.0,
+    inner: float = 10.0,
+    length: float = 99.0,
+    shortest: float = 99.0,
+    straight: float = 1.0,
+    trim: float = 0.0,
+) -> StructuredArray:
+    """Fit a line to each branch of a candidate, from its inner circle 60 pixels far; all lengths are pixels."""
+    line, place = Centerline.of(image, image), np.array(candidate, np.float64)
+    traced, pieces = trace_branches(line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0)
+    limits = np.array((width, inner, length, shortest, 20.0, straight, trim), LIMITS)[()]
+    return fit_lines(line.rows, line.cols, line.border_distance, line.is_tip, traced, pieces, place, limits)
+
+
+def cross(size: int = 201) -> UInt8Array:
+    image = np.zeros((size, size), np.uint8)
+    image[size // 2, :] = 1
+    image[:, size // 2] = 1
+    return image
+
+
+def test_branches_point_away_and_are_straight() -> None:
+    table = fit(BinaryImage.from_array(cross()), (100, 100))
+    directions = table["direction"]
+    np.testing.assert_allclose(directions, [[-1, 0], [0, -1], [0, 1], [1, 0]], atol=1e-12)
+    np.testing.assert_allclose(table["rms"], 0, atol=1e-6)
+    np.testing.assert_allclose(table["length"], 49, atol=RING_PX)
+
+
+def test_line_is_fitted_to_the_trusted_part_only() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    image[100, 100:151] = 1
+    image[np.arange(93, 100), np.arange(157, 150, -1)] = 1  # the tip bends away, 45 degrees, and ends 57 pixels off
+    packed = BinaryImage.from_array(image)
+    bent = fit(packed, (100, 100), trim=0.0)
+    assert abs(bent[0]["direction"][0]) > 0.02
+    trimmed = fit(packed, (100, 100), trim=12.0)
+    assert abs(trimmed[0]["direction"][0]) < 1e-9
+    short = fit(packed, (100, 100), length=30.0)
+    assert abs(short[0]["direction"][0]) < 1e-9
+    assert short[0]["length"] == pytest.approx(30, abs=RING_PX)
+
+
+def test_line_is_fitted_as_far_as_the_branch_is_straight() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    image[100, 100:130] = 1
+    image[np.arange(80, 100), np.arange(149, 129, -1)] = 1  # turns off by 45 degrees 30 pixels from the candidate
+    packed = BinaryImage.from_array(image)
+    (whole,) = fit(packed, (100, 100))
+    (straight,) = fit(packed, (100, 100), shortest=8.0, straight=0.3)
+    assert abs(whole["direction"][0]) > 0.3
+    assert abs(straight["direction"][0]) < 0.05
+    assert straight["rms"] <= 0.3
+    assert straight["length"] == pytest.approx(20, abs=2 * RING_PX)
+
+
+def test_line_is_fitted_to_the_least_length_however_bent() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    angles = np.linspace(0, 1.5, 500)  # an arc of 40 pixels' radius
+    image[np.round(60 + 40 * np.cos(angles)).astype(int), np.round(100 + 40 * np.sin(angles)).astype(int)] = 1
+    packed = BinaryImage.from_array(image)
+    thin(packed.words, DELETABLE)
+    (row,) = fit(packed, (100, 100), shortest=24.0, straight=0.1)
+    assert row["rms"] > 0.1
+    assert row["length"] == pytest.approx(24, abs=RING_PX)
+
+
+def test_line_begins_where_the_road_parts_from_its_neighbours() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    image[100, 100:180] = 1
+    image[20:101, 100] = 1
+    image[100, 100:130] = 0
+    image[np.round(100 - 4 * np.linspace(1, 0, 60)).astype(int), np.linspace(100, 130, 60).astype(int)] = 1  # bent
+    packed = BinaryImage.from_array(image)
+    early = fit(packed, (100, 100), inner=5.0)
+    late = fit(packed, (100, 100), inner=5.0, width=43.0)  # two such roads part at 30 pixels: 43 / 2 / sin 45
+    assert abs(early[-1]["direction"][0]) > 0.02
+    assert abs(late[-1]["direction"][0]) < 0.01
+    assert late[-1]["length"] == pytest.approx(30, abs=2 * RING_PX)
+
+
+def test_longer_line_weighs_more() -> None:
+    image = BinaryImage.from_array(cross())
+    weights = [fit(image, (100, 100), length=length)[0]["weight"] for length in (12.0, 24.0, 48.0)]
+    assert 0 < weights[0] < weights[1] < weights[2]
+
+
+def test_bent_line_weighs_less_than_a_straight_one() -> None:
+    image = cross()
+    image[100, 131:] = 0
+    image[np.arange(101, 131), np.arange(131, 161)] = 1
+    table = fit(BinaryImage.from_array(image), (100, 100))
+    assert table[2]["rms"] > 1
+    assert 0 < table[2]["weight"] < table[0]["weight"]
+
+
+def test_branch_with_nothing_to_trust_has_no_line() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    image[100, 100:116] = 1
+    table = fit(BinaryImage.from_array(image), (100, 100), trim=20.0)
+    assert table[0]["length"] == table[0]["weight"] == 0
+
+
+@pytest.mark.parametrize("angle_deg", [0, 10, 45, 77, 90, 135, 200, 290])
+def test_fitted_line_is_that_of_total_least_squares(angle_deg: float) -> None:
+    along = np.array([-math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))])  # row, column
+    image = np.zeros((201, 201), np.uint8)
+    end = np.round(100 + 80 * along).astype(int)
+    cv2.line(image, (100, 100), (int(end[1]), int(end[0])), 1)
+    packed = BinaryImage.from_array(image)
+    (row,) = fit(packed, (100, 100))
+    points = np.column_stack(packed.pixels()).astype(np.float64)
+    distance = np.hypot(*(points - 100).T)
+    points = points[(distance > 10) & (distance < 60)]
+    centred = points - points.mean(axis=0)
+    direction = np.linalg.svd(centred)[2][0]
+    direction *= np.sign(direction @ along)
+    np.testing.assert_allclose(row["point"], points.mean(axis=0))
+    np.testing.assert_allclose(row["direction"], direction, atol=1e-9)
+    across = centred @ np.array([-direction[1], direction[0]])
+    np.testing.assert_allclose(row["rms"], np.sqrt(np.mean(across**2)), atol=1e-6)
+    assert direction @ along > 0.999
