@@ -11,11 +11,12 @@ from app.context import Context
 from app.drives.records import files_key, find_drive
 from app.http.problems import FileProblem
 from app.jobs.runner import Runner
-from app.schemas.drives import DriveOptionsModel, JudgedLabels, PlanRequest, ReductionPlanModel
+from app.schemas.drives import JudgedLabels, PlanRequest, ReductionPlanModel
+from app.work.commit import reading_options
 from app.work.on_demand import plan_and_judge
 from interloc.drives.findings import Finding
+from interloc.drives.labels import LabelJudgement
 from interloc.drives.options import LabelFolder
-from interloc.drives.scans.labels import LabelJudgement
 from interloc.reduction.plan import ReductionPlan
 
 
@@ -27,32 +28,30 @@ async def plan_upload(context: Context, runner: Runner, drive_id: str, request: 
     Problem
         404: no such drive.
     """
-    name, root, options = await run_in_threadpool(_look_up, context, drive_id, request)
-    made, judged = await runner.run_in_worker(plan_and_judge, root, request.numbers(), options, request.label_counts)
+    name, root, given = await run_in_threadpool(_look_up, context, drive_id, request)
+    made, judged = await runner.run_in_worker(
+        plan_and_judge,
+        root,
+        request.numbers(),
+        reading_options(given, root, name),
+        {
+            "label_folders": request.label_folders,
+            "keyframes": request.keyframes,
+            "scan_folder": request.scan_folder,
+        },
+        request.label_counts,
+    )
     return _shown(made, judged, str(root), name)
 
 
 def _look_up(context: Context, drive_id: str, request: PlanRequest) -> tuple[str, Path, dict[str, Any]]:
-    """Return the name and the folder of a drive, and how its plan is to be made."""
+    """Return the name and the folder of a drive, and the options by which it is to be read."""
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
-    options = request.options or DriveOptionsModel.model_validate(drive.options)
     root = context.storage.folder(files_key(drive_id))
     root.mkdir(parents=True, exist_ok=True)
-    return (
-        drive.name,
-        root,
-        {
-            "label_folders": request.label_folders,
-            "label_scheme": options.label_scheme,
-            "pose_frame": options.pose_frame,
-            "layout": options.layout,
-            "oxts": None if options.oxts is None else root / options.oxts,
-            "name": drive.name.replace("/", "_"),
-            "keyframes": request.keyframes,
-            "scan_folder": request.scan_folder,
-        },
-    )
+    options = drive.options if request.options is None else request.options.model_dump(mode="json")
+    return drive.name, root, options
 
 
 def _shown(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
@@ -13,10 +14,8 @@ from app.states import DriveState
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.layouts import ScanFolder
-from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
-from interloc.drives.scans.labels import named_scheme
+from interloc.drives.options import LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced_format import MAX_SCANS
-from interloc.errors import ConfigError
 
 Name = Annotated[
     str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
@@ -27,40 +26,20 @@ LabelCounts = Annotated[
 """Label id -> number of points that carry it."""
 
 
-class DriveOptionsModel(BaseModel):
+class DriveOptionsModel(ReadingOptions):
     """How the files are read; the same choices as on the command line."""
 
-    model_config = ConfigDict(extra="forbid")
-
-    label_scheme: str = Field(
-        "auto",
-        max_length=200,
-        description="auto, semantickitti, learning, kitti360, or the ids of road, as 40,60.",
-        examples=["auto"],
-    )
-    pose_frame: PoseFrame = Field("auto", description="Sensor whose poses the pose file holds.")
-    layout: LayoutChoice = Field("auto", description="Layout of the folder.")
-    oxts: str | None = Field(
+    oxts: Path | None = Field(
         None,
-        max_length=512,
         description="Georeference among the files: a file of OXTS rows, a geo.csv, the folder of a KITTI raw drive.",
         examples=["07.txt.gz"],
     )
 
-    @field_validator("label_scheme")
+    @field_validator("oxts", mode="before")
     @classmethod
-    def _check_scheme(cls, scheme: str) -> str:
+    def _check_oxts(cls, oxts: object) -> object:
         try:
-            named_scheme(scheme)
-        except ConfigError as error:
-            raise ValueError(str(error)) from error
-        return scheme
-
-    @field_validator("oxts")
-    @classmethod
-    def _check_oxts(cls, oxts: str | None) -> str | None:
-        try:
-            return None if oxts is None else check_path(oxts.removesuffix("/"))
+            return check_path(oxts.removesuffix("/")) if isinstance(oxts, str) else oxts
         except BadNameError as error:
             raise ValueError(str(error)) from error
 

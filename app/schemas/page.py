@@ -8,9 +8,9 @@ from pydantic import BaseModel, Field
 
 from app.paths import ARCHIVE_ENDINGS, MAP_ENDINGS
 from app.settings import Settings
+from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import SCAN_FOLDERS
 from interloc.drives.options import LabelFolder
-from interloc.drives.scans.labels import SCHEMES
 from interloc.osm.policies import POLICIES
 from interloc.output.layers import LAYERS
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from app.paths import is_map
 from app.work.places import REDUCED, TRAJECTORY, link
@@ -23,7 +23,7 @@ from interloc.drive import GroundPoints
 from interloc.drives.findings import DriveFileError, Finding, Findings
 from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.drives.open import open_drive
-from interloc.drives.options import LabelFolder
+from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced import GroundFiles
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.errors import InterLocError
@@ -38,20 +38,6 @@ MAX_PROBLEMS = 500
 
 _PROBLEMS = "problems.json"
 _SHOWN = 3
-
-
-class Options(NamedTuple):
-    """How the drive is read; the arguments of `inspect_drive`."""
-
-    label_scheme: str
-    pose_frame: Any
-    layout: Any
-    oxts: str | None
-    name: str
-
-    def arguments(self) -> dict[str, Any]:
-        """Return them by name."""
-        return self._asdict()
 
 
 def prepare(task: Task) -> Plan:
@@ -143,7 +129,7 @@ def check(task: Task) -> DriveReport:
         folders = _label_folders(task)
     except DriveFileError:  # a manifest that cannot be read: said once more, with all else
         folders = ("labels",)
-    reports = [inspect_drive(root, labels=folder, **_options(task).arguments()) for folder in folders]
+    reports = [inspect_drive(root, _options(task), labels=folder) for folder in folders]
     first = reports[0]
     problems = list(dict.fromkeys(problem for report in reports for problem in report.problems))
     problems += _unknown_files(task, problems)
@@ -202,16 +188,15 @@ def _problems_of(error: InterLocError) -> list[Finding]:
     return findings.found
 
 
-def _options(task: Task) -> Options:
-    options = task.request["options"]
-    oxts = options.get("oxts")
-    return Options(
-        label_scheme=options["label_scheme"],
-        pose_frame=options["pose_frame"],
-        layout=options["layout"],
-        oxts=None if oxts is None else str(task.drive / "files" / oxts),
-        name=task.drive_name.replace("/", "_"),
-    )
+def reading_options(given: dict[str, Any], root: Path, name: str) -> DriveOptions:
+    """Return how the uploaded files in `root` are to be read, by the options that came with the drive and its name."""
+    options = ReadingOptions.model_validate(given)
+    oxts = None if options.oxts is None else root / options.oxts
+    return DriveOptions.of(options, oxts=oxts, name=name.replace("/", "_"))
+
+
+def _options(task: Task) -> DriveOptions:
+    return reading_options(task.request["options"], task.drive / "files", task.drive_name)
 
 
 def _label_folders(task: Task) -> tuple[LabelFolder, ...]:
@@ -230,9 +215,9 @@ def _frames(task: Task) -> list[int]:
 
 
 @lru_cache(maxsize=2)
-def _reduction(root: str, options: Options, job_id: str) -> Reduction:  # noqa: ARG001 - files may differ for another job
+def _reduction(root: str, options: DriveOptions, job_id: str) -> Reduction:  # noqa: ARG001 - files may differ for another job
     """Survey a drive once for all parts of a job that this process does."""
-    return prepare_reduction(root, **options.arguments())
+    return prepare_reduction(root, options)
 
 
 def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:

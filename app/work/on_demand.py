@@ -15,8 +15,8 @@ import numpy as np
 from app.work.intersections import config_of, open_input
 from app.work.task import Task
 from interloc.drives.findings import Finding
-from interloc.drives.options import LabelFolder
-from interloc.drives.scans.labels import LabelJudgement
+from interloc.drives.labels import LabelJudgement
+from interloc.drives.options import LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced_format import ReducedLabels
 from interloc.files import atomic_folder, atomic_write
 from interloc.output.vector_files import write_vector_file
@@ -85,10 +85,20 @@ def write_export(folder: Path, path: Path, layer: str | None) -> None:
 
 
 def plan_and_judge(
-    root: Path, numbers: Sequence[int], options: dict[str, Any], label_counts: dict[LabelFolder, dict[int, int]]
+    root: Path,
+    numbers: Sequence[int],
+    options: ReadingOptions,
+    choices: dict[str, Any],
+    label_counts: dict[LabelFolder, dict[int, int]],
 ) -> tuple[ReductionPlan, dict[LabelFolder, tuple[LabelJudgement, list[Finding]]]]:
-    """Plan the reduction of a drive, and judge the label ids that were counted in its scans."""
-    made = plan_reduction(root, numbers, **options)
+    """Plan the reduction of a drive, and judge the label ids that were counted in its scans.
+
+    Parameters
+    ----------
+    root, numbers, options, **choices
+        As of `plan_reduction`.
+    """
+    made = plan_reduction(root, numbers, options, **choices)
     judged = {folder: judge_counts(made, folder, counts) for folder, counts in label_counts.items()}
     if made.manifest is not None:
         known = [

@@ -10,7 +10,8 @@ import click
 from interloc.cli import console, options
 
 if TYPE_CHECKING:
-    from interloc.drives.inspect import DriveReport, ReducedReport
+    from interloc.drives.folder import ReducedReport
+    from interloc.drives.inspect import DriveReport
 
 _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 
@@ -21,7 +22,7 @@ _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 @click.option("--thorough", is_flag=True, help="Read every scan and label, not only some.")
 @options.JSON
 def command(drive: Path, thorough: bool, as_json: bool, **drive_: Any) -> None:
-    """Tell what is in DRIVE and what is wrong with it; the exit code is 1 if it cannot be used.
+    """Report what is in DRIVE and what is wrong with it; the exit code is 1 if it cannot be used.
 
     \b
     Example:
@@ -54,12 +55,12 @@ def _facts(report: DriveReport) -> list[tuple[str, str]]:
             ("poses", f"{report.poses}, {report.pose_frame or 'unknown'} frame: {report.pose_frame_reason or '?'}")
         )
     if report.length_m is not None:
-        way = f"{report.length_m:.0f} m"
+        distance = f"{report.length_m:.0f} m"
         if report.spacing_m is not None:
-            way += f", {report.spacing_m:.1f} m between scans"
+            distance += f", {report.spacing_m:.1f} m between scans"
         if report.duration_s:
-            way += f", {report.duration_s:.0f} s"
-        rows.append(("way", way))
+            distance += f", {report.duration_s:.0f} s"
+        rows.append(("distance", distance))
     if report.road_share is not None:
         rows.append(
             ("labels", f"{report.label_folder}, scheme {report.label_scheme}, {100 * report.road_share:.0f} % road")
@@ -71,7 +72,7 @@ def _facts(report: DriveReport) -> list[tuple[str, str]]:
 
 
 def _kept(reduced: ReducedReport, before: int) -> str:
-    """Tell what is left of the scans."""
+    """Return what is left of the scans."""
     if reduced.distance_m is None:
         text = "all scans kept"
     else:

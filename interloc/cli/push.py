@@ -77,6 +77,7 @@ def command(
     from interloc.client.connection import Connection
     from interloc.client.jobs import submit
     from interloc.client.prepare import PushOptions, prepare
+    from interloc.drives.options import ReadingOptions
 
     console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
@@ -87,7 +88,7 @@ def command(
         raw=raw,
         keep_raw=keep_raw,
         maps=() if osm is None else (osm,),
-        **reading,
+        reading=ReadingOptions.of(**reading),
     )
     with Connection(server, token, connections=jobs) as connection:
         connection.check_server()

@@ -41,6 +41,7 @@ def command(
       interloc run small -o out --osm map.osm.gz
     """
     from interloc.config import DEFAULT
+    from interloc.drives.options import DriveOptions
     from interloc.reduction.reduce import reduce_drive
 
     console.set_up_log(quiet=quiet)
@@ -48,10 +49,10 @@ def command(
         manifest = reduce_drive(
             drive,
             out,
+            DriveOptions.of(**reading),
             label_folders=label_folders or None,
             keyframes=None if all_scans else DEFAULT.keyframes,
             progress=bar,
-            **reading,
         )
     assert manifest.source is not None
     labels = [part.folder for part in manifest.labels]

@@ -13,7 +13,7 @@ from interloc.client.upload import UploadFile
 from interloc.config import DEFAULT, KeyframeConfig
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
-from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
+from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
 from interloc.errors import ConfigError, DriveError, InterLocError
@@ -32,8 +32,8 @@ class PushOptions:
         Name of the drive on the server; that of its folder by default.
     label_folders : tuple of str
         "labels", "predictions" or both; empty: all that are there.
-    label_scheme, pose_frame, layout, oxts
-        As of `interloc.open_drive`.
+    reading : ReadingOptions
+        How the drive is read.
     keyframes : KeyframeConfig or None
         Which scans to send; None: all of them.
     raw : bool
@@ -46,10 +46,7 @@ class PushOptions:
 
     name: str | None = None
     label_folders: tuple[LabelFolder, ...] = ()
-    label_scheme: str = "auto"
-    pose_frame: PoseFrame = "auto"
-    layout: LayoutChoice = "auto"
-    oxts: Path | None = None
+    reading: ReadingOptions = field(default_factory=ReadingOptions)
     keyframes: KeyframeConfig | None = DEFAULT.keyframes
     raw: bool = False
     keep_raw: bool = False
@@ -116,12 +113,8 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
             return _as_reduced(root, options, maps)
         reduction = prepare_reduction(
             root,
+            DriveOptions.of(options.reading, name=options.name),
             label_folders=labels,
-            label_scheme=options.label_scheme,
-            pose_frame=options.pose_frame,
-            layout=options.layout,
-            oxts=options.oxts,
-            name=options.name,
             keyframes=None if options.raw else options.keyframes,
         )
     except ConfigError:
@@ -170,7 +163,7 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
             for frame in plan.frames:
                 path = numbered.path(int(frame))
                 scans[path.relative_to(root).as_posix()] = path
-    given = manifest.files.geo or manifest.files.oxts if options.oxts is not None else None
+    given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
     return PreparedDrive(
         name=manifest.name,
         scans=plan.scans,
@@ -181,12 +174,7 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
             *(UploadFile(name, path) for name, path in plan.copies.sources.items()),
             *(UploadFile(name, path) for name, path in scans.items()),
         ],
-        options={
-            "label_scheme": options.label_scheme,
-            "pose_frame": options.pose_frame,
-            "layout": options.layout,
-            "oxts": given,
-        },
+        options={**options.reading.model_dump(), "oxts": given},
         maps=maps,
     )
 
@@ -194,20 +182,15 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
 def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
     """Send a reduced drive, all of it or some of its label folders."""
     manifest = read_manifest(root)
-    if options.oxts is not None or options.keep_raw or (options.keyframes is None and manifest.keyframes is not None):
+    thins_otherwise = options.keyframes is None and manifest.keyframes is not None
+    if options.reading.oxts is not None or options.keep_raw or thins_otherwise:
         raise ConfigError(
             f"{root} is a reduced drive: --oxts, --raw, --keep-raw and --all-scans belong to the drive that it was "
             "made from. Give that drive, or leave these options out."
         )
     chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels) or label_folders_in(root)
     for labels in chosen:
-        drive = open_drive(
-            root,
-            labels=labels,
-            label_scheme=options.label_scheme,
-            pose_frame=options.pose_frame,
-            layout=options.layout,
-        )
+        drive = open_drive(root, options.reading, labels=labels)
     kept = [labels for labels in manifest.labels if labels.folder in chosen]
     sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
     names = [name for path in manifest.files.paths for name in _files_below(root, path)]
@@ -258,14 +241,7 @@ def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -
     """Return an error that names everything that is wrong with a drive."""
     problems: list[str] = []
     for labels in _label_folders(root, options):
-        report = inspect_drive(
-            root,
-            labels=labels,
-            label_scheme=options.label_scheme,
-            pose_frame=options.pose_frame,
-            layout=options.layout,
-            oxts=options.oxts,
-        )
+        report = inspect_drive(root, options.reading, labels=labels)
         problems += [f"{each.path}: {each.message}" for each in report.problems if each.severity == "error"]
     problems = list(dict.fromkeys(problems))
     if len(problems) < 2:

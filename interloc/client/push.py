@@ -161,7 +161,8 @@ def commit(connection: Connection, drive_id: str) -> DriveAnswer:
 
 def _identity(connection: Connection, root: Path, options: PushOptions) -> dict[str, Any]:
     """Return what identifies a push: with the same values it continues an earlier one."""
-    chosen = {name: str(value) for name, value in vars(options).items() if name not in {"maps", "keyframes"}}
+    chosen = {**vars(options), **dict(options.reading)}
+    chosen = {name: str(value) for name, value in chosen.items() if name not in {"maps", "keyframes", "reading"}}
     by = options.keyframes
     thinning = None if by is None or options.raw else [by.distance_m, by.angle_deg]
     return {"format": 1, "server": connection.server, "drive": os.path.realpath(root), "thinning": thinning, **chosen}

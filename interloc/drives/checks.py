@@ -12,6 +12,7 @@ from interloc.drive import Georeference
 from interloc.drives.findings import DriveFileError, Findings, GeoreferenceFileError
 from interloc.drives.folder import FolderDrive
 from interloc.drives.georeference.geodetic import ecef_poses
+from interloc.drives.poses.motion import body_steps, rows_apart
 from interloc.geometry import invert_transform, rotation_angle
 
 MAX_STEP_M, MAX_STEP_SLOPE = 0.6, 0.02
@@ -93,7 +94,7 @@ def check_flat_road(
 
 
 def _dialect(drive: FolderDrive) -> str:
-    """Say how the poses were read, and what else they may be."""
+    """Return how the poses were read, and what else they may be."""
     if drive.pose_frame == "oxts":
         return "Poses were taken from OXTS. Usual cause: OXTS of another drive, or angles in another convention."
     other = "lidar" if drive.pose_frame == "camera" else "camera"
@@ -108,10 +109,7 @@ def _pairs(poses: FloatArray, usable: IntArray) -> list[tuple[int, int]]:
     if len(usable) < 2:
         return []
     position = poses[usable, :3, 3]
-    steps = [0]
-    for row in range(1, len(usable)):
-        if np.linalg.norm(position[row] - position[steps[-1]]) >= _PAIR_STEP_M:
-            steps.append(row)
+    steps = rows_apart(position, _PAIR_STEP_M)
     if len(steps) < 2:
         return [(int(usable[0]), int(usable[-1]))]
     candidates = [
@@ -174,24 +172,16 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
     float or None
         Median error of the motion over pieces of some metres, as a share of their length; None where it hardly moves.
     """
-    rows = [0]
-    for row in range(1, len(poses)):
-        if np.linalg.norm(poses[row, :3, 3] - poses[rows[-1], :3, 3]) >= 10.0:
-            rows.append(row)
+    rows = rows_apart(poses[:, :3, 3], 10.0)
     if len(rows) < 2:
         return None
-    errors = []
-    ecef = ecef_poses(georeference)[rows]
-    for a, b, ecef_a, ecef_b in zip(rows[:-1], rows[1:], ecef[:-1], ecef[1:], strict=True):
-        ours = (poses[b, :3, 3] - poses[a, :3, 3]) @ poses[a, :3, :3]
-        theirs = (ecef_b[:3, 3] - ecef_a[:3, 3]) @ ecef_a[:3, :3]
-        errors.append(float(np.linalg.norm(theirs - ours) / np.linalg.norm(ours)))
-    error = float(np.median(errors))
+    ours, theirs = (body_steps(each[rows]) for each in (poses, ecef_poses(georeference)))
+    error = float(np.median(np.linalg.norm(theirs - ours, axis=1) / np.linalg.norm(ours, axis=1)))
     if error > MAX_GEOREFERENCE_ERROR:
         findings.error(
             GeoreferenceFileError(
                 georeference.source,
-                f"tells another motion than the poses: off by {error:.0%} of the way, piece by piece "
+                f"tells another motion than the poses: off by {error:.0%} of the distance, piece by piece "
                 "(usual: under 2 %). Usual cause: the georeference of another drive, rows that start at another frame, "
                 "or angles in another convention (expected: yaw 0 = east, counter-clockwise, radians).",
             )

@@ -1,18 +1,20 @@
-"""Reading of small text files and listing of numbered files; nothing in them is trusted."""
+"""The files that a drive is read from: small text files and numbered files; nothing in them is trusted."""
 
 from __future__ import annotations
 
 import gzip
 import os
 import zlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, ClassVar
 
 import numpy as np
 
 from interloc.arrays import IntArray
-from interloc.drives.findings import DriveFileError
+from interloc.drives.findings import DriveFileError, GeoreferenceFileError
+from interloc.errors import InterLocError
 
 MAX_TEXT_BYTES = 512 * 1024 * 1024
 """More than a million pose lines; also the limit of what a .gz may unpack to."""
@@ -23,49 +25,103 @@ MAX_NUMBER = 1e7
 _HEAD = 64
 
 
-def shown(path: Path, root: Path) -> str:
-    """Name a file in a message: relative to the drive where it lies inside."""
-    try:
-        return path.relative_to(root).as_posix() or "."
-    except ValueError:
-        return str(path)
+@dataclass(frozen=True)
+class SourceFile:
+    """A file or folder that a drive is read from, and the name by which messages call it.
 
-
-def read_text(path: Path, root: Path) -> str:
-    """Read a text file (or its .gz) whole.
-
-    Raises
-    ------
-    DriveError
-        It is missing, a folder, empty, unreadable, not text, or larger than any such file can be.
+    Attributes
+    ----------
+    path : Path
+    root : Path
+        Folder of the drive.
     """
-    name = shown(path, root)
-    try:
-        if path.is_dir():
-            raise DriveFileError(name, "is a folder; a text file was expected.")
-        if path.exists() and not path.is_file():
-            raise DriveFileError(name, "is a pipe or device; a text file was expected.")
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-            data = _read_limited(file)
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise DriveFileError(
-            name, f"is not a complete gzip file ({error}). Usual cause: a download cut short."
-        ) from error
-    except OSError as error:
-        raise DriveFileError(name, f"cannot be read: {os_reason(error)}.") from error
-    if len(data) > MAX_TEXT_BYTES:
-        raise DriveFileError(name, f"is larger than {MAX_TEXT_BYTES // 1024**2} MB, which no such file is.")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DriveFileError(
-            name, f"is not a text file (byte {error.start} is not UTF-8). Usual cause: a binary file under this name."
-        ) from error
-    if "\0" in text:
-        raise DriveFileError(name, "is not a text file (it holds zero bytes). Usual cause: a binary or UTF-16 file.")
-    if not text.strip():
-        raise DriveFileError(name, "is empty. Usual cause: a copy or download that did not finish.")
-    return text
+
+    path: Path
+    root: Path
+
+    _error: ClassVar[type[DriveFileError | GeoreferenceFileError]] = DriveFileError
+
+    @property
+    def name(self) -> str:
+        """Its path, relative to the drive where it lies inside."""
+        try:
+            return self.path.relative_to(self.root).as_posix() or "."
+        except ValueError:
+            return str(self.path)
+
+    def fault(self, message: str, line: int | None = None) -> InterLocError:
+        """Return the error to raise about it: what was found, what was expected, the usual cause."""
+        return self._error(self.name, message if line is None else f"line {line}: {message}")
+
+    def unreadable(self, error: OSError) -> InterLocError:
+        """Return the error to raise where the system refuses to read it."""
+        return self.fault(f"cannot be read: {os_reason(error)}.")
+
+    def text(self) -> str:
+        """Read a text file (or its .gz) whole.
+
+        Raises
+        ------
+        DriveError
+            It is missing, a folder, empty, unreadable, not text, or larger than any such file can be.
+        """
+        try:
+            if self.path.is_dir():
+                raise self.fault("is a folder; a text file was expected.")
+            if self.path.exists() and not self.path.is_file():
+                raise self.fault("is a pipe or device; a text file was expected.")
+            with gzip.open(self.path) if self.path.suffix == ".gz" else self.path.open("rb") as file:
+                data = _read_limited(file)
+        except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+            raise self.fault(f"is not a complete gzip file ({error}). Usual cause: a download cut short.") from error
+        except OSError as error:
+            raise self.unreadable(error) from error
+        if len(data) > MAX_TEXT_BYTES:
+            raise self.fault(f"is larger than {MAX_TEXT_BYTES // 1024**2} MB, which no such file is.")
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise self.fault(
+                f"is not a text file (byte {error.start} is not UTF-8). Usual cause: a binary file under this name."
+            ) from error
+        if "\0" in text:
+            raise self.fault("is not a text file (it holds zero bytes). Usual cause: a binary or UTF-16 file.")
+        if not text.strip():
+            raise self.fault("is empty. Usual cause: a copy or download that did not finish.")
+        return text
+
+    def lines(self) -> list[str]:
+        """Read the lines of a text file; raises as `text`."""
+        return self.text().splitlines()
+
+    def numbers(self, fields: list[str], line: int) -> list[float]:
+        """Turn the fields of a line into finite numbers.
+
+        Raises
+        ------
+        DriveError
+            One of them is not a number, or not finite.
+        """
+        try:
+            values = [float(field) for field in fields]
+        except ValueError:
+            bad = next(field for field in fields if not is_number(field))
+            raise self.fault(
+                f"{bad[:_HEAD]!r} is not a number. Numbers separated by spaces were expected.", line
+            ) from None
+        if not np.isfinite(values).all():
+            raise self.fault(
+                "holds a value that is not finite (NaN or infinity). "
+                "Usual cause: an odometry that lost track; cut the drive before it.",
+                line,
+            )
+        return values
+
+
+class GeoreferenceFile(SourceFile):
+    """A file or folder of a georeference: what is wrong with it is a `GeoreferenceError`."""
+
+    _error = GeoreferenceFileError
 
 
 def _read_limited(file: BinaryIO | gzip.GzipFile) -> bytes:
@@ -78,37 +134,12 @@ def _read_limited(file: BinaryIO | gzip.GzipFile) -> bytes:
 
 
 def os_reason(error: OSError) -> str:
-    """Say in words why a file could not be read."""
+    """Return in words why a file could not be read."""
     return (error.strerror or str(error)).lower()
 
 
-def numbers_of(fields: list[str], path: Path, root: Path, line: int) -> list[float]:
-    """Turn the fields of a line into finite numbers.
-
-    Raises
-    ------
-    DriveError
-        One of them is no number, or not finite.
-    """
-    try:
-        values = [float(field) for field in fields]
-    except ValueError:
-        bad = next(field for field in fields if not is_number(field))
-        raise DriveFileError(
-            shown(path, root),
-            f"line {line}: {bad[:_HEAD]!r} is not a number. Numbers separated by spaces were expected.",
-        ) from None
-    if not np.isfinite(values).all():
-        raise DriveFileError(
-            shown(path, root),
-            f"line {line}: holds a value that is not finite (NaN or infinity). "
-            "Usual cause: an odometry that lost track; cut the drive before it.",
-        )
-    return values
-
-
 def is_number(text: str) -> bool:
-    """Say whether a field is a number."""
+    """Return whether a field is a number."""
     try:
         float(text)
     except ValueError:
@@ -122,7 +153,7 @@ class NumberedFiles:
 
     Attributes
     ----------
-    folder : Path
+    folder : SourceFile
     suffix : str
         With its dot.
     digits : int
@@ -133,22 +164,22 @@ class NumberedFiles:
         Bytes.
     """
 
-    folder: Path
+    folder: SourceFile
     suffix: str
     digits: int
     numbers: IntArray
     sizes: IntArray
 
-    def name(self, number: int) -> str:
-        """Return the file name of a number."""
-        return f"{number:0{self.digits}d}{self.suffix}"
-
     def path(self, number: int) -> Path:
+        """Return the path of a number."""
+        return self.folder.path / f"{number:0{self.digits}d}{self.suffix}"
+
+    def file(self, number: int) -> SourceFile:
         """Return the file of a number."""
-        return self.folder / self.name(number)
+        return replace(self.folder, path=self.path(number))
 
 
-def list_numbered(folder: Path, suffix: str, root: Path) -> NumberedFiles:
+def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
     """List the numbered files of a folder, by their names and sizes only.
 
     Raises
@@ -156,37 +187,38 @@ def list_numbered(folder: Path, suffix: str, root: Path) -> NumberedFiles:
     DriveError
         The folder cannot be read, holds no such file, or names that are not plain numbers of one width.
     """
+
+    def fault(stem: str, message: str) -> InterLocError:
+        return replace(folder, path=folder.path / (stem + suffix)).fault(message)
+
     stems: list[str] = []
     sizes: list[int] = []
     try:
-        with os.scandir(folder) as entries:
+        with os.scandir(folder.path) as entries:
             for entry in entries:
                 stem, extension = os.path.splitext(entry.name)  # noqa: PTH122 - Path is 10 times slower here
                 if extension == suffix and not stem.startswith("."):
                     if entry.is_dir():
-                        raise DriveFileError(shown(folder / entry.name, root), "is a folder; a file was expected.")
+                        raise fault(stem, "is a folder; a file was expected.")
                     stems.append(stem)
                     sizes.append(entry.stat().st_size)
     except OSError as error:
-        raise DriveFileError(shown(folder, root), f"cannot be read: {os_reason(error)}.") from error
+        raise folder.unreadable(error) from error
     if not stems:
-        raise DriveFileError(
-            shown(folder, root), f"holds no {suffix} file. Expected one a scan: 000000{suffix}, 000001{suffix}, ..."
-        )
+        raise folder.fault(f"holds no {suffix} file. Expected one per scan: 000000{suffix}, 000001{suffix}, ...")
     odd = sorted(stem for stem in stems if not (stem.isascii() and stem.isdigit() and len(stem) <= 18))
     if odd:
-        raise DriveFileError(
-            shown(folder / (odd[0] + suffix), root),
-            f"is not named by its scan number. Expected names as 000000{suffix}, 000001{suffix}, ...",
+        raise fault(
+            odd[0], f"is not named by its scan number. Expected names such as 000000{suffix}, 000001{suffix}, ..."
         )
     digits = min(len(stem) for stem in stems)
     numbers = np.array([int(stem) for stem in stems], dtype=np.int64)
     order = np.argsort(numbers, kind="stable")
     for number, stem in zip(numbers, stems, strict=True):
         if stem != f"{number:0{digits}d}":
-            raise DriveFileError(
-                shown(folder / (stem + suffix), root),
-                f"is numbered otherwise than its neighbours ({digits} digits). "
+            raise fault(
+                stem,
+                f"is not numbered like its neighbours ({digits} digits). "
                 "Usual cause: files of two drives in one folder.",
             )
     return NumberedFiles(folder, suffix, digits, numbers[order], np.array(sizes, dtype=np.int64)[order])
@@ -197,7 +229,7 @@ def missing_numbers(numbers: IntArray, wanted: IntArray) -> IntArray:
     return np.setdiff1d(wanted, numbers)
 
 
-def listed(numbers: IntArray, most: int = 5) -> str:
+def listed(numbers: Sequence[int] | IntArray, most: int = 5) -> str:
     """Write some of many numbers: "3, 4, 5 and 12 more"."""
     head = ", ".join(str(int(number)) for number in numbers[:most])
     rest = len(numbers) - most
@@ -205,7 +237,7 @@ def listed(numbers: IntArray, most: int = 5) -> str:
 
 
 def rows_by_frame(frames: IntArray, rows: int) -> IntArray | None:
-    """Map scans to rows by the frame number, or one to one where a drive starts later and has a row a scan.
+    """Map scans to rows by the frame number, or one to one where a drive starts later and has one row per scan.
 
     Parameters
     ----------

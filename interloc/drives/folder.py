@@ -1,4 +1,4 @@
-"""A drive in a folder: poses in memory, points read scan by scan."""
+"""A drive in a folder: poses in memory, points read scan by scan from the store that keeps them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from pydantic import BaseModel, ConfigDict
+
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference, GroundPoints
-from interloc.drives.options import LayoutName
-from interloc.drives.scans.labels import LabelScheme
+from interloc.drives.findings import Findings
+from interloc.drives.labels import LabelJudgement, LabelScheme
+from interloc.drives.layouts import DriveParts
+from interloc.drives.options import DriveOptions, LayoutName
 
 
 class GroundSource(Protocol):
@@ -26,7 +30,90 @@ class GroundSource(Protocol):
         ...
 
     def name(self, frame: int) -> str:
-        """Name the file of a scan in messages."""
+        """Return the name of the file of a scan, for messages."""
+        ...
+
+
+class ReducedReport(BaseModel):
+    """What is left of the scans of a reduced drive.
+
+    Attributes
+    ----------
+    kept_scans : int
+    ground_bytes : int or None
+        Size of their ground points, where the label folder has any.
+    distance_m, angle_deg : float or None
+        Keyframe settings by which they were chosen; None: every scan was kept.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    kept_scans: int
+    ground_bytes: int | None
+    distance_m: float | None
+    angle_deg: float | None
+
+
+class ScanFacts(BaseModel):
+    """Count and size of the scans and labels of a drive.
+
+    Attributes
+    ----------
+    scans : int
+        Number of scans (also of those that a reduced drive did not keep).
+    first_frame, last_frame : int or None
+        Scan numbers.
+    scan_bytes, label_bytes : int
+        Size of all of them; of a reduced drive that of the files it was made of, 0 where that is not known.
+    points_per_scan, least_points, most_points : int or None
+        Median, minimum and maximum.
+    reduced : ReducedReport or None
+        What was kept, where this is a reduced drive.
+    label_folder : str or None
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    scans: int = 0
+    first_frame: int | None = None
+    last_frame: int | None = None
+    scan_bytes: int = 0
+    label_bytes: int = 0
+    points_per_scan: int | None = None
+    least_points: int | None = None
+    most_points: int | None = None
+    reduced: ReducedReport | None = None
+    label_folder: str | None = None
+
+
+class ScanStore(Protocol):
+    """The scans of a drive in one of the ways in which they are kept: raw with labels, or reduced to the ground.
+
+    Attributes
+    ----------
+    parts : DriveParts
+    frames : (N,) int64 or None
+        Numbers of all scans, ascending; None where they could not be listed.
+    usable : (M,) int64
+        Positions of the scans whose files are there, and of the right size.
+    facts : ScanFacts
+    """
+
+    @property
+    def parts(self) -> DriveParts: ...  # noqa: D102
+    @property
+    def frames(self) -> IntArray | None: ...  # noqa: D102
+    @property
+    def usable(self) -> IntArray: ...  # noqa: D102
+    @property
+    def facts(self) -> ScanFacts: ...  # noqa: D102
+
+    def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
+        """Find the ids that occur in the scans at some positions, and what they mean."""
+        ...
+
+    def ground(self, scheme: LabelScheme) -> GroundSource | None:
+        """Return where the ground points are read from; None where that is not there."""
         ...
 
 

@@ -11,9 +11,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
+from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError
 from interloc.drives.options import DriveOptions, LayoutName
-from interloc.drives.poses.lines import INDEXED_LENGTHS
+
+INDEXED_LENGTHS = (13, 17)
+"""How many numbers a pose line holds that starts with a frame number."""
 
 PoseOwner = Literal["camera", "lidar", "imu", "oxts"]
 """Whose poses a drive has; those of OXTS are the LiDAR's, taken from the georeference."""
@@ -64,6 +67,10 @@ class DriveParts:
     def drive_name(self) -> str:
         """Name of the drive."""
         return self.name or self.root.absolute().name
+
+    def file(self, path: Path) -> SourceFile:
+        """Return a file or folder under the name that messages give it."""
+        return SourceFile(path, self.root)
 
 
 def _semantickitti(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:

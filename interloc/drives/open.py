@@ -1,27 +1,34 @@
-"""Opening of a drive."""
+"""Opening of a drive: its folder is read step by step, on the one path behind `open_drive` and `inspect_drive`."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Unpack
 
+from interloc.drives.checks import check_flat_road, check_georeference, sample_indices
 from interloc.drives.findings import Findings
-from interloc.drives.folder import FolderDrive
-from interloc.drives.options import DriveOptions, LabelFolder, LayoutChoice, PoseFrame
-from interloc.drives.survey import survey
+from interloc.drives.folder import FolderDrive, ScanStore
+from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
+from interloc.drives.options import DriveArguments, DriveOptions, ReadingOptions
+from interloc.drives.scans.raw import RawStore
+from interloc.drives.scans.reduced import ReducedStore
+from interloc.drives.trajectory import Trajectory, read_trajectory
+
+SAMPLED_SCANS = 5
+"""How many scans are looked into, unless all are."""
+
+_STORES: tuple[Callable[[Path, DriveOptions, Findings], ScanStore | None], ...] = (
+    ReducedStore.open,
+    RawStore.open,  # the last: it says what is wrong with a folder that is not a drive
+)
+"""Ways of keeping scans; the first that knows a folder reads it. A new format is a `ScanStore` and a line here."""
 
 
 def open_drive(
-    path: str | os.PathLike[str],
-    *,
-    labels: LabelFolder = "labels",
-    label_scheme: str | Collection[int] = "auto",
-    pose_frame: PoseFrame = "auto",
-    layout: LayoutChoice = "auto",
-    oxts: str | os.PathLike[str] | None = None,
-    name: str | None = None,
-    check: bool = True,
+    path: str | os.PathLike[str], options: ReadingOptions | None = None, **arguments: Unpack[DriveArguments]
 ) -> FolderDrive:
     """Open a drive folder: poses, times and georeference are read, points when they are asked for.
 
@@ -30,6 +37,8 @@ def open_drive(
     path
         Folder of the drive: a SemanticKITTI / KITTI odometry sequence, a KITTI raw drive, or KITTI-360 scans with its
         pose lines; or a reduced drive (`interloc.drives.scans.reduced_format`).
+    options : ReadingOptions or None
+        All of the following at once; those that are named beside it count.
     labels : {"labels", "predictions"}
         Folder of the labels.
     label_scheme
@@ -39,8 +48,8 @@ def open_drive(
         Whose poses the pose file holds; "auto" tells it from the motion.
     layout : {"auto", "semantickitti", "kitti_raw", "kitti360"}
     oxts
-        Georeference from elsewhere: the KITTI raw drive of an odometry sequence, a file with one OXTS row a frame (or
-        its .gz), or a geo.csv.
+        Georeference from elsewhere: the KITTI raw drive of an odometry sequence, a file with one OXTS row per frame
+        (or its .gz), or a geo.csv.
     name : str or None
         Name of the drive, where it is not that of the folder.
     check : bool
@@ -55,43 +64,100 @@ def open_drive(
     Raises
     ------
     DriveError
-        The folder is no drive, or something in it is damaged or does not fit together.
+        The folder is not a drive, or something in it is damaged or does not fit together.
     GeoreferenceError
         The georeference is damaged or that of another drive.
     ConfigError
-        An option without meaning.
+        An unknown option or choice.
     """
-    options = drive_options(
-        labels=labels,
-        label_scheme=label_scheme,
-        pose_frame=pose_frame,
-        layout=layout,
-        oxts=oxts,
-        name=name,
-        check=check,
-    )
-    drive = survey(Path(path), options, Findings(stop_at_first=True)).drive
-    assert drive is not None
+    drive = read_drive(Path(path), DriveOptions.of(options, **arguments), Findings(stop_at_first=True)).drive
+    assert drive is not None  # else a fault was raised
     return drive
 
 
-def drive_options(
-    *,
-    labels: LabelFolder = "labels",
-    label_scheme: str | Collection[int] = "auto",
-    pose_frame: PoseFrame = "auto",
-    layout: LayoutChoice = "auto",
-    oxts: str | os.PathLike[str] | None = None,
-    name: str | None = None,
-    check: bool = True,
-) -> DriveOptions:
-    """Collect the options of `open_drive`."""
-    return DriveOptions(
-        labels=labels,
-        label_scheme=label_scheme if isinstance(label_scheme, str) else frozenset(label_scheme),
-        pose_frame=pose_frame,
-        layout=layout,
-        oxts=None if oxts is None else Path(oxts),
-        name=name,
-        check=check,
+@dataclass(frozen=True)
+class DriveReading:
+    """What was found out about a drive; a step that failed leaves its part None or empty.
+
+    Attributes
+    ----------
+    store : ScanStore or None
+        Its scans.
+    trajectory : Trajectory
+        Where the LiDAR was at each of them.
+    sample : list of int
+        Positions of the scans that were looked into.
+    labels : LabelJudgement
+        What their labels mean.
+    drive : FolderDrive or None
+        The drive, where all of these are there.
+    flatness_m : float or None
+        Median difference in height of the same piece of road seen from two scans.
+    georeference_error : float or None
+        Median error of the motion against the georeference, as a share of the distance.
+    """
+
+    store: ScanStore | None = None
+    trajectory: Trajectory = field(default_factory=Trajectory)
+    sample: list[int] = field(default_factory=list)
+    labels: LabelJudgement = field(default_factory=LabelJudgement)
+    drive: FolderDrive | None = None
+    flatness_m: float | None = None
+    georeference_error: float | None = None
+
+
+def read_drive(root: Path, options: DriveOptions, findings: Findings, *, thorough: bool = False) -> DriveReading:
+    """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
+
+    Raises
+    ------
+    DriveError, GeoreferenceError
+        The first fault, where `findings` stops at it.
+    """
+    store = None
+    with findings.stage():
+        store = next(opened for open_store in _STORES if (opened := open_store(root, options, findings)) is not None)
+    if store is None or store.frames is None:
+        return DriveReading(store)
+    trajectory = read_trajectory(store.parts, store.frames, options, findings)
+    sample = sample_indices(store.usable, len(store.usable) if thorough else SAMPLED_SCANS)
+    labels = store.judge_labels(sample, options, findings)
+    reading = DriveReading(store, trajectory, sample, labels, _drive_of(store, trajectory, labels))
+    return _checked(reading, findings) if options.check else reading
+
+
+def _drive_of(store: ScanStore, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
+    """Make the drive of what was found; None where a part is missing."""
+    scheme = labels.scheme or SEMANTICKITTI
+    ground, poses = store.ground(scheme), trajectory.poses
+    if store.frames is None or ground is None or poses is None:
+        return None
+    return FolderDrive(
+        root=store.parts.root,
+        name=store.parts.drive_name,
+        layout=store.parts.layout,
+        frames=store.frames,
+        T_world_lidar=poses.T_world_lidar,
+        times_s=trajectory.times_s,
+        georeference=trajectory.georeference,
+        ground=ground,
+        scheme=scheme,
+        pose_frame=poses.frame,
+        pose_frame_reason=poses.reason,
     )
+
+
+def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
+    """Read the sampled scans, and see whether labels, poses and georeference fit together."""
+    drive, store = reading.drive, reading.store
+    if drive is None or store is None:
+        return reading
+    pose_file = "oxts" if store.parts.poses is None else store.parts.file(store.parts.poses).name
+    for index in reading.sample:
+        with findings.stage():
+            drive.ground_points(index)
+    reading = replace(reading, flatness_m=check_flat_road(drive, store.usable, pose_file, findings))
+    if drive.georeference is None or drive.pose_frame == "oxts":
+        return reading
+    error = check_georeference(drive.T_world_lidar, drive.georeference, findings)
+    return replace(reading, georeference_error=error)

@@ -1,60 +1,97 @@
-"""How a drive is to be read where the folder leaves it open."""
+"""How a drive is to be read where its folder leaves it open: the same options for library, commands and service."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from collections.abc import Collection
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, Self, TypedDict
 
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from interloc.drives.labels import named_scheme
 from interloc.errors import ConfigError
 
 LabelFolder = Literal["labels", "predictions"]
 PoseFrame = Literal["auto", "camera", "lidar"]
 LayoutName = Literal["semantickitti", "kitti_raw", "kitti360"]
 LayoutChoice = Literal["auto", "semantickitti", "kitti_raw", "kitti360"]
-LabelSchemeChoice = str | frozenset[int]
-"""auto, semantickitti, learning, kitti360, or ids of road: a set, or a text such as "40,60"."""
 
 
-@dataclass(frozen=True)
-class DriveOptions:
-    """Options of `open_drive` and `inspect_drive`.
+class ReadingOptions(BaseModel):
+    """How a drive is to be read, whichever its labels."""
 
-    Attributes
-    ----------
-    labels : {"labels", "predictions"}
-        Folder of the labels.
-    label_scheme : str or frozenset of int
-        "auto", "semantickitti", "learning", "kitti360", or the ids of road, as a set or as text ("40,60").
-    pose_frame : {"auto", "camera", "lidar"}
-        Whose poses the pose file holds.
-    layout : {"auto", "semantickitti", "kitti_raw", "kitti360"}
-    oxts : Path or None
-        Georeference from elsewhere: a KITTI raw drive folder, a file with one OXTS row a frame (or its .gz), a geo.csv.
-    name : str or None
-        Name of the drive, where it is not that of the folder.
-    check : bool
-        Look into a few scans to see whether labels, poses and georeference fit together.
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    Raises
-    ------
-    ConfigError
-        A choice that is none.
-    """
+    label_scheme: str = Field(
+        "auto",
+        max_length=1000,
+        description="auto, semantickitti, learning, kitti360, or the ids of road, as 40,60.",
+        examples=["auto"],
+    )
+    pose_frame: PoseFrame = Field(
+        "auto", description="Sensor whose poses the pose file holds; auto tells it from the motion."
+    )
+    layout: LayoutChoice = Field("auto", description="Layout of the folder.")
+    oxts: Path | None = Field(
+        None,
+        description="Georeference from elsewhere: the folder of a KITTI raw drive, a file with one OXTS row per frame "
+        "(or its .gz), or a geo.csv.",
+        examples=["07.txt.gz"],
+    )
 
-    labels: LabelFolder = "labels"
-    label_scheme: LabelSchemeChoice = "auto"
-    pose_frame: PoseFrame = "auto"
-    layout: LayoutChoice = "auto"
-    oxts: Path | None = None
-    name: str | None = None
-    check: bool = True
+    @classmethod
+    def of(cls, given: ReadingOptions | None = None, /, **arguments: Any) -> Self:  # noqa: ANN401 - they are checked
+        """Return the options of `given`, but for those that the arguments (`DriveArguments`) name.
 
-    def __post_init__(self) -> None:
-        for name, value, choices in (
-            ("labels", self.labels, get_args(LabelFolder)),
-            ("pose frame", self.pose_frame, get_args(PoseFrame)),
-            ("layout", self.layout, get_args(LayoutChoice)),
-        ):
-            if value not in choices:
-                raise ConfigError(f"{name} {value!r}: expected {', '.join(choices)}.")
+        Raises
+        ------
+        ConfigError
+            An unknown option or choice.
+        """
+        scheme = arguments.get("label_scheme", "auto")
+        if not isinstance(scheme, str):
+            arguments["label_scheme"] = ",".join(str(label) for label in sorted(scheme))
+        try:
+            return cls.model_validate({**dict(given or {}), **arguments})
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            message = first["msg"].removeprefix("Value error, ")
+            if not message.startswith("label scheme"):
+                expected = first.get("ctx", {}).get("expected")
+                name = " ".join(map(str, first["loc"])).replace("_", " ")
+                message = f"{name} {first['input']!r}: {f'expected {expected}' if expected else message}."
+            raise ConfigError(message) from None
+
+    @field_validator("label_scheme")
+    @classmethod
+    def _check_scheme(cls, scheme: str) -> str:
+        try:
+            named_scheme(scheme)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        return scheme
+
+
+class DriveOptions(ReadingOptions):
+    """Options of `open_drive` and `inspect_drive`."""
+
+    labels: LabelFolder = Field("labels", description="Folder of the labels.")
+    name: str | None = Field(None, description="Name of the drive, where it is not that of the folder.")
+    check: bool = Field(
+        True,
+        description="Check the sizes of all files, and look into a few scans to see whether labels, poses and "
+        "georeference fit together.",
+    )
+
+
+class DriveArguments(TypedDict, total=False):
+    """`DriveOptions` as keyword arguments."""
+
+    labels: LabelFolder
+    label_scheme: str | Collection[int]
+    pose_frame: PoseFrame
+    layout: LayoutChoice
+    oxts: str | os.PathLike[str] | None
+    name: str | None
+    check: bool

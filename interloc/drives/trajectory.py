@@ -2,113 +2,165 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import datetime
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.files import gaps, is_number, listed, missing_numbers, read_text, rows_by_frame, shown
+from interloc.drive import Georeference
+from interloc.drives.files import SourceFile, gaps, is_number, listed, missing_numbers, rows_by_frame
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.found import Survey
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.georeference.read import read_georeference
-from interloc.drives.layouts import DriveParts
-from interloc.drives.options import DriveOptions
+from interloc.drives.layouts import DriveParts, PoseOwner
+from interloc.drives.options import DriveOptions, PoseFrame
 from interloc.drives.poses.frame import to_lidar
-from interloc.drives.poses.lines import read_poses
+from interloc.drives.poses.lines import PoseLines, read_poses
 from interloc.errors import InterLocError
 from interloc.geometry import invert_transform
 
 
-def read_track(found: Survey, options: DriveOptions, findings: Findings) -> None:
-    """Read georeference, poses and times of the scans of `found` into it; no scan is needed for that.
+@dataclass(frozen=True)
+class LidarPoses:
+    """The pose of the LiDAR at every scan.
+
+    Attributes
+    ----------
+    T_world_lidar : (N, 4, 4) float64
+        W is the LiDAR at the first scan.
+    frame : {"camera", "lidar", "imu", "oxts"}
+        Whose poses the pose file holds.
+    reason : str
+        Why that is thought.
+    """
+
+    T_world_lidar: FloatArray
+    frame: PoseOwner
+    reason: str
+
+    @property
+    def steps_m(self) -> FloatArray:
+        """(N - 1,) float64 distances from scan to scan."""
+        steps: FloatArray = np.linalg.norm(np.diff(self.T_world_lidar[:, :3, 3], axis=0), axis=1)
+        return steps
+
+    @property
+    def length_m(self) -> float:
+        """Distance driven over the scans."""
+        return float(self.steps_m.sum())
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What the small files of a drive say of its motion; what could not be read is None.
+
+    Attributes
+    ----------
+    poses : LidarPoses or None
+    pose_count : int
+        Poses in the file (may be more than scans).
+    times_s : (N,) float64 or None
+    georeference : Georeference or None
+    georeference_reason : str
+        Why there is none.
+    """
+
+    poses: LidarPoses | None = None
+    pose_count: int = 0
+    times_s: FloatArray | None = None
+    georeference: Georeference | None = None
+    georeference_reason: str = "the drive has neither oxts/ nor geo.csv"
+
+
+def read_trajectory(parts: DriveParts, frames: IntArray, options: DriveOptions, findings: Findings) -> Trajectory:
+    """Read georeference, poses and times of the scans of a drive; no scan is needed for that.
+
+    Parameters
+    ----------
+    frames : (N,) int64
+        Scan numbers, ascending.
 
     Raises
     ------
     DriveError, GeoreferenceError
         The first fault, where `findings` stops at it.
     """
-    assert found.parts is not None
-    assert found.frames is not None
+    georeference, reason = None, Trajectory.georeference_reason
+    poses, pose_count, times_s = None, 0, None
     with findings.stage():
         try:
-            found.georeference = read_georeference(found.parts, found.frames, options.oxts)
+            georeference = read_georeference(parts, frames, options.oxts)
         except InterLocError as error:
-            found.georeference_reason = str(error)
+            reason = str(error)
             raise
     with findings.stage():
-        _read_poses(found, options, findings)
+        if parts.poses is None:
+            poses = _poses_from_georeference(georeference, reason, findings)
+            pose_count = len(frames)
+        else:
+            file = parts.file(parts.poses)
+            lines = read_poses(file)
+            pose_count = len(lines.poses)
+            poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
     with findings.stage():
-        found.times_s = read_times(found.parts, found.frames, findings)
+        times_s = None if parts.times is None else _read_times(parts.file(parts.times), frames, findings)
+    return Trajectory(poses, pose_count, times_s, georeference, reason)
 
 
-def _read_poses(found: Survey, options: DriveOptions, findings: Findings) -> None:
-    """Find the pose of the LiDAR at every scan."""
-    parts, frames = found.parts, found.frames
-    assert parts is not None
-    assert frames is not None
-    if parts.poses is None:
-        _poses_from_georeference(found, findings)
-        return
-    name = shown(parts.poses, parts.root)
-    lines = read_poses(parts.poses, parts.root)
-    found.pose_count = len(lines.poses)
+def _poses_of_scans(
+    lines: PoseLines, file: SourceFile, parts: DriveParts, frames: IntArray, declared: PoseFrame, findings: Findings
+) -> LidarPoses:
+    """Find the pose of the LiDAR at every scan among the poses of a file."""
     missing = int(frames[-1] - frames[0]) + 1 - len(frames)
     if lines.frames is None and missing:
         findings.error(
-            DriveFileError(
-                shown(parts.scans, parts.root),
+            parts.file(parts.scans).fault(
                 f"{missing:,} scans are missing between {frames[0]} and {frames[-1]} ({listed(gaps(frames))}), and the "
-                f"lines of {name} do not say which frame they belong to. Frame numbers must be contiguous or "
+                f"lines of {file.name} do not say which frame they belong to. Frame numbers must be contiguous or "
                 "explicitly mapped: put the missing scans back, or write the frame number in front of every pose line. "
-                "Usual cause: an upload or copy that was interrupted.",
+                "Usual cause: an upload or copy that was interrupted."
             )
         )
-    rows = rows_by_frame(frames, len(lines.poses)) if lines.frames is None else _rows_of(lines.frames, frames, name)
+    rows = rows_by_frame(frames, len(lines.poses)) if lines.frames is None else _rows_of(lines.frames, frames, file)
     if rows is None:
-        raise DriveFileError(
-            name,
+        raise file.fault(
             f"{len(lines.poses):,} poses for the scans {frames[0]} to {frames[-1]} ({len(frames):,} scans). "
-            "Expected one line a scan, the first for frame 0. "
-            "Usual cause: poses of another sequence, or a file cut short.",
+            "Expected one line per scan, the first for frame 0. "
+            "Usual cause: poses of another sequence, or a file cut short."
         )
     if len(lines.poses) > len(frames):
         findings.note(
-            name, f"{len(lines.poses):,} poses for {len(frames):,} scans; the poses of other frames are not used."
+            file.name, f"{len(lines.poses):,} poses for {len(frames):,} scans; the poses of other frames are not used."
         )
     elif frames[0] > 0 and lines.frames is None:
-        findings.note(name, f"the scans start at {frames[0]}, and there is one pose a scan: taken one to one.")
-    lidar, found.pose_frame, found.pose_frame_reason = to_lidar(lines.poses, parts, name, options.pose_frame, findings)
-    found.T_world_lidar = _from_first(lidar[rows])
+        findings.note(file.name, f"the scans start at {frames[0]}, and there is one pose per scan: taken one to one.")
+    lidar, frame, reason = to_lidar(lines.poses, parts, file, declared, findings)
+    return LidarPoses(_from_first(lidar[rows]), frame, reason)
 
 
-def _rows_of(numbers: IntArray, frames: IntArray, name: str) -> IntArray:
+def _rows_of(numbers: IntArray, frames: IntArray, file: SourceFile) -> IntArray:
     """Return the row of every scan among numbered pose lines."""
     missing = missing_numbers(numbers, frames)
     if len(missing):
-        raise DriveFileError(
-            name,
+        raise file.fault(
             f"{len(missing):,} of {len(frames):,} scans have no pose (frames {listed(missing)}). "
-            "Expected a line for every scan. KITTI-360 has no poses where the GNSS failed: leave those scans out.",
+            "Expected a line for every scan. KITTI-360 has no poses where the GNSS failed: leave those scans out."
         )
     return np.searchsorted(numbers, frames)
 
 
-def _poses_from_georeference(found: Survey, findings: Findings) -> None:
+def _poses_from_georeference(georeference: Georeference | None, why_none: str, findings: Findings) -> LidarPoses:
     """Take the poses of a KITTI raw drive from its OXTS."""
-    parts = found.parts
-    assert parts is not None
-    if found.georeference is None:
+    if georeference is None:
         raise DriveFileError(
             "oxts",
-            f"gives no poses: {found.georeference_reason}. Expected oxts/data/0000000000.txt, one file a scan, or a "
+            f"gives no poses: {why_none}. Expected oxts/data/0000000000.txt, one file per scan, or a "
             "poses.txt of your own beside velodyne_points/.",
         )
-    found.T_world_lidar = _from_first(poses_of(found.georeference))
-    found.pose_count = len(found.T_world_lidar)
-    found.pose_frame = "oxts"
-    found.pose_frame_reason = "there is no poses.txt; the poses are those of the georeference"
-    findings.note("oxts", found.pose_frame_reason)
+    reason = "there is no poses.txt; the poses are those of the georeference"
+    findings.note("oxts", reason)
+    return LidarPoses(_from_first(poses_of(georeference)), "oxts", reason)
 
 
 def _from_first(poses: FloatArray) -> FloatArray:
@@ -118,25 +170,24 @@ def _from_first(poses: FloatArray) -> FloatArray:
     return relative
 
 
-def read_times(parts: DriveParts, frames: IntArray, findings: Findings) -> FloatArray | None:
+def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> FloatArray | None:
     """Read the time of every scan, seconds; None where there is none that fits."""
-    if parts.times is None:
-        return None
-    name = shown(parts.times, parts.root)
-    lines = [text.strip() for text in read_text(parts.times, parts.root).splitlines() if text.strip()]
+    lines = [text.strip() for text in file.lines() if text.strip()]
     rows = rows_by_frame(frames, len(lines))
     if rows is None:
-        findings.warning(name, f"{len(lines):,} times for the scans {frames[0]} to {frames[-1]}; times are not used.")
+        findings.warning(
+            file.name, f"{len(lines):,} times for the scans {frames[0]} to {frames[-1]}; times are not used."
+        )
         return None
     chosen = [lines[row] for row in rows]
     times = np.array([_seconds(text) for text in chosen])
     if not np.isfinite(times).all():
         row = int(np.argmax(~np.isfinite(times)))
-        findings.warning(name, f"line {rows[row] + 1}: {chosen[row][:40]!r} is no time; times are not used.")
+        findings.warning(file.name, f"line {rows[row] + 1}: {chosen[row][:40]!r} is not a time; times are not used.")
         return None
     if (np.diff(times) < 0).any():
         row = int(np.argmax(np.diff(times) < 0))
-        findings.warning(name, f"line {rows[row + 1] + 1}: time runs backwards; times are not used.")
+        findings.warning(file.name, f"line {rows[row + 1] + 1}: time runs backwards; times are not used.")
         return None
     return times
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,10 @@ from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drives.checks import sample_indices
 from interloc.drives.findings import DriveFileError, Finding, Findings
-from interloc.drives.found import Survey
-from interloc.drives.layouts import ScanFolder, find_layout
-from interloc.drives.open import drive_options
-from interloc.drives.options import DriveOptions, LabelFolder, LayoutChoice, PoseFrame
-from interloc.drives.scans.labels import LabelJudgement, judge_labels, named_scheme
+from interloc.drives.labels import LabelJudgement, judge_labels
+from interloc.drives.layouts import DriveParts, ScanFolder, find_layout
+from interloc.drives.open import SAMPLED_SCANS
+from interloc.drives.options import DriveOptions, LabelFolder, LayoutChoice, ReadingOptions
 from interloc.drives.scans.reduced_format import (
     MANIFEST,
     MAX_SCANS,
@@ -28,8 +26,7 @@ from interloc.drives.scans.reduced_format import (
     make_manifest,
     to_runs,
 )
-from interloc.drives.survey import SAMPLED_SCANS
-from interloc.drives.trajectory import read_track
+from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.reduction.small_files import SmallFileCopies, gather_small_files
 
 
@@ -39,8 +36,6 @@ class ReductionPlan:
 
     Attributes
     ----------
-    root : Path
-        Folder of the small files.
     options : DriveOptions
         How the drive is read.
     label_folders : tuple of str
@@ -57,7 +52,7 @@ class ReductionPlan:
     georeference, georeference_reason : str or None
         Where it comes from; why there is none.
     length_m : float or None
-        Way driven over the scans.
+        Distance driven over the scans.
     problems : list of Finding
     manifest : ReducedManifest or None
         To be completed with `ReducedManifest.with_labels`; None where the poses cannot be read.
@@ -65,7 +60,6 @@ class ReductionPlan:
         Which files go where in the reduced drive.
     """
 
-    root: Path
     options: DriveOptions
     label_folders: tuple[LabelFolder, ...]
     frames: IntArray
@@ -93,15 +87,11 @@ class ReductionPlan:
 
 
 def plan_reduction(
-    root: str | os.PathLike[str],
+    root: Path,
     frames: Sequence[int] | IntArray,
+    options: ReadingOptions | None = None,
     *,
     label_folders: Sequence[LabelFolder] = ("labels",),
-    label_scheme: str | Collection[int] = "auto",
-    pose_frame: PoseFrame = "auto",
-    layout: LayoutChoice = "auto",
-    oxts: str | os.PathLike[str] | None = None,
-    name: str | None = None,
     keyframes: KeyframeConfig | None = KeyframeConfig(),  # noqa: B008 - frozen
     scan_folder: ScanFolder | None = None,
 ) -> ReductionPlan:
@@ -113,8 +103,10 @@ def plan_reduction(
         Folder with the small files: poses, calibration, times, oxts/, geo.csv.
     frames : (N,) int
         Numbers of all scans of the drive.
-    label_folders, label_scheme, pose_frame, layout, oxts, name
-        As of `open_drive`; label folders may be one or both.
+    options : ReadingOptions or None
+        How the drive is read.
+    label_folders : sequence of {"labels", "predictions"}
+        One or both.
     keyframes : KeyframeConfig or None
         Scans to keep: the keyframes by these settings; None: all.
     scan_folder : {"velodyne", "velodyne_points/data"} or None
@@ -123,64 +115,68 @@ def plan_reduction(
     Returns
     -------
     ReductionPlan
-        With all problems; a bad drive raises nothing.
+        With all findings; a bad drive raises nothing.
 
     Raises
     ------
     ConfigError
-        An option without meaning.
+        An unknown option or choice.
     """
-    options = drive_options(
-        labels=label_folders[0],
-        label_scheme=label_scheme,
-        pose_frame=pose_frame,
-        layout=layout,
-        oxts=oxts,
-        name=name,
-    )
-    for labels in label_folders:
-        replace(options, labels=labels)  # refuses folders that are none
-    named_scheme(options.label_scheme)
-    folder, findings, found = Path(root), Findings(stop_at_first=False), Survey()
+    chosen, *_ = (DriveOptions.of(options, labels=labels) for labels in reversed(label_folders))
+    findings = Findings(stop_at_first=False)
+    numbers, parts, trajectory = np.empty(0, np.int64), None, Trajectory()
     with findings.stage():
-        if is_reduced(folder):
+        if is_reduced(root):
             raise DriveFileError(MANIFEST, "is there already: the drive is a reduced one, and has no scans to reduce.")
-        found.frames = checked_frames(frames)
-        found.parts = find_layout(folder, options, announced=scan_folder or _likely_scan_folder(folder, layout))
-        read_track(found, options, findings)
-    return plan_of(found, folder, options, tuple(label_folders), keyframes, findings)
+        numbers = checked_frames(frames)
+        parts = find_layout(root, chosen, announced=scan_folder or _likely_scan_folder(root, chosen.layout))
+        trajectory = read_trajectory(parts, numbers, chosen, findings)
+    return plan_of(parts, numbers, trajectory, chosen, tuple(label_folders), keyframes, findings)
 
 
 def plan_of(
-    found: Survey,
-    root: Path,
+    parts: DriveParts | None,
+    frames: IntArray,
+    trajectory: Trajectory,
     options: DriveOptions,
     label_folders: tuple[LabelFolder, ...],
     keyframes: KeyframeConfig | None,
     findings: Findings,
 ) -> ReductionPlan:
     """Make the plan of what is known of a drive."""
-    frames = np.empty(0, np.int64) if found.frames is None else found.frames
-    kept, length_m, manifest, copies = np.empty(0, np.int64), None, None, SmallFileCopies()
-    if found.parts is not None and found.T_world_lidar is not None:
-        kept = frames if keyframes is None else frames[select_keyframes(found.T_world_lidar, keyframes)]
-        length_m = float(np.linalg.norm(np.diff(found.T_world_lidar[:, :3, 3], axis=0), axis=1).sum())
+    poses, georeference = trajectory.poses, trajectory.georeference
+    kept, manifest, copies = np.empty(0, np.int64), None, SmallFileCopies()
+    if parts is not None and poses is not None:
+        kept = frames if keyframes is None else frames[select_keyframes(poses.T_world_lidar, keyframes)]
+        thinning = None
+        if keyframes is not None:
+            thinning = Thinning(distance_m=keyframes.distance_m, angle_deg=keyframes.angle_deg)
         with findings.stage():
-            copies = gather_small_files(found.parts, frames, options.oxts)
-            manifest = _manifest(found, kept, keyframes, copies)
+            copies = gather_small_files(parts, frames, options.oxts)
+            manifest = make_manifest(
+                {
+                    "name": parts.drive_name,
+                    "layout": parts.layout,
+                    "scans": to_runs(frames),
+                    "kept": to_runs(kept),
+                    "keyframes": thinning,
+                    "pose_frame": poses.frame,
+                    "pose_frame_reason": poses.reason,
+                    "files": copies.files,
+                }
+            )
     return ReductionPlan(
-        root=root,
         options=options,
         label_folders=label_folders,
         frames=frames,
         frames_to_send=kept,
         frames_to_look_into=frames[sample_indices(np.arange(len(frames)), SAMPLED_SCANS)],
-        layout=found.parts.layout if found.parts else None,
-        pose_frame=found.pose_frame or None,
-        pose_frame_reason=found.pose_frame_reason or None,
-        georeference=found.georeference.source if found.georeference else None,
-        georeference_reason=None if found.georeference else found.georeference_reason,
-        length_m=length_m,
+        layout=parts.layout if parts else None,
+        pose_frame=poses.frame if poses else None,
+        pose_frame_reason=poses.reason if poses else None,
+        georeference=georeference.source if georeference else None,
+        georeference_reason=None if georeference else trajectory.georeference_reason,
+        length_m=poses.length_m if poses else None,
         problems=findings.found,
         manifest=manifest,
         copies=copies,
@@ -240,25 +236,3 @@ def _likely_scan_folder(root: Path, layout: LayoutChoice) -> ScanFolder:
         no_poses = (root / "oxts").is_dir() and not (root / "poses.txt").exists()
         layout = "kitti_raw" if no_poses or (root / "velodyne_points").is_dir() else layout
     return "velodyne_points/data" if layout == "kitti_raw" else "velodyne"
-
-
-def _manifest(
-    found: Survey, kept: IntArray, keyframes: KeyframeConfig | None, copies: SmallFileCopies
-) -> ReducedManifest:
-    """Write down what is known."""
-    assert found.parts is not None
-    assert found.frames is not None
-    return make_manifest(
-        {
-            "name": found.parts.drive_name,
-            "layout": found.parts.layout,
-            "scans": to_runs(found.frames),
-            "kept": to_runs(kept),
-            "keyframes": None
-            if keyframes is None
-            else Thinning(distance_m=keyframes.distance_m, angle_deg=keyframes.angle_deg),
-            "pose_frame": found.pose_frame,
-            "pose_frame_reason": found.pose_frame_reason,
-            "files": copies.files,
-        }
-    )

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.open import drive_options
-from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
+from interloc.drives.open import read_drive
+from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import (
     MANIFEST,
@@ -24,7 +24,6 @@ from interloc.drives.scans.reduced_format import (
     ground_path,
     is_reduced,
 )
-from interloc.drives.survey import survey
 from interloc.files import atomic_folder
 from interloc.reduction.plan import ReductionPlan, plan_of
 
@@ -80,13 +79,9 @@ def reduce_scan(scans: RawScans, frame: int) -> bytes:
 
 def prepare_reduction(
     root: str | os.PathLike[str],
+    options: ReadingOptions | None = None,
     *,
     label_folders: Sequence[LabelFolder] | None = None,
-    label_scheme: str | Collection[int] = "auto",
-    pose_frame: PoseFrame = "auto",
-    layout: LayoutChoice = "auto",
-    oxts: str | os.PathLike[str] | None = None,
-    name: str | None = None,
     keyframes: KeyframeConfig | None = None,
 ) -> Reduction:
     """Check a drive as `open_drive` does, and find out all that its reduction needs.
@@ -95,10 +90,10 @@ def prepare_reduction(
     ----------
     root
         Folder of the drive, with its scans.
+    options : ReadingOptions or None
+        How the drive is read.
     label_folders : sequence of {"labels", "predictions"}, or None
         By which labels ground points are chosen; None: by all that are there.
-    label_scheme, pose_frame, layout, oxts, name
-        As of `open_drive`.
     keyframes : KeyframeConfig or None
         Scans to keep: the keyframes by these settings; None: all.
 
@@ -107,49 +102,46 @@ def prepare_reduction(
     DriveError, GeoreferenceError
         The drive is damaged, something in it does not fit together, or it is a reduced one.
     ConfigError
-        An option without meaning.
+        An unknown option or choice.
     """
     root, findings = Path(root), Findings(stop_at_first=True)
     with findings.stage():
         chosen = label_folders_in(root) if label_folders is None else tuple(dict.fromkeys(label_folders))
         if is_reduced(root):
             raise DriveFileError(str(root), "is a reduced drive already. Expected a drive with its scans.")
-    options = drive_options(
-        labels=chosen[0],
-        label_scheme=label_scheme,
-        pose_frame=pose_frame,
-        layout=layout,
-        oxts=oxts,
-        name=name,
-    )
-    found = {labels: survey(root, replace(options, labels=labels), findings) for labels in chosen}
-    first = found[chosen[0]]
-    plan = plan_of(first, root, options, chosen, keyframes, findings)
-    assert plan.manifest is not None
+    readings = {labels: read_drive(root, DriveOptions.of(options, labels=labels), findings) for labels in chosen}
     labels, scans = [], {}
-    for folder, part in found.items():
-        assert part.contents is not None
-        assert part.drive is not None
-        assert isinstance(part.drive.ground, RawScans)
-        scans[folder] = part.drive.ground
-        label_bytes = int(part.drive.ground.label_files.sizes.sum())
-        labels.append(ReducedLabels.of(folder, part.drive.scheme, part.labels.counts, label_bytes))
-    assert first.contents is not None
-    report = first.contents.report(first)
-    source = SourceScans.model_validate({field: report[field] for field in SourceScans.model_fields})
-    return Reduction(plan, plan.manifest.with_labels(labels, source), scans)
+    for folder, reading in readings.items():
+        assert reading.drive is not None  # else a fault was raised
+        source = reading.drive.ground
+        assert isinstance(source, RawScans)
+        scans[folder] = source
+        label_bytes = int(source.label_files.sizes.sum())
+        labels.append(ReducedLabels.of(folder, source.scheme, reading.labels.counts, label_bytes))
+    first = readings[chosen[0]]
+    store, drive = first.store, first.drive
+    assert store is not None
+    assert drive is not None
+    plan = plan_of(
+        store.parts,
+        drive.frames,
+        first.trajectory,
+        DriveOptions.of(options, labels=chosen[0]),
+        chosen,
+        keyframes,
+        findings,
+    )
+    assert plan.manifest is not None
+    sizes = SourceScans.model_validate(store.facts.model_dump(include=set(SourceScans.model_fields)))
+    return Reduction(plan, plan.manifest.with_labels(labels, sizes), scans)
 
 
 def reduce_drive(
     root: str | os.PathLike[str],
     out: str | os.PathLike[str],
+    options: ReadingOptions | None = None,
     *,
     label_folders: Sequence[LabelFolder] | None = None,
-    label_scheme: str | Collection[int] = "auto",
-    pose_frame: PoseFrame = "auto",
-    layout: LayoutChoice = "auto",
-    oxts: str | os.PathLike[str] | None = None,
-    name: str | None = None,
     keyframes: KeyframeConfig | None = None,
     progress: Progress | None = None,
 ) -> ReducedManifest:
@@ -157,7 +149,7 @@ def reduce_drive(
 
     Parameters
     ----------
-    root, label_folders, label_scheme, pose_frame, layout, oxts, name, keyframes
+    root, options, label_folders, keyframes
         As of `prepare_reduction`.
     out
         Folder to be made; an older reduced drive there is replaced.
@@ -171,16 +163,7 @@ def reduce_drive(
     OutputError
         `out` is something else, or could not be written; nothing is left behind.
     """
-    reduction = prepare_reduction(
-        root,
-        label_folders=label_folders,
-        label_scheme=label_scheme,
-        pose_frame=pose_frame,
-        layout=layout,
-        oxts=oxts,
-        name=name,
-        keyframes=keyframes,
-    )
+    reduction = prepare_reduction(root, options, label_folders=label_folders, keyframes=keyframes)
     frames = [int(frame) for frame in reduction.plan.frames_to_send]
     with atomic_folder(Path(out), marker=MANIFEST) as folder:
         for labels in reduction.scans:

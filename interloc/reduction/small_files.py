@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import IntArray
-from interloc.drives.files import list_numbered, os_reason
+from interloc.drives.files import GeoreferenceFile, list_numbered, os_reason
 from interloc.drives.findings import DriveFileError
 from interloc.drives.georeference.read import locate_georeference
 from interloc.drives.layouts import DriveParts
@@ -122,7 +122,7 @@ def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) 
 
 def _take_folder(copies: SmallFileCopies, folder: Path, first: int, frames: IntArray, parts: DriveParts) -> str:
     """Note the OXTS files of the frames; return their folder in the reduced drive."""
-    files = list_numbered(folder, ".txt", parts.root)
+    files = list_numbered(GeoreferenceFile(folder, parts.root), ".txt")
     if _is_inside(folder, parts.root) and first == 0:
         place = folder.relative_to(parts.root).as_posix()
         digits = files.digits

@@ -14,7 +14,7 @@ def test_a_sound_drive_at_a_glance(interloc: Callable, drive: Path) -> None:
     assert facts["layout"] == "semantickitti"
     assert facts["scans"].startswith("210 (frames 0 to 209), about 6,0")
     assert facts["poses"].startswith("210, camera frame: it moves along its z axis")
-    assert facts["way"] == "125 m, 0.6 m between scans, 21 s"
+    assert facts["distance"] == "125 m, 0.6 m between scans, 21 s"
     assert facts["labels"] == "labels, scheme semantickitti, 25 % road"
     assert facts["georeference"].startswith("geo.csv")
     assert outcome.out.endswith("This drive can be used.\n")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interloc.drives.files import list_numbered, listed, read_text
+from interloc.drives.files import SourceFile, list_numbered, listed
 from interloc.errors import DriveError
 
 
@@ -22,23 +22,23 @@ def test_text_that_is_none(tmp_path: Path, data: bytes, words: str) -> None:
     path = tmp_path / "poses.txt"
     path.write_bytes(data)
     with pytest.raises(DriveError, match=words):
-        read_text(path, tmp_path)
+        SourceFile(path, tmp_path).text()
 
 
 def test_folder_instead_of_a_file(tmp_path: Path) -> None:
     with pytest.raises(DriveError, match="is a folder"):
-        read_text(tmp_path, tmp_path)
+        SourceFile(tmp_path, tmp_path).text()
 
 
 def test_pipe_instead_of_a_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "poses.txt")
     with pytest.raises(DriveError, match="is a pipe or device"):
-        read_text(tmp_path / "poses.txt", tmp_path)
+        SourceFile(tmp_path / "poses.txt", tmp_path).text()
 
 
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(DriveError, match=r"times\.txt: cannot be read: no such file"):
-        read_text(tmp_path / "times.txt", tmp_path)
+        SourceFile(tmp_path / "times.txt", tmp_path).text()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
@@ -47,13 +47,13 @@ def test_permission_denied(tmp_path: Path) -> None:
     path.write_text("1")
     path.chmod(0)
     with pytest.raises(DriveError, match="permission denied"):
-        read_text(path, tmp_path)
+        SourceFile(path, tmp_path).text()
 
 
 def test_packed_text(tmp_path: Path) -> None:
     path = tmp_path / "07.txt.gz"
     path.write_bytes(gzip.compress(b"1 2 3"))
-    assert read_text(path, tmp_path) == "1 2 3"
+    assert SourceFile(path, tmp_path).text() == "1 2 3"
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[:-6], lambda _: b"1 2 3", lambda data: data[:12] + b"\xff" * 20])
@@ -61,7 +61,7 @@ def test_damaged_gzip(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     path = tmp_path / "07.txt.gz"
     path.write_bytes(damage(gzip.compress(b"1 2 3 4 5 6" * 30)))
     with pytest.raises(DriveError, match="gzip"):
-        read_text(path, tmp_path)
+        SourceFile(path, tmp_path).text()
 
 
 def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,13 +69,13 @@ def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyP
     path = tmp_path / "07.txt.gz"
     path.write_bytes(gzip.compress(b"0" * 100_000))
     with pytest.raises(DriveError, match="larger than"):
-        read_text(path, tmp_path)
+        SourceFile(path, tmp_path).text()
 
 
 def test_numbered_files_are_sorted_by_number(tmp_path: Path) -> None:
     for name in ("000010.bin", "000002.bin", "notes.txt", ".hidden.bin"):
         (tmp_path / name).write_bytes(b"1234")
-    files = list_numbered(tmp_path, ".bin", tmp_path)
+    files = list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
     assert files.numbers.tolist() == [2, 10]
     assert files.sizes.tolist() == [4, 4]
     assert files.path(2) == tmp_path / "000002.bin"
@@ -84,8 +84,8 @@ def test_numbered_files_are_sorted_by_number(tmp_path: Path) -> None:
 def test_names_without_zeros_in_front(tmp_path: Path) -> None:
     for name in ("9.bin", "10.bin"):
         (tmp_path / name).touch()
-    files = list_numbered(tmp_path, ".bin", tmp_path)
-    assert [files.name(int(number)) for number in files.numbers] == ["9.bin", "10.bin"]
+    files = list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
+    assert [files.path(int(number)).name for number in files.numbers] == ["9.bin", "10.bin"]
 
 
 @pytest.mark.parametrize(
@@ -93,8 +93,8 @@ def test_names_without_zeros_in_front(tmp_path: Path) -> None:
     [
         ([], r"holds no \.bin file"),
         (["scan.bin"], "not named by its scan number"),
-        (["000001.bin", "0000000002.bin"], "numbered otherwise"),
-        (["000001.bin", "1.bin"], "numbered otherwise"),
+        (["000001.bin", "0000000002.bin"], "not numbered like its neighbours"),
+        (["000001.bin", "1.bin"], "not numbered like its neighbours"),
         (["²³.bin"], "not named by its scan number"),
         (["9" * 30 + ".bin"], "not named by its scan number"),
     ],
@@ -103,19 +103,19 @@ def test_odd_names(tmp_path: Path, names: list[str], words: str) -> None:
     for name in names:
         (tmp_path / name).touch()
     with pytest.raises(DriveError, match=words):
-        list_numbered(tmp_path, ".bin", tmp_path)
+        list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
 
 
 def test_folder_among_the_scans(tmp_path: Path) -> None:
     (tmp_path / "000000.bin").mkdir()
     with pytest.raises(DriveError, match="is a folder"):
-        list_numbered(tmp_path, ".bin", tmp_path)
+        list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
 
 
 def test_dangling_link_among_the_scans(tmp_path: Path) -> None:
     (tmp_path / "000000.bin").symlink_to(tmp_path / "gone.bin")
     with pytest.raises(DriveError, match="cannot be read"):
-        list_numbered(tmp_path, ".bin", tmp_path)
+        list_numbered(SourceFile(tmp_path, tmp_path), ".bin")
 
 
 def test_many_numbers_are_shortened() -> None:

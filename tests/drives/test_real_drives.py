@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from interloc.drives.checks import check_flat_road
+from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
@@ -58,7 +59,7 @@ def test_the_road_alone_betrays_the_other_dialect(
 ) -> None:
     root = data(name)
     drive = open_drive(root, labels=labels)
-    raw = read_poses(root / "poses.txt", root).poses[: len(drive.frames)]
+    raw = read_poses(SourceFile(root / "poses.txt", root)).poses[: len(drive.frames)]
     line = next(s for s in data("kitti/calib/00.txt").read_text().splitlines() if s.startswith("Tr:"))
     T_cam_lidar = np.vstack([np.array(line.split()[1:], float).reshape(3, 4), [0, 0, 0, 1]])
     wrong = raw if frame == "camera" else invert_transform(T_cam_lidar) @ raw @ T_cam_lidar

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from interloc.config import KeyframeConfig
+from interloc.drives.files import SourceFile
 from interloc.drives.open import open_drive
+from interloc.drives.options import DriveOptions
 from interloc.drives.scans.raw import read_label_ids
 from interloc.drives.scans.reduced_format import ReducedLabels, ground_path
 from interloc.errors import ConfigError, DriveError
@@ -48,7 +50,7 @@ def test_a_drive_sent_scan_by_scan(drive: Path, small_files: Path, tmp_path: Pat
     plan = plan_reduction(small_files, range(12))
     counts: dict[int, int] = {}
     for frame in plan.frames_to_look_into:
-        for label, count in read_label_ids(drive / f"labels/{frame:06d}.label", drive):
+        for label, count in read_label_ids(SourceFile(drive / f"labels/{frame:06d}.label", drive)):
             counts[label] = counts.get(label, 0) + count
     judged, problems = judge_counts(plan, LABELS, counts)
     assert judged.scheme is not None
@@ -113,7 +115,7 @@ def test_rows_of_oxts_among_the_small_files(tmp_path: Path, make: ModuleType) ->
     shutil.rmtree(root / "velodyne")
     rows = make.oxts_lines(make.lidar_poses(), T_lidar_imu=np.eye(4))
     (root / "gnss.txt").write_text("\n".join(rows) + "\n")
-    plan = plan_reduction(root, range(12), oxts=root / "gnss.txt", name="08")
+    plan = plan_reduction(root, range(12), DriveOptions(oxts=root / "gnss.txt", name="08"))
     assert plan.manifest is not None
     assert (plan.manifest.name, plan.manifest.files.oxts) == ("08", "gnss.txt")
     assert plan.georeference == "gnss.txt, lever arm as published by KITTI"
@@ -180,9 +182,8 @@ def test_scan_numbers_that_cannot_be(small_files: Path, frames: Any, words: str)
 
 
 def test_options_without_meaning(small_files: Path) -> None:
-    for options in ({"label_scheme": "mine"}, {"label_folders": ("labels", "else")}, {"layout": "nuscenes"}):
-        with pytest.raises(ConfigError, match="expected"):
-            plan_reduction(small_files, range(12), **options)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="labels 'else': expected 'labels' or 'predictions'"):
+        plan_reduction(small_files, range(12), label_folders=("labels", "else"))  # type: ignore[arg-type]
 
 
 def test_a_reduced_drive_has_nothing_to_plan(reduced: Path) -> None:

@@ -14,6 +14,7 @@ from interloc.config import KeyframeConfig
 from interloc.drives.folder import FolderDrive
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
+from interloc.drives.options import DriveOptions
 from interloc.drives.scans.reduced_format import decode_ground, read_manifest
 from interloc.errors import DriveError, GeoreferenceError, OutputError
 from interloc.reduction.reduce import prepare_reduction, reduce_drive, reduce_scan
@@ -42,7 +43,7 @@ def assert_same(before: FolderDrive, after: FolderDrive) -> None:
 
 def reduce_all(root: Path, out: Path, **options: Any) -> None:
     """Reduce a drive with every scan, and compare."""
-    reduce_drive(root, out, keyframes=None, **options)
+    reduce_drive(root, out, DriveOptions.of(**options), keyframes=None)
     assert_same(open_drive(root, **options), open_drive(out))
 
 
@@ -185,7 +186,7 @@ def test_a_file_inside_the_drive_keeps_its_place(bare: Path, tmp_path: Path, mak
 def test_the_name_of_the_drive(bare: Path, tmp_path: Path) -> None:
     """A folder of any name can stand for a drive, as the folders of a service do."""
     folder = bare.rename(tmp_path / "files")
-    reduce_drive(folder, tmp_path / "out", name="08", keyframes=None)
+    reduce_drive(folder, tmp_path / "out", DriveOptions(name="08"), keyframes=None)
     assert open_drive(tmp_path / "out").name == open_drive(folder, name="08").name == "08"
     assert inspect_drive(tmp_path / "out").name == "08"
 
@@ -238,11 +239,12 @@ def test_bad_drives_are_refused_as_ever(drive: Path, tmp_path: Path) -> None:
     for options, error, words in (
         ({"pose_frame": "lidar"}, DriveError, "Give pose frame 'auto' or 'camera'"),
         ({"oxts": tmp_path / "gone"}, GeoreferenceError, "does not exist"),
-        ({"label_folders": ["predictions"]}, DriveError, "predictions: is missing"),
         ({"label_scheme": "learning"}, DriveError, "no point of the scans looked at is road"),
     ):
         with pytest.raises(error, match=words):
-            reduce_drive(drive, tmp_path / "out", keyframes=None, **options)  # type: ignore[arg-type]
+            reduce_drive(drive, tmp_path / "out", DriveOptions.of(**options))
+    with pytest.raises(DriveError, match="predictions: is missing"):
+        reduce_drive(drive, tmp_path / "out", label_folders=["predictions"])
     for root in (tmp_path / "gone", Path("a" * 5000)):
         with pytest.raises(DriveError, match=r"does not exist|cannot be read"):
             reduce_drive(root, tmp_path / "out", keyframes=None)

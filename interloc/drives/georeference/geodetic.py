@@ -6,19 +6,19 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.drives.findings import GeoreferenceFileError
+from interloc.drives.files import SourceFile
 from interloc.geometry import WGS84_A_M, WGS84_E2, invert_transform
 
 
-def checked_fixes(rows: FloatArray, name: str, frames: IntArray) -> FloatArray:
-    """Refuse positions that are none on Earth, and angles in degrees.
+def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> FloatArray:
+    """Refuse positions that are not on Earth, and angles in degrees.
 
     Parameters
     ----------
+    file : SourceFile
+        Where they come from.
     rows : (N, 6 or more) float64
         Latitude, longitude in degrees, altitude in metres, roll, pitch, yaw in radians.
-    name : str
-        Of the file, in messages.
     frames : (N,) int64
         Scan numbers, for messages.
 
@@ -31,20 +31,17 @@ def checked_fixes(rows: FloatArray, name: str, frames: IntArray) -> FloatArray:
     off = (lat > 89) | (lon > 360) | (alt > 20_000)
     if off.any():
         row = int(np.argmax(off))
-        raise GeoreferenceFileError(
-            name,
+        raise file.fault(
             f"frame {frames[row]}: latitude {rows[row, 0]:g}, longitude {rows[row, 1]:g}, altitude {rows[row, 2]:g} "
-            "is no place to drive. Expected degrees and metres. Usual cause: projected coordinates.",
+            "is no place to drive. Expected degrees and metres. Usual cause: projected coordinates."
         )
     if ((lat == 0) & (lon == 0)).any():
         row = int(np.argmax((lat == 0) & (lon == 0)))
-        raise GeoreferenceFileError(
-            name, f"frame {frames[row]}: latitude and longitude are 0: the receiver had no fix."
-        )
+        raise file.fault(f"frame {frames[row]}: latitude and longitude are 0: the receiver had no fix.")
     if (angles > 2 * np.pi).any():
         row = int(np.argmax((angles > 2 * np.pi).any(axis=1)))
-        raise GeoreferenceFileError(
-            name, f"frame {frames[row]}: an angle of {angles[row].max():g}. Expected radians. Usual cause: degrees."
+        raise file.fault(
+            f"frame {frames[row]}: an angle of {angles[row].max():g}. Expected radians. Usual cause: degrees."
         )
     return rows
 

@@ -1,4 +1,4 @@
-"""OXTS: the GNSS/INS of KITTI, 30 values a frame, in one file a frame or one row a frame."""
+"""OXTS: the GNSS/INS of KITTI, 30 values per frame, in one file per frame or one row per frame."""
 
 from __future__ import annotations
 
@@ -8,9 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.files import list_numbered, listed, missing_numbers, numbers_of, read_text, rows_by_frame, shown
+from interloc.drive import Georeference
+from interloc.drives.files import (
+    GeoreferenceFile,
+    SourceFile,
+    list_numbered,
+    listed,
+    missing_numbers,
+    rows_by_frame,
+)
 from interloc.drives.findings import GeoreferenceFileError
 from interloc.drives.georeference.geodetic import checked_fixes
+from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_rpy
 
 OXTS_VALUES = 30
 
@@ -61,8 +70,8 @@ def raw_offset(raw_drive: Path, sequence: str, frames: IntArray) -> int:
     return first
 
 
-def read_oxts_folder(folder: Path, root: Path, frames: IntArray) -> FloatArray:
-    """Read one OXTS file a frame.
+def read_oxts_folder(folder: GeoreferenceFile, frames: IntArray) -> FloatArray:
+    """Read one OXTS file per frame.
 
     Returns
     -------
@@ -70,26 +79,25 @@ def read_oxts_folder(folder: Path, root: Path, frames: IntArray) -> FloatArray:
 
     Raises
     ------
-    DriveError
+    GeoreferenceError
         A frame has no file, or a file is damaged.
     """
-    files = list_numbered(folder, ".txt", root)
+    files = list_numbered(folder, ".txt")
     missing = missing_numbers(files.numbers, frames)
     if len(missing):
-        raise GeoreferenceFileError(
-            shown(folder, root),
+        raise folder.fault(
             f"{len(missing):,} of {len(frames):,} scans have no fix: frames {listed(missing)}. "
-            "Expected one OXTS file a scan, under the number of the scan. Usual cause: the oxts of another drive.",
+            "Expected one OXTS file per scan, under the number of the scan. Usual cause: the oxts of another drive."
         )
     rows = np.empty((len(frames), OXTS_VALUES))
     for row, frame in enumerate(frames):
-        path = files.path(int(frame))
-        rows[row] = _oxts_values(read_text(path, root).split(), path, root, 1)
-    return checked_fixes(rows, shown(folder, root), frames)
+        file = files.file(int(frame))
+        rows[row] = _oxts_values(file, file.text().split(), 1)
+    return checked_fixes(folder, rows, frames)
 
 
-def read_oxts_rows(path: Path, root: Path, frames: IntArray) -> FloatArray:
-    """Read a file with one OXTS row a frame, plain or .gz.
+def read_oxts_rows(file: GeoreferenceFile, frames: IntArray) -> FloatArray:
+    """Read a file with one OXTS row per frame, plain or .gz.
 
     Returns
     -------
@@ -97,29 +105,51 @@ def read_oxts_rows(path: Path, root: Path, frames: IntArray) -> FloatArray:
 
     Raises
     ------
-    DriveError
+    GeoreferenceError
         It has fewer rows than the drive has frames, or a row is damaged.
     """
-    lines = read_text(path, root).splitlines()
-    while lines and not lines[-1].strip():
-        lines.pop()
+    lines = file.text().rstrip().splitlines()
     wanted = rows_by_frame(frames, len(lines))
     if wanted is None:
-        raise GeoreferenceFileError(
-            shown(path, root),
+        raise file.fault(
             f"{len(lines):,} rows, but the drive has the frames {frames[0]} to {frames[-1]} ({len(frames):,} scans). "
-            "Expected one row a frame, the first for frame 0. Usual cause: the rows of another sequence.",
+            "Expected one row per frame, the first for frame 0. Usual cause: the rows of another sequence."
         )
-    values = [_oxts_values(lines[row].split(), path, root, int(row) + 1) for row in wanted]
-    return checked_fixes(np.array(values), shown(path, root), frames)
+    values = [_oxts_values(file, lines[row].split(), int(row) + 1) for row in wanted]
+    return checked_fixes(file, np.array(values), frames)
 
 
-def _oxts_values(fields: list[str], path: Path, root: Path, line: int) -> list[float]:
+def _oxts_values(file: SourceFile, fields: list[str], line: int) -> list[float]:
     """Return the 30 numbers of an OXTS row."""
     if len(fields) != OXTS_VALUES:
-        raise GeoreferenceFileError(
-            shown(path, root),
-            f"line {line}: {len(fields)} values; expected {OXTS_VALUES} (lat lon alt roll pitch yaw ...). "
+        raise file.fault(
+            f"{len(fields)} values; expected {OXTS_VALUES} (lat lon alt roll pitch yaw ...). "
             "Usual cause: timestamps or poses under this name.",
+            line,
         )
-    return numbers_of(fields, path, root, line)
+    return file.numbers(fields, line)
+
+
+def georeference_of_lidar(rows: FloatArray, T_lidar_imu: FloatArray, source: str) -> Georeference:
+    """Move fixes of the IMU to the LiDAR.
+
+    Parameters
+    ----------
+    rows : (N, 30) float64
+        OXTS: latitude, longitude in degrees, altitude in metres, roll, pitch, yaw of the IMU in radians, ...
+    T_lidar_imu : (4, 4) float64
+        Its lever arm.
+    source : str
+        Where both came from, in words.
+    """
+    T_imu_lidar = invert_transform(T_lidar_imu)
+    R_enu_imu = rotation_from_rpy(rows[:, 3], rows[:, 4], rows[:, 5])
+    offset = R_enu_imu @ T_imu_lidar[:3, 3]
+    lonlat = lonlat_from_enu(rows[:, 0], rows[:, 1], offset[:, :2])
+    return Georeference(
+        lat_deg=lonlat[:, 1].copy(),
+        lon_deg=lonlat[:, 0].copy(),
+        alt_m=rows[:, 2] + offset[:, 2],
+        R_enu_lidar=R_enu_imu @ T_imu_lidar[:3, :3],
+        source=source,
+    )

@@ -7,21 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import IntArray
 from interloc.drive import Georeference
-from interloc.drives.files import shown
-from interloc.drives.findings import GeoreferenceFileError
+from interloc.drives.files import GeoreferenceFile
 from interloc.drives.georeference.geo_csv import read_geo_csv
-from interloc.drives.georeference.oxts import raw_offset, read_oxts_folder, read_oxts_rows
+from interloc.drives.georeference.oxts import georeference_of_lidar, raw_offset, read_oxts_folder, read_oxts_rows
 from interloc.drives.layouts import DriveParts
-from interloc.drives.poses.calibration import (
-    IMU_CALIBRATION,
-    KITTI_T_VELO_IMU,
-    locate_imu_calibration,
-    read_imu_calibration,
-)
-from interloc.errors import DriveError
-from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_rpy
+from interloc.drives.poses.calibration import IMU_CALIBRATION, KITTI_T_VELO_IMU, locate_imu_calibration, read_rt
 
 _log = logging.getLogger(__name__)
 
@@ -33,7 +25,7 @@ class GeoreferenceFiles:
     Attributes
     ----------
     kind : {"geo", "folder", "rows"}
-        A geo.csv, a folder with one OXTS file a frame, or a file with one OXTS row a frame.
+        A geo.csv, a folder with one OXTS file per frame, or a file with one OXTS row per frame.
     path : Path
     first : int
         Number of the OXTS file of frame 0.
@@ -56,7 +48,7 @@ def locate_georeference(parts: DriveParts, frames: IntArray, given: Path | None)
     frames : (N,) int64
         Scan numbers.
     given : Path or None
-        A georeference from elsewhere (file with a row a frame, KITTI raw drive, geo.csv); it comes first.
+        A georeference from elsewhere (file with one row per frame, KITTI raw drive, geo.csv); it comes first.
 
     Returns
     -------
@@ -91,27 +83,22 @@ def read_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -
     files = locate_georeference(parts, frames, given)
     if files is None:
         return None
-    root, name = parts.root, shown(files.path, parts.root)
-    try:
-        if files.kind == "geo":
-            return read_geo_csv(files.path, root, frames)
-        if files.kind == "rows":
-            rows = read_oxts_rows(files.path, root, frames)
-        else:
-            rows = read_oxts_folder(files.path, root, frames + files.first)
-        return georeference_of_lidar(rows, _lever_arm(parts, files.imu_calibration), name)
-    except GeoreferenceFileError:
-        raise
-    except DriveError as error:
-        path, message = error.args if len(error.args) == 2 else ("", str(error))
-        raise GeoreferenceFileError(path, message) from error
+    file = GeoreferenceFile(files.path, parts.root)
+    if files.kind == "geo":
+        return read_geo_csv(file, frames)
+    rows = read_oxts_rows(file, frames) if files.kind == "rows" else read_oxts_folder(file, frames + files.first)
+    if files.imu_calibration is None:
+        _log.info("%s: no calib_imu_to_velo.txt; the lever arm that KITTI publishes is used", parts.root.name)
+        return georeference_of_lidar(rows, KITTI_T_VELO_IMU, f"{file.name}, lever arm as published by KITTI")
+    calibration = GeoreferenceFile(files.imu_calibration, parts.root)
+    return georeference_of_lidar(rows, read_rt(calibration), f"{file.name}, lever arm of {calibration.name}")
 
 
 def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> GeoreferenceFiles:
     """Find the files of a georeference that was named by the user."""
     if not given.exists():
-        raise GeoreferenceFileError(
-            shown(given, parts.root), "does not exist. Expected a KITTI raw drive, a file of OXTS rows, or a geo.csv."
+        raise GeoreferenceFile(given, parts.root).fault(
+            "does not exist. Expected a KITTI raw drive, a file of OXTS rows, or a geo.csv."
         )
     if given.is_dir():
         if (given / "geo.csv").is_file() and not (given / "oxts").exists():
@@ -134,37 +121,3 @@ def _imu_calibration_near(folder: Path, parts: DriveParts) -> Path | None:
 def _data_folder(folder: Path) -> Path:
     """Return the folder of OXTS files in oxts/ (itself, or its data/)."""
     return folder / "data" if (folder / "data").is_dir() else folder
-
-
-def _lever_arm(parts: DriveParts, path: Path | None) -> tuple[FloatArray, str]:
-    """Return T_lidar_imu and where it came from."""
-    if path is not None:
-        return read_imu_calibration(path, parts.root), f"lever arm of {shown(path, parts.root)}"
-    _log.info("%s: no calib_imu_to_velo.txt; the lever arm that KITTI publishes is used", parts.root.name)
-    return KITTI_T_VELO_IMU, "lever arm as published by KITTI"
-
-
-def georeference_of_lidar(rows: FloatArray, lever_arm: tuple[FloatArray, str], name: str) -> Georeference:
-    """Move fixes of the IMU to the LiDAR.
-
-    Parameters
-    ----------
-    rows : (N, 30) float64
-        OXTS: latitude, longitude in degrees, altitude in metres, roll, pitch, yaw of the IMU in radians, ...
-    lever_arm : tuple of (4, 4) float64 and str
-        T_lidar_imu and where it came from.
-    name : str
-        Source of the rows.
-    """
-    T_lidar_imu, arm_source = lever_arm
-    T_imu_lidar = invert_transform(T_lidar_imu)
-    R_enu_imu = rotation_from_rpy(rows[:, 3], rows[:, 4], rows[:, 5])
-    offset = R_enu_imu @ T_imu_lidar[:3, 3]
-    lonlat = lonlat_from_enu(rows[:, 0], rows[:, 1], offset[:, :2])
-    return Georeference(
-        lat_deg=lonlat[:, 1].copy(),
-        lon_deg=lonlat[:, 0].copy(),
-        alt_m=rows[:, 2] + offset[:, 2],
-        R_enu_lidar=R_enu_imu @ T_imu_lidar[:3, :3],
-        source=f"{name}, {arm_source}",
-    )

@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.drives.files import shown
-from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.files import SourceFile
+from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts, PoseOwner
 from interloc.drives.options import PoseFrame
 from interloc.drives.poses.calibration import find_camera_calibration, find_camera_to_pose
@@ -25,6 +25,12 @@ Frame = Literal["camera", "lidar", "imu"]
 _CLEAR = 0.65
 _STEADY = 0.8
 _ENOUGH_M = 20.0
+
+_DEVICES = {"camera": "camera", "lidar": "LiDAR", "imu": "IMU", "oxts": "LiDAR"}
+_USUAL_CONTRADICTION = {
+    "lidar": "poses.txt of KITTI and SemanticKITTI, which are camera poses (those of kiss-icp are not)",
+    "camera": "poses of a LiDAR odometry, or poses that were already multiplied by the calibration",
+}
 
 
 def guess_frame(poses: FloatArray) -> tuple[Frame | None, str]:
@@ -59,7 +65,7 @@ def guess_frame(poses: FloatArray) -> tuple[Frame | None, str]:
 
 
 def to_lidar(
-    poses: FloatArray, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
+    poses: FloatArray, parts: DriveParts, file: SourceFile, declared: PoseFrame, findings: Findings
 ) -> tuple[FloatArray, PoseOwner, str]:
     """Turn the poses of a file into those of the LiDAR.
 
@@ -69,8 +75,8 @@ def to_lidar(
         As they stand in the file.
     parts : DriveParts
         Where calibrations are looked for, and whose poses these are where that is settled.
-    pose_file : str
-        Its name in messages.
+    file : SourceFile
+        The pose file.
     declared : {"auto", "camera", "lidar"}
     findings : Findings
         Gets the doubts about the guess.
@@ -90,124 +96,101 @@ def to_lidar(
         The poses are inverted, the declared frame contradicts the motion, or the calibration that is needed is missing
         or does not fit.
     """
-    _look_for_inverted(poses, pose_file, findings)
+    _look_for_inverted(poses, file, findings)
     owner: PoseOwner
     if parts.pose_frame is None:
-        owner, why = _decide(poses, parts, pose_file, declared, findings)
+        owner, why = _decide(poses, parts, file, declared, findings)
     else:
         owner, why = parts.pose_frame
         if declared not in {"auto", owner}:
-            raise DriveFileError(pose_file, _settled(declared, owner, why))
+            raise file.fault(
+                f"declared as poses of the {_DEVICES[declared]} (pose frame {declared!r}), but the drive was reduced "
+                f"with them as those of the {_DEVICES[owner]} ({why}), and its scans were chosen accordingly. "
+                f"Give pose frame 'auto', or reduce the drive again with pose frame {declared!r}."
+            )
     if owner == "camera":
-        return _from_camera(poses, parts, pose_file, why), owner, why
+        return _from_camera(poses, parts, file, why), owner, why
     if owner == "imu":
-        return _from_imu(poses, parts, pose_file), owner, why
+        return _from_imu(poses, parts, file), owner, why
     return poses, owner, why
 
 
 def _decide(
-    poses: FloatArray, parts: DriveParts, pose_file: str, declared: PoseFrame, findings: Findings
+    poses: FloatArray, parts: DriveParts, file: SourceFile, declared: PoseFrame, findings: Findings
 ) -> tuple[Frame, str]:
     """Return whose poses these are, and why."""
     guess, why = guess_frame(poses)
     if declared != "auto":
         if guess is not None and guess != declared:
-            raise DriveFileError(pose_file, _contradiction(declared, guess, why))
+            raise file.fault(
+                f"declared as poses of the {_DEVICES[declared]} (pose frame {declared!r}), but they are those of the "
+                f"{_DEVICES[guess]}: {why}. Give pose frame 'auto' or {guess!r}. "
+                f"Usual cause: {_USUAL_CONTRADICTION[declared]}."
+            )
         return declared, f"declared so ({why})"
     if guess is None:
         has_calibration = find_camera_calibration(parts) is not None
         guess = "camera" if has_calibration else "lidar"
         calibration = "there is a camera calibration" if has_calibration else "there is no camera calibration"
         why = f"{why}; {calibration}, so they are taken for {guess} poses"
-        findings.note(pose_file, f"{why}. Name the pose frame (camera or lidar) if that is wrong.")
+        findings.note(file.name, f"{why}. Name the pose frame (camera or lidar) if that is wrong.")
     if guess == "lidar" and parts.layout == "kitti360" and _points_down(poses):
         return "imu", f"{why}, but its z axis points down, as KITTI-360's IMU"
     return guess, why
 
 
-def _look_for_inverted(poses: FloatArray, pose_file: str, findings: Findings) -> None:
+def _look_for_inverted(poses: FloatArray, file: SourceFile, findings: Findings) -> None:
     """Refuse poses of the world in the vehicle: they move in ever other directions, and their inverses do not."""
     motion = body_motion(poses)
     if motion is None or motion.distance_m < _ENOUGH_M:
         return
     inverse = body_motion(invert_transform(poses))
     if inverse is not None and motion.steadiness < _STEADY and inverse.steadiness > max(0.9, motion.steadiness + 0.1):
-        raise DriveFileError(
-            pose_file,
+        raise file.fault(
             "holds inverted poses: read as they are, the vehicle slides sideways through its turns; inverted, it "
             "drives straight ahead. Expected the pose of the sensor in the world (p_world = T p_sensor). "
-            "Usual cause: transforms from the world to the sensor; invert each.",
+            "Usual cause: transforms from the world to the sensor; invert each."
         )
     if motion.forward < -_STEADY:
         findings.warning(
-            pose_file,
+            file.name,
             f"the vehicle drives backwards: along -{motion.axis} of its own frame. "
             "Usual cause: inverted poses, or a sensor that is mounted backwards.",
         )
 
 
-def _contradiction(declared: Frame, guess: Frame, why: str) -> str:
-    """Say that the declared frame does not fit."""
-    usual = {
-        "lidar": "poses.txt of KITTI and SemanticKITTI, which are camera poses (those of kiss-icp are not)",
-        "camera": "poses of a LiDAR odometry, or poses that were already multiplied by the calibration",
-    }[declared]
-    return (
-        f"declared as poses of the {_device(declared)} (pose frame {declared!r}), but they are those of the "
-        f"{_device(guess)}: {why}. "
-        f"Give pose frame 'auto' or {guess!r}. Usual cause: {usual}."
-    )
-
-
-def _settled(declared: PoseFrame, owner: PoseOwner, why: str) -> str:
-    """Say that a reduced drive cannot be read otherwise than it was made."""
-    return (
-        f"declared as poses of the {_device(declared)} (pose frame {declared!r}), but the drive was reduced with them "
-        f"as those of the {_device(owner)} ({why}), and its scans were chosen accordingly. "
-        f"Give pose frame 'auto', or reduce the drive again with pose frame {declared!r}."
-    )
-
-
-def _device(frame: str) -> str:
-    """Name the device of a frame."""
-    return {"camera": "camera", "lidar": "LiDAR", "imu": "IMU"}[frame]
-
-
-def _from_camera(poses: FloatArray, parts: DriveParts, pose_file: str, why: str) -> FloatArray:
+def _from_camera(poses: FloatArray, parts: DriveParts, file: SourceFile, why: str) -> FloatArray:
     """Return the LiDAR poses of camera poses: T_world_lidar = P Tr."""
     found = find_camera_calibration(parts)
     if found is None:
-        raise DriveFileError(
-            pose_file,
+        raise file.fault(
             f"holds camera poses ({why}), and there is no calib.txt to turn them into LiDAR poses. "
             "Put the calib.txt of the sequence beside poses.txt (its line 'Tr:' is needed), "
-            "or give pose frame 'lidar' if they are the LiDAR's after all.",
+            "or give pose frame 'lidar' if they are the LiDAR's after all."
         )
-    path, T_cam_lidar = found
+    calibration, T_cam_lidar = found
     lidar = poses @ T_cam_lidar
     before, after = body_motion(poses), body_motion(lidar)
     if before is not None and after is not None and before.axis == "z" and after.axis != "x":
-        raise DriveFileError(
-            shown(path, parts.root),
+        raise calibration.fault(
             f"does not lead from the LiDAR to the camera: with it the LiDAR moves along its {after.axis} axis, not x. "
             "Expected 'Tr' that maps points of the LiDAR (x forward, z up) into the camera (z forward, y down). "
-            "Usual cause: the inverse transform, or an identity as a placeholder.",
+            "Usual cause: the inverse transform, or an identity as a placeholder."
         )
     return lidar
 
 
-def _from_imu(poses: FloatArray, parts: DriveParts, pose_file: str) -> FloatArray:
+def _from_imu(poses: FloatArray, parts: DriveParts, file: SourceFile) -> FloatArray:
     """Return the LiDAR poses of KITTI-360's IMU poses: T_world_lidar = P T_imu_cam T_cam_lidar."""
     camera, to_pose = find_camera_calibration(parts), find_camera_to_pose(parts)
     if camera is None or to_pose is None:
-        raise DriveFileError(
-            pose_file,
+        raise file.fault(
             "holds poses of KITTI-360's IMU (x forward, z down), and no calibration leads from there to the LiDAR. "
-            "Put calib_cam_to_velo.txt and calib_cam_to_pose.txt of KITTI-360 beside it.",
+            "Put calib_cam_to_velo.txt and calib_cam_to_pose.txt of KITTI-360 beside it."
         )
     return poses @ to_pose[1] @ camera[1]
 
 
 def _points_down(poses: FloatArray) -> bool:
-    """Say whether the z axis of the body points down in the world of the file."""
+    """Return whether the z axis of the body points down in the world of the file."""
     return float(np.median(poses[:, 2, 2])) < -0.7

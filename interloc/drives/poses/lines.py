@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.files import MAX_NUMBER, numbers_of, read_text, shown
-from interloc.drives.findings import DriveFileError
-
-INDEXED_LENGTHS = (13, 17)
-"""Numbers a line that starts with a frame number."""
+from interloc.drives.files import MAX_NUMBER, SourceFile
+from interloc.drives.layouts import INDEXED_LENGTHS
 
 _LENGTHS = (12, 13, 16, 17)
 _ORTHONORMAL = 1e-3
@@ -35,46 +31,43 @@ class PoseLines:
     frames: IntArray | None
 
 
-def read_poses(path: Path, root: Path) -> PoseLines:
+def read_poses(file: SourceFile) -> PoseLines:
     """Read and check pose lines.
 
     Raises
     ------
     DriveError
         A line has another count of numbers than 12, 13, 16 or 17 or than the first, a number is not finite or absurd,
-        a rotation is none, or a frame number comes twice.
+        a 3x3 part is not a rotation, or a frame number comes twice.
     """
-    if not path.exists():
-        raise DriveFileError(
-            shown(path, root),
-            "is missing. Expected one line of 12 numbers a scan: the pose of the camera (KITTI) or of the LiDAR "
-            "(kiss-icp and others). For KITTI odometry it comes with the labels of SemanticKITTI.",
+    if not file.path.exists():
+        raise file.fault(
+            "is missing. Expected one line of 12 numbers per scan: the pose of the camera (KITTI) or of the LiDAR "
+            "(kiss-icp and others). For KITTI odometry it comes with the labels of SemanticKITTI."
         )
-    rows, lines = _read_rows(path, root)
+    rows, lines = _read_rows(file)
     values = np.array(rows, dtype=np.float64)
     frames = None
     if values.shape[1] in INDEXED_LENGTHS:
-        frames, values = _split_frames(values, lines, path, root), values[:, 1:]
+        frames, values = _split_frames(values, lines, file), values[:, 1:]
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     poses[:, :3, :] = values[:, :12].reshape(-1, 3, 4)
     if values.shape[1] == 16 and (wrong := np.abs(values[:, 12:] - (0, 0, 0, 1)).max(axis=1) > _ORTHONORMAL).any():
-        line = lines[int(np.argmax(wrong))]
-        raise DriveFileError(
-            shown(path, root),
-            f"line {line}: the last four of 16 numbers are not 0 0 0 1. Expected a 4x4 matrix, row by row. "
+        raise file.fault(
+            "the last four of 16 numbers are not 0 0 0 1. Expected a 4x4 matrix, row by row. "
             "Usual cause: a matrix written column by column.",
+            lines[int(np.argmax(wrong))],
         )
     large = np.abs(poses[:, :3, 3]).max(axis=1) > MAX_NUMBER
     if large.any():
-        line = lines[int(np.argmax(large))]
-        raise DriveFileError(
-            shown(path, root),
-            f"line {line}: a position is more than {MAX_NUMBER / 1000:,.0f} km from the origin. Expected metres. "
+        raise file.fault(
+            f"a position is more than {MAX_NUMBER / 1000:,.0f} km from the origin. Expected metres. "
             "Usual cause: millimetres, or an odometry that diverged.",
+            lines[int(np.argmax(large))],
         )
     proper, bad_row = orthonormalised(poses)
     if bad_row is not None:
-        raise DriveFileError(shown(path, root), f"line {lines[bad_row]}: {rotation_complaint(poses[bad_row, :3, :3])}")
+        raise file.fault(rotation_complaint(poses[bad_row, :3, :3]), lines[bad_row])
     if frames is not None:
         order = np.argsort(frames, kind="stable")
         return PoseLines(proper[order], frames[order])
@@ -107,7 +100,7 @@ def orthonormalised(poses: FloatArray) -> tuple[FloatArray, int | None]:
 
 
 def rotation_complaint(rotation: FloatArray) -> str:
-    """Say what is wrong with a (3, 3) rotation."""
+    """Return what is wrong with the 3x3 part of a pose."""
     off = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if off <= _ORTHONORMAL:
         return (
@@ -115,31 +108,31 @@ def rotation_complaint(rotation: FloatArray) -> str:
             "Usual cause: an axis flipped by hand between two conventions."
         )
     return (
-        f"its 3x3 part is no rotation (off by {off:.2g}, allowed 0.001). "
+        f"its 3x3 part is not a rotation (off by {off:.2g}, allowed 0.001). "
         "Expected r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz. "
         "Usual cause: another order of the numbers, or quaternions (TUM format) instead of matrices."
     )
 
 
-def _read_rows(path: Path, root: Path) -> tuple[list[list[float]], list[int]]:
+def _read_rows(file: SourceFile) -> tuple[list[list[float]], list[int]]:
     """Return the numbers of every line that is not blank, and its line number."""
     rows: list[list[float]] = []
     lines: list[int] = []
-    for line, text in enumerate(read_text(path, root).splitlines(), start=1):
+    for line, text in enumerate(file.lines(), start=1):
         fields = text.split()
         if not fields or fields[0].startswith("#"):
             continue
         if len(fields) not in _LENGTHS or (rows and len(fields) != len(rows[0])):
-            raise DriveFileError(shown(path, root), f"line {line}: {_length_complaint(fields, rows)}")
-        rows.append(numbers_of(fields, path, root, line))
+            raise file.fault(_length_complaint(fields, rows), line)
+        rows.append(file.numbers(fields, line))
         lines.append(line)
     if not rows:
-        raise DriveFileError(shown(path, root), "holds comments only. Expected one line of 12 numbers a scan.")
+        raise file.fault("holds comments only. Expected one line of 12 numbers per scan.")
     return rows, lines
 
 
 def _length_complaint(fields: list[str], rows: list[list[float]]) -> str:
-    """Say what is wrong with the count of numbers in a line."""
+    """Return what is wrong with the count of numbers in a line."""
     if any("," in field for field in fields):
         return "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
     expected = (
@@ -149,25 +142,23 @@ def _length_complaint(fields: list[str], rows: list[list[float]]) -> str:
     if len(fields) == 8:
         usual = "TUM format (time, position, quaternion); export the poses in KITTI format"
     elif len(fields) == 4 and not rows:
-        usual = "4x4 matrices written over four lines; write one matrix a line"
+        usual = "4x4 matrices written over four lines; write one matrix per line"
     return f"{len(fields)} numbers; expected {expected}. Usual cause: {usual}."
 
 
-def _split_frames(values: FloatArray, lines: list[int], path: Path, root: Path) -> IntArray:
+def _split_frames(values: FloatArray, lines: list[int], file: SourceFile) -> IntArray:
     """Return the frame numbers in front of the lines."""
     first = values[:, 0]
     wrong = (first != np.floor(first)) | (first < 0) | (first > _MAX_FRAME)
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise DriveFileError(
-            shown(path, root),
-            f"line {lines[row]}: {values.shape[1]} numbers start with a frame number, but {first[row]:g} is none. "
+        raise file.fault(
+            f"{values.shape[1]} numbers start with a frame number, but {first[row]:g} is not a whole number. "
             "Usual cause: times instead of frame numbers.",
+            lines[row],
         )
     frames = first.astype(np.int64)
     unique, counts = np.unique(frames, return_counts=True)
     if (counts > 1).any():
-        raise DriveFileError(
-            shown(path, root), f"frame {unique[np.argmax(counts > 1)]} has two poses. Expected one a frame."
-        )
+        raise file.fault(f"frame {unique[np.argmax(counts > 1)]} has two poses. Expected one per frame.")
     return frames

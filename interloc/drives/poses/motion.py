@@ -54,7 +54,7 @@ class Motion:
         return _AXES[int(np.argmax(self.about))]
 
     def describe(self) -> str:
-        """Say along which axis it moves and about which it turns."""
+        """Return in words along which axis it moves and about which it turns."""
         text = f"it moves along its {self.axis} axis ({self.along.max():.0%} of the motion)"
         if self.turned_rad > TURNED_RAD:
             text += f" and turns about its {self.turning_axis} axis"
@@ -78,9 +78,9 @@ def body_motion(poses: FloatArray) -> Motion | None:
     extent = float(np.linalg.norm(position - position[0], axis=1).max())
     if extent < MIN_MOTION_M:
         return None
-    steps = _spaced(position, min(_STEP_M, extent / 2))
-    rotation = poses[steps, :3, :3]
-    step = np.einsum("nji,nj->ni", rotation[:-1], np.diff(position[steps], axis=0))
+    rows = rows_apart(position, min(_STEP_M, extent / 2))
+    rotation = poses[rows, :3, :3]
+    step = body_steps(poses[rows])
     length = np.linalg.norm(step, axis=1)
     unit = step / length[:, None]
     along = (unit**2).mean(axis=0)
@@ -97,8 +97,14 @@ def body_motion(poses: FloatArray) -> Motion | None:
     )
 
 
-def _spaced(position: FloatArray, step_m: float) -> list[int]:
-    """Return rows that lie at least a step apart, one after the other."""
+def body_steps(poses: FloatArray) -> FloatArray:
+    """Return the (P - 1, 3) motions from pose to pose of (P, 4, 4) T_world_body, each in the frame of its body."""
+    steps: FloatArray = np.einsum("nji,nj->ni", poses[:-1, :3, :3], np.diff(poses[:, :3, 3], axis=0))
+    return steps
+
+
+def rows_apart(position: FloatArray, step_m: float) -> list[int]:
+    """Return rows of (P, 3) positions that lie at least a step apart, one after the other, from the first on."""
     rows = [0]
     x0, y0, z0 = position[0]
     limit = step_m * step_m
@@ -110,7 +116,7 @@ def _spaced(position: FloatArray, step_m: float) -> list[int]:
 
 
 def _rotation_vectors(rotation: FloatArray) -> FloatArray:
-    """Return axis times angle of (N, 3, 3) rotations as (N, 3), radians."""
+    """Return axis times angle of (N, 3, 3) rotations as (N, 3), radians (importing scipy's would take longer)."""
     skew = np.stack(
         [
             rotation[:, 2, 1] - rotation[:, 1, 2],

@@ -31,8 +31,8 @@ In JavaScript, for a ``Uint32Array`` of n coordinates x (c = 0), y (c = 1) or z 
       for (let k = 0; k < 4; k++) planes[(3 * k + c) * n + i] = folded >>> (24 - 8 * k);
     }
 
-**reduced.json** is JSON of the model `ReducedManifest`, whose fields are described
-there. Scan numbers are written as runs, ``[first, count]``. An example, 1101 scans of which three were kept::
+**reduced.json** is JSON of the model `ReducedManifest`, whose fields are described there. Scan numbers are written as
+runs, ``[first, count]``. An example, 1101 scans of which three were kept::
 
     {
       "format": "interloc-reduced-drive", "format_version": 1,
@@ -61,19 +61,39 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from interloc.arrays import IntArray
+from interloc.arrays import IntArray, UInt32Array
 from interloc.drive import GroundPoints
 from interloc.drives.files import os_reason
 from interloc.drives.findings import DriveFileError
+from interloc.drives.labels import SCHEMES, LabelScheme
 from interloc.drives.layouts import PoseOwner
 from interloc.drives.options import LabelFolder, LayoutName
-from interloc.drives.scans.labels import SCHEMES, LabelScheme
-from interloc.kernels.planes import join_planes, split_planes
 
 MANIFEST = "reduced.json"
 MAX_SCANS = 1_000_000
 MAX_MANIFEST_BYTES = 32 * 1024 * 1024
 GROUND_FOLDER = "ground"
+
+
+Run = tuple[int, int]
+"""First number and count."""
+
+
+def to_runs(numbers: IntArray) -> list[Run]:
+    """Write (N,) ascending numbers as runs."""
+    if not len(numbers):
+        return []
+    starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) != 1)
+    counts = np.diff(starts, append=len(numbers))
+    return [(int(numbers[start]), int(count)) for start, count in zip(starts, counts, strict=True)]
+
+
+def from_runs(runs: Sequence[Run]) -> IntArray:
+    """Return the (N,) numbers of runs."""
+    first, count = np.array(runs, dtype=np.int64).reshape(-1, 2).T
+    begin = np.cumsum(count) - count
+    numbers: IntArray = np.repeat(first - begin, count) + np.arange(count.sum(), dtype=np.int64)
+    return numbers
 
 
 def _runs_in_order(runs: list[Run]) -> list[Run]:
@@ -115,8 +135,8 @@ class _Model(BaseModel):
 class Thinning(_Model):
     """Keyframe settings by which scans were left out."""
 
-    distance_m: float = Field(ge=0, le=1000, description="A scan was kept after more than this way ...")
-    angle_deg: float = Field(ge=0, le=180, description="... or this turn since the last one.")
+    distance_m: float = Field(ge=0, le=1000, description="A scan was kept after more than this distance, in metres.")
+    angle_deg: float = Field(ge=0, le=180, description="A scan was kept after more than this turn, in degrees.")
 
     def __str__(self) -> str:
         return f"keyframes of {self.distance_m:g} m, {self.angle_deg:g} degrees"
@@ -125,11 +145,11 @@ class Thinning(_Model):
 class SmallFiles(_Model):
     """The other files of the drive, as paths inside the folder."""
 
-    poses: _PathInside | None = Field(None, description="Pose lines; none where the poses are those of OXTS.")
-    times: _PathInside | None = Field(None, description="A time a line.")
+    poses: _PathInside | None = Field(None, description="Pose lines; null where the poses are those of OXTS.")
+    times: _PathInside | None = Field(None, description="One time per line.")
     calibration: list[_PathInside] = Field([], max_length=8, description="calib.txt, calib_imu_to_velo.txt, ...")
     oxts: _PathInside | None = Field(
-        None, description="Folder with one OXTS file a frame, or file with one row a frame."
+        None, description="Folder with one OXTS file per frame, or file with one row per frame."
     )
     geo: _PathInside | None = Field(None, description="geo.csv.")
 
@@ -178,7 +198,7 @@ class SourceScans(_Model):
     """The scans that a reduced drive was made of."""
 
     scan_bytes: _Total
-    points_per_scan: _Total = Field(description="Median.")
+    points_per_scan: _Total = Field(description="Median number of points per scan.")
     least_points: _Total
     most_points: _Total
 
@@ -194,7 +214,7 @@ class ReducedManifest(_Model):
     layout: LayoutName = Field(description="Layout of that drive.")
     scans: _Runs = Field(description="Numbers of all its scans, as runs: [first, count].")
     kept: _Runs = Field(description="Numbers of the scans whose ground points are here.")
-    keyframes: Thinning | None = Field(None, description="Settings by which they were chosen; none: every scan.")
+    keyframes: Thinning | None = Field(None, description="Settings by which they were chosen; null: every scan.")
     pose_frame: PoseOwner = Field(description="Whose poses the pose file holds.")
     pose_frame_reason: str = Field("", max_length=2000, description="Why that is thought.")
     files: SmallFiles = SmallFiles()
@@ -226,7 +246,7 @@ class ReducedManifest(_Model):
         return ReducedManifest.model_validate({**dict(self), "labels": list(labels), "source": source})
 
     def to_bytes(self) -> bytes:
-        """Write it as JSON, a field a line."""
+        """Write it as JSON, one field per line."""
         fields = self.model_dump(mode="json")
         lines = [f" {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
         return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
@@ -292,7 +312,7 @@ def make_manifest(fields: dict[str, Any]) -> ReducedManifest:
 
 @contextmanager
 def _refusals() -> Iterator[None]:
-    """Say in words what is wrong with a manifest."""
+    """Turn what is wrong with a manifest into words."""
     try:
         yield
     except ValidationError as error:
@@ -305,27 +325,6 @@ def _refusals() -> Iterator[None]:
             "interloc-reduced-drive version 1. Usual cause: a file of another program or of a later InterLoc, or one "
             "edited by hand.",
         ) from None
-
-
-Run = tuple[int, int]
-"""First number and count."""
-
-
-def to_runs(numbers: IntArray) -> list[Run]:
-    """Write (N,) ascending numbers as runs."""
-    if not len(numbers):
-        return []
-    starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 2) != 1)
-    counts = np.diff(starts, append=len(numbers))
-    return [(int(numbers[start]), int(count)) for start, count in zip(starts, counts, strict=True)]
-
-
-def from_runs(runs: Sequence[Run]) -> IntArray:
-    """Return the (N,) numbers of runs."""
-    first, count = np.array(runs, dtype=np.int64).reshape(-1, 2).T
-    begin = np.cumsum(count) - count
-    numbers: IntArray = np.repeat(first - begin, count) + np.arange(count.sum(), dtype=np.int64)
-    return numbers
 
 
 MAX_POINTS = 4_000_000
@@ -356,9 +355,8 @@ def encode_ground(points: GroundPoints) -> bytes:
         raise ValueError(f"{len(xyz):,} ground points; no scan has more than {MAX_POINTS:,}")
     # Runs are all that deflate finds in the planes: looking for nothing else is as small, and five times as fast.
     deflate = zlib.compressobj(strategy=zlib.Z_RLE)
-    planes = split_planes(xyz.view(np.uint32))
     header = _HEADER.pack(_MAGIC, _VERSION, len(xyz), points.road_count)
-    return b"".join((header, deflate.compress(planes.data), deflate.flush()))
+    return b"".join((header, deflate.compress(to_planes(xyz.view(np.uint32))), deflate.flush()))
 
 
 def decode_ground(data: bytes, name: str) -> GroundPoints:
@@ -373,7 +371,7 @@ def decode_ground(data: bytes, name: str) -> GroundPoints:
     Raises
     ------
     DriveError
-        It is no such file, cut short, damaged, or holds a point that is not finite.
+        It is not such a file, cut short, damaged, or holds a point that is not finite.
     """
     count, road_count = _counts(data, name)
     size = count * _POINT_BYTES
@@ -391,14 +389,29 @@ def decode_ground(data: bytes, name: str) -> GroundPoints:
         raise DriveFileError(
             name, f"{len(inflate.unused_data):,} bytes follow after its points. Expected nothing more."
         )
-    bits, bad_point = join_planes(np.frombuffer(raw, np.uint8))
-    xyz = bits.view(np.float32)
-    if bad_point >= 0:
+    xyz = from_planes(raw).view(np.float32)
+    finite = np.isfinite(xyz).all(axis=1)
+    if not finite.all():
+        bad_point = int(np.argmin(finite))
         x, y, z = xyz[bad_point]
         raise DriveFileError(
             name, f"point {bad_point:,} of {count:,} is not finite ({x:g}, {y:g}, {z:g}). Expected x y z in metres."
         )
     return GroundPoints(xyz, road_count)
+
+
+def to_planes(bits: UInt32Array) -> bytes:
+    """Sort the bytes of (N, 3) uint32 differences along the rows by their weight (steps 2 to 4 of the format)."""
+    steps = np.diff(bits, axis=0, prepend=np.zeros((1, 3), np.uint32)).view(np.int32)
+    folded = ((steps << 1) ^ (steps >> 31)).astype(">i4")
+    return folded.view(np.uint8).reshape(-1, 3, 4).transpose(2, 1, 0).tobytes()
+
+
+def from_planes(planes: bytes) -> UInt32Array:
+    """Return the (N, 3) uint32 of `to_planes`."""
+    weighed = np.frombuffer(planes, np.uint8).reshape(4, 3, len(planes) // 12).transpose(2, 1, 0)
+    folded = np.ascontiguousarray(weighed).view(">u4")[:, :, 0].astype(np.uint32)
+    return np.cumsum((folded >> 1) ^ -(folded & 1), axis=0, dtype=np.uint32)
 
 
 def _counts(data: bytes, name: str) -> tuple[int, int]:
@@ -422,7 +435,7 @@ def _counts(data: bytes, name: str) -> tuple[int, int]:
 
 
 def size_complaint(size: int) -> str:
-    """Say what is wrong with the size of a file."""
+    """Return what is wrong with the size of a file."""
     if size == 0:
         return f"is empty. {_CUT}"
     if size < MIN_BYTES:

@@ -14,6 +14,7 @@ import pytest
 
 from interloc.arrays import FloatArray
 from interloc.drive import Georeference
+from interloc.drives.files import GeoreferenceFile, SourceFile
 from interloc.drives.georeference.geo_csv import read_geo_csv
 from interloc.drives.georeference.geodetic import ecef_poses, poses_of
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW, raw_offset, read_oxts_rows
@@ -52,7 +53,7 @@ def test_published_lever_arm_is_said(tmp_path: Path, make: ModuleType, caplog: p
 def test_rows_map_by_frame_number(tmp_path: Path, make: ModuleType) -> None:
     rows = tmp_path / "07.txt.gz"
     rows.write_bytes(gzip.compress("\n".join(make.oxts_lines(make.lidar_poses(), T_lidar_imu=np.eye(4))).encode()))
-    every, some = (read_oxts_rows(rows, tmp_path, frames) for frames in (FRAMES, np.array([3, 7])))
+    every, some = (read_oxts_rows(GeoreferenceFile(rows, tmp_path), frames) for frames in (FRAMES, np.array([3, 7])))
     np.testing.assert_array_equal(some, every[[3, 7]])
 
 
@@ -122,7 +123,7 @@ def test_geo_csv_is_the_lidar_itself(tmp_path: Path, make: ModuleType) -> None:
 def test_damaged_geo_csv(tmp_path: Path, make: ModuleType, edit: Callable[[str], str], words: str) -> None:
     (tmp_path / "geo.csv").write_text(edit(make.geo_csv(make.lidar_poses())))
     with pytest.raises(GeoreferenceError, match=words):
-        read_geo_csv(tmp_path / "geo.csv", tmp_path, FRAMES)
+        read_geo_csv(GeoreferenceFile(tmp_path / "geo.csv", tmp_path), FRAMES)
 
 
 def test_georeference_that_does_not_exist(tmp_path: Path) -> None:
@@ -207,10 +208,10 @@ def test_oxts_agrees_with_the_ground_truth_and_the_lever_arm_has_the_right_sign(
     path = data(f"kitti/poses_gt/{sequence}.txt")
     line = next(s for s in data(f"kitti/calib/{sequence}.txt").read_text().splitlines() if s.startswith("Tr:"))
     T_cam_lidar = np.vstack([np.array(line.split()[1:], float).reshape(3, 4), [0, 0, 0, 1]])
-    lidar = invert_transform(T_cam_lidar) @ read_poses(path, path.parent).poses @ T_cam_lidar
-    rows = read_oxts_rows(data(f"kitti/oxts/{sequence}.txt.gz"), path.parent, np.arange(len(lidar)))
+    lidar = invert_transform(T_cam_lidar) @ read_poses(SourceFile(path, path.parent)).poses @ T_cam_lidar
+    rows = read_oxts_rows(GeoreferenceFile(data(f"kitti/oxts/{sequence}.txt.gz"), path.parent), np.arange(len(lidar)))
     error = {
-        name: rigid_rmse(plane_positions(georeference_of_lidar(rows, (arm, ""), "")), lidar[:, :2, 3])
+        name: rigid_rmse(plane_positions(georeference_of_lidar(rows, arm, "")), lidar[:, :2, 3])
         for name, arm in (
             ("right", KITTI_T_VELO_IMU),
             ("none", np.eye(4)),
@@ -223,7 +224,7 @@ def test_oxts_agrees_with_the_ground_truth_and_the_lever_arm_has_the_right_sign(
 
 def test_geo_csv_of_kitti360_agrees_with_its_poses(data: Callable[[str], Path]) -> None:
     root = data("kitti360_0009")
-    poses = read_poses(root / "poses.txt", root).poses
-    georeference = read_geo_csv(root / "geo.csv", root, np.arange(len(poses)))
+    poses = read_poses(SourceFile(root / "poses.txt", root)).poses
+    georeference = read_geo_csv(GeoreferenceFile(root / "geo.csv", root), np.arange(len(poses)))
     assert rigid_rmse(plane_positions(georeference), poses[:, :2, 3]) < 0.5
     np.testing.assert_allclose(poses_of(georeference)[:, :3, 3], poses[:, :3, 3], atol=2.0)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.poses.calibration import find_camera_calibration
@@ -23,6 +24,10 @@ from interloc.geometry import invert_transform, rotation_from_rpy
 
 def parts(root: Path, layout: str = "semantickitti") -> DriveParts:
     return DriveParts(layout, root, root, root, root / "poses.txt", None, (root,), None, None)
+
+
+def pose_file(root: Path) -> SourceFile:
+    return SourceFile(root / "poses.txt", root)
 
 
 @pytest.fixture
@@ -66,14 +71,14 @@ def test_camera_poses_and_back(make: ModuleType, turn: float, step: float, pitch
 def test_camera_poses_need_a_calibration(tmp_path: Path, make: ModuleType, findings: Findings) -> None:
     camera = make.camera_poses(make.lidar_poses())
     with pytest.raises(DriveError, match=r"poses\.txt: holds camera poses .* no calib\.txt .* Put the calib\.txt"):
-        to_lidar(camera, parts(tmp_path), "poses.txt", "auto", findings)
+        to_lidar(camera, parts(tmp_path), pose_file(tmp_path), "auto", findings)
 
 
 def test_inverse_calibration_is_named(tmp_path: Path, make: ModuleType, findings: Findings) -> None:
     numbers = " ".join(str(v) for v in invert_transform(make.T_CAM_LIDAR)[:3].ravel())
     (tmp_path / "calib.txt").write_text(f"Tr: {numbers}\n")
     with pytest.raises(DriveError, match=r"calib\.txt: does not lead from the LiDAR to the camera.*inverse"):
-        to_lidar(make.camera_poses(make.lidar_poses()), parts(tmp_path), "poses.txt", "auto", findings)
+        to_lidar(make.camera_poses(make.lidar_poses()), parts(tmp_path), pose_file(tmp_path), "auto", findings)
 
 
 @pytest.mark.parametrize(("declared", "actual"), [("camera", "lidar"), ("lidar", "camera")])
@@ -83,7 +88,7 @@ def test_declared_frame_that_contradicts_the_motion(
     (tmp_path / "calib.txt").write_text(make.calib_text())
     poses = make.lidar_poses() if actual == "lidar" else make.camera_poses(make.lidar_poses())
     with pytest.raises(DriveError, match=f"pose frame '{declared}'.*Give pose frame 'auto' or '{actual}'"):
-        to_lidar(poses, parts(tmp_path), "poses.txt", declared, findings)
+        to_lidar(poses, parts(tmp_path), pose_file(tmp_path), declared, findings)
 
 
 @pytest.mark.parametrize("has_calibration", [True, False])
@@ -92,7 +97,7 @@ def test_standing_vehicle_falls_back_on_the_calibration(
 ) -> None:
     if has_calibration:
         (tmp_path / "calib.txt").write_text(make.calib_text())
-    _, frame, why = to_lidar(make.lidar_poses(5, step_m=0.01), parts(tmp_path), "poses.txt", "auto", findings)
+    _, frame, why = to_lidar(make.lidar_poses(5, step_m=0.01), parts(tmp_path), pose_file(tmp_path), "auto", findings)
     assert frame == ("camera" if has_calibration else "lidar")
     assert "less than 1 m" in why
     assert [problem.severity for problem in findings.found] == ["note"]
@@ -101,13 +106,13 @@ def test_standing_vehicle_falls_back_on_the_calibration(
 def test_inverted_poses_are_named(tmp_path: Path, make: ModuleType, findings: Findings) -> None:
     ahead, corner = make.lidar_poses(20, turn_rad=0.0), make.lidar_poses(10, turn_rad=0.15)
     poses = np.concatenate([ahead, ahead[-1] @ corner, ahead[-1] @ corner[-1] @ ahead])
-    assert to_lidar(poses, parts(tmp_path), "poses.txt", "auto", findings)[1] == "lidar"
+    assert to_lidar(poses, parts(tmp_path), pose_file(tmp_path), "auto", findings)[1] == "lidar"
     with pytest.raises(DriveError, match="inverted poses"):
-        to_lidar(invert_transform(poses), parts(tmp_path), "poses.txt", "auto", findings)
+        to_lidar(invert_transform(poses), parts(tmp_path), pose_file(tmp_path), "auto", findings)
 
 
 def test_driving_backwards_is_a_warning(tmp_path: Path, make: ModuleType, findings: Findings) -> None:
-    to_lidar(make.lidar_poses(20, step_m=-2.0), parts(tmp_path), "poses.txt", "auto", findings)
+    to_lidar(make.lidar_poses(20, step_m=-2.0), parts(tmp_path), pose_file(tmp_path), "auto", findings)
     assert [problem.severity for problem in findings.found] == ["warning"]
     assert "backwards" in findings.found[0].message
 
@@ -119,13 +124,13 @@ def test_imu_poses_of_kitti360(tmp_path: Path, make: ModuleType, findings: Findi
     lidar = make.lidar_poses()
     imu = lidar @ invert_transform(T_imu_cam @ T_cam_velo)
     with pytest.raises(DriveError, match="KITTI-360's IMU"):
-        to_lidar(imu, parts(tmp_path, "kitti360"), "poses.txt", "auto", findings)
+        to_lidar(imu, parts(tmp_path, "kitti360"), pose_file(tmp_path), "auto", findings)
     numbers = " ".join(str(v) for v in invert_transform(T_cam_velo)[:3].ravel())
     (tmp_path / "calib_cam_to_velo.txt").write_text(numbers + "\n")
     (tmp_path / "calib_cam_to_pose.txt").write_text(
         "image_00: " + " ".join(str(v) for v in T_imu_cam[:3].ravel()) + "\n"
     )
-    got, frame, _ = to_lidar(imu, parts(tmp_path, "kitti360"), "poses.txt", "auto", findings)
+    got, frame, _ = to_lidar(imu, parts(tmp_path, "kitti360"), pose_file(tmp_path), "auto", findings)
     assert frame == "imu"
     np.testing.assert_allclose(got, lidar, atol=1e-9)
 
@@ -134,7 +139,7 @@ def test_imu_poses_of_kitti360(tmp_path: Path, make: ModuleType, findings: Findi
 @pytest.mark.parametrize("sequence", range(11))
 def test_every_kitti_sequence_and_every_window_of_it(data: Callable[[str], Path], source: str, sequence: int) -> None:
     path = data(f"kitti/{source}/{sequence:02d}.txt")
-    camera = read_poses(path, path.parent).poses
+    camera = read_poses(SourceFile(path, path.parent)).poses
     calibration = data(f"kitti/calib/{sequence:02d}.txt")
     T_cam_lidar = _calibration(calibration)
     lidar = invert_transform(T_cam_lidar) @ camera @ T_cam_lidar
@@ -172,7 +177,7 @@ def test_calibrations_of_all_layouts(tmp_path: Path, make: ModuleType) -> None:
         ("P0: 1 2 3\n", "no line 'Tr'"),
         ("Tr: 1 0 0\n", "3 numbers; expected 12"),
         ("Tr: 1 0 0 x 0 1 0 0 0 0 1 0\n", "not a number"),
-        ("Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n", "no rotation"),
+        ("Tr: 2 0 0 0 0 1 0 0 0 0 1 0\n", "not a rotation"),
         ("Tr: 1 0 0 9e9 0 1 0 0 0 0 1 0\n", "Expected metres"),
     ],
 )

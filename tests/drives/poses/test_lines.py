@@ -8,13 +8,14 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from interloc.drives.files import SourceFile
 from interloc.drives.poses.lines import PoseLines, read_poses
 from interloc.errors import DriveError
 
 
 def read(tmp_path: Path, text: str) -> PoseLines:
     (tmp_path / "poses.txt").write_text(text)
-    return read_poses(tmp_path / "poses.txt", tmp_path)
+    return read_poses(SourceFile(tmp_path / "poses.txt", tmp_path))
 
 
 def complaint(tmp_path: Path, text: str) -> str:
@@ -66,11 +67,11 @@ def test_eleven_numbers(tmp_path: Path) -> None:
         ("1 0 0 nan 0 1 0 0 0 0 1 0", "not finite"),
         ("1 0 0 inf 0 1 0 0 0 0 1 0", "not finite"),
         ("1 0 0 2e7 0 1 0 0 0 0 1 0", "10,000 km"),
-        ("2 0 0 0 0 1 0 0 0 0 1 0", "no rotation"),
+        ("2 0 0 0 0 1 0 0 0 0 1 0", "not a rotation"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0", "mirrors"),
         ("1 0 0 0 0 1 0 0 0 0 1 0 5 5 5 1", "0 0 0 1"),
         ("0.5 1 0 0 0 0 1 0 0 0 0 1 0", "frame number"),
-        ("0 0 0 0 0 0 0 0 0 0 0 0", "no rotation"),
+        ("0 0 0 0 0 0 0 0 0 0 0 0", "not a rotation"),
     ],
 )
 def test_bad_lines_are_named(tmp_path: Path, line: str, words: str) -> None:
@@ -85,4 +86,4 @@ def test_two_poses_of_one_frame(tmp_path: Path, make: ModuleType) -> None:
 
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(DriveError, match=r"poses\.txt: is missing"):
-        read_poses(tmp_path / "poses.txt", tmp_path)
+        read_poses(SourceFile(tmp_path / "poses.txt", tmp_path))

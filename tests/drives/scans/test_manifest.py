@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import interloc.drives.scans.reduced_format as described
+from interloc.drives.labels import LEARNING, SCHEMES, LabelScheme
 from interloc.drives.open import open_drive
-from interloc.drives.scans.labels import LEARNING, SCHEMES, LabelScheme
 from interloc.drives.scans.reduced_format import (
     MAX_MANIFEST_BYTES,
     ReducedLabels,

@@ -10,7 +10,6 @@ import numpy as np
 from interloc.arrays import UInt8Array
 from interloc.drives.files import listed
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.options import LabelSchemeChoice
 from interloc.errors import ConfigError
 
 ROAD, CONFUSABLE = 1, 2
@@ -78,29 +77,28 @@ KITTI360 = LabelScheme(
 SCHEMES = {scheme.name: scheme for scheme in (SEMANTICKITTI, LEARNING, KITTI360)}
 
 
-def named_scheme(choice: LabelSchemeChoice) -> LabelScheme | None:
-    """Return the scheme that was asked for; None for "auto".
+def named_scheme(choice: str) -> LabelScheme | None:
+    """Return the scheme that was asked for by its name or by its ids of road; None for "auto".
 
     Raises
     ------
     ConfigError
-        No such scheme, or custom ids that are none.
+        There is no such scheme, or an id is not a number from 0 to 65535.
     """
-    if isinstance(choice, str):
-        if choice == "auto":
-            return None
-        if choice in SCHEMES:
-            return SCHEMES[choice]
-        fields = choice.replace(",", " ").split()
-        if not fields or not all(text.isascii() and text.isdigit() for text in fields):
-            raise ConfigError(
-                f"label scheme {choice!r}: expected auto, {', '.join(SCHEMES)}, "
-                "or the ids of road separated by commas (40,60)."
-            )
-        choice = frozenset(int(text) for text in fields)
-    if not choice or any(not 0 <= label < _LABEL_COUNT for label in choice):
+    if choice == "auto":
+        return None
+    if choice in SCHEMES:
+        return SCHEMES[choice]
+    fields = choice.replace(",", " ").split()
+    if not fields or not all(text.isascii() and text.isdigit() for text in fields):
+        raise ConfigError(
+            f"label scheme {choice!r}: expected auto, {', '.join(SCHEMES)}, "
+            "or the ids of road separated by commas (40,60)."
+        )
+    road = frozenset(int(text) for text in fields)
+    if max(road) >= _LABEL_COUNT:
         raise ConfigError("label scheme: the ids of road must be numbers from 0 to 65535, at least one.")
-    return LabelScheme(name="custom", road=frozenset(int(label) for label in choice))
+    return LabelScheme(name="custom", road=road)
 
 
 def guess_scheme(ids: Iterable[int], *, kitti360: bool) -> LabelScheme:
@@ -174,7 +172,7 @@ class LabelJudgement:
 
 
 def judge_labels(
-    folder: str, counts: dict[int, int], choice: LabelSchemeChoice, *, kitti360: bool, check: bool, findings: Findings
+    folder: str, counts: dict[int, int], choice: str, *, kitti360: bool, check: bool, findings: Findings
 ) -> LabelJudgement:
     """Tell what the label ids of some scans mean, and whether that makes sense.
 
@@ -218,7 +216,7 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     scheme, counts, total = judgement.scheme, judgement.counts, sum(judgement.counts.values())
     if scheme is None or not total:
         return
-    ids = np.array(sorted(counts), dtype=np.int64)
+    ids = sorted(counts)
     if scheme.name not in {"custom", "learning"} and _looks_like_learning(counts):
         findings.error(
             DriveFileError(
@@ -233,14 +231,14 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     if unknown:
         message = (
             f"{unknown / total:.1%} of the points have ids that {scheme.name} does not know "
-            f"({listed(np.array(judgement.unknown_ids), 12)})."
+            f"({listed(judgement.unknown_ids, 12)})."
         )
         if unknown > MAX_UNKNOWN_SHARE * total:
             findings.warning(folder, f"{message} Usual cause: another label scheme; name it, or give the ids of road.")
         else:
             findings.note(folder, message)
     road = sum(counts.get(label, 0) for label in scheme.road)
-    wanted = listed(np.array(sorted(scheme.road)), 12)
+    wanted = listed(sorted(scheme.road), 12)
     if road == 0:
         findings.error(
             DriveFileError(

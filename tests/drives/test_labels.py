@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from interloc.drives.scans.labels import KITTI360, LEARNING, SCHEMES, SEMANTICKITTI, guess_scheme, named_scheme
+from interloc.drives.labels import KITTI360, LEARNING, SCHEMES, SEMANTICKITTI, guess_scheme, named_scheme
 from interloc.errors import ConfigError
 
 
@@ -36,7 +36,7 @@ def test_the_groups_of_a_scheme_are_known_and_apart(scheme) -> None:  # noqa: AN
 
 @given(st.frozensets(st.integers(0, 65535), min_size=1, max_size=20))
 def test_the_table_holds_the_custom_ids_and_no_others(ids: frozenset[int]) -> None:
-    scheme = named_scheme(ids)
+    scheme = named_scheme(",".join(map(str, ids)))
     assert scheme is not None
     assert set(np.flatnonzero(scheme.groups() == 1).tolist()) == ids
     assert not (scheme.groups() == 2).any()
@@ -49,8 +49,8 @@ def test_ids_as_text(choice: str) -> None:
     assert scheme.road == {40, 60}
 
 
-@pytest.mark.parametrize("choice", ["", "kitty", "40;60", "-1", "70000", frozenset(), frozenset({-1}), "²"])
-def test_choices_that_are_none(choice: str | frozenset[int]) -> None:
+@pytest.mark.parametrize("choice", ["", "kitty", "40;60", "-1", "70000", "²"])
+def test_choices_that_are_none(choice: str) -> None:
     with pytest.raises(ConfigError, match="label scheme"):
         named_scheme(choice)
 
