@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from interloc.benchmark.fingerprint import file_facts, fingerprint, simulating_program
 from interloc.drive import Drive
@@ -27,44 +27,6 @@ Poses = Literal["suma", "gt"]
 TWIN_FACTS = "twin.json"
 
 
-class Case(Protocol):
-    """A drive with its map.
-
-    Attributes
-    ----------
-    name : str
-        In the tables.
-    seed : int or None
-        Seed of a simulated drive; None for a recorded one.
-    osm : Path
-        OSM file to score against.
-    """
-
-    @property
-    def name(self) -> str: ...  # noqa: D102
-    @property
-    def seed(self) -> int | None: ...  # noqa: D102
-    @property
-    def osm(self) -> Path: ...  # noqa: D102
-
-    def facts(self) -> dict[str, Any]:
-        """Return what the drive depends on, as plain values."""
-        ...
-
-    def check(self) -> None:
-        """Raise what is wrong with the drive, as far as that shows without reading all of it."""
-        ...
-
-    @contextmanager
-    def opened(self, scratch: Path, progress: Progress | None = None) -> Iterator[Drive]:
-        """Give the drive, made in `scratch` if it does not exist yet."""
-        ...
-
-    def explain(self, frame: int, settings: tuple[str, ...]) -> list[str]:
-        """Return the command lines that draw the steps of the method at a frame."""
-        ...
-
-
 @dataclass(frozen=True)
 class FolderCase:
     """A drive on disk.
@@ -72,7 +34,9 @@ class FolderCase:
     Attributes
     ----------
     name : str
+        Name in the tables.
     path, osm : Path
+        Folder of the drive, and the map to score it against.
     options : dict
         Of `interloc.drives.open_drive`.
     """
@@ -232,6 +196,9 @@ class TwinCase:
 
         options = SimulationOptions(seed=self.seed, keyframes_only=True, ground_only=True, max_scans=self.max_scans)
         simulate_twin(self.kitti, self.name, path, options, poses=self.poses, progress=progress)
+
+
+Case = FolderCase | TwinCase
 
 
 def _explain(drive: Path, frame: int, name: str, osm: Path, options: tuple[str, ...]) -> str:

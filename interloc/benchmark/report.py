@@ -171,6 +171,7 @@ def kinds_table(measured: Measured) -> Table:
 def worst_places(measured: Measured, preset: str, count: int = 40) -> list[dict[str, Any]]:
     """Return the failures of a preset without label errors that cost most, worst first."""
     places = []
+    one_seed = len({row.cell.seed for row in measured.rows}) == 1
     for row in measured.of(preset=preset, noise=measured.noises[0]):
         for entry in row.failures["false_detections"]:
             off = entry["nearest_node"]["distance_m"] if entry["nearest_node"] else None
@@ -181,7 +182,7 @@ def worst_places(measured: Measured, preset: str, count: int = 40) -> list[dict[
     places.sort(key=lambda place: -place[0])
     return [
         {
-            "drive": cell.drive if len(_seeds(measured)) == 1 else f"{cell.drive} seed {cell.seed}",
+            "drive": cell.drive if one_seed else f"{cell.drive} seed {cell.seed}",
             "kind": kind,
             "times": cost,
             "off_m": off,
@@ -191,11 +192,6 @@ def worst_places(measured: Measured, preset: str, count: int = 40) -> list[dict[
         }
         for cost, cell, kind, off, entry in places[:count]
     ]
-
-
-def _seeds(measured: Measured) -> set[int]:
-    """Return the seeds that were measured."""
-    return {row.cell.seed for row in measured.rows}
 
 
 def _kinds(rows: list[Row]) -> dict[tuple[str, str], tuple[int, int]]:

@@ -78,19 +78,19 @@ def performance_table(measured: Measured, noise: str) -> Table:
     columns = [*measured.drives, *([ALL] if len(measured.drives) > 1 else [])]
     groups = []
     for title, metric, write, published in (
-        ("ACE [m]", "ace_m", metres, _published_ace),
-        ("ACE, pairs < 10 m [m]", "ace_under_10_m", metres, None),
-        ("Pre@5 [%]", "precision_at_5", percent, _published_precision),
-        ("Rec@5 [%]", "recall_at_5", percent, _published_recall),
-        ("nodes found / in zone", "nodes_found", None, None),
-        ("map precision [%]", "map_precision", percent, None),
-        ("map recall [%]", "map_recall", percent, None),
-        ("map median error [m]", "map_median_m", metres, None),
-        ("ms per keyframe", "ms_a_keyframe", one_decimal, None),
+        ("ACE [m]", "ace_m", metres, "ace_m"),
+        ("ACE, pairs < 10 m [m]", "ace_under_10_m", metres, ""),
+        ("Pre@5 [%]", "precision_at_5", percent, "precision"),
+        ("Rec@5 [%]", "recall_at_5", percent, "recall"),
+        ("nodes found / in zone", "nodes_found", None, ""),
+        ("map precision [%]", "map_precision", percent, ""),
+        ("map recall [%]", "map_recall", percent, ""),
+        ("map median error [m]", "map_median_m", metres, ""),
+        ("ms per keyframe", "ms_a_keyframe", one_decimal, ""),
     ):
         group = []
-        if published is not None and noise == "0/0":
-            values = [published(_published(measured, column)) for column in columns]
+        if published and noise == "0/0":
+            values = [getattr(_published(measured, column), published, None) for column in columns]
             if any(value is not None for value in values):
                 group.append(("", PUBLISHED, *(_write(Estimate(value), write) for value in values)))
         for preset in measured.presets:
@@ -234,18 +234,6 @@ def _published(measured: Measured, column: str) -> Published | None:
     if column == ALL:
         return AVERAGE if measured.is_papers_set else None
     return PERFORMANCE.get(column)
-
-
-def _published_ace(value: Published | None) -> float | None:
-    return None if value is None else value.ace_m
-
-
-def _published_precision(value: Published | None) -> float | None:
-    return None if value is None else value.precision
-
-
-def _published_recall(value: Published | None) -> float | None:
-    return None if value is None else value.recall
 
 
 def _seed_note(measured: Measured) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ DEFAULT_SERVER = "http://127.0.0.1:8000"
 
 _BUSY = frozenset({429, 502, 503, 504})
 _NOT_DONE = frozenset({429, 503})  # the request was not worked on; 502 and 504 of a proxy leave that open
-_FIRST_PATIENCE_S = 2.0  # while a server has never answered: most likely there is none
+_FIRST_PATIENCE_S = 2.0  # while a server has never answered: most likely there is no server
 _LONGEST_PAUSE_S = 10.0
 
 _log = logging.getLogger(__name__)
@@ -95,12 +95,12 @@ class Connection:
         Raises
         ------
         NetworkError
-            There is none, or it needs another token.
+            There is no service, or it needs another token.
         """
         self.ask("GET", "/drives", DrivesAnswer, params={"limit": 1})
 
     def ask(self, method: str, path: str, model: type[Model], **options: Any) -> Model:  # noqa: ANN401 - see request
-        """Send a request, and read the JSON of its answer; `options` as of `request`."""
+        """Send a request, and read the JSON of its answer; `options`: see `request`."""
         return parse(self.request(method, path, **options), model, self.server)
 
     def request(

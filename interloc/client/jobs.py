@@ -91,7 +91,7 @@ def follow(connection: Connection, job_id: str, on_change: OnChange | None = Non
     InterLocError
         The job failed or was cancelled; the text is the service's.
     Refusal, NetworkError
-        There is no such job, or no answer.
+        There is no such job, or the service does not answer.
     """
     for job in _changes(connection, job_id):
         if on_change is not None:

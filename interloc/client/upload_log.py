@@ -6,7 +6,7 @@ reduced. The log spares that: beside every digest it keeps sizes and times of th
 also keeps the id of the drive: names of drives need not be unique, and other clients may use the same.
 
 One line per file is added as soon as the server has accepted it, so nothing is lost when the process is killed; a line
-cut short is ignored. Without a log (another machine, an emptied cache) the drive is sent anew.
+cut short is ignored. Without a log (another machine, an emptied cache) the whole drive is sent again.
 """
 
 from __future__ import annotations

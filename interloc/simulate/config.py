@@ -30,7 +30,7 @@ class LidarConfig(_Config):
     road_half_range_m: float | None = Field(
         60.0,
         gt=1,
-        description="Range at which half of the shots on flat asphalt are lost; null: none is.",
+        description="Range at which half of the shots on flat asphalt are lost; null: no shot is lost.",
     )
 
 

@@ -104,7 +104,7 @@ def plan_ground(
 
 
 def _aside(profile: Profile, config: StreetConfig) -> Literal["drive", "aisle", "alley"] | None:
-    """Tell what a driven way that is not labelled road is; None for road."""
+    """Return the kind of a driven street that is not labelled road; None for road."""
     if profile.is_yard:
         return "drive" if profile.street.tags.get("service") == "driveway" else "aisle"
     return "alley" if profile.is_service and config.service_roads == "other_ground" else None

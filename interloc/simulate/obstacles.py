@@ -114,7 +114,7 @@ def furnish(
     driven_xy: FloatArray,
     seed: int,
 ) -> WallList:
-    """Put up everything that stands beside the road.
+    """Place everything that stands beside the road.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def furnish(
 
 
 class Yard:
-    """Tells what is free: neither road nor car park nor the way of the vehicle."""
+    """Tells what is free: neither road nor car park nor the path of the vehicle."""
 
     def __init__(
         self,
@@ -170,7 +170,7 @@ class Yard:
         return bool(np.min(self._driven.query(places)[0]) > distance_m)
 
     def cut(self, outline: Polygon) -> BaseGeometry:
-        """Take the streets, and the way of the vehicle, out of a building."""
+        """Cut the streets and the path of the vehicle out of a building."""
         near = [self._roads[int(i)] for i in self._tree.query(outline, predicate="dwithin", distance=0.5)]
         centre = shapely.minimum_bounding_radius(outline)
         x, y = shapely.get_coordinates(outline.centroid)[0]

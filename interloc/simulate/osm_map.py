@@ -61,7 +61,7 @@ STREET_CLASSES: dict[str, StreetClass] = {
     "road": StreetClass(6.5, 1, 6.0, True, False, False),
     "service": StreetClass(4.0, 1, 3.0, False, False, False),
 }
-"""Highways that a car drives on. Footways, paths and tracks are none."""
+"""Highways that a car drives on; not footways, paths and tracks."""
 
 YARD_SERVICES = {"driveway", "parking_aisle", "drive-through"}
 """`service=` ways that count as parking: SemanticKITTI labels private drives and the lanes of car parks so."""
@@ -73,7 +73,7 @@ _ONEWAY_LANE_M = 3.5
 def road_width_m(tags: Mapping[str, str], config: StreetConfig) -> float:
     """Return the width of the road surface of a driven way, kerb to kerb.
 
-    `width` counts if plausible; then `lanes`; then the class. A one-way carriageway has 3.5 m a lane and, with a
+    `width` counts if plausible; then `lanes`; then the class. A one-way carriageway has 3.5 m per lane and, with a
     single lane, room to pass a stopped car (5 m in all).
     """
     kind = tags["highway"]
@@ -220,7 +220,7 @@ def read_map(
     frame
         Plane to draw in.
     buildings
-        Another OSM file with the buildings and car parks; none: the same file.
+        Another OSM file with the buildings and car parks; None: the same file.
     box
         Least x, least y, greatest x, greatest y in M, metres: what lies wholly outside is left out.
 
@@ -283,7 +283,7 @@ def _read_ways(path: Path, keys: set[str]) -> tuple[list[MapWay], list[int]]:
     """Return the ways with any of the keys, and the nodes at which a dead end widens."""
     import osmium  # noqa: PLC0415 - half the start-up time of the command line
 
-    container = read_prolog(path).container  # refuses what is no map before a parser sees it
+    container = read_prolog(path).container  # refuses what is not a map before a parser sees it
     file = osmium.io.File(str(path), container)
     try:
         found: list[tuple[int, list[int], dict[str, str]]] = []

@@ -86,9 +86,9 @@ def build_scene(
     roads
         OSM file with the streets.
     buildings
-        Another one with the buildings; none: the same file.
+        Another OSM file with the buildings; None: the same file.
     config, seed
-        What to draw, and the seed of what chance decides.
+        What to draw, and the seed of everything random.
     sensor_height_m
         Height of the LiDAR above the ground.
 

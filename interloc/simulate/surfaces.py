@@ -72,4 +72,4 @@ MATERIALS: dict[Surface, Material] = {
 }
 
 MATERIAL_TABLE = np.array([MATERIALS[code] for code in Surface], dtype=np.float64)
-"""(surfaces, 6) float64: the columns of `Material`, one row a code; what the kernel reads."""
+"""(surfaces, 6) float64: the columns of `Material`, one row per code; the kernel reads it."""

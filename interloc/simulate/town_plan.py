@@ -10,7 +10,7 @@ ORIGIN_LON_DEG = 8.42
 
 
 class PlannedStreet(NamedTuple):
-    """A way of the plan: names of nodes and OSM tags; `plain` ones make up the small drive."""
+    """A street of the plan: names of nodes and OSM tags; `plain` ones make up the small drive."""
 
     nodes: str
     tags: dict[str, str]

@@ -118,7 +118,7 @@ class Track:
     oxts : (N, 30) float64
         OXTS values of the IMU, written with the drive.
     poses_camera : (N, 3, 4) float64 or None
-        Camera-frame poses to be written; none: those of the track itself.
+        Camera-frame poses to be written; None: those of the track itself.
     calib_text : str
         The `calib.txt` that goes with them.
     altitude_known : bool
@@ -168,7 +168,7 @@ def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate
     rows : (N, 30) float64
         OXTS values of the IMU, one row per scan.
     times_s : (N,) float64
-        Times; none: at `rate_hz`.
+        Times; None: at `rate_hz`.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def track_from_line(lonlat: FloatArray, alt_m: FloatArray | None = None, config:
     lonlat : (N, 2) float64
         Longitude, latitude in degrees of at least two points, metres to tens of metres apart.
     alt_m : (N,) float64
-        Heights of the LiDAR; none: flat ground.
+        Heights of the LiDAR; None: flat ground.
     config
         Speed, scans a second, smoothing, lateral offset.
 

@@ -66,9 +66,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="session")
-def kitti() -> Path:
-    path = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti"
-    if not path.is_dir():
-        pytest.skip("no KITTI tracks and maps beside the repository (shared/data/kitti)")
-    return path
+@pytest.fixture
+def kitti(data: Callable[[str], Path]) -> Path:
+    """The tracks and maps of KITTI."""
+    return data("kitti")

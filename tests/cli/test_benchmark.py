@@ -138,10 +138,8 @@ def test_a_damaged_drive_is_named_before_any_is_measured(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_sequence_without_a_map(interloc: Callable, tmp_path: Path) -> None:
-    kitti = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti"
-    if not kitti.is_dir():
-        pytest.skip("no KITTI tracks and maps beside the repository (shared/data/kitti)")
+def test_a_sequence_without_a_map(interloc: Callable, data: Callable[[str], Path], tmp_path: Path) -> None:
+    kitti = data("kitti")
     outcome = interloc("benchmark", "twins", "--kitti", kitti, "--sequences", "07,03", "-o", tmp_path / "out")
     assert outcome.code == 1
     assert "sequence 03 has no osm/03.osm.gz" in outcome.complaint

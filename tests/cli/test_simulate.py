@@ -116,10 +116,8 @@ def test_the_twin_of_an_unknown_sequence(tmp_path: Path, interloc: Callable) -> 
     assert "sequence 03 has no oxts/03.txt.gz" in outcome.complaint
 
 
-def test_a_twin(tmp_path: Path, interloc: Callable) -> None:
-    kitti = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti"
-    if not kitti.is_dir():
-        pytest.skip("no KITTI tracks and maps beside the repository (shared/data/kitti)")
+def test_a_twin(tmp_path: Path, interloc: Callable, data: Callable[[str], Path]) -> None:
+    kitti = data("kitti")
     drive = tmp_path / "drive"
     outcome = interloc("simulate", "twin", "07", "--kitti", kitti, "-o", drive, *FEW)
     assert outcome.code == 0

@@ -83,9 +83,7 @@ def frame() -> LocalFrame:
     return FRAME
 
 
-@pytest.fixture(scope="session")
-def kitti_dir() -> Path:
-    path = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti"
-    if not path.is_dir():
-        pytest.skip("no KITTI tracks and maps beside the repository (shared/data/kitti)")
-    return path
+@pytest.fixture
+def kitti_dir(data: Callable[[str], Path]) -> Path:
+    """The tracks and maps of KITTI."""
+    return data("kitti")
