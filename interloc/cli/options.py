@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from interloc.cli import console
 from interloc.osm.policies import POLICIES, POLICY_HELP, TOLERANCE_HELP
 
 if TYPE_CHECKING:
@@ -121,6 +122,9 @@ workers_option = click.option(
     help="Number of processes; the result does not depend on it.",
 )
 
+evaluation_options = together(DRIVE, OUT, map_options, config_options, drive_options, workers_option, QUIET, JSON)
+"""Options of the commands that detect the intersections of a drive and evaluate them."""
+
 server_options = together(
     click.option(
         "--server",
@@ -151,6 +155,31 @@ def configure(preset: str, settings: tuple[str, ...]) -> DetectorConfig:
     from interloc.config import with_settings
 
     return with_settings(preset_of(preset), settings)
+
+
+def open_for_evaluation(
+    drive: Path,
+    *,
+    osm: Path | None,
+    overpass: bool,
+    preset: str,
+    settings: tuple[str, ...],
+    quiet: bool,
+    **reading: Any,
+) -> tuple[Drive, DetectorConfig, RoadGraph | None]:
+    """Check and open all that `evaluation_options` name, before any long work starts.
+
+    Returns
+    -------
+    tuple of Drive, DetectorConfig, RoadGraph or None
+        The drive, which has a georeference; the configuration; the map, None if it will come from Overpass.
+    """
+    check_map_choice(osm, overpass=overpass)
+    console.set_up_log(quiet=quiet)
+    config = configure(preset, settings)
+    source = open_drive(drive, reading)
+    require_georeference(source)
+    return source, config, read_map(osm)
 
 
 def check_map_choice(osm: Path | None, *, overpass: bool) -> None:

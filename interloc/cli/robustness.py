@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Repeat the experiment on label errors.")
-@options.DRIVE
-@options.OUT
-@options.map_options
+@options.evaluation_options
 @click.option(
     "--levels",
     default="0/0,5/5,5/20,20/5,20/20",
@@ -26,26 +24,17 @@ if TYPE_CHECKING:
     help="r-FPR/r-FNR of each, in percent.",
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of the random label errors.")
-@options.config_options
-@options.drive_options
-@options.workers_option
-@options.QUIET
-@options.JSON
 def command(
     drive: Path,
     out: Path,
-    osm: Path | None,
-    overpass: bool,
     policy: Policy,
     tolerance_m: float,
     levels: str,
     seed: int,
-    preset: str,
-    settings: tuple[str, ...],
     workers: int | None,
     quiet: bool,
     as_json: bool,
-    **drive_: Any,
+    **given: Any,
 ) -> None:
     """Repeat the paper's experiment on errors of the road labels over DRIVE (Table IV, Fig. 8).
 
@@ -61,14 +50,9 @@ def command(
     from interloc.files import atomic_folder
     from interloc.pipeline import detect
 
-    options.check_map_choice(osm, overpass=overpass)
-    console.set_up_log(quiet=quiet)
-    config = options.configure(preset, settings)
     names = [name.strip() for name in levels.split(",")]
     shares = [parse_level(name) for name in names]
-    source = options.open_drive(drive, drive_)
-    options.require_georeference(source)
-    graph = options.read_map(osm)
+    source, config, graph = options.open_for_evaluation(drive, quiet=quiet, **given)
     evaluations: list[tuple[str, Evaluation]] = []
     with atomic_folder(out, marker="robustness.json") as folder:
         for name, (r_fpr, r_fnr) in zip(names, shares, strict=True):

@@ -14,27 +14,16 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Detect, map and evaluate in one go.")
-@options.DRIVE
-@options.OUT
-@options.map_options
-@options.config_options
-@options.drive_options
-@options.workers_option
-@options.QUIET
-@options.JSON
+@options.evaluation_options
 def command(
     drive: Path,
     out: Path,
-    osm: Path | None,
-    overpass: bool,
     policy: Policy,
     tolerance_m: float,
-    preset: str,
-    settings: tuple[str, ...],
     workers: int | None,
     quiet: bool,
     as_json: bool,
-    **drive_: Any,
+    **given: Any,
 ) -> None:
     """Detect, map and evaluate DRIVE in one go; the report is OUT/report.html.
 
@@ -48,12 +37,7 @@ def command(
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
-    options.check_map_choice(osm, overpass=overpass)
-    console.set_up_log(quiet=quiet)
-    config = options.configure(preset, settings)
-    source = options.open_drive(drive, drive_)
-    options.require_georeference(source)
-    graph = options.read_map(osm)
+    source, config, graph = options.open_for_evaluation(drive, quiet=quiet, **given)
     with result_folder(out) as folder:
         with console.progress("detect", "keyframe", quiet=quiet) as bar:
             result = detect(source, config, workers=workers, progress=bar)
