@@ -15,7 +15,12 @@ from interloc.cli.main import COMMANDS, main
 
 context = get_context("forkserver")
 context.set_forkserver_preload(
-    ["pytest", "app.server", "app.work.intersections", *(f"interloc.cli.{name}" for name in COMMANDS.values())]
+    [
+        "pytest",
+        "app.server",
+        "app.work.intersections",
+        *(f"interloc.cli.{name.partition(':')[0]}" for name in COMMANDS.values()),
+    ]
 )
 
 

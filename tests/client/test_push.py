@@ -313,3 +313,27 @@ def test_a_server_that_gives_other_bytes_than_it_got_is_not_trusted(
     outcome = make.Here(faulty.address, tmp_path / "cache")("push", street)
     assert outcome.code == 1
     assert "but with other content than was sent" in outcome.err
+
+
+def test_stopping_does_not_wait_for_a_server_that_does_not_answer(
+    faulty: Any, make: ModuleType, street: Path, tmp_path: Path
+) -> None:
+    asked, over = threading.Event(), threading.Event()
+
+    def hang(handler: http.server.BaseHTTPRequestHandler) -> None:
+        asked.set()
+        over.wait(60)
+        make.hang_up(handler)
+
+    by_method: dict[str, Callable[..., None]] = {
+        "POST": make.answer(201, {"id": "d1", "name": "street", "state": "uploading"}),
+        "PUT": hang,
+        "GET": make.answer(200, {"drives": [], "files": [], "next": None}),
+    }
+    faulty.script = [lambda handler: by_method[handler.command](handler)]
+    with make.Here(faulty.address, tmp_path / "cache").start("push", street) as process:
+        assert asked.wait(60)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    over.set()
+    assert "the same command sends the rest" in err
