@@ -1,4 +1,4 @@
-"""Figures for Prometheus: requests are counted as they end, jobs and drives are read from the database when asked."""
+"""Metrics for Prometheus: requests are counted when they end; jobs and drives are counted in the database on demand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from app.store.storage import Storage
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 _BUCKETS_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300)
-_RECENT = 200  # jobs whose stages are looked at
+_RECENT = 200  # jobs whose stages are summed up
 
 
 class Metrics:
@@ -59,7 +59,7 @@ class Metrics:
 
 
 class _StateRegistry(CollectorRegistry):
-    """What the database and the disk say at this moment."""
+    """Metrics of the database and the disk at this moment."""
 
     def __init__(self, database: Database, storage: Storage) -> None:
         super().__init__()
@@ -82,7 +82,7 @@ def _gauge(name: str, help_: str, value: float) -> Metric:
 
 def _drives(session: Session) -> Iterator[Metric]:
     drives = GaugeMetricFamily("interloc_drives", "Drives by state.", labels=["state"])
-    stored = GaugeMetricFamily("interloc_stored_bytes", "Kept of the drives by state.", labels=["state"])
+    stored = GaugeMetricFamily("interloc_stored_bytes", "Bytes kept on disk of drives, by state.", labels=["state"])
     query = select(Drive.state, func.count(), func.coalesce(func.sum(Drive.stored_bytes), 0)).group_by(Drive.state)
     for state, count, size in session.execute(query):
         drives.add_metric([state], count)
@@ -101,14 +101,16 @@ def _jobs(session: Session, now: float) -> Iterator[Metric]:
     yield _gauge("interloc_oldest_waiting_job_seconds", "Age of the job that waits longest.", now - (oldest or now))
 
     waits = SummaryMetricFamily(
-        "interloc_queue_wait_seconds", "From submission to start, of jobs kept.", labels=["kind"]
+        "interloc_queue_wait_seconds", "Time from submission to start, of the jobs that are kept.", labels=["kind"]
     )
     query = select(Job.kind, func.count(), func.sum(Job.started_at - Job.created_at)).group_by(Job.kind)
     for kind, count, seconds in session.execute(query.where(Job.started_at.is_not(None))):
         waits.add_metric([kind], count_value=count, sum_value=seconds or 0.0)
     yield waits
 
-    worked = SummaryMetricFamily("interloc_job_seconds", "From start to end, of jobs kept.", labels=["kind", "state"])
+    worked = SummaryMetricFamily(
+        "interloc_job_seconds", "Time from start to end, of the jobs that are kept.", labels=["kind", "state"]
+    )
     query_ = select(Job.kind, Job.state, func.count(), func.sum(Job.finished_at - Job.started_at))
     query_ = query_.where(Job.finished_at.is_not(None), Job.started_at.is_not(None)).group_by(Job.kind, Job.state)
     for kind, state, count, seconds in session.execute(query_):
@@ -117,7 +119,7 @@ def _jobs(session: Session, now: float) -> Iterator[Metric]:
 
 
 def _stages(session: Session) -> Iterator[Metric]:
-    """Look into the outcome of the last jobs: where their time went."""
+    """Sum up where the time of the last jobs went."""
     query = select(Job.summary).where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
     outcomes = [
         outcome for outcome in session.scalars(query.order_by(Job.finished_at.desc()).limit(_RECENT)) if outcome
@@ -132,7 +134,9 @@ def _stages(session: Session) -> Iterator[Metric]:
     for stage, spent in seconds.items():
         stages.add_metric([stage], spent)
     yield stages
-    yield _gauge("interloc_keyframes_per_second", f"Of the last {_RECENT} jobs.", _rate(outcomes))
+    yield _gauge(
+        "interloc_keyframes_per_second", f"Keyframes per second of work, of the last {_RECENT} jobs.", _rate(outcomes)
+    )
 
 
 def _rate(outcomes: list[dict[str, Any]]) -> float:

@@ -1,4 +1,4 @@
-"""The process that `interloc serve` runs: it listens, serves, and ends in good order."""
+"""The process that `interloc serve` runs: it listens, serves, and stops in good order."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 class Server(uvicorn.Server):
-    """Serves an application, and tells its parts as soon as it is to stop.
+    """Serves an application, and signals to its parts as soon as it is to stop.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Server(uvicorn.Server):
         )
         super().__init__(config)
         self._app = app
-        self._tell_started = started
+        self._report_started = started
 
     @property
     def port(self) -> int:
@@ -72,15 +72,15 @@ class Server(uvicorn.Server):
         """Open the service, then listen."""
         notes = logging.getLogger("uvicorn.error")
         level = notes.level
-        notes.setLevel(logging.CRITICAL)  # why a start failed is told once, by `serve`
+        notes.setLevel(logging.CRITICAL)  # why a start failed is reported once, by `serve`
         try:
             await super().startup(sockets)
         except SystemExit as error:
             raise getattr(self._app.state, "start_fault", error) from None
         finally:
             notes.setLevel(level)
-        if self.started and self._tell_started is not None:
-            self._tell_started(self.port)
+        if self.started and self._report_started is not None:
+            self._report_started(self.port)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End the streams that would never end by themselves, wait for the rest, close the service."""
@@ -113,14 +113,14 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
     with listener:
         try:
             server.run(sockets=[listener])
-        except KeyboardInterrupt:  # uvicorn sends the signal again when it has stopped: that is how it is meant to end
+        except KeyboardInterrupt:  # uvicorn sends the signal again when it has stopped
             if not server.started:
                 raise
     _log.info("stopped")
 
 
 def _allow_open_files(wanted: int) -> None:
-    """Raise the limit of open files, 1024 on many systems, as far as that is free."""
+    """Raise the limit of open files, 1024 on many systems, as far as the system allows."""
     try:
         import resource  # noqa: PLC0415 - Unix only
     except ImportError:
@@ -133,7 +133,7 @@ def _allow_open_files(wanted: int) -> None:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Bind the address; whoever holds it is told in one line."""
+    """Bind the address; where that is not possible, the error says why in one line."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
         listener = socket.create_server(

@@ -1,4 +1,4 @@
-"""A body on its way in: streamed to a temporary file, counted and hashed while it is written."""
+"""A body that is being received: streamed to a temporary file, counted and hashed while it is written."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Kept = TypeVar("Kept")
 
 @dataclass(frozen=True)
 class Arrival:
-    """A file that has come in whole, but has no place yet.
+    """A file that has been received completely, but is not in its place yet.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Intake:
         return Arrival(self.path, self._temporary, self.size_bytes, digest)
 
     def discard(self) -> None:
-        """Remove what is left of it; a file that got its place stays."""
+        """Remove the temporary file; one that was moved to its place stays."""
         if self._file is not None:
             with suppress(OSError):
                 self._file.close()
@@ -121,7 +121,7 @@ class Intake:
                 self._temporary.unlink(missing_ok=True)
 
     def _open(self) -> FileIO:
-        """Return the file, made when the first bytes come: in a thread, not where the server answers others."""
+        """Return the file, made when the first bytes arrive: in a thread, so that the server can answer others."""
         if self._file is None:
             self._temporary.parent.mkdir(parents=True, exist_ok=True)
             self._file = self._temporary.open("xb", buffering=0)

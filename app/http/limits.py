@@ -1,4 +1,4 @@
-"""Limits of uploads: each is named in the answer, with what is allowed."""
+"""Limits of uploads: the answer names the limit that was exceeded, and what is allowed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from app.http.problems import Problem, disk_full
 from app.settings import MB
 
 CLOSE = {"Connection": "close"}
-"""What follows of a body that is refused unread is not read; the connection cannot be used again."""
+"""Sent when a body is refused before it is read: the rest of it would be taken for the next request."""
 
 
 def declared_length(request: Request, limit: int, what: str) -> int | None:
@@ -18,9 +18,9 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
     Raises
     ------
     Problem
-        400: it is a part of a file. 413: more than the limit. 415: the body is compressed.
+        400: the body is a part of a file. 413: more than the limit. 415: the body is compressed.
     """
-    if "content-range" in request.headers:  # RFC 9110, section 14.5: what does not know it must not ignore it
+    if "content-range" in request.headers:  # RFC 9110, section 14.5: it may not be ignored
         raise Problem(
             400,
             "Part of a file",
@@ -42,14 +42,14 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
     text = request.headers.get("content-length")
     if text is None:
         return None
-    length = int(text)  # the HTTP parser has refused what is no number
+    length = int(text)  # the HTTP parser has refused everything else
     if length > limit:
         raise too_large(what, limit)
     return length
 
 
 def too_large(what: str, limit: int) -> Problem:
-    """Say that a body is larger than what is taken."""
+    """Return the problem that a body is larger than allowed."""
     size = f"{limit / MB:,.0f} MB" if limit >= MB else f"{limit:,} bytes"
     return Problem(413, "Too large", f"{what} may have {size} at most. Nothing was kept.", headers=CLOSE)
 

@@ -155,11 +155,11 @@ class BatchReader:
         if not self._ended:
             raise _malformed("it ends before its last boundary")
         if not self._arrivals:
-            raise bad_part("The request has no parts.")
+            raise bad_part("The request has no parts. Expected one or more files.")
         return self._arrivals
 
     def discard(self) -> None:
-        """Remove the files that got no place."""
+        """Remove the files that were not moved to their places."""
         for intake in self._intakes:
             intake.discard()
 

@@ -19,7 +19,7 @@ scores them against OpenStreetMap where a map is given; its *results* are GeoJSO
 ```sh
 curl -X POST $API/drives -H 'Content-Type: application/json' -d '{"name": "07"}'        # -> id of the drive
 curl -T velodyne/000000.bin $API/drives/$DRIVE/files/velodyne/000000.bin                # ... and so on, in any order
-curl -X POST $API/drives/$DRIVE/commit                                                  # -> what is in it, or wrong
+curl -X POST $API/drives/$DRIVE/commit                                                  # -> what is in it or is wrong
 curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{"drive_id": "'$DRIVE'"}'  # -> id of the job
 curl -N $API/jobs/$JOB/events                                                           # its progress as it happens
 curl $API/jobs/$JOB/intersections                                                       # the map, as GeoJSON
@@ -47,11 +47,13 @@ _UNAUTHORIZED = {
         "WWW-Authenticate": {"description": "How to authenticate.", "schema": {"type": "string"}},
     },
 }
-_ANY = {"description": "Any other problem, as a request too large (413), too slow (408) or of another site (403)."}
+_ANY = {
+    "description": "Any other problem, such as a request too large (413), too slow (408) or from another site (403)."
+}
 
 
 def operation_id(route: APIRoute) -> str:
-    """Name an operation as its function: good names in generated clients."""
+    """Name an operation like its function: good names in generated clients."""
     return route.name
 
 
@@ -108,7 +110,7 @@ def _problem(response: dict[str, Any]) -> dict[str, Any]:
 
 
 def _correct_media_type(response: dict[str, Any]) -> None:
-    """Models are described in the media type of the endpoint; problem documents have one of their own."""
+    """Give problem documents their own media type: FastAPI describes every model in that of the endpoint."""
     content = response.get("content", {})
     for media_type, described in list(content.items()):
         if described.get("schema", {}).get("$ref", "").endswith("/ProblemDocument"):

@@ -1,4 +1,4 @@
-"""Problem documents (RFC 9457): everything that the service answers with when it does not do what was asked."""
+"""Problem documents (RFC 9457): the answers to requests that are not fulfilled."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 
 
 class FileProblem(BaseModel):
-    """One thing that is wrong with, or to be said of, a file or field."""
+    """An error, a warning or a note about a file or field."""
 
     severity: str = Field(examples=["error"])
     path: str = Field(examples=["labels/000010.label"])
@@ -102,7 +102,7 @@ def from_error(error: InterLocError) -> Problem:
 
 
 def disk_full() -> Problem:
-    """Say that the disk of the service has no room."""
+    """Return the problem that the disk of the service is full."""
     return Problem(
         507,
         "Disk full",
@@ -135,7 +135,7 @@ async def _handle(request: Request, error: Exception) -> JSONResponse:
     return respond(problem_of(error), request.url.path)
 
 
-_SAID_BY_FRAMEWORK = {
+_DETAILS_OF_FRAMEWORK = {
     "Not Found": "There is nothing at this address. GET /docs shows what there is.",
     "Method Not Allowed": "This address takes other methods; the header Allow names them.",
     "There was an error parsing the body": "The body is not JSON in UTF-8, or is nested too deep.",
@@ -144,7 +144,7 @@ _SAID_BY_FRAMEWORK = {
 
 def _of_http_error(error: HTTPException) -> Problem:
     headers = dict(error.headers) if error.headers else None
-    detail = _SAID_BY_FRAMEWORK.get(str(error.detail), str(error.detail))
+    detail = _DETAILS_OF_FRAMEWORK.get(str(error.detail), str(error.detail))
     return Problem(error.status_code, HTTPStatus(error.status_code).phrase, detail, headers=headers)
 
 
@@ -164,7 +164,9 @@ def _of_os_error(error: OSError) -> Problem:
 
 
 def _of_disconnect(_: ClientDisconnect) -> Problem:
-    return Problem(400, "Upload broken off", "The client went away before the body had come whole. Nothing was kept.")
+    return Problem(
+        400, "Upload broken off", "The client closed the connection before the body was complete. Nothing was kept."
+    )
 
 
 def _of_database_error(error: SQLAlchemyError) -> Problem:
@@ -178,12 +180,14 @@ def _of_database_error(error: SQLAlchemyError) -> Problem:
 def _of_data_error(error: DataError) -> Problem:
     if "NUL" not in str(error.orig):
         return _of_fault(error)
-    return Problem(422, "Request not valid", "An id or a name holds a zero character, which none of them has.")
+    return Problem(422, "Request not valid", "An id or a name holds a zero character. Expected text without it.")
 
 
 def _of_fault(error: Exception) -> Problem:
     _log.error("a fault of the service itself", exc_info=error)
-    return Problem(500, "Fault of the service", "A fault of the service itself; its log tells more. Please report it.")
+    return Problem(
+        500, "Fault of the service", "A fault of the service itself; its log has the details. Please report it."
+    )
 
 
 _TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {

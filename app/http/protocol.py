@@ -1,4 +1,4 @@
-"""How a request comes in: uvicorn's protocol, with limits of the head that it does not have itself."""
+"""How a request is received: uvicorn's protocol, with limits for the head, which it does not have itself."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ HEAD_S = 20.0
 
 
 class Protocol(HttpToolsProtocol):
-    """Closes connections whose request line and headers do not come, or do not end."""
+    """Closes connections whose request line and headers do not arrive, or do not end."""
 
     head_s = HEAD_S
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as the base has it
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # like the base class
         """Begin to wait for a request."""
         super().connection_made(transport)
         self._in_head = False
@@ -43,7 +43,7 @@ class Protocol(HttpToolsProtocol):
         super().on_headers_complete()
 
     def data_received(self, data: bytes) -> None:
-        """Take what came; an unfinished head may neither grow without end nor trickle in for ever."""
+        """Take what arrived; an unfinished head may neither grow without end nor trickle in for ever."""
         super().data_received(data)
         if not self._in_head or self.transport.is_closing():
             return
@@ -54,7 +54,7 @@ class Protocol(HttpToolsProtocol):
             self._head_timer = self._start_timer()
 
     def send_400_response(self, msg: str) -> None:
-        """Refuse what is no HTTP in the form of all other refusals."""
+        """Refuse what is not HTTP, by a problem document as everywhere else."""
         self._answer(Problem(400, "Request malformed", f"{msg.rstrip('.')}: it does not keep to HTTP/1.1."))
 
     def _start_timer(self) -> asyncio.TimerHandle:

@@ -1,4 +1,4 @@
-"""The result folder of a job, and in words why there is none."""
+"""The result folder of a job, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -15,10 +15,6 @@ from app.http.problems import Problem
 from app.states import JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.output.layout import RUN_FILE, TABLES, file_names
-
-EVALUATION_FILES = {"osm-nodes": "osm_nodes.geojson", "matches": "matches.geojson", "osm-roads": "osm_roads.geojson"}
-LAYERS = (*TABLES, *EVALUATION_FILES)
-"""GeoJSON layers of a result, by the names of their addresses."""
 
 _MAX_KNOWN = 1000
 
@@ -66,7 +62,7 @@ class Result:
         return re.sub(r"[^A-Za-z0-9._-]+", "_", self.drive_name).strip("._")[:80] or "drive"
 
     def layer(self, name: str) -> Path:
-        """Return the GeoJSON file of one of `LAYERS`.
+        """Return the GeoJSON file of a layer, by the name in its address.
 
         Raises
         ------
@@ -79,14 +75,14 @@ class Result:
                 local = file_names(georeferenced=False)[name]
                 self.require_georeference(f"The same in metres of its own frame: {self.address}/files/{local}")
             return path
-        path = self.folder / EVALUATION_FILES[name]
+        path = self.folder / f"{name.replace('-', '_')}.geojson"
         if not path.exists():
             self.evaluation_file("report.json")
             raise Problem(404, "Not in this result", f"The result of job {self.job_id} has no {path.name}.")
         return path
 
     def require_georeference(self, hint: str) -> None:
-        """Raise a 404 that says so where the drive has no georeference."""
+        """Raise a 404 where the drive has no georeference."""
         if not self.is_georeferenced:
             raise Problem(
                 404,

@@ -16,13 +16,13 @@ from app.results.on_demand import OnDemand, OnDemandDep
 from app.routes.results import PROBLEMS, JobId, answers
 
 Layer = Literal["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]
-LayerQuery = Annotated[Layer, Query(description="Which layer.")]
+LayerQuery = Annotated[Layer, Query(description="Layer to export.")]
 
 router = APIRouter(tags=["Exports"])
 
 _PROBLEMS: dict[int | str, dict[str, Any]] = {
     **PROBLEMS,
-    503: {"model": ProblemDocument, "description": "The workers died of it."},
+    503: {"model": ProblemDocument, "description": "The worker processes died of this request."},
     507: {"model": ProblemDocument, "description": "The disk of the service is full."},
 }
 
@@ -46,7 +46,7 @@ async def export_gpkg(
     request: Request,
     results: ResultsDep,
     on_demand: OnDemandDep,
-    layer: Annotated[Layer | None, Query(description="Only this layer; all by default.")] = None,
+    layer: Annotated[Layer | None, Query(description="Layer to export; all by default.")] = None,
 ) -> Response:
     """Give all layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches.
 

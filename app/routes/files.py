@@ -30,7 +30,10 @@ NOT_FOUND: dict[int | str, dict[str, Any]] = {
     404: {"model": ProblemDocument, "description": "There is no such drive or file."}
 }
 CLOSED: dict[int | str, dict[str, Any]] = {
-    409: {"model": ProblemDocument, "description": "The drive takes no such files in its state, or names conflict."}
+    409: {
+        "model": ProblemDocument,
+        "description": "The drive takes no such files in its state, or names are in conflict.",
+    }
 }
 UPLOAD: dict[int | str, dict[str, Any]] = {
     400: {"model": ProblemDocument, "description": "The body ended too soon, or is only a part of a file."},

@@ -26,7 +26,7 @@ LonLat = tuple[float, float]
 
 
 class KeyframeDetection(BaseModel):
-    """A detection of the keyframe; more members are those of `interloc explain`."""
+    """A detection of the keyframe; further members are those of `interloc explain`."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -40,7 +40,7 @@ class KeyframeDetection(BaseModel):
 
 
 class KeyframeCandidate(BaseModel):
-    """A candidate, and what became of it; more members are those of `interloc explain`."""
+    """A candidate, and the decision about it; further members are those of `interloc explain`."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -132,5 +132,5 @@ async def read_keyframe_picture(
 async def read_keyframe_view(
     job_id: JobId, frame: Frame, request: Request, results: ResultsDep, on_demand: OnDemandDep
 ) -> Response:
-    """Give corners, candidates with what became of them and why, detections, the window, the counts of points."""
+    """Give corners, candidates and why each was kept or not, detections, the window, the counts of points."""
     return await _deliver(request, results, on_demand, job_id, frame, VIEW)

@@ -30,7 +30,7 @@ def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint
 
 
 def read_index(request: Request, files: PageFilesDep, context: ContextDep) -> Response:
-    """Give the page, or lead to the documentation where it is not installed."""
+    """Give the page, or redirect to the documentation where it is not installed."""
     if not files.are_complete():
         return RedirectResponse(f"{request.scope.get('root_path', '')}/docs")
     return _give(request, files, context, INDEX)

@@ -18,7 +18,7 @@ from app.results.folder import ResultsDep
 from app.schemas.results import ResultFile, ResultFileList
 from interloc.output.layers import LAYERS, Layer
 
-JobId = Annotated[str, Path(description="Of a successful job of kind intersections.", max_length=64)]
+JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", max_length=64)]
 
 PROBLEMS: dict[int | str, dict[str, Any]] = {
     404: {"model": ProblemDocument, "description": "No such job; or its result has no such part, and why."},
@@ -29,7 +29,7 @@ _PACKED = frozenset({".png", ".gz", ".zip"})  # they would not become smaller in
 
 _CACHED: dict[int | str, dict[str, Any]] = {
     206: {"description": "The range that was asked for."},
-    304: {"description": "The client has it (If-None-Match, If-Modified-Since)."},
+    304: {"description": "The client has the current version (If-None-Match, If-Modified-Since)."},
     416: {"model": ProblemDocument, "description": "There is no such range."},
 }
 
@@ -107,7 +107,8 @@ def read_report(
     request: Request,
     results: ResultsDep,
     format: Annotated[  # noqa: A002 - the name in the address
-        Literal["html", "json"] | None, Query(description="Wins over the Accept header.")
+        Literal["html", "json"] | None,
+        Query(description="Format of the report; takes precedence over the Accept header."),
     ] = None,
 ) -> Response:
     """Score against OpenStreetMap: ACE, precision, recall and F1 over D, per node and on the map.
@@ -165,15 +166,17 @@ def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
     summary="Read a file of the result",
     operation_id="read_result_file",
     response_class=Response,
-    responses=answers("*/*", {}, "The file, by its type."),
+    responses=answers("*/*", {}, "The file, in its own media type."),
 )
 def read_result_file(
     job_id: JobId,
-    name: Annotated[str, Path(description="As listed.", examples=["figures/map.svg"], max_length=512)],
+    name: Annotated[
+        str, Path(description="Path of the file, as listed.", examples=["figures/map.svg"], max_length=512)
+    ],
     request: Request,
     results: ResultsDep,
 ) -> Response:
-    """Give any file of the result; without georeference these are the way to the `*.local.json` layers."""
+    """Give any file of the result; without georeference the layers are the files `*.local.json`."""
     result = results.open(job_id)
     path = result.file(name)
     return deliver(request, path, gzip_copies=result.cache, name=f"{result.slug}-{path.name}")

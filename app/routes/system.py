@@ -1,4 +1,4 @@
-"""Endpoints: system."""
+"""Endpoints: health, readiness, metrics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Health(BaseModel):
 
 
 class Readiness(BaseModel):
-    """Whether requests can be answered and jobs be done."""
+    """Whether requests can be answered and jobs can be done."""
 
     ready: bool
     reasons: dict[str, str] = Field(

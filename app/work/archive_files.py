@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, BinaryIO, Literal
+from typing import IO, BinaryIO, Literal, Self
 
 import zstandard
 
@@ -177,10 +177,12 @@ def _tar_members(stream: BinaryIO, count: Callable[[int], None]) -> Iterator[Mem
 class _CarefulTarInfo(tarfile.TarInfo):
     """A header that is refused when it announces a name of gigabytes, which would be read into memory."""
 
-    def _proc_member(self, archive: tarfile.TarFile) -> tarfile.TarInfo:
-        if self.type in _HEADERS and self.size > _MAX_HEADER_BYTES:
-            raise tarfile.ReadError(f"a header of {self.size:,} bytes")
-        info: tarfile.TarInfo = super()._proc_member(archive)  # type: ignore[misc] # not in the stubs
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
+        """Read a header."""
+        info = super().frombuf(buf, encoding, errors)
+        if info.type in _HEADERS and info.size > _MAX_HEADER_BYTES:
+            raise tarfile.ReadError(f"a header of {info.size:,} bytes")
         return info
 
 
