@@ -209,11 +209,12 @@ def read_map(osm: Path | None) -> RoadGraph | None:
 
 def fetch_map(result: DriveResult, *, quiet: bool) -> RoadGraph:
     """Fetch the map around a run from Overpass."""
-    from interloc.evaluation.coverage import drive_bounds
+    from interloc.evaluation.coverage import track_bounds
     from interloc.osm.overpass import download_roads
 
     def wait(reason: str, seconds: float) -> None:
         if not quiet:
             click.echo(f"{reason} ({seconds:.0f} s)", err=True)
 
-    return download_roads(drive_bounds(result), on_wait=wait)
+    assert result.keyframes.lonlat is not None
+    return download_roads(track_bounds(result.keyframes.lonlat), on_wait=wait)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
-from interloc.cli.summary import percent
 
 if TYPE_CHECKING:
     from interloc.osm.policies import Policy
@@ -44,6 +43,7 @@ def command(
     Example:
       interloc robustness sequences/07 -o out --osm map.osm.gz
     """
+    from interloc.drawing import percent
     from interloc.drives.label_errors import MislabelledDrive
     from interloc.evaluation.evaluate import Evaluation, evaluate
     from interloc.evaluation.label_errors import label_error_table, parse_level, write_label_errors

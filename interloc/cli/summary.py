@@ -43,22 +43,15 @@ def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
 
 def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     """Return the main figures of report.json for a person."""
+    from interloc.drawing import metres, percent
+
     level = report["map_level"]
     return [
         ("policy", f"{report['policy']}: {report['nodes_in_zone']} OSM nodes in the relevant zone"),
         ("nodes found", f"{report['nodes_found']} of {report['nodes_in_zone']}"),
-        ("center error", f"{_metres(report['ace_m'])} mean (ACE), {_metres(report['median_m'])} median"),
+        ("center error", f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"),
         ("at D = 5 m", f"precision {percent(report['precision']['5.0'])}, recall {percent(report['recall']['5.0'])}"),
         ("map", f"precision {percent(level['precision'])}, recall {percent(level['recall'])}, one to one"),
         *(("warning", text) for text in report["warnings"]),
         ("report", str(out / "report.html")),
     ]
-
-
-def _metres(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f} m"
-
-
-def percent(value: float | None) -> str:
-    """Return a share in percent, or a dash."""
-    return "-" if value is None else f"{100 * value:.1f} %"

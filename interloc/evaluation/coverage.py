@@ -12,7 +12,6 @@ from interloc.errors import MapError
 from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, lonlat_from_enu
 from interloc.osm.graph import Bounds, RoadGraph, within
 from interloc.osm.intersections import road_ways
-from interloc.results import DriveResult
 
 logger = logging.getLogger(__name__)
 
@@ -20,20 +19,16 @@ TRACK_OFF_ROAD_M = 5.0
 """A larger median distance of the track from the roads is suspicious: on KITTI it is 0.4 to 1.1 m."""
 
 
-def drive_bounds(result: DriveResult, *, margin_m: float = 200.0) -> Bounds:
-    """Return west, south, east, north of a georeferenced drive and a margin: what the map should cover.
+def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
+    """Return what the map of a drive should cover: the bounds of its keyframes and a margin.
 
     Parameters
     ----------
+    lonlat : (K, 2) float64
+        Longitude, latitude of the keyframes.
     margin_m
         More than half the diagonal of the ROI (85 m for 120 m), so that no road is missed.
     """
-    assert result.keyframes.lonlat is not None
-    return track_bounds(result.keyframes.lonlat, margin_m=margin_m)
-
-
-def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
-    """Return west, south, east, north of (K, 2) longitudes, latitudes of the keyframes and a margin."""
     west_south, east_north = lonlat.min(axis=0), lonlat.max(axis=0)
     # Degrees of longitude are shorter at the corner that is further from the equator.
     lat = west_south[1] if abs(west_south[1]) > abs(east_north[1]) else east_north[1]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
 from interloc.arrays import FloatArray
 from interloc.drawing import (
@@ -28,10 +31,6 @@ from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.intersections import road_ways
 from interloc.results import DriveResult
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PERCENTILES = (5.0, 25.0, 50.0, 75.0, 95.0)
 """Of the paper's box plots: whiskers, box, median."""
@@ -76,8 +75,6 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
 
 
 def _draw_roads(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401 - a local function
-    from matplotlib.collections import LineCollection  # noqa: PLC0415 - slow to import
-
     graph = evaluation.graph
     roads = road_ways(graph, evaluation.nodes.policy)
     near = np.abs(graph.lonlat - np.median(graph.lonlat, axis=0)).max(axis=1) < 1.0  # the plane has an end

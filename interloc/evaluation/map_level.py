@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.evaluation.matching import UNMATCHED, pairs_in_square, pairs_within
@@ -88,10 +91,6 @@ def assign_intersections(
 
 def _assign(a_lonlat: FloatArray, b_lonlat: FloatArray, gate_m: float) -> tuple[IntArray, IntArray, FloatArray]:
     """Solve the assignment within each group of points that the gate connects: the groups are small."""
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - slow to import
-    from scipy.sparse import coo_array  # noqa: PLC0415
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-
     empty = np.empty(0, dtype=np.int64)
     a, b, distance = _pairs_under(a_lonlat, b_lonlat, gate_m)
     if len(a) == 0:

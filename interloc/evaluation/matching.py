@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.geometry import ecef_from_geodetic, enu_from_lonlat, rotate_2d
@@ -126,8 +127,6 @@ def pairs_in_square(keyframes: KeyframeTable, lonlat: FloatArray, side_m: float)
 
 def pairs_within(centre_lonlat: FloatArray, lonlat: FloatArray, radius_m: float) -> tuple[IntArray, IntArray]:
     """Find all (centre, point) pairs within a radius and a little more, ordered by centre, then point."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - a third of a second of start-up time
-
     empty = np.empty(0, dtype=np.int64)
     if len(centre_lonlat) == 0 or len(lonlat) == 0:
         return empty, empty

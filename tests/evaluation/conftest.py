@@ -20,15 +20,6 @@ RunBuilder = Callable[..., DriveResult]
 GraphBuilder = Callable[..., RoadGraph]
 
 
-@pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """Folder of the development data, beside the repository."""
-    folder = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip("the shared development data is not beside the repository")
-    return folder
-
-
 def lonlat(enu: Any) -> np.ndarray:
     """Degrees of (..., 2) metres east, north of the origin of the tests."""
     return lonlat_from_enu(LAT, LON, np.asarray(enu, dtype=np.float64).reshape(-1, 2))
@@ -114,10 +105,10 @@ def make_graph(crossings: Sequence[tuple[float, float]], *, arm_m: float = 50.0,
 
 
 def run_on_oxts(
-    shared_data: Path, sequence: str, node_lonlat: np.ndarray, *, noise_m: float, seed: int = 0, reach_m: float = 35.0
+    oxts: Path, node_lonlat: np.ndarray, *, noise_m: float, seed: int = 0, reach_m: float = 35.0
 ) -> DriveResult:
     """Drive the real track of a KITTI sequence past nodes, seeing each of them within reach with some noise."""
-    with gzip.open(shared_data / "kitti" / "oxts" / f"{sequence}.txt.gz", "rt") as file:
+    with gzip.open(oxts, "rt") as file:
         rows = np.loadtxt(file)
     enu = enu_from_lonlat(LAT, LON, rows[:, [1, 0]])
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(enu, axis=0).T))])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from interloc.errors import ConfigError, GeoreferenceError, MapError
-from interloc.evaluation.coverage import drive_bounds, track_to_road
+from interloc.evaluation.coverage import track_bounds, track_to_road
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import report_record
 from interloc.osm.graph import RoadGraph
@@ -120,15 +120,15 @@ def test_distance_to_the_road_is_to_the_line_not_to_its_nodes(graph: Graph, at: 
 
 
 def test_bounds_of_a_drive_leave_room_for_the_roi(run: Run, at: At) -> None:
-    west, south, east, north = drive_bounds(run([(0, 0), (1000, 500)]), margin_m=100)
+    west, south, east, north = track_bounds(run([(0, 0), (1000, 500)]).keyframes.lonlat, margin_m=100)
     assert np.array([[west, south], [east, north]]) == pytest.approx(at([(-100, -100), (1100, 600)]), abs=1e-5)
 
 
 @pytest.mark.parametrize("sequence", NODES_IN_ZONE)
-def test_kitti_tracks_lie_on_their_roads(sequence: str, shared_data: Path, oxts_run: Run) -> None:
-    roads = read_osm(shared_data / "kitti" / "osm" / f"{sequence}.osm.gz")
+def test_kitti_tracks_lie_on_their_roads(sequence: str, data: Callable[[str], Path], oxts_run: Run) -> None:
+    roads = read_osm(data(f"kitti/osm/{sequence}.osm.gz"))
     nodes = intersection_nodes(roads)
-    result = evaluate(oxts_run(shared_data, sequence, nodes.lonlat, noise_m=1.0), roads)
+    result = evaluate(oxts_run(data(f"kitti/oxts/{sequence}.txt.gz"), nodes.lonlat, noise_m=1.0), roads)
     assert 0.3 < result.track_to_road_m < 1.3
     assert result.warnings == ()
     record = report_record(result)
@@ -139,8 +139,8 @@ def test_kitti_tracks_lie_on_their_roads(sequence: str, shared_data: Path, oxts_
     assert record["map_level"]["recall"] == 1.0
 
 
-def test_the_map_of_another_sequence_is_refused(shared_data: Path, oxts_run: Run) -> None:
-    roads = read_osm(shared_data / "kitti" / "osm" / "00.osm.gz")
-    drive = oxts_run(shared_data, "05", np.empty((0, 2)), noise_m=1.0)
+def test_the_map_of_another_sequence_is_refused(data: Callable[[str], Path], oxts_run: Run) -> None:
+    roads = read_osm(data("kitti/osm/00.osm.gz"))
+    drive = oxts_run(data("kitti/oxts/05.txt.gz"), np.empty((0, 2)), noise_m=1.0)
     with pytest.raises(MapError, match=r"00\.osm\.gz covers"):
         evaluate(drive, roads)

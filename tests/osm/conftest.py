@@ -2,19 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
-
-
-@pytest.fixture(scope="session")
-def shared_data() -> Path:
-    """Folder of the development data, beside the repository."""
-    folder = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip("the shared development data is not beside the repository")
-    return folder
-
 
 NODES = """
   <node id="1" lat="49.000" lon="8.400"/>

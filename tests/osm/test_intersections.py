@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -106,14 +107,14 @@ def test_a_bridge_above_a_crossing_is_not_merged_with_it() -> None:
     assert len(intersection_nodes(roads, "consolidated")) == 2
 
 
-def test_kitti_00_has_the_known_number_of_nodes(shared_data: Path) -> None:
-    roads = read_osm(shared_data / "kitti" / "osm" / "00.osm.gz")
+def test_kitti_00_has_the_known_number_of_nodes(data: Callable[[str], Path]) -> None:
+    roads = read_osm(data("kitti/osm/00.osm.gz"))
     counts = {policy: len(intersection_nodes(roads, policy)) for policy in POLICIES}
     assert counts == {"all": 333, "drive+service": 119, "drive": 83, "consolidated": 70}
 
 
-def test_consolidation_keeps_clear_of_what_lies_outside_the_bounds(shared_data: Path) -> None:
-    roads = read_osm(shared_data / "kitti" / "osm_buildings" / "00.osm.gz")
+def test_consolidation_keeps_clear_of_what_lies_outside_the_bounds(data: Callable[[str], Path]) -> None:
+    roads = read_osm(data("kitti/osm_buildings/00.osm.gz"))
     inside = intersection_nodes(roads, "drive")
     merged = intersection_nodes(roads, "consolidated")
     assert len(merged) < len(inside)

@@ -1,6 +1,7 @@
 import bz2
 import gzip
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -226,11 +227,11 @@ def test_ways_without_their_nodes_name_the_usual_query(tmp_path: Path) -> None:
         read(tmp_path, f'<osm version="0.6">{body}</osm>')
 
 
-def test_the_maps_of_kitti_are_read(shared_data: Path) -> None:
-    roads = read_osm(shared_data / "kitti" / "osm" / "00.osm.gz")
+def test_the_maps_of_kitti_are_read(data: Callable[[str], Path]) -> None:
+    roads = read_osm(data("kitti/osm/00.osm.gz"))
     assert (len(roads.ways), roads.date, roads.bounds) == (350, "2015-02-17T11:18:02Z", None)
     assert len(np.unique(roads.node_id)) == len(roads.node_id)
-    roads = read_osm(shared_data / "kitti" / "osm_buildings" / "00.osm.gz")
+    roads = read_osm(data("kitti/osm_buildings/00.osm.gz"))
     assert roads.bounds == (8.3816242, 48.9772313, 8.4044552, 48.9917075)
     assert roads.date == "2012-04-11T13:34:03Z"
     assert (len(roads.ways), int((~roads.inside_bounds).sum()) > 0) == (600, True)

@@ -13,7 +13,7 @@ import pytest
 import shapely
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
-from interloc.evaluation.coverage import drive_bounds
+from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
 from interloc.osm.reader import read_osm
@@ -41,7 +41,7 @@ def write_folder(folder: Path, result: DriveResult, *, scored: bool) -> Path:
         (folder.parent / "map.osm").write_text(MAP)
         graph = read_osm(folder.parent / "map.osm")
         write_report(evaluate(result, graph), result, folder)
-        write_roads(graph, drive_bounds(result), folder)
+        write_roads(graph, track_bounds(result.keyframes.lonlat), folder)
     return folder
 
 

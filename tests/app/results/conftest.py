@@ -15,7 +15,7 @@ from app.store.database import Database
 from app.store.models import Drive, Job
 from interloc.config import preset
 from interloc.drives.open import open_drive
-from interloc.evaluation.coverage import drive_bounds
+from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
 from interloc.osm.reader import read_osm
@@ -37,7 +37,7 @@ def work(root: Path, out: Path, *, preset_name: str = "default", scored: bool = 
     if scored:
         graph = read_osm(root / "map.osm")
         write_report(evaluate(result, graph), result, out)
-        write_roads(graph, drive_bounds(result), out)
+        write_roads(graph, track_bounds(result.keyframes.lonlat), out)
 
 
 @dataclass(frozen=True)
