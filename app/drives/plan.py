@@ -11,11 +11,11 @@ from app.context import Context
 from app.drives.records import files_key, find_drive
 from app.http.problems import FileProblem
 from app.jobs.runner import Runner
-from app.schemas.drives import JudgedLabels, PlanRequest, ReductionPlanModel
+from app.schemas.drives import JudgedLabels, LabelsAnswer, LabelsRequest, PlanRequest, ReductionPlanModel
 from app.work.commit import reading_options
 from app.work.on_demand import plan_and_judge
-from interloc.drives.findings import Finding
-from interloc.drives.labels import LabelJudgement
+from interloc.drives.findings import Finding, Findings
+from interloc.drives.labels import LabelJudgement, judge_labels
 from interloc.drives.options import LabelFolder
 from interloc.reduction.plan import ReductionPlan
 
@@ -42,6 +42,20 @@ async def plan_upload(context: Context, runner: Runner, drive_id: str, request: 
         request.label_counts,
     )
     return _shown(made, judged, str(root), name)
+
+
+def judge_label_counts(request: LabelsRequest) -> LabelsAnswer:
+    """Tell what label ids mean, before the drive is on the service."""
+    scheme, kitti360 = request.options.label_scheme, request.options.layout == "kitti360"
+    labels = []
+    for folder, counts in request.label_counts.items():
+        findings = Findings(stop_at_first=False)
+        judged = judge_labels(folder, counts, scheme, kitti360=kitti360, check=True, findings=findings)
+        problems = [
+            FileProblem(severity=each.severity, path=each.path, message=each.message) for each in findings.found
+        ]
+        labels.append(_judged(folder, judged, problems))
+    return LabelsAnswer(labels=labels)
 
 
 def _look_up(context: Context, drive_id: str, request: PlanRequest) -> tuple[str, Path, dict[str, Any]]:

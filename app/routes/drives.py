@@ -8,8 +8,9 @@ from fastapi import APIRouter, Query, Response
 
 from app.context import ContextDep
 from app.drives import records
+from app.drives.plan import judge_label_counts
 from app.http.problems import ProblemDocument
-from app.schemas.drives import DriveList, DriveModel, NewDrive
+from app.schemas.drives import DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
 from app.security import ClientDep
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
@@ -34,6 +35,15 @@ def list_drives(
 ) -> DriveList:
     """List drives, the newest first, without their reports."""
     return records.list_drives(context, after, limit)
+
+
+@router.post("/labels", summary="Tell what label ids mean")
+def judge_labels(request: LabelsRequest, _client: ClientDep) -> LabelsAnswer:
+    """Tell the label scheme from counts of label ids, and what is wrong with them.
+
+    For clients that choose how to read a drive before they send it; the plan of a drive answers the same.
+    """
+    return judge_label_counts(request)
 
 
 @router.get("/{drive_id}", responses=NOT_FOUND, summary="Show a drive")

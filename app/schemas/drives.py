@@ -174,6 +174,26 @@ class JudgedLabels(BaseModel):
     problems: list[FileProblem] = Field(description="Errors, warnings and notes about these labels.")
 
 
+class LabelsRequest(BaseModel):
+    """Label ids of a drive that need not be on the service yet."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    label_counts: dict[LabelFolder, LabelCounts] = Field(
+        description="For each label folder, how many points of some scans carry each label id.",
+        examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
+    )
+    options: DriveOptionsModel = Field(
+        default_factory=DriveOptionsModel, description="How the drive is to be read: its label scheme and layout."
+    )
+
+
+class LabelsAnswer(BaseModel):
+    """What the label ids mean, for each folder."""
+
+    labels: list[JudgedLabels]
+
+
 class ReductionPlanModel(BaseModel):
     """Which scans to send, and all that is known of the drive without them."""
 

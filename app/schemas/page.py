@@ -8,6 +8,7 @@ from pydantic import BaseModel, Field
 
 from app.paths import ARCHIVE_ENDINGS, MAP_ENDINGS
 from app.settings import Settings
+from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import SCAN_FOLDERS
 from interloc.drives.options import LabelFolder
@@ -77,6 +78,9 @@ class PageConfig(BaseModel):
     layers: list[LayerModel] = Field(description="Layers of a result.")
     label_schemes: list[LabelSchemeModel] = Field(description="Label schemes with a name.")
     file_kinds: FileKinds
+    raw_first_frames: dict[str, int] = Field(
+        description="Raw frame at which an odometry sequence begins, where it is not 0, by KITTI raw drive."
+    )
 
     @classmethod
     def of(cls, settings: Settings, *, version: str, needs_token: bool) -> PageConfig:
@@ -92,6 +96,7 @@ class PageConfig(BaseModel):
             layers=_LAYERS,
             label_schemes=_LABEL_SCHEMES,
             file_kinds=_FILE_KINDS,
+            raw_first_frames={raw: first for raw, (_, first, _) in ODOMETRY_OF_RAW.items() if first},
         )
 
 

@@ -92,6 +92,19 @@ export function address(path) {
   return new URL(path, API).href;
 }
 
+/**
+ * SHA-256 of what is sent, where the browser offers it (https, or this machine).
+ * @param {BufferSource} bytes
+ * @param {"base64" | "hex"} form
+ * @returns {Promise<string | null>} null where the browser cannot compute it.
+ */
+export async function sha256(bytes, form) {
+  if (!globalThis.crypto?.subtle) return null;
+  const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", bytes));
+  if (form === "base64") return btoa(String.fromCharCode(...hash));
+  return [...hash].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
 /** @param {string} path @returns {string} A path of a drive, each part encoded: "a b/ü.bin" -> "a%20b/%C3%BC.bin". */
 export function encodePath(path) {
   return path.split("/").map(encodeURIComponent).join("/");
@@ -297,9 +310,9 @@ export async function download(path, name) {
     return;
   }
   const response = await request(path);
-  const said = /filename="?([^";]+)"?/.exec(response.headers.get("Content-Disposition") ?? "");
+  const named = /filename="?([^";]+)"?/.exec(response.headers.get("Content-Disposition") ?? "");
   const url = URL.createObjectURL(await response.blob());
-  save(url, said ? said[1] : name);
+  save(url, named ? named[1] : name);
   setTimeout(() => URL.revokeObjectURL(url), 60000);
 }
 
@@ -314,11 +327,41 @@ function save(url, name) {
 }
 
 /**
- * @typedef {{version: string, tile_url: string|null, tile_attribution: string, overpass: boolean, needs_token: boolean,
- *   limits: Record<string, number>}} PageConfig
+ * @typedef {object} PageConfig What the service tells the page about itself, `/config.json`.
+ * @property {string} version
+ * @property {string|null} tile_url
+ * @property {string} tile_attribution
+ * @property {boolean} overpass Whether jobs may fetch the map of today.
+ * @property {boolean} needs_token
+ * @property {Record<string, number>} limits
+ * @property {{name: string, title: string, description: string}[]} policies The first is the usual one.
+ * @property {{name: string, title: string, is_osm: boolean}[]} layers Of a result.
+ * @property {{name: string, title: string, road: number[]}[]} label_schemes
+ * @property {{maps: string[], archives: string[]}} file_kinds Endings of names, in lower case.
+ * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.
  */
 
-/** @returns {Promise<PageConfig>} What the page is told about the server. */
+/** @type {PageConfig} */
+let config = {
+  version: "",
+  tile_url: null,
+  tile_attribution: "",
+  overpass: false,
+  needs_token: false,
+  limits: {},
+  policies: [],
+  layers: [],
+  label_schemes: [],
+  file_kinds: { maps: [], archives: [] },
+  raw_first_frames: {},
+};
+
+/** @returns {PageConfig} As loaded at the start. */
+export function getConfig() {
+  return config;
+}
+
+/** @returns {Promise<void>} */
 export async function loadConfig() {
   let response;
   try {
@@ -327,5 +370,20 @@ export async function loadConfig() {
     throw unreachable(cause);
   }
   if (!response.ok) throw errorOf(response.status, await response.text(), null);
-  return response.json();
+  setConfig(await response.json());
+}
+
+/** @param {PageConfig} loaded */
+export function setConfig(loaded) {
+  config = loaded;
+}
+
+/** @param {string} name @returns {boolean} Whether a file is an OSM file. */
+export function isMap(name) {
+  return config.file_kinds.maps.some((ending) => name.toLowerCase().endsWith(ending));
+}
+
+/** @param {string} name @returns {boolean} Whether a file is an archive that may hold a drive. */
+export function isArchive(name) {
+  return config.file_kinds.archives.some((ending) => name.toLowerCase().endsWith(ending));
 }

@@ -3,16 +3,22 @@
  *
  * A panel is a module with `mount(container)`: called once, when the panel is first shown. It keeps itself up to date by
  * `subscribe` (state.js) and leaves for another panel by `setState({panel: "job", job: id})`.
+ *
+ * Layers, the lowest first; a module imports from its own folder and from lines above its own, no others:
+ *   dom  leaflet  state
+ *   api  controls
+ *   messages  data
+ *   map  job
+ *   bev  drives  exports  report  upload
+ *   shell
+ *   main
  * @module main
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
 import { mountDrawer } from "./bev/drawer.js";
 import { mountStage } from "./map/stage.js";
-import { setConfig } from "./shell/config.js";
-import { mountHeader } from "./shell/header.js";
-import { showError } from "./shell/messages.js";
-import { mountTabs } from "./shell/tabs.js";
-import { askForToken } from "./shell/token.js";
+import { askForToken, showError } from "./messages.js";
+import { mountHeader, mountTabs } from "./shell.js";
 import { getState, setState, subscribe } from "./state.js";
 
 const PANELS = {
@@ -23,20 +29,23 @@ const PANELS = {
   export: { title: "Export", load: () => import("./exports/panel.js") },
 };
 
+/** @param {string} id @returns {HTMLElement} */
+const part = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+
 async function start() {
   onTokenNeeded(askForToken);
   window.addEventListener("unhandledrejection", (event) => showError(event.reason));
   window.addEventListener("dragenter", (event) => {
     if (event.dataTransfer?.types.includes("Files")) setState({ panel: "upload" }); // it takes what is dropped
   });
-  setConfig(await loadConfig());
-  mountHeader(/** @type {HTMLElement} */ (document.getElementById("header")));
+  await loadConfig();
+  mountHeader(part("header"));
   mountTabs(PANELS);
   document.querySelector(".skip")?.addEventListener("click", (event) => {
     event.preventDefault(); // what stands behind "#" is the state of the page
-    document.getElementById("panel")?.focus();
+    part("panel").focus();
   });
-  mountDrawer(/** @type {HTMLElement} */ (document.getElementById("drawer")));
+  mountDrawer(part("drawer"));
   await mountStage();
   subscribe(["drive", "job"], () => (document.title = getState().job ? "InterLoc – result" : "InterLoc"));
 }

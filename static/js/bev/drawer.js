@@ -1,17 +1,32 @@
 /**
  * The drawer: what the method saw and did at the chosen keyframe, step by step, and the same pictures on the map.
+ *
+ * The server draws the pictures; the last ones are kept.
  * @module bev/drawer
  */
-import { el, fill, formatMetres, icon, plural } from "../dom.js";
-import { TurnedImage } from "../map/overlay.js";
-import { onResult, shown } from "../map/shown.js";
+import { getJson, request } from "../api.js";
+import { iconButton, openDialog, table } from "../controls.js";
+import { el, fill, formatMetres, plural } from "../dom.js";
+import { TurnedImage } from "../map/keyframe.js";
+import { firstDetection, onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
-import { firstSight } from "../map/timeline.js";
-import { problemNote } from "../shell/messages.js";
+import { problemNote } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
-import { loadGeometry, loadPicture, STEPS } from "./pictures.js";
 
+/** The steps in their order, as in the paper's Fig. 2. */
+const STEPS = [
+  { layer: "bev", name: "BEV image", hint: "Cells of the bird’s eye view with enough road points." },
+  { layer: "occupancy", name: "Road occupancy", hint: "Gaps closed, specks removed." },
+  { layer: "centerline", name: "Centerline", hint: "Skeleton of the road without its spurs." },
+  { layer: "candidates", name: "Candidates", hint: "Where the centerline branches." },
+  { layer: "branches", name: "Branches", hint: "Lines along the branches; they meet in the intersection." },
+  { layer: "all", name: "All together", hint: "Every step over the road." },
+];
 const PAUSE_MS = 120; // while the slider moves, only the last keyframe is asked for
+const MAX_KEPT = 120;
+
+/** @type {Map<string, string>} Pictures by their paths on the server, the one used last at the end. */
+const pictures = new Map();
 
 /** @param {HTMLElement} drawer */
 export function mountDrawer(drawer) {
@@ -30,113 +45,51 @@ export function mountDrawer(drawer) {
   const seen = el("div", {});
   const rejected = el("div", {});
   const step = (/** @type {number} */ by) => {
-    const result = shown.result;
-    const row = result?.frame.rows.get(getState().frame);
-    const next = row === undefined ? null : result?.keyframes[row + by];
+    const row = shown.result?.frame.rows.get(getState().frame);
+    const next = row === undefined ? null : shown.result?.keyframes[row + by];
     if (next) setState({ frame: next.properties.frame });
   };
-  const figures = STEPS.map(({ layer, title: name, hint }, number) => {
+  const widen = () => {
+    drawer.classList.toggle("wide");
+    shown.map?.invalidateSize();
+  };
+  const figures = STEPS.map(({ layer, name, hint }, number) => {
     const image = el("img", { alt: "", class: "waiting" });
-    const box = el("input", {
-      type: "checkbox",
-      checked: onMap.has(layer),
-      onChange: () => toggle(layer, box.checked),
-    });
-    const figure = el(
-      "figure",
-      {},
-      el(
-        "button",
-        {
-          class: "picture",
-          title: `${hint} Click to enlarge.`,
-          "aria-label": `Enlarge ${name}`,
-          onClick: () => enlarge(layer),
-        },
-        image,
-      ),
-      el(
-        "figcaption",
-        {},
-        el("span", {}, el("b", {}, layer === "all" ? "" : `${number + 1} `), name),
-        layer !== "all" && el("label", { title: "Show it on the map" }, box, "on map"),
-      ),
-    );
-    return { layer, name, image, figure };
+    const onChange = () => toggle(layer, box.checked);
+    const box = el("input", { type: "checkbox", checked: onMap.has(layer), onChange });
+    const label = { title: `${hint} Click to enlarge.`, "aria-label": `Enlarge ${name}` };
+    const enlarge = () => showLarge(name, hint, image.src);
+    const isAll = layer === "all";
+    const caption = el("span", {}, el("b", {}, isAll ? "" : `${number + 1} `), name);
+    const choice = !isAll && el("label", { title: "Show it on the map" }, box, "on map");
+    const button = el("button", { class: "picture", ...label, onClick: enlarge }, image);
+    return { layer, image, figure: el("figure", {}, button, el("figcaption", {}, caption, choice)) };
   });
-  const fade = el("input", {
-    type: "range",
-    min: 0.1,
-    max: 1,
-    step: 0.05,
-    value: opacity,
-    "aria-label": "Opacity on the map",
-    onInput: () => {
-      opacity = Number(fade.value);
-      for (const overlay of overlays.values()) overlay.setOpacity(opacity);
-    },
+  const fade = el("input", { type: "range", min: 0.1, max: 1, step: 0.05, value: opacity });
+  fade.setAttribute("aria-label", "Opacity on the map");
+  fade.addEventListener("input", () => {
+    opacity = Number(fade.value);
+    for (const overlay of overlays.values()) overlay.setOpacity(opacity);
   });
+  const buttons = el(
+    "div",
+    { class: "row" },
+    iconButton("previous", "Previous keyframe", () => step(-1), "Previous keyframe (,)"),
+    iconButton("next", "Next keyframe", () => step(1), "Next keyframe (.)"),
+    iconButton("wide", "Wider", widen),
+    iconButton("close", "Close", () => setState({ drawer: false })),
+  );
+  const pictureGrid = el("div", { class: "pictures" });
+  pictureGrid.append(...figures.map((each) => each.figure));
   fill(
     drawer,
     el(
       "div",
       { class: "drawer-body stack" },
-      el(
-        "div",
-        { class: "spread" },
-        title,
-        el(
-          "div",
-          { class: "row" },
-          el(
-            "button",
-            {
-              class: "square plain",
-              title: "Previous keyframe (,)",
-              "aria-label": "Previous keyframe",
-              onClick: () => step(-1),
-            },
-            icon("previous"),
-          ),
-          el(
-            "button",
-            {
-              class: "square plain",
-              title: "Next keyframe (.)",
-              "aria-label": "Next keyframe",
-              onClick: () => step(1),
-            },
-            icon("next"),
-          ),
-          el(
-            "button",
-            {
-              class: "square plain",
-              title: "Wider",
-              "aria-label": "Wider",
-              onClick: () => (drawer.classList.toggle("wide"), shown.map?.invalidateSize()),
-            },
-            icon("wide"),
-          ),
-          el(
-            "button",
-            {
-              class: "square plain",
-              title: "Close",
-              "aria-label": "Close",
-              onClick: () => setState({ drawer: false }),
-            },
-            icon("close"),
-          ),
-        ),
-      ),
+      el("div", { class: "spread" }, title, buttons),
       note,
       trouble,
-      el(
-        "div",
-        { class: "pictures" },
-        figures.map((each) => each.figure),
-      ),
+      pictureGrid,
       el("label", { class: "row" }, el("span", { class: "small" }, "Opacity on the map"), fade),
       seen,
       rejected,
@@ -155,52 +108,52 @@ export function mountDrawer(drawer) {
   };
 
   const update = () => {
-    const result = shown.result;
-    const { drawer: open, frame } = getState();
+    const { result } = shown;
+    const { drawer: isOpen, frame } = getState();
     const wasHidden = drawer.hidden;
-    drawer.hidden = !(open && result);
+    drawer.hidden = !(isOpen && result);
     if (wasHidden !== drawer.hidden) shown.map?.invalidateSize({ pan: false });
     stop.abort();
     clearTimeout(timer);
     if (drawer.hidden || !result) return clearOverlays();
     const row = result.frame.rows.get(frame);
     if (row === undefined) {
-      if (result.keyframes.length) setState({ frame: firstSight(result) });
+      if (result.keyframes.length) setState({ frame: firstDetection(result) });
       return;
     }
     fill(title, `Keyframe at scan ${frame}`);
     const detections = result.byFrame.get(frame ?? -1) ?? [];
-    fill(
-      note,
-      `${row + 1} of ${result.keyframes.length}, ${plural(detections.length, "detection")}. Pictures of ${formatMetres(result.roi_m, 0)} around the vehicle, in the middle; x of the drive’s frame to the right.`,
-    );
+    const count = `${row + 1} of ${result.keyframes.length}, ${plural(detections.length, "detection")}`;
+    const area = `Pictures of ${formatMetres(result.roi_m, 0)} around the vehicle`;
+    fill(note, `${count}. ${area}, in the middle; x of the drive’s frame to the right.`);
     fill(seen, detectionTable(detections));
-    for (const each of figures) each.image.classList.add("waiting");
+    for (const { image } of figures) image.classList.add("waiting");
     timer = setTimeout(() => void load(), PAUSE_MS);
   };
 
   const load = async () => {
-    const result = shown.result;
+    const { result } = shown;
     const { frame } = getState();
     if (!result || frame === null || drawer.hidden) return;
     stop.abort();
     stop = new AbortController();
     const { signal } = stop;
-    const job = result.job.id;
+    const keyframe = `jobs/${result.job.id}/keyframes/${frame}`;
     try {
-      const geometry = loadGeometry(job, frame, signal);
+      /** @type {Promise<{corners_lonlat: number[][]|null, corners_world_m: number[][], candidates: any[]}>} */
+      const geometry = getJson(`${keyframe}/bev`, { signal });
       geometry.catch(() => {});
-      await Promise.all(
-        figures.map(async ({ layer, image }) => {
-          const url = await loadPicture(job, frame, layer, signal);
-          if (signal.aborted) return;
-          image.src = url;
-          image.classList.remove("waiting");
-        }),
-      );
+      const showPicture = async (/** @type {typeof figures[0]} */ { layer, image }) => {
+        const url = await loadPicture(`${keyframe}/bev.png?layer=${layer}`, signal);
+        if (signal.aborted) return;
+        image.src = url;
+        image.classList.remove("waiting");
+      };
+      await Promise.all(figures.map(showPicture));
       fill(trouble);
-      fill(rejected, candidateTable((await geometry).candidates));
-      place(result, await geometry, new Map(figures.map(({ layer, image }) => [layer, image.src])));
+      const { corners_lonlat, corners_world_m, candidates } = await geometry;
+      fill(rejected, rejectedCandidates(candidates));
+      place(result.local ? corners_world_m : corners_lonlat);
     } catch (error) {
       if (signal.aborted) return;
       clearOverlays();
@@ -208,109 +161,73 @@ export function mountDrawer(drawer) {
     }
   };
 
-  /** @param {import("../data/results.js").Result} result @param {Awaited<ReturnType<typeof loadGeometry>>} geometry @param {Map<string, string>} urls */
-  const place = (result, geometry, urls) => {
-    const corners = result.local ? geometry.corners_world_m : geometry.corners_lonlat;
+  /** @param {number[][]|null} corners Top left, top right, bottom right, bottom left. */
+  const place = (corners) => {
     const fresh = new Map();
     if (corners) {
       const at = [0, 1, 3].map((i) => /** @type {[number, number]} */ ([corners[i][1], corners[i][0]]));
-      for (const { layer } of STEPS) {
-        if (!onMap.has(layer)) continue;
-        fresh.set(layer, new TurnedImage(urls.get(layer) ?? "", at, { opacity }).addTo(shown.map));
+      for (const { layer, image } of figures) {
+        if (onMap.has(layer)) fresh.set(layer, new TurnedImage(image.src, at, { opacity }).addTo(shown.map));
       }
     }
     clearOverlays();
     for (const [layer, overlay] of fresh) overlays.set(layer, overlay);
   };
 
-  /** @param {string} layer */
-  const enlarge = (layer) => {
-    const at = figures.findIndex((each) => each.layer === layer);
-    const { image, name } = figures[at];
-    const large = el("img", { src: image.src, alt: name });
-    const dialog = el(
-      "dialog",
-      {
-        class: "large-picture",
-        "aria-label": name,
-        onClose: () => dialog.remove(),
-        onClick: (/** @type {Event} */ e) => e.target === dialog && dialog.close(),
-      },
-      el(
-        "form",
-        { method: "dialog", class: "stack-s" },
-        el(
-          "div",
-          { class: "spread" },
-          el("h2", {}, `${name}, scan ${getState().frame}`),
-          el("button", { class: "square plain", "aria-label": "Close" }, icon("close")),
-        ),
-        large,
-        el("p", { class: "small" }, STEPS[at].hint),
-      ),
-    );
-    document.body.append(dialog);
-    dialog.showModal();
-  };
-
   subscribe(["frame", "drawer"], update);
   onResult(update);
+}
+
+/** @param {string} path @param {AbortSignal} signal @returns {Promise<string>} Address of the picture within the page. */
+async function loadPicture(path, signal) {
+  const url = pictures.get(path) ?? URL.createObjectURL(await (await request(path, { signal })).blob());
+  pictures.delete(path);
+  pictures.set(path, url);
+  if (pictures.size > MAX_KEPT) {
+    const [oldest] = pictures;
+    URL.revokeObjectURL(oldest[1]);
+    pictures.delete(oldest[0]);
+  }
+  return url;
+}
+
+/** @param {string} name @param {string} hint @param {string} src */
+function showLarge(name, hint, src) {
+  const title = el("h2", {}, `${name}, scan ${getState().frame}`);
+  const head = el(
+    "div",
+    { class: "spread" },
+    title,
+    iconButton("close", "Close", () => dialog.close()),
+  );
+  const picture = el("img", { src, alt: name });
+  const body = el("div", { class: "stack-s" }, head, picture, el("p", { class: "small" }, hint));
+  const onClick = (/** @type {Event} */ event) => event.target === dialog && dialog.close();
+  const dialog = openDialog({ class: "large-picture", "aria-label": name, onClick }, [body]);
 }
 
 /** @param {import("../data/results.js").Detection[]} detections */
 function detectionTable(detections) {
   if (!detections.length) return el("p", { class: "quiet" }, "Nothing was detected here.");
-  return el(
-    "table",
-    {},
-    el(
-      "thead",
-      {},
-      el(
-        "tr",
-        {},
-        ["Detection", "Ahead", "Left", "Branches", "Score", "Error"].map((name) => el("th", { scope: "col" }, name)),
-      ),
-    ),
-    el(
-      "tbody",
-      {},
-      detections.map(({ properties: p, outcome, error_m }, i) =>
-        el(
-          "tr",
-          {},
-          el(
-            "td",
-            {},
-            signIcon(outcome === "FP" ? "fp" : "tp"),
-            ` ${i + 1}${outcome === "none" ? "" : outcome === "TP" ? " true" : " false"}`,
-          ),
-          el("td", {}, formatMetres(p.x_m, 1)),
-          el("td", {}, formatMetres(p.y_m, 1)),
-          el("td", {}, p.branch_count),
-          el("td", {}, p.score?.toFixed(2) ?? "–"),
-          el("td", {}, formatMetres(error_m)),
-        ),
-      ),
-    ),
-  );
+  const outcomes = { TP: " true", FP: " false", none: "" };
+  const rows = detections.map(({ properties: p, outcome, error_m }, i) => [
+    [signIcon(outcome === "FP" ? "fp" : "tp"), ` ${i + 1}${outcomes[outcome]}`],
+    formatMetres(p.x_m, 1),
+    formatMetres(p.y_m, 1),
+    p.branch_count,
+    p.score?.toFixed(2) ?? "–",
+    formatMetres(error_m),
+  ]);
+  return table(["Detection", "Ahead", "Left", "Branches", "Score", "Error"], rows);
 }
 
 /**
- * What became of the candidates that are no intersections.
+ * Why candidates are not intersections.
  * @param {any[]} candidates
  */
-function candidateTable(candidates) {
-  const out = candidates.filter((each) => !each.kept);
-  if (!out.length) return null;
-  return el(
-    "div",
-    {},
-    el("h3", {}, "Candidates that were rejected"),
-    el(
-      "ul",
-      { class: "reasons" },
-      out.map((each) => el("li", {}, el("b", {}, each.number), ` ${each.why_not ?? "rejected"}`)),
-    ),
-  );
+function rejectedCandidates(candidates) {
+  const rejected = candidates.filter((each) => !each.kept);
+  if (!rejected.length) return null;
+  const items = rejected.map((each) => el("li", {}, el("b", {}, each.number), ` ${each.why_not ?? "rejected"}`));
+  return el("div", {}, el("h3", {}, "Candidates that were rejected"), el("ul", { class: "reasons" }, items));
 }

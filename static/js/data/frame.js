@@ -36,7 +36,7 @@ export class Frame {
    * How W lies at a keyframe: angle from east to its x axis, counter-clockwise, radians.
    * @param {import("./results.js").Place} keyframe
    */
-  turn({ properties }) {
+  worldAngle({ properties }) {
     if (this.local) return 0;
     return Math.PI / 2 - (properties.heading_deg * Math.PI) / 180 - properties.world_yaw_rad;
   }
@@ -48,8 +48,8 @@ export class Frame {
    * @returns {[number, number]} lat, lng of Leaflet.
    */
   fromWorld(keyframe, x, y) {
-    const turn = this.turn(keyframe);
-    return this.offset(keyframe, x * Math.cos(turn) - y * Math.sin(turn), x * Math.sin(turn) + y * Math.cos(turn));
+    const angle = this.worldAngle(keyframe);
+    return this.offset(keyframe, x * Math.cos(angle) - y * Math.sin(angle), x * Math.sin(angle) + y * Math.cos(angle));
   }
 
   /**

@@ -94,20 +94,18 @@ async function load(job) {
 }
 
 /**
- * The way of a drive alone, for a job that still runs.
+ * The trajectory of a drive alone, for a job that still runs.
  * @param {any} job
- * @returns {Promise<Result|null>} null where the drive cannot tell.
+ * @returns {Promise<Result|null>} null where the drive has none.
  */
-export async function loadWay(job) {
+export async function loadTrajectory(job) {
   const at = `drives/${job.drive_id}/trajectory`;
-  let local = false;
-  let way = await getJson(at).catch(() => null);
-  if (!way) {
-    local = true;
-    way = await getJson(`${at}?local=true`).catch(() => null);
-  }
-  const geometry = way?.geometry ?? way?.features?.[0]?.geometry ?? way;
-  if (!geometry?.coordinates?.length) return null;
+  const lonlat = await getJson(at).catch(() => null);
+  const found = lonlat ?? (await getJson(`${at}?local=true`).catch(() => null));
+  const trajectory = (found?.geometry ?? found?.features?.[0]?.geometry ?? found)?.coordinates ?? [];
+  if (!trajectory.length) return null;
+  const local = !lonlat;
+  const frame = new Frame([], local);
   /** @type {any} */
   const nothing = {
     keyframes: [],
@@ -118,17 +116,7 @@ export async function loadWay(job) {
     roads: [],
     byFrame: new Map(),
   };
-  return {
-    ...nothing,
-    job,
-    run: {},
-    report: null,
-    local,
-    frame: new Frame([], local),
-    trajectory: geometry.coordinates,
-    roi_m: 0,
-    zone_m: null,
-  };
+  return { ...nothing, job, run: {}, report: null, local, frame, trajectory, roi_m: 0, zone_m: null };
 }
 
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */

@@ -1,32 +1,15 @@
 /**
- * The drives of the server and their jobs: to come back to, to run again, to delete.
+ * The drives of the server and their jobs: to come back to, to run again, to delete; and the demo.
  * @module drives/panel
  */
-import { getJson, sendJson } from "../api.js";
-import { lists, onListsChange, refreshLists } from "../data/lists.js";
+import { getJson, sendJson, sleep } from "../api.js";
+import { iconButton } from "../controls.js";
+import { lists, onListsChange, refreshLists, rememberDrive, rememberJob } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
 import { openRunDialog } from "../job/run_dialog.js";
-import { jobTitle, openDrive } from "../shell/header.js";
-import { confirmAction, problemNote, showError } from "../shell/messages.js";
+import { jobTitle, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
+import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
-import { runDemo } from "./demo.js";
-
-const STATES = /** @type {Record<string, [string, string]>} */ ({
-  uploading: ["Upload unfinished", ""],
-  checking: ["Being checked", "busy"],
-  ready: ["Ready", "good"],
-  accepted: ["Waiting", "busy"],
-  running: ["Running", "busy"],
-  successful: ["Done", "good"],
-  failed: ["Failed", "error"],
-  dismissed: ["Cancelled", ""],
-});
-
-/** @param {string} state @returns {HTMLElement} */
-export function stateBadge(state) {
-  const [text, kind] = STATES[state] ?? [state, ""];
-  return el("span", { class: `badge ${kind}` }, text);
-}
 
 /** @type {Map<string, any>} What the check of a drive found; lists leave it out. */
 const reports = new Map();
@@ -35,39 +18,15 @@ const reports = new Map();
 export function mount(container) {
   const trouble = el("div", {});
   const demo = el("button", { onClick: () => tryDemo() }, "Try the demo");
+  const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
+  upload.append("Upload a drive");
   const body = el("div", { class: "stack-s" });
-  fill(
-    container,
-    el(
-      "div",
-      { class: "stack" },
-      el(
-        "div",
-        { class: "row" },
-        el(
-          "button",
-          { class: "primary", onClick: () => setState({ panel: "upload" }) },
-          icon("upload"),
-          "Upload a drive",
-        ),
-        demo,
-      ),
-      trouble,
-      body,
-    ),
-  );
+  fill(container, el("div", { class: "stack" }, el("div", { class: "row" }, upload, demo), trouble, body));
 
   const tryDemo = async () => {
     demo.disabled = true;
-    fill(
-      trouble,
-      el(
-        "div",
-        { class: "note" },
-        el("strong", {}, "Preparing the demo"),
-        "The server drives through a small made-up town. Half a minute the first time.",
-      ),
-    );
+    const text = "The server drives through a small made-up town. This takes half a minute the first time.";
+    fill(trouble, el("div", { class: "note" }, el("strong", {}, "Preparing the demo"), text));
     try {
       await runDemo();
       fill(trouble);
@@ -81,9 +40,9 @@ export function mount(container) {
   const update = () => {
     if (!lists.isLoaded) return fill(body, el("p", { class: "quiet" }, "Loading…"));
     fill(body, lists.drives.length ? lists.drives.map(driveCard) : emptyNote());
-    void learn();
+    void loadReport();
   };
-  const learn = async () => {
+  const loadReport = async () => {
     const current = lists.drives.find((drive) => drive.id === getState().drive);
     if (current?.state !== "ready" || reports.has(current.id)) return;
     reports.set(current.id, null);
@@ -96,17 +55,26 @@ export function mount(container) {
   update();
 }
 
+/** Create the demo drive on the server, run it, show the job. */
+async function runDemo() {
+  let drive = await sendJson("POST", "demo");
+  rememberDrive(drive);
+  while (drive.state !== "ready") {
+    await sleep(1500);
+    drive = await getJson(`drives/${drive.id}`);
+  }
+  await refreshLists();
+  const request = { drive_id: drive.id, osm: { file: "map.osm" }, policy: "drive", name: "Demo" };
+  const job = await sendJson("POST", "jobs", request);
+  rememberJob(job);
+  openJob(job);
+}
+
 function emptyNote() {
-  return el(
-    "div",
-    { class: "empty quiet" },
-    el("h3", {}, "No drive yet"),
-    el(
-      "p",
-      {},
-      "A drive is a folder of LiDAR scans with a label for every point, and poses: SemanticKITTI, KITTI raw, KITTI-360. The demo shows what comes out.",
-    ),
-  );
+  const text =
+    "A drive is a folder of LiDAR scans with a label for every point, and poses: SemanticKITTI, KITTI raw, " +
+    "KITTI-360. The demo shows what comes out.";
+  return el("div", { class: "empty quiet" }, el("h3", {}, "No drive yet"), el("p", {}, text));
 }
 
 /** @param {any} drive */
@@ -119,62 +87,27 @@ function driveCard(drive) {
   else if (drive.files) facts.push(plural(drive.files, "file"));
   if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
   facts.push(formatBytes(drive.stored_bytes || drive.size_bytes), formatAgo(drive.created_at));
+  const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
+  const open = () =>
+    drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id);
+  const run = () => openRunDialog(drive).catch(showError);
+  const text = el(
+    "div",
+    { class: "grow" },
+    el("h3", {}, el("button", { class: "link", title: drive.name, onClick: open }, drive.name)),
+    el("p", { class: "small cut" }, facts.join(" · ")),
+    drive.state !== "ready" && el("p", {}, stateBadge(drive.state)),
+    current && report && el("p", { class: "small" }, place),
+  );
   return el(
     "article",
     { class: `drive${current ? " is" : ""}` },
     el(
       "header",
       {},
-      el(
-        "div",
-        { class: "grow" },
-        el(
-          "h3",
-          {},
-          el(
-            "button",
-            {
-              class: "link",
-              title: drive.name,
-              onClick: () =>
-                drive.state === "uploading"
-                  ? setState({ drive: drive.id, job: null, panel: "upload" })
-                  : openDrive(drive.id),
-            },
-            drive.name,
-          ),
-        ),
-        el("p", { class: "small cut" }, facts.join(" · ")),
-        drive.state !== "ready" && el("p", {}, stateBadge(drive.state)),
-        current &&
-          report &&
-          el(
-            "p",
-            { class: "small" },
-            report.georeference ? `Georeference: ${report.georeference}` : "No georeference: metres of its own frame",
-          ),
-      ),
-      drive.state === "ready" &&
-        el(
-          "button",
-          {
-            class: "square plain",
-            title: "Run it with other settings",
-            "aria-label": `Run ${drive.name}`,
-            onClick: () => openRunDialog(drive),
-          },
-          icon("run"),
-        ),
-      el(
-        "button",
-        {
-          class: "square plain",
-          title: "Delete the drive",
-          "aria-label": `Delete ${drive.name}`,
-          onClick: () => removeDrive(drive).catch(showError),
-        },
-        icon("trash"),
-      ),
+      text,
+      drive.state === "ready" && iconButton("run", `Run ${drive.name}`, run, "Run it with other settings"),
+      iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
     ),
     jobs.length > 0 && el("ul", { class: "jobs" }, jobs.map(jobRow)),
   );
@@ -182,41 +115,21 @@ function driveCard(drive) {
 
 /** @param {any} job */
 function jobRow(job) {
-  return el(
-    "li",
-    {},
-    el(
-      "button",
-      {
-        "aria-current": String(getState().job === job.id),
-        onClick: () => setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null }),
-      },
-      el("span", { class: "cut" }, jobTitle(job)),
-      job.state === "successful" ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
-      job.state === "successful" && el("span", { class: "small number both" }, outcomeOf(job)),
-    ),
+  const isDone = job.state === "successful";
+  const button = el(
+    "button",
+    { "aria-current": String(getState().job === job.id), onClick: () => openJob(job) },
+    el("span", { class: "cut" }, jobTitle(job)),
+    isDone ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
+    isDone && el("span", { class: "small number both" }, outcomeOf(job)),
   );
-}
-
-/** @param {any} job @returns {string} The result in a few words. */
-export function outcomeOf(job) {
-  const { intersections, report } = job.summary ?? {};
-  const parts = [];
-  if (intersections !== undefined) parts.push(plural(intersections, "intersection"));
-  if (report?.ace_m !== undefined && report.ace_m !== null) parts.push(`ACE ${formatMetres(report.ace_m)}`);
-  return parts.join(", ");
+  return el("li", {}, button);
 }
 
 /** @param {any} drive */
 async function removeDrive(drive) {
-  if (
-    !(await confirmAction(
-      `Delete ${drive.name}?`,
-      "Its scans, jobs and results are removed from the server. This cannot be undone.",
-      "Delete the drive",
-    ))
-  )
-    return;
+  const text = "Its scans, jobs and results are removed from the server. This cannot be undone.";
+  if (!(await confirmAction(`Delete ${drive.name}?`, text, "Delete the drive"))) return;
   await sendJson("DELETE", `drives/${drive.id}`);
   if (getState().drive === drive.id) setState({ drive: null, job: null, frame: null, view: null, panel: "drives" });
   await refreshLists();

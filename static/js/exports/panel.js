@@ -2,22 +2,29 @@
  * Everything of a result to take along: files, a link to this view, the same by curl and in QGIS.
  * @module exports/panel
  */
-import { address, download, getToken, onTokenChange } from "../api.js";
+import { address, download, getConfig, getToken, onTokenChange } from "../api.js";
+import { resultSection } from "../controls.js";
 import { el, fill, icon } from "../dom.js";
 import { onResult } from "../map/shown.js";
-import { showError } from "../shell/messages.js";
+import { showError } from "../messages.js";
 import { permalink, subscribe } from "../state.js";
+
+/** Layers in a word, in the order of the list; the service has the words that explain them. */
+const LAYERS = /** @type {Record<string, string>} */ ({
+  intersections: "Intersections",
+  detections: "Detections",
+  keyframes: "Keyframes",
+  trajectory: "Trajectory",
+  osm_nodes: "OSM intersections",
+  matches: "Matches",
+});
 
 /** @param {HTMLElement} container */
 export function mount(container) {
   /** @type {import("../data/results.js").Result|null} */
   let result = null;
-  const link = el("input", {
-    type: "text",
-    readOnly: true,
-    "aria-label": "Link to this view",
-    onFocus: () => link.select(),
-  });
+  const label = "Link to this view";
+  const link = el("input", { type: "text", readOnly: true, "aria-label": label, onFocus: () => link.select() });
   const update = () => {
     if (!result) return fill(container, el("p", { class: "quiet" }, "The files appear here when a job is done."));
     fill(container, el("div", { class: "stack" }, sections(result, link)));
@@ -33,146 +40,90 @@ export function mount(container) {
 
 /** @param {import("../data/results.js").Result} result @param {HTMLElement} link */
 function sections(result, link) {
-  const at = `jobs/${result.job.id}`;
-  const slug = result.job.drive_name.replace(/[^A-Za-z0-9._-]+/g, "_");
+  const { job, local } = result;
+  const at = `jobs/${job.id}`;
+  const slug = job.drive_name.replace(/[^A-Za-z0-9._-]+/g, "_");
   const scored = result.report !== null;
-  /** @param {string} text @param {string} path @param {string} name */
-  const get = (text, path, name) =>
-    el("button", { title: `${text}: ${name}`, onClick: () => download(path, name).catch(showError) }, text);
-  /** @param {string} title @param {string} layer @param {string} file */
-  const vector = (title, layer, file) => [
-    el("span", {}, title),
-    el(
-      "div",
-      { class: "formats" },
-      result.local
-        ? get("JSON", `${at}/files/${file}.local.json`, `${slug}-${file}.local.json`)
-        : get("GeoJSON", `${at}/${layer}`, `${slug}-${file}.geojson`),
-      !result.local &&
-        ["fgb", "kml"].map((format) =>
-          get(format.toUpperCase(), `${at}/export.${format}?layer=${layer}`, `${slug}-${file}.${format}`),
-        ),
-    ),
-  ];
-  const gpkg = address(`${at}/export.gpkg`);
-  const geojson = address(`${at}/intersections`);
+  /** @param {any} text @param {string} path @param {string} name @param {Record<string, string>} [props] */
+  const get = (text, path, name, props = { title: `${text}: ${name}` }) =>
+    el("button", { ...props, onClick: () => download(path, name).catch(showError) }, text);
+  /** @param {any} title @param {...any} buttons */
+  const files = (title, ...buttons) => [el("span", {}, title), el("div", { class: "formats" }, buttons)];
+  /** @param {string} name */
+  const vector = (name) => {
+    const title = LAYERS[name];
+    if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`));
+    const path = name.replaceAll("_", "-");
+    const others = ["fgb", "kml"].map((format) =>
+      get(format.toUpperCase(), `${at}/export.${format}?layer=${path}`, `${slug}-${name}.${format}`),
+    );
+    return files(title, get("GeoJSON", `${at}/${path}`, `${slug}-${name}.geojson`), others);
+  };
+  const known = new Map(getConfig().layers.map((layer) => [layer.name, layer]));
+  const layers = Object.keys(LAYERS).filter((name) => scored || !known.get(name)?.is_osm);
+  const gpkg = `${at}/export.gpkg`;
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
+  const whole = address(local ? `${at}/archive.zip` : gpkg);
   return [
     el("h2", {}, "Take it along"),
     el(
       "div",
       { class: "row" },
-      !result.local &&
-        el(
-          "button",
-          { class: "primary", onClick: () => download(`${at}/export.gpkg`, `${slug}.gpkg`).catch(showError) },
-          icon("download"),
-          "GeoPackage, all layers",
-        ),
-      el(
-        "button",
-        { onClick: () => download(`${at}/archive.zip`, `${slug}.zip`).catch(showError) },
-        icon("download"),
-        "Everything (.zip)",
-      ),
+      !local && get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
+      get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
     ),
-    result.local &&
+    local &&
       el(
         "p",
         { class: "note" },
-        "Without a georeference the files hold metres of the drive’s own frame; there are no GIS formats of them.",
+        "Without a georeference the files hold local metres; there are no GIS formats of them.",
       ),
-    el(
-      "section",
-      { class: "section" },
-      el("h3", {}, "Layers"),
+    resultSection("Layers", el("div", { class: "downloads" }, layers.map(vector))),
+    resultSection(
+      "Report",
       el(
         "div",
         { class: "downloads" },
-        vector("Intersections", "intersections", "intersections"),
-        vector("Detections", "detections", "detections"),
-        vector("Keyframes", "keyframes", "keyframes"),
-        vector("Trajectory", "trajectory", "trajectory"),
-        scored && [vector("OSM intersections", "osm-nodes", "osm_nodes"), vector("Matches", "matches", "matches")],
-      ),
-    ),
-    el(
-      "section",
-      { class: "section" },
-      el("h3", {}, "Report"),
-      el(
-        "div",
-        { class: "downloads" },
-        scored && [
-          el("span", {}, "Report"),
-          el(
-            "div",
-            { class: "formats" },
+        scored &&
+          files(
+            "Report",
             get("HTML", `${at}/report?format=html`, `${slug}-report.html`),
             get("JSON", `${at}/report?format=json`, `${slug}-report.json`),
           ),
-        ],
-        [
-          el("span", {}, "Settings, versions, timings"),
-          el("div", { class: "formats" }, get("JSON", `${at}/run`, `${slug}-run.json`)),
-        ],
+        files("Settings, versions, timings", get("JSON", `${at}/run`, `${slug}-run.json`)),
       ),
     ),
-    el(
-      "section",
-      { class: "section" },
-      el("h3", {}, "Link to this view"),
-      el(
-        "div",
-        { class: "row" },
-        el("div", { class: "grow" }, link),
-        copyButton(() => permalink()),
-      ),
-      el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for whoever can reach this server."),
+    resultSection(
+      "Link to this view",
+      el("div", { class: "row" }, el("div", { class: "grow" }, link), copyButton(permalink)),
+      el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for everybody who can reach this server."),
     ),
-    el(
-      "section",
-      { class: "section stack-s" },
-      el("h3", {}, "The same by curl"),
-      codeBox(`curl -fOJ${token} ${result.local ? address(`${at}/archive.zip`) : gpkg}`),
-    ),
-    !result.local &&
-      el(
-        "section",
-        { class: "section stack-s" },
-        el("h3", {}, "In QGIS"),
-        getToken()
-          ? el(
-              "p",
-              { class: "small" },
-              "Download the GeoPackage and drag it into QGIS: this server wants a token, which QGIS does not send by itself.",
-            )
-          : [
-              el(
-                "p",
-                { class: "small" },
-                "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:",
-              ),
-              codeBox(geojson),
-            ],
-      ),
+    resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
+    !local && resultSection("In QGIS", qgis(address(`${at}/intersections`))),
     scored &&
       el(
         "p",
         { class: "small section" },
-        "Report, matches and OSM intersections hold data of OpenStreetMap: © OpenStreetMap contributors, ODbL. Say so where you publish them.",
+        "Report, matches and OSM intersections hold data of OpenStreetMap: © OpenStreetMap contributors, ODbL. " +
+          "State this where you publish them.",
       ),
   ];
 }
 
+/** @param {string} geojson Address of a layer. */
+function qgis(geojson) {
+  const byHand =
+    "Download the GeoPackage and drag it into QGIS: this server requires a token, which QGIS does not send by itself.";
+  if (getToken()) return el("p", { class: "small" }, byHand);
+  const path = "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:";
+  return [el("p", { class: "small" }, path), codeBox(geojson)];
+}
+
 /** @param {string} text */
 function codeBox(text) {
-  return el(
-    "div",
-    { class: "code-box" },
-    el("pre", { class: "code", tabIndex: 0 }, text),
-    copyButton(() => text),
-  );
+  const code = el("pre", { class: "code", tabIndex: 0 }, text);
+  const copy = copyButton(() => text);
+  return el("div", { class: "code-box" }, code, copy);
 }
 
 /** @param {() => string} text */

@@ -3,8 +3,8 @@
  * @module job/panel
  */
 import { follow, getJson, sendJson } from "../api.js";
-import { lists, refreshLists, rememberJob } from "../data/lists.js";
-import { ownSettings } from "../data/presets.js";
+import { factRows, figure } from "../controls.js";
+import { lists, ownSettings, refreshLists, rememberJob } from "../data/lists.js";
 import {
   announce,
   el,
@@ -17,10 +17,10 @@ import {
   formatPercent,
   icon,
 } from "../dom.js";
-import { stateBadge } from "../drives/panel.js";
-import { confirmAction, problemNote, showError } from "../shell/messages.js";
+import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { openRunDialog } from "./run_dialog.js";
+import { stateBadge } from "./words.js";
 
 const STAGES = [
   ["waiting", "Waiting for its turn"],
@@ -29,7 +29,7 @@ const STAGES = [
   ["mapping", "Joining detections to a map"],
   ["evaluating", "Scoring against OpenStreetMap"],
 ];
-const LOOK_MS = 15000; // a proxy may hold events back: look now and then, too
+const POLL_MS = 15000; // a proxy may hold events back: ask now and then, too
 const FINAL = new Set(["successful", "failed", "dismissed"]);
 
 /** @param {HTMLElement} container */
@@ -39,7 +39,7 @@ export function mount(container) {
     "p",
     { class: "note warning", role: "status", hidden: true },
     el("strong", {}, "The server does not answer"),
-    "This page tries again until it does. Jobs outlive a restart: they go on where they stopped.",
+    "This page tries again until it does. Jobs survive a restart: they go on where they stopped.",
   );
 
   const start = async () => {
@@ -56,15 +56,12 @@ export function mount(container) {
       if (signal.aborted) return;
       update(job);
       if (FINAL.has(job.state)) return;
-      const look = setInterval(
-        () =>
-          void getJson(`jobs/${id}`, { signal }).then(
-            (now) => !signal.aborted && update(now),
-            () => {},
-          ),
-        LOOK_MS,
-      );
-      signal.addEventListener("abort", () => clearInterval(look));
+      const poll = async () => {
+        const now = await getJson(`jobs/${id}`, { signal }).catch(() => null);
+        if (now && !signal.aborted) update(now);
+      };
+      const polling = setInterval(() => void poll(), POLL_MS);
+      signal.addEventListener("abort", () => clearInterval(polling));
       await follow(`jobs/${id}/events`, {
         signal,
         onConnection: (connected) => (silence.hidden = connected),
@@ -72,7 +69,7 @@ export function mount(container) {
           if (signal.aborted) return true;
           silence.hidden = true;
           update(next);
-          if (FINAL.has(next.state)) clearInterval(look);
+          if (FINAL.has(next.state)) clearInterval(polling);
           return FINAL.has(next.state);
         },
       });
@@ -97,6 +94,13 @@ export function mount(container) {
   /** @param {any} job */
   const show = (job) => {
     const focused = container.contains(document.activeElement) ? document.activeElement?.textContent : null;
+    const title = el("h2", { class: "cut", title: job.drive_name }, job.drive_name);
+    const submitted = `Preset ${job.request.preset ?? "default"}, submitted ${formatAgo(job.created_at)}`;
+    const bodies = /** @type {Record<string, (job: any) => any>} */ ({
+      successful: outcome,
+      failed: failure,
+      dismissed,
+    });
     fill(
       container,
       el(
@@ -105,26 +109,11 @@ export function mount(container) {
         el(
           "div",
           {},
-          el(
-            "div",
-            { class: "spread" },
-            el("h2", { class: "cut", title: job.drive_name }, job.drive_name),
-            stateBadge(job.state),
-          ),
-          el(
-            "p",
-            { class: "small" },
-            `Preset ${job.request.preset ?? "default"}, submitted ${formatAgo(job.created_at)}`,
-          ),
+          el("div", { class: "spread" }, title, stateBadge(job.state)),
+          el("p", { class: "small" }, submitted),
         ),
         silence,
-        job.state === "successful"
-          ? outcome(job)
-          : job.state === "failed"
-            ? failure(job)
-            : job.state === "dismissed"
-              ? dismissed(job)
-              : progress(job),
+        (bodies[job.state] ?? progress)(job),
       ),
     );
     if (focused) [...container.querySelectorAll("button")].find((each) => each.textContent === focused)?.focus();
@@ -138,43 +127,28 @@ export function mount(container) {
 function progress(job) {
   const { done, total, fraction, seconds_left: left } = job.progress;
   const stages = STAGES.filter(([id]) => id !== "evaluating" || job.request.osm);
-  const now = Math.max(
-    0,
-    stages.findIndex(([id]) => id === job.stage),
-  );
+  const at = stages.findIndex(([id]) => id === job.stage);
+  const now = Math.max(0, at);
   const percent = Math.floor(100 * fraction);
   if (percent % 10 === 0) announce(`${percent} percent`);
+  const items = stages.map(([, text], i) => {
+    const props = { class: i < now ? "done" : i === now ? "now" : "", "aria-current": i === now ? "step" : null };
+    return el("li", props, text);
+  });
+  const count = total ? `${formatCount(done)} of ${formatCount(total)} keyframes` : "Counting the keyframes";
+  const rest = typeof left === "number" && total ? `${formatDuration(Math.max(1, Math.round(left)))} left` : "";
+  const retried = `Attempt ${job.attempts}: a worker died; the job goes on where it stopped.`;
   return [
-    el(
-      "ol",
-      { class: "stages" },
-      stages.map(([, text], i) =>
-        el("li", { class: i < now ? "done" : i === now ? "now" : "", "aria-current": i === now ? "step" : null }, text),
-      ),
-    ),
+    el("ol", { class: "stages" }, items),
     el(
       "div",
       { class: "stack-s" },
       el("progress", { max: 1, value: total ? fraction : null, "aria-label": "Progress" }),
-      el(
-        "div",
-        { class: "spread small number" },
-        el("span", {}, total ? `${formatCount(done)} of ${formatCount(total)} keyframes` : "Counting the keyframes"),
-        el(
-          "span",
-          {},
-          left !== null && left !== undefined && total ? `${formatDuration(Math.max(1, Math.round(left)))} left` : "",
-        ),
-      ),
+      el("div", { class: "spread small number" }, el("span", {}, count), el("span", {}, rest)),
       job.message && el("p", { class: "small" }, job.message),
-      job.attempts > 1 &&
-        el("p", { class: "note warning" }, `Attempt ${job.attempts}: a worker died; it goes on where it stopped.`),
+      job.attempts > 1 && el("p", { class: "note warning" }, retried),
     ),
-    el(
-      "div",
-      { class: "row" },
-      el("button", { class: "danger", onClick: () => cancel(job).catch(showError) }, "Cancel the job"),
-    ),
+    row(el("button", { class: "danger", onClick: () => cancel(job).catch(showError) }, "Cancel the job")),
     el("p", { class: "small" }, "You may close this page: the server goes on, and the job is in the list of drives."),
   ];
 }
@@ -187,92 +161,59 @@ async function cancel(job) {
 /** @param {any} job */
 function outcome(job) {
   const summary = job.summary ?? {};
-  const report = summary.report ?? null;
-  const own = ownSettings(job.request);
-  const figures = [
-    figure(formatCount(summary.intersections ?? 0), "intersections"),
-    figure(formatCount(summary.detections ?? 0), "detections"),
-    figure(formatCount(summary.keyframes ?? 0), "keyframes"),
-  ];
-  if (report) {
-    figures.push(figure(formatMetres(report.ace_m), "mean error (ACE)"));
-    figures.push(figure(formatPercent(report.precision_at_5), "precision, 5 m"));
-    figures.push(figure(formatPercent(report.recall_at_5), "recall, 5 m"));
-  }
+  const { report, seconds, keyframes } = summary;
+  const { osm, policy } = job.request;
+  const own = ownSettings(job.request).map(([name, value]) => el("code", {}, `${name} = ${JSON.stringify(value)} `));
+  const finished = new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
+  const unscored = "The job had no map. Run it again with a map to see which intersections are right.";
   return [
-    el("div", { class: "tiles-row" }, figures),
-    !job.request.osm &&
-      el(
-        "p",
-        { class: "note" },
-        el("strong", {}, "Not scored"),
-        "The job had no map. Run it again with a map to see which intersections are right.",
-      ),
-    el(
-      "div",
-      { class: "row" },
-      job.request.osm &&
-        el("button", { class: "primary", onClick: () => setState({ panel: "report" }) }, "Open the report"),
+    el("div", { class: "tiles-row" }, [
+      figure(formatCount(summary.intersections ?? 0), "intersections"),
+      figure(formatCount(summary.detections ?? 0), "detections"),
+      figure(formatCount(keyframes ?? 0), "keyframes"),
+      report && [
+        figure(formatMetres(report.ace_m), "mean error (ACE)"),
+        figure(formatPercent(report.precision_at_5), "precision, 5 m"),
+        figure(formatPercent(report.recall_at_5), "recall, 5 m"),
+      ],
+    ]),
+    !osm && el("p", { class: "note" }, el("strong", {}, "Not scored"), unscored),
+    row(
+      osm && el("button", { class: "primary", onClick: () => setState({ panel: "report" }) }, "Open the report"),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
     ),
     el(
       "dl",
       { class: "figures section" },
-      fact("Map", mapOf(job.request)),
-      job.request.osm && fact("Policy", job.request.policy ?? "drive"),
-      fact(
-        "Own settings",
-        own.length ? own.map(([name, value]) => el("code", {}, `${name} = ${JSON.stringify(value)} `)) : "none",
-      ),
-      summary.seconds !== undefined && fact("Time", formatDuration(summary.seconds)),
-      summary.seconds && summary.keyframes
-        ? fact("A keyframe", `${((1000 * summary.seconds) / summary.keyframes).toFixed(1)} ms`)
-        : null,
-      summary.peak_memory_bytes && fact("Peak memory", formatBytes(summary.peak_memory_bytes)),
-      fact("Finished", new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" })),
-      fact("Job", el("code", {}, job.id)),
+      factRows([
+        ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
+        osm && ["Policy", policy ?? "drive"],
+        ["Own settings", own.length ? own : "none"],
+        seconds !== undefined && ["Time", formatDuration(seconds)],
+        seconds && keyframes && ["Per keyframe", `${((1000 * seconds) / keyframes).toFixed(1)} ms`],
+        summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
+        ["Finished", finished],
+        ["Job", el("code", {}, job.id)],
+      ]),
     ),
-    el(
-      "div",
-      { class: "row section" },
-      el("button", { onClick: () => rerun(job).catch(showError) }, "Run again…"),
-      removal(job),
-    ),
+    el("div", { class: "row section" }, runAgain(job, ""), removal(job)),
   ];
-}
-
-/** @param {any} request @returns {string} */
-export function mapOf(request) {
-  if (!request.osm) return "none";
-  return request.osm.file ?? "OpenStreetMap, by Overpass";
 }
 
 /** @param {any} job */
 function failure(job) {
+  const reason = job.error ?? { title: "The job failed", detail: "The server reported no reason; its log has it." };
+  const back = el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives");
   return [
-    problemNote(job.error ?? { title: "The job failed", detail: "The server told no reason; its log does." }),
-    el("p", { class: "quiet" }, "Mend what it names, then run it again. The drive is still there."),
-    el(
-      "div",
-      { class: "row" },
-      el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"),
-      el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives"),
-      removal(job),
-    ),
+    problemNote(reason),
+    el("p", { class: "quiet" }, "Correct what is named above, then run it again. The drive is still there."),
+    row(runAgain(job), back, removal(job)),
   ];
 }
 
 /** @param {any} job */
 function dismissed(job) {
-  return [
-    el("p", { class: "quiet" }, "This job was cancelled; it has no result."),
-    el(
-      "div",
-      { class: "row" },
-      el("button", { class: "primary", onClick: () => rerun(job).catch(showError) }, "Run again…"),
-      removal(job),
-    ),
-  ];
+  return [el("p", { class: "quiet" }, "This job was cancelled; it has no result."), row(runAgain(job), removal(job))];
 }
 
 /** @param {any} job */
@@ -287,30 +228,18 @@ function removal(job) {
 
 /** @param {any} job */
 async function remove(job) {
-  if (
-    !(await confirmAction(
-      "Delete this job?",
-      "Its results are removed from the server; the drive stays.",
-      "Delete the job",
-    ))
-  )
-    return;
+  const text = "Its results are removed from the server; the drive stays.";
+  if (!(await confirmAction("Delete this job?", text, "Delete the job"))) return;
   await sendJson("DELETE", `jobs/${job.id}?purge=true`);
   setState({ job: null, frame: null, view: null, panel: "drives" });
   await refreshLists();
 }
 
-/** @param {any} job */
-async function rerun(job) {
-  await openRunDialog(await getJson(`drives/${job.drive_id}`));
+/** @param {any} job @param {string} [kind] */
+function runAgain(job, kind = "primary") {
+  const open = async () => openRunDialog(await getJson(`drives/${job.drive_id}`));
+  return el("button", { class: kind, onClick: () => open().catch(showError) }, "Run again…");
 }
 
-/** @param {string} value @param {string} name */
-function figure(value, name) {
-  return el("div", { class: "figure" }, el("b", {}, value), el("span", {}, name));
-}
-
-/** @param {string} name @param {any} value */
-function fact(name, value) {
-  return [el("dt", {}, name), el("dd", {}, value)];
-}
+/** @param {...any} children */
+const row = (...children) => el("div", { class: "row" }, children);

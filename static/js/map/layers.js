@@ -3,163 +3,72 @@
  * @module map/layers
  */
 
-/**
- * @typedef {object} LayerKind
- * @property {string} id In permalinks.
- * @property {string} title
- * @property {"Base"|"Drive"|"Found"|"Score"|"Keyframe"} group
- * @property {string|null} sign Of `SIGNS`; null for lines.
- * @property {string} [line] Class of its line in the legend.
- * @property {string} hint
- * @property {boolean} on By default.
- * @property {(result: import("../data/results.js").Result) => number|null} count null: no number is shown; 0 hides the layer.
- */
+/** @typedef {import("../data/results.js").Result} Result */
+/** @typedef {"Base"|"Drive"|"Found"|"Score"|"Keyframe"} Group */
 
-/** @type {LayerKind[]} */
+/**
+ * @param {string} id In permalinks.
+ * @param {Group} group
+ * @param {string} title
+ * @param {string} look In the legend: a sign of `SIGNS`, or "line" and the class of a line.
+ * @param {string} hint
+ */
+const layer = (id, group, title, look, hint) => ({ id, group, title, look, hint });
+
 export const LAYERS = [
-  {
-    id: "tiles",
-    title: "Map tiles",
-    group: "Base",
-    sign: null,
-    line: "tiles",
-    hint: "Pictures from a tile server; needs the internet.",
-    on: false,
-    count: (r) => (r.local ? 0 : null),
-  },
-  {
-    id: "roads",
-    title: "OSM roads",
-    group: "Base",
-    sign: null,
-    line: "road",
-    hint: "Roads of the map that the drive was scored against.",
-    on: true,
-    count: (r) => r.roads.length,
-  },
-  {
-    id: "track",
-    title: "Trajectory",
-    group: "Drive",
-    sign: null,
-    line: "track",
-    hint: "Where the vehicle drove.",
-    on: true,
-    count: () => null,
-  },
-  {
-    id: "keyframes",
-    title: "Keyframes",
-    group: "Drive",
-    sign: "keyframe",
-    hint: "Places at which the method looked for intersections.",
-    on: false,
-    count: (r) => r.keyframes.length,
-  },
-  {
-    id: "intersections",
-    title: "Intersections",
-    group: "Found",
-    sign: "fused",
-    hint: "One for each place, from all its detections.",
-    on: true,
-    count: (r) => r.intersections.length,
-  },
-  {
-    id: "uncertainty",
-    title: "Uncertainty (2 σ)",
-    group: "Found",
-    sign: null,
-    line: "uncertainty",
-    hint: "The intersection lies in the circle with 86 % chance.",
-    on: true,
-    count: (r) => (r.intersections.length ? null : 0),
-  },
-  {
-    id: "branches",
-    title: "Branches",
-    group: "Found",
-    sign: null,
-    line: "branch",
-    hint: "Bearings of the roads that leave an intersection.",
-    on: true,
-    count: (r) => (r.intersections.length ? null : 0),
-  },
-  {
-    id: "detections",
-    title: "Detections",
-    group: "Found",
-    sign: "detection",
-    hint: "One a keyframe that saw the intersection.",
-    on: true,
-    count: (r) => (r.report ? 0 : r.detections.length),
-  },
-  {
-    id: "tp",
-    title: "True detections",
-    group: "Score",
-    sign: "tp",
-    hint: "An OSM intersection lies within D (TP).",
-    on: true,
-    count: (r) => (r.report ? r.detections.filter((d) => d.outcome === "TP").length : 0),
-  },
-  {
-    id: "fp",
-    title: "False detections",
-    group: "Score",
-    sign: "fp",
-    hint: "No OSM intersection within D (FP).",
-    on: true,
-    count: (r) => (r.report ? r.detections.filter((d) => d.outcome === "FP").length : 0),
-  },
-  {
-    id: "errors",
-    title: "Error lines",
-    group: "Score",
-    sign: null,
-    line: "error",
-    hint: "From a detection to the OSM intersection it was matched to.",
-    on: true,
-    count: (r) => (r.matches.length ? null : 0),
-  },
-  {
-    id: "found",
-    title: "Found intersections",
-    group: "Score",
-    sign: "found",
-    hint: "OSM intersections with a true detection.",
-    on: true,
-    count: (r) => r.nodes.filter((n) => kindOfNode(n) === "found").length,
-  },
-  {
-    id: "missed",
-    title: "Missed intersections",
-    group: "Score",
-    sign: "missed",
-    hint: "OSM intersections that the drive passed without a true detection.",
-    on: true,
-    count: (r) => r.nodes.filter((n) => kindOfNode(n) === "missed").length,
-  },
-  {
-    id: "outside",
-    title: "Out of reach",
-    group: "Score",
-    sign: "outside",
-    hint: "OSM intersections that no relevant zone held; they do not count.",
-    on: false,
-    count: (r) => r.nodes.filter((n) => kindOfNode(n) === "outside").length,
-  },
-  {
-    id: "zone",
-    title: "Seen area",
-    group: "Keyframe",
-    sign: null,
-    line: "roi",
-    hint: "Region of interest (S) and relevant zone of the chosen keyframe.",
-    on: true,
-    count: () => null,
-  },
+  layer("tiles", "Base", "Map tiles", "line tiles", "Pictures from a tile server; needs the internet."),
+  layer("roads", "Base", "OSM roads", "line road", "Roads of the map that the drive was scored against."),
+  layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
+  layer("keyframes", "Drive", "Keyframes", "keyframe", "Places at which the method looked for intersections."),
+  layer("intersections", "Found", "Intersections", "fused", "One for each place, from all its detections."),
+  layer(
+    "uncertainty",
+    "Found",
+    "Uncertainty (2 σ)",
+    "line uncertainty",
+    "It lies in the circle with a chance of 86 %.",
+  ),
+  layer("branches", "Found", "Branches", "line branch", "Bearings of the roads that leave an intersection."),
+  layer("detections", "Found", "Detections", "detection", "One per keyframe that saw the intersection."),
+  layer("tp", "Score", "True detections", "tp", "An OSM intersection lies within D (TP)."),
+  layer("fp", "Score", "False detections", "fp", "No OSM intersection within D (FP)."),
+  layer("errors", "Score", "Error lines", "line error", "From a detection to the OSM intersection it was matched to."),
+  layer("found", "Score", "Found intersections", "found", "OSM intersections with a true detection."),
+  layer("missed", "Score", "Missed intersections", "missed", "OSM intersections passed without a true detection."),
+  layer("outside", "Score", "Out of reach", "outside", "OSM intersections in no relevant zone; they do not count."),
+  layer(
+    "zone",
+    "Keyframe",
+    "Seen area",
+    "line roi",
+    "Region of interest (S) and relevant zone of the chosen keyframe.",
+  ),
 ];
+
+const OFF_BY_DEFAULT = new Set(["tiles", "keyframes", "outside"]);
+
+/** How many things a layer holds; null: no number is shown; 0 hides the layer. */
+const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
+  tiles: (r) => (r.local ? 0 : null),
+  roads: (r) => r.roads.length,
+  keyframes: (r) => r.keyframes.length,
+  intersections: (r) => r.intersections.length,
+  uncertainty: (r) => (r.intersections.length ? null : 0),
+  branches: (r) => (r.intersections.length ? null : 0),
+  detections: (r) => (r.report ? 0 : r.detections.length),
+  tp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "TP").length : 0),
+  fp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "FP").length : 0),
+  errors: (r) => (r.matches.length ? null : 0),
+  found: (r) => r.nodes.filter((each) => kindOfNode(each) === "found").length,
+  missed: (r) => r.nodes.filter((each) => kindOfNode(each) === "missed").length,
+  outside: (r) => r.nodes.filter((each) => kindOfNode(each) === "outside").length,
+});
+
+/** @param {Result} result @returns {{layer: typeof LAYERS[0], count: number|null}[]} Layers that hold something. */
+export function layersOf(result) {
+  const all = LAYERS.map((each) => ({ layer: each, count: COUNTS[each.id]?.(result) ?? null }));
+  return all.filter(({ count }) => count !== 0);
+}
 
 /** @param {import("../data/results.js").Place} node @returns {"found"|"missed"|"outside"} */
 export function kindOfNode({ properties }) {
@@ -169,5 +78,5 @@ export function kindOfNode({ properties }) {
 
 /** @param {string[]|null} chosen @returns {Set<string>} Ids of the layers that are on. */
 export function layersOn(chosen) {
-  return new Set(chosen ?? LAYERS.filter((each) => each.on).map((each) => each.id));
+  return new Set(chosen ?? LAYERS.map((each) => each.id).filter((id) => !OFF_BY_DEFAULT.has(id)));
 }

@@ -6,7 +6,7 @@
 import { el, fill, formatCount, icon } from "../dom.js";
 import { Control, DomEvent } from "../leaflet.js";
 import { getState, setState, subscribe } from "../state.js";
-import { LAYERS, layersOn } from "./layers.js";
+import { LAYERS, layersOf, layersOn } from "./layers.js";
 import { signIcon } from "./symbols.js";
 import { tileBox } from "./tiles.js";
 
@@ -35,33 +35,21 @@ export function addLegend(map) {
     const shown = result;
     const on = layersOn(getState().layers);
     const focused = box.contains(document.activeElement) ? document.activeElement?.id : null;
-    const rows = LAYERS.map((layer) => ({ layer, count: layer.count(shown) })).filter(({ count }) => count !== 0);
+    const rows = layersOf(shown);
     const groups = [...new Set(rows.map(({ layer }) => layer.group))];
-    fill(
-      box,
+    const remember = (/** @type {any} */ event) =>
+      localStorage.setItem(OPEN_KEY, event.currentTarget.parentElement.open ? "no" : "yes");
+    const fieldset = (/** @type {string} */ group) =>
       el(
-        "details",
-        { open: isWide() && localStorage.getItem(OPEN_KEY) !== "no" },
-        el(
-          "summary",
-          {
-            onClick: (/** @type {any} */ e) =>
-              localStorage.setItem(OPEN_KEY, e.currentTarget.parentElement.open ? "no" : "yes"),
-          },
-          icon("layers"),
-          "Layers",
-        ),
-        groups.map((group) =>
-          el(
-            "fieldset",
-            {},
-            el("legend", { class: "unseen" }, group),
-            rows.filter(({ layer }) => layer.group === group).map(({ layer, count }) => row(layer, count, on)),
-            group === "Base" && on.has("tiles") && tileBox(),
-          ),
-        ),
-      ),
-    );
+        "fieldset",
+        {},
+        el("legend", { class: "unseen" }, group),
+        rows.filter(({ layer }) => layer.group === group).map(({ layer, count }) => row(layer, count, on)),
+        group === "Base" && on.has("tiles") && tileBox(),
+      );
+    const open = isWide() && localStorage.getItem(OPEN_KEY) !== "no";
+    const summary = el("summary", { onClick: remember }, icon("layers"), "Layers");
+    fill(box, el("details", { open }, summary, groups.map(fieldset)));
     if (focused) document.getElementById(focused)?.focus();
   };
   const isWide = () => map.getSize().x >= WIDE_PX;
@@ -80,26 +68,22 @@ export function addLegend(map) {
   };
 }
 
-/** @param {import("./layers.js").LayerKind} layer @param {number|null} count @param {Set<string>} on */
-function row(layer, count, on) {
-  const id = `layer-${layer.id}`;
+/** @param {typeof LAYERS[0]} layer @param {number|null} count @param {Set<string>} on */
+function row({ id, title, look, hint }, count, on) {
+  const onChange = () => switchLayer(id, box.checked);
+  const box = el("input", { type: "checkbox", id: `layer-${id}`, checked: on.has(id), onChange });
   return el(
     "label",
-    { title: layer.hint, htmlFor: id },
-    el("input", {
-      type: "checkbox",
-      id,
-      checked: on.has(layer.id),
-      onChange: (/** @type {any} */ e) => switchLayer(layer.id, e.target.checked),
-    }),
-    layer.sign ? signIcon(layer.sign) : el("span", { class: `sign line ${layer.line}`, "aria-hidden": "true" }),
-    el("span", { class: "grow" }, layer.title),
+    { title: hint, htmlFor: box.id },
+    box,
+    look.startsWith("line ") ? el("span", { class: `sign ${look}`, "aria-hidden": "true" }) : signIcon(look),
+    el("span", { class: "grow" }, title),
     count !== null && el("span", { class: "number quiet" }, formatCount(count)),
   );
 }
 
 /** @param {string} id @param {boolean} isOn */
-export function switchLayer(id, isOn) {
+function switchLayer(id, isOn) {
   const on = layersOn(getState().layers);
   if (isOn) on.add(id);
   else on.delete(id);

@@ -22,3 +22,8 @@ export function setResult(result) {
   shown.result = result;
   for (const call of listeners) call(result);
 }
+
+/** @param {Result|null} result @returns {number|null} The keyframe of the first detection: there is something to see. */
+export function firstDetection(result) {
+  return result?.detections[0]?.properties.frame ?? result?.keyframes[0]?.properties.frame ?? null;
+}

@@ -1,14 +1,14 @@
 /**
- * The map: shows the result of the job at hand, or the way of its drive while it runs.
+ * The map: shows the result of the job at hand, or the trajectory of its drive while it runs.
  * @module map/stage
  */
 
 import { getJson } from "../api.js";
 import { lists, onListsChange, rememberJob } from "../data/lists.js";
-import { loadResult, loadWay } from "../data/results.js";
+import { loadResult, loadTrajectory } from "../data/results.js";
 import { el, fill, icon } from "../dom.js";
 import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
-import { problemNote } from "../shell/messages.js";
+import { problemNote } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { watchPointer } from "./details.js";
 import { KeyframeLayer } from "./keyframe.js";
@@ -19,6 +19,9 @@ import { setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
 import { makeTiles, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
+
+const OSM_CREDIT = "© OpenStreetMap contributors, ODbL";
+const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
 /** @type {Scene|null} */
 let scene = null;
@@ -61,7 +64,7 @@ export async function mountStage() {
       if (job.state !== "successful") {
         clear();
         fill(cover, el("p", {}, waiting(job)));
-        if (!isOver(job)) await showWay(job, mine);
+        if (!isOver(job)) await showTrajectory(job, mine);
         return;
       }
       if (shown.result?.job.id === id) return;
@@ -76,16 +79,16 @@ export async function mountStage() {
   };
 
   /** @param {any} job @param {number} mine */
-  const showWay = async (job, mine) => {
-    const way = await loadWay(job);
-    if (mine !== token || !way) return;
+  const showTrajectory = async (job, mine) => {
+    const track = await loadTrajectory(job);
+    if (mine !== token || !track) return;
     fill(cover);
-    build(way.local);
-    scene = new Scene(way, shown.map);
+    build(track.local);
+    scene = new Scene(track, shown.map);
     scene.on = new Set(["track"]);
     scene.progress = job.progress.fraction;
-    const places = way.trajectory.map(([lng, lat]) => [lat, lng]);
-    fit(places, false, way.local);
+    const places = track.trajectory.map(([lng, lat]) => [lat, lng]);
+    fit(places, false, track.local);
     parts.redraw();
   };
 
@@ -132,7 +135,7 @@ export async function mountStage() {
     const row = shown.result.frame.rows.get(getState().frame);
     const keyframe = row === undefined ? null : shown.result.keyframes[row];
     parts.keyframe.show(shown.result, keyframe, layersOn(getState().layers).has("zone"));
-    if (keyframe && timeline.isFollowing) keepInView([keyframe.lat, keyframe.lng]);
+    if (keyframe && timeline.isFollowing()) keepInView([keyframe.lat, keyframe.lng]);
   };
 
   subscribe(["job", "drive"], () => void showDrive());
@@ -215,11 +218,8 @@ function makeMap(holder, local, current) {
     /** @param {import("../data/results.js").Result} shown */
     setAttribution(shown) {
       if (credit) attribution.removeAttribution(credit);
-      credit = shown.local
-        ? "Metres of the drive’s own frame: it has no georeference"
-        : shown.roads.length || shown.nodes.length
-          ? "© OpenStreetMap contributors, ODbL"
-          : null;
+      const osm = shown.roads.length || shown.nodes.length ? OSM_CREDIT : null;
+      credit = shown.local ? LOCAL_CREDIT : osm;
       if (credit) attribution.addAttribution(credit);
     },
   };
@@ -227,17 +227,9 @@ function makeMap(holder, local, current) {
 
 /** @param {any} made */
 function addFit(made) {
-  const button = el(
-    "a",
-    {
-      href: "#",
-      role: "button",
-      title: "Show the whole drive",
-      "aria-label": "Show the whole drive",
-      onClick: (/** @type {Event} */ e) => (e.preventDefault(), fitDrive(true)),
-    },
-    icon("fit"),
-  );
+  const label = "Show the whole drive";
+  const onClick = (/** @type {Event} */ e) => (e.preventDefault(), fitDrive(true));
+  const button = el("a", { href: "#", role: "button", title: label, "aria-label": label, onClick }, icon("fit"));
   const bar = el("div", { class: "leaflet-bar leaflet-control" }, button);
   const fit = control.zoom({ position: "topleft" });
   fit.onAdd = () => bar;

@@ -6,51 +6,36 @@ import { svg } from "../dom.js";
 
 /** @typedef {"disc"|"cross"|"ring"|"square"|"diamond"|"plus"|"dot"} Shape */
 
+/** @param {string} text "x y x y, x y x y" @returns {number[][][]} Lines of points. */
+const lines = (text) => text.split(",").map((line) => [...line.matchAll(/(\S+) (\S+)/g)].map(([, x, y]) => [+x, +y]));
+
+/** Outlines of the shapes that are not round, at half size 1; all but the cross are closed. */
+const OUTLINES = /** @type {Partial<Record<Shape, number[][][]>>} */ ({
+  cross: lines("-.8 -.8 .8 .8, -.8 .8 .8 -.8"),
+  square: lines("-1 -1 1 -1 1 1 -1 1"),
+  diamond: lines("0 -1.25 1.25 0 0 1.25 -1.25 0"),
+  plus: lines("-.36 -1 .36 -1 .36 -.36 1 -.36 1 .36 .36 .36 .36 1 -.36 1 -.36 .36 -1 .36 -1 -.36 -.36 -.36"),
+});
+
 /**
  * Add a symbol to the path of a canvas context.
- * @param {CanvasRenderingContext2D|Path2D} path
+ * @param {CanvasRenderingContext2D} path
  * @param {Shape} shape
  * @param {number} x
  * @param {number} y
  * @param {number} r Half its size.
  */
 export function trace(path, shape, x, y, r) {
-  if (shape === "disc" || shape === "ring" || shape === "dot") {
+  const outline = OUTLINES[shape];
+  if (!outline) {
     path.moveTo(x + r, y);
     path.arc(x, y, r, 0, 2 * Math.PI);
-  } else if (shape === "cross") {
-    const d = 0.8 * r;
-    path.moveTo(x - d, y - d);
-    path.lineTo(x + d, y + d);
-    path.moveTo(x - d, y + d);
-    path.lineTo(x + d, y - d);
-  } else if (shape === "square") {
-    path.rect(x - r, y - r, 2 * r, 2 * r);
-  } else if (shape === "diamond") {
-    const d = 1.25 * r;
-    path.moveTo(x, y - d);
-    path.lineTo(x + d, y);
-    path.lineTo(x, y + d);
-    path.lineTo(x - d, y);
-    path.closePath();
-  } else {
-    const t = 0.36 * r;
-    path.moveTo(x - t, y - r);
-    for (const [dx, dy] of [
-      [t, -r],
-      [t, -t],
-      [r, -t],
-      [r, t],
-      [t, t],
-      [t, r],
-      [-t, r],
-      [-t, t],
-      [-r, t],
-      [-r, -t],
-      [-t, -t],
-    ])
-      path.lineTo(x + dx, y + dy);
-    path.closePath();
+    return;
+  }
+  for (const [[dx, dy], ...rest] of outline) {
+    path.moveTo(x + r * dx, y + r * dy);
+    for (const [px, py] of rest) path.lineTo(x + r * px, y + r * py);
+    if (shape !== "cross") path.closePath();
   }
 }
 
@@ -71,42 +56,16 @@ export const SIGNS =
 export function signIcon(name) {
   const sign = SIGNS[name];
   const r = { dot: 2.5, disc: 4, cross: 5, plus: 6 }[/** @type {string} */ (sign.shape)] ?? 4.5;
-  const recorder = new PathText();
-  trace(/** @type {any} */ (recorder), sign.shape, 8, 8, r);
-  return svg(
-    "svg",
-    { class: "sign", viewBox: "0 0 16 16", "aria-hidden": "true" },
-    svg("path", {
-      d: recorder.text,
-      fill: sign.filled ? `var(${sign.colour})` : "none",
-      stroke: sign.edge ? `var(${sign.edge})` : sign.width ? `var(${sign.colour})` : "none",
-      "stroke-width": sign.width,
-    }),
-  );
-}
-
-/** Takes the calls of `trace` down as the data of an SVG path. */
-class PathText {
-  text = "";
-  /** @param {number} x @param {number} y */
-  moveTo(x, y) {
-    this.text += `M${x} ${y}`;
-  }
-  /** @param {number} x @param {number} y */
-  lineTo(x, y) {
-    this.text += `L${x} ${y}`;
-  }
-  closePath() {
-    this.text += "Z";
-  }
-  /** @param {number} x @param {number} y @param {number} w @param {number} h */
-  rect(x, y, w, h) {
-    this.text += `M${x} ${y}h${w}v${h}h${-w}Z`;
-  }
-  /** @param {number} x @param {number} y @param {number} r */
-  arc(x, y, r) {
-    this.text += `A${r} ${r} 0 1 1 ${x - r} ${y}A${r} ${r} 0 1 1 ${x + r} ${y}Z`;
-  }
+  const props = {
+    fill: sign.filled ? `var(${sign.colour})` : "none",
+    stroke: sign.edge ? `var(${sign.edge})` : sign.width ? `var(${sign.colour})` : "none",
+    "stroke-width": sign.width,
+  };
+  const path = (/** @type {number[][]} */ line) => `M${line.map(([x, y]) => `${8 + r * x} ${8 + r * y}`).join("L")}`;
+  const d = OUTLINES[sign.shape]?.map(path).join("") + (sign.shape === "cross" ? "" : "Z");
+  const round = !OUTLINES[sign.shape];
+  const shape = round ? svg("circle", { cx: 8, cy: 8, r, ...props }) : svg("path", { d, ...props });
+  return svg("svg", { class: "sign", viewBox: "0 0 16 16", "aria-hidden": "true" }, shape);
 }
 
 /** @param {string} variable @returns {string} The colour that a CSS variable stands for now. */

@@ -3,10 +3,10 @@
  * @module map/tiles
  */
 
+import { getConfig } from "../api.js";
 import { el } from "../dom.js";
 import { TileLayer } from "../leaflet.js";
-import { getConfig } from "../shell/config.js";
-import { showError } from "../shell/messages.js";
+import { showError } from "../messages.js";
 
 const URL_KEY = "interloc.tiles";
 /** @type {Set<() => void>} */
@@ -33,14 +33,11 @@ export function makeTiles() {
     referrerPolicy: "strict-origin-when-cross-origin",
     className: "tiles",
   });
-  let told = false;
-  layer.on("tileerror", () => {
-    if (told) return;
-    told = true;
-    showError({
-      title: "Map tiles not loaded",
-      detail: `${hostOf(url)} gave no tiles. Without the internet the roads of the OSM file are the base map; another tile server must be allowed by the operator (INTERLOC_TILE_URL).`,
-    });
+  layer.once("tileerror", () => {
+    const detail =
+      `${hostOf(url)} gave no tiles. Without the internet the roads of the OSM file are the base map; ` +
+      "another tile server must be allowed by the operator (INTERLOC_TILE_URL).";
+    showError({ title: "Map tiles not loaded", detail });
   });
   return layer;
 }
@@ -56,25 +53,14 @@ function hostOf(url) {
 
 /** @returns {HTMLElement} The field for another address. */
 export function tileBox() {
-  const input = el("input", {
-    type: "url",
-    value: tileUrl(),
-    spellcheck: false,
-    "aria-label": "Address of the tiles, with {z}/{x}/{y}",
-  });
-  return el(
-    "form",
-    {
-      class: "tile-box",
-      onSubmit: (/** @type {Event} */ event) => {
-        event.preventDefault();
-        const url = input.value.trim();
-        if (url && url !== getConfig().tile_url) localStorage.setItem(URL_KEY, url);
-        else localStorage.removeItem(URL_KEY);
-        for (const call of listeners) call();
-      },
-    },
-    input,
-    el("button", {}, "Use"),
-  );
+  const label = "Address of the tiles, with {z}/{x}/{y}";
+  const input = el("input", { type: "url", value: tileUrl(), spellcheck: false, "aria-label": label });
+  const onSubmit = (/** @type {Event} */ event) => {
+    event.preventDefault();
+    const url = input.value.trim();
+    if (url && url !== getConfig().tile_url) localStorage.setItem(URL_KEY, url);
+    else localStorage.removeItem(URL_KEY);
+    for (const call of listeners) call();
+  };
+  return el("form", { class: "tile-box", onSubmit }, input, el("button", {}, "Use"));
 }

@@ -2,13 +2,18 @@
  * The strip below the map: all keyframes of the drive, what each one saw, and play.
  * @module map/timeline
  */
+import { iconButton, select } from "../controls.js";
 import { el, fill, formatDuration, icon, plural } from "../dom.js";
 import { getState, setState, subscribe } from "../state.js";
+import { firstDetection } from "./shown.js";
 import { colour } from "./symbols.js";
 
 const SPEEDS = [5, 10, 25, 60];
 
-/** @param {HTMLElement} strip @returns {{show: (result: import("../data/results.js").Result|null) => void, readonly isFollowing: boolean}} */
+/**
+ * @param {HTMLElement} strip
+ * @returns {{show: (result: import("../data/results.js").Result|null) => void, isFollowing: () => boolean}}
+ */
 export function mountTimeline(strip) {
   /** @type {import("../data/results.js").Result|null} */
   let result = null;
@@ -16,62 +21,27 @@ export function mountTimeline(strip) {
   let last = 0;
 
   const chart = el("canvas", { class: "density", "aria-hidden": "true" });
-  const slider = el("input", {
-    type: "range",
-    min: 0,
-    max: 0,
-    step: 1,
-    "aria-label": "Keyframe",
-    onInput: () => choose(Number(slider.value)),
-  });
+  const slider = el("input", { type: "range", min: 0, max: 0, step: 1, "aria-label": "Keyframe" });
+  slider.addEventListener("input", () => choose(Number(slider.value)));
   const play = el("button", { class: "square", onClick: () => (playing ? stop() : start()) });
-  const speed = el(
-    "select",
-    { "aria-label": "Speed", title: "Keyframes a second" },
-    SPEEDS.map((each) => el("option", { value: each, selected: each === 10 }, `${each}/s`)),
-  );
-  const follow = el(
-    "button",
-    {
-      class: "square plain",
-      title: "Keep the vehicle in view",
-      "aria-label": "Keep the vehicle in view",
-      "aria-pressed": "true",
-      onClick: () => follow.setAttribute("aria-pressed", String(follow.getAttribute("aria-pressed") !== "true")),
-    },
-    icon("follow"),
-  );
+  const speed = select(Object.fromEntries(SPEEDS.map((each) => [each, `${each}/s`])), "10");
+  speed.title = "Keyframes per second";
+  speed.setAttribute("aria-label", "Speed");
+  const follow = iconButton("follow", "Keep the vehicle in view", () => setFollowing(!isFollowing()));
+  const isFollowing = () => follow.getAttribute("aria-pressed") === "true";
+  const setFollowing = (/** @type {boolean} */ on) => follow.setAttribute("aria-pressed", String(on));
+  setFollowing(true);
   const label = el("div", { class: "timeline-label" });
-  const large = el(
-    "button",
-    {
-      "aria-expanded": "false",
-      onClick: () => setState({ drawer: !getState().drawer, frame: getState().frame ?? firstSight(result) }),
-    },
-    icon("image"),
-    "Look inside",
-  );
+  const lookInside = () => setState({ drawer: !getState().drawer, frame: getState().frame ?? firstDetection(result) });
+  const large = el("button", { "aria-expanded": "false", onClick: lookInside }, icon("image"), "Look inside");
   fill(
     strip,
     el(
       "div",
       { class: "timeline" },
-      el(
-        "button",
-        {
-          class: "square plain",
-          title: "Previous keyframe (,)",
-          "aria-label": "Previous keyframe",
-          onClick: () => step(-1),
-        },
-        icon("previous"),
-      ),
+      iconButton("previous", "Previous keyframe", () => step(-1), "Previous keyframe (,)"),
       play,
-      el(
-        "button",
-        { class: "square plain", title: "Next keyframe (.)", "aria-label": "Next keyframe", onClick: () => step(1) },
-        icon("next"),
-      ),
+      iconButton("next", "Next keyframe", () => step(1), "Next keyframe (.)"),
       speed,
       follow,
       el("div", { class: "ruler" }, chart, slider),
@@ -126,15 +96,12 @@ export function mountTimeline(strip) {
     const seen = result.byFrame.get(keyframe?.properties.frame)?.length ?? 0;
     const time = keyframe?.properties.time_s;
     slider.setAttribute("aria-valuetext", `scan ${keyframe?.properties.frame}, ${plural(seen, "detection")}`);
-    fill(
-      label,
+    const clock = typeof time === "number" ? ` · ${formatDuration(time)}` : "";
+    const [first, second] =
       frame === null
-        ? [el("strong", {}, plural(result.keyframes.length, "keyframe")), el("span", {}, "drag or play")]
-        : [
-            el("strong", {}, `Scan ${frame}`, time !== null && time !== undefined ? ` · ${formatDuration(time)}` : ""),
-            el("span", {}, `${row + 1} of ${result.keyframes.length} · ${plural(seen, "detection")}`),
-          ],
-    );
+        ? [plural(result.keyframes.length, "keyframe"), "drag or play"]
+        : [`Scan ${frame}${clock}`, `${row + 1} of ${result.keyframes.length} · ${plural(seen, "detection")}`];
+    fill(label, el("strong", {}, first), el("span", {}, second));
     fill(play, icon(playing ? "pause" : "play"));
     play.setAttribute("aria-label", playing ? "Pause" : "Play");
     play.title = playing ? "Pause" : "Play";
@@ -166,18 +133,11 @@ export function mountTimeline(strip) {
       update();
       draw();
     },
-    get isFollowing() {
-      return follow.getAttribute("aria-pressed") === "true";
-    },
+    isFollowing,
   };
 }
 
-/** @param {import("../data/results.js").Result|null} result @returns {number|null} The keyframe of the first detection: there is something to see. */
-export function firstSight(result) {
-  return result?.detections[0]?.properties.frame ?? result?.keyframes[0]?.properties.frame ?? null;
-}
-
-/** Bars of detections a keyframe, the true ones below, the false ones on top. */
+/** Bars of detections per keyframe, the true ones below, the false ones on top. */
 function drawDensity(
   /** @type {HTMLCanvasElement} */ canvas,
   /** @type {import("../data/results.js").Result} */ result,

@@ -2,7 +2,7 @@
  * Charts: lines over a distance, and bars; with axes, and a cursor that reads them out.
  * @module report/chart
  */
-import { el, fill, svg } from "../dom.js";
+import { el, fill, formatCount, formatPercent, svg } from "../dom.js";
 
 const W = 360;
 const BOX = { left: 34, right: 8, top: 8, bottom: 30 };
@@ -40,18 +40,9 @@ export function lineChart(lines, { max, mark, onMark }) {
       el("strong", {}, `At D = ${d} m`),
       lines.map((line) => {
         const value = line.points.find(([each]) => each === d)?.[1];
-        return el(
-          "span",
-          {},
-          el("i", {
-            class: "key",
-            style: {
-              borderColor: line.colour,
-              borderTopStyle: !line.dash ? "solid" : line.dash.startsWith("2") ? "dotted" : "dashed",
-            },
-          }),
-          `${line.name} ${value === null || value === undefined ? "–" : `${(100 * value).toFixed(1)} %`}`,
-        );
+        const borderTopStyle = !line.dash ? "solid" : line.dash.startsWith("2") ? "dotted" : "dashed";
+        const key = el("i", { class: "key", style: { borderColor: line.colour, borderTopStyle } });
+        return el("span", {}, key, `${line.name} ${formatPercent(value)}`);
       }),
     );
   };
@@ -131,19 +122,16 @@ export function barChart(counts, { width, limit }) {
   const y = (/** @type {number} */ count) => BOX.top + (1 - count / most) * (h - BOX.top - BOX.bottom);
   const total = counts.reduce((sum, each) => sum + each, 0);
   const legend = el("p", { class: "small number" });
-  const say = (/** @type {number|null} */ i) => {
-    if (i === null)
-      return fill(
-        legend,
-        `${total.toLocaleString("en")} matched detections; ${counts.at(-1)} beyond ${(counts.length - 1) * width} m.`,
-      );
+  const describe = (/** @type {number|null} */ i) => {
+    const limitText = `${counts.at(-1)} beyond ${(counts.length - 1) * width} m`;
+    if (i === null) return fill(legend, `${formatCount(total)} matched detections; ${limitText}.`);
     const range = i === counts.length - 1 ? `beyond ${i * width} m` : `${i * width} to ${(i + 1) * width} m`;
     fill(
       legend,
-      `${counts[i].toLocaleString("en")} detections (${((100 * counts[i]) / Math.max(1, total)).toFixed(1)} %) ${range} off.`,
+      `${formatCount(counts[i])} detections (${formatPercent(counts[i] / Math.max(1, total))}) ${range} off.`,
     );
   };
-  say(null);
+  describe(null);
   const chart = svg(
     "svg",
     {
@@ -151,9 +139,9 @@ export function barChart(counts, { width, limit }) {
       viewBox: `0 0 ${W} ${h}`,
       role: "img",
       "aria-label": "Histogram of the errors",
-      onPointerleave: () => say(null),
+      onPointerleave: () => describe(null),
     },
-    svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, most.toLocaleString("en")),
+    svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, formatCount(most)),
     svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(most), y2: y(most) }),
     svg("line", { class: "axis", x1: BOX.left, x2: W - BOX.right, y1: y(0), y2: y(0) }),
     counts.map((count, i) => [
@@ -170,7 +158,7 @@ export function barChart(counts, { width, limit }) {
         y: BOX.top,
         width: step,
         height: y(0) - BOX.top,
-        onPointerenter: () => say(i),
+        onPointerenter: () => describe(i),
       }),
     ]),
     counts.map((_, i) => {

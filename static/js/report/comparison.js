@@ -3,47 +3,44 @@
  * @module report/comparison
  */
 import { getJson } from "../api.js";
+import { resultSection, table } from "../controls.js";
 import { lists } from "../data/lists.js";
 import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
+import { jobName } from "../job/words.js";
 import { goTo } from "../map/details.js";
 import { shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
-import { jobName } from "../shell/header.js";
-import { problemNote } from "../shell/messages.js";
+import { problemNote } from "../messages.js";
 import { at } from "./scores.js";
 
 /** @param {import("../data/results.js").Result} result */
-export function comparison(result) {
-  const others = lists.jobs.filter(
-    (job) =>
-      job.drive_id === result.job.drive_id && job.id !== result.job.id && job.state === "successful" && job.request.osm,
-  );
+export function comparison({ job, report }) {
+  const isOther = (/** @type {any} */ each) =>
+    each.drive_id === job.drive_id && each.id !== job.id && each.state === "successful" && each.request.osm;
+  const others = lists.jobs.filter(isOther);
   if (!others.length) return null;
   const holder = el("div", {});
-  const choice = el(
-    "select",
-    { "aria-label": "Other job", onChange: () => void show() },
-    el("option", { value: "" }, "Choose another job of this drive"),
-    others.map((job) => el("option", { value: job.id }, jobName(job))),
-  );
+  const options = others.map((each) => el("option", { value: each.id }, jobName(each)));
+  const first = el("option", { value: "" }, "Choose another job of this drive");
+  const choice = el("select", { "aria-label": "Other job", onChange: () => void show() }, first, options);
   const show = async () => {
     fill(holder);
     if (!choice.value) return;
     try {
       const [compared, other] = await Promise.all([
-        getJson(`compare?jobs=${result.job.id},${choice.value}`),
+        getJson(`compare?jobs=${job.id},${choice.value}`),
         getJson(`jobs/${choice.value}/report`),
       ]);
-      fill(holder, table(result.report, other), differences(compared));
+      fill(holder, scores(report, other), differences(compared));
     } catch (error) {
       fill(holder, problemNote(error));
     }
   };
-  return el("section", { class: "section" }, el("h3", {}, "Compare"), el("div", { class: "stack-s" }, choice, holder));
+  return resultSection("Compare", el("div", { class: "stack-s" }, choice, holder));
 }
 
 /** @param {any} a @param {any} b */
-function table(a, b) {
+function scores(a, b) {
   const [one, two] = [at(a, 5), at(b, 5)];
   /** @type {Array<[string, number|null, number|null, (value: any) => string, number]>} The last: 1 where more is better. */
   const rows = [
@@ -56,64 +53,33 @@ function table(a, b) {
     ["Precision of the map", a.map_level.precision, b.map_level.precision, formatPercent, 1],
     ["Recall of the map", a.map_level.recall, b.map_level.recall, formatPercent, 1],
   ];
-  return el(
-    "table",
-    {},
-    el(
-      "thead",
-      {},
-      el(
-        "tr",
-        {},
-        ["", "This job", "Other job"].map((name) => el("th", { scope: "col" }, name)),
-      ),
-    ),
-    el(
-      "tbody",
-      {},
-      rows.map(([name, x, y, text, more]) => {
-        const sign = x === null || y === null ? 0 : Math.sign(x - y) * more;
-        return el(
-          "tr",
-          {},
-          el("td", {}, name),
-          el("td", { class: sign > 0 ? "better" : "" }, text(x)),
-          el("td", { class: sign < 0 ? "better" : "" }, text(y)),
-        );
-      }),
-    ),
-  );
+  const cells = rows.map(([name, x, y, text, more]) => {
+    const sign = x === null || y === null ? 0 : Math.sign(x - y) * more;
+    const cell = (/** @type {number|null} */ value, /** @type {boolean} */ isBetter) =>
+      el("td", { class: isBetter ? "better" : "" }, text(value));
+    return [name, cell(x, sign > 0), cell(y, sign < 0)];
+  });
+  return table(["", "This job", "Other job"], cells);
 }
 
 /** @param {any} compared */
-function differences(compared) {
-  const { settings, nodes } = compared;
+function differences({ settings, nodes, warnings, found_by_all, missed_by_all }) {
+  const text = (/** @type {any} */ value) => (value === null ? "–" : String(value));
+  const changed = settings.map((/** @type {any} */ { name, values }) => [el("code", {}, name), ...values.map(text)]);
+  const moved = nodes.map((/** @type {any} */ node) => [
+    el("button", { class: "link", onClick: () => showNode(node) }, node.osm_id),
+    ...node.outcomes.map(outcome),
+  ]);
+  const summary = el("summary", {}, plural(settings.length, "setting differs", "settings differ"));
   return [
-    compared.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
+    warnings.map((/** @type {string} */ warning) => el("p", { class: "note warning" }, warning)),
     settings.length
-      ? el(
-          "details",
-          {},
-          el("summary", {}, plural(settings.length, "setting differs", "settings differ")),
-          headed(
-            ["Setting", "This job", "Other job"],
-            settings.map((/** @type {any} */ each) => [
-              el("code", {}, each.name),
-              ...each.values.map((/** @type {any} */ value) => (value === null ? "–" : String(value))),
-            ]),
-          ),
-        )
+      ? el("details", {}, summary, table(["Setting", "This job", "Other job"], changed))
       : el("p", { class: "small" }, "Both ran with the same settings."),
     el("h4", {}, "OSM intersections with another outcome"),
     nodes.length
-      ? headed(
-          ["OSM node", "This job", "Other job"],
-          nodes.map((/** @type {any} */ node) => [
-            el("button", { class: "link", onClick: () => show(node) }, node.osm_id),
-            ...node.outcomes.map(outcome),
-          ]),
-        )
-      : el("p", { class: "small" }, `None: both found ${compared.found_by_all} and missed ${compared.missed_by_all}.`),
+      ? table(["OSM node", "This job", "Other job"], moved)
+      : el("p", { class: "small" }, `None: both found ${found_by_all} and missed ${missed_by_all}.`),
   ];
 }
 
@@ -123,35 +89,7 @@ function outcome(name) {
 }
 
 /** @param {any} node */
-function show(node) {
+function showNode(node) {
   const item = shown.result?.nodes.find((each) => each.properties.osm_id === node.osm_id);
   if (item) goTo({ kind: "node", item });
-}
-
-/** @param {string[]} heads @param {any[][]} rows */
-function headed(heads, rows) {
-  return el(
-    "table",
-    {},
-    el(
-      "thead",
-      {},
-      el(
-        "tr",
-        {},
-        heads.map((name) => el("th", { scope: "col" }, name)),
-      ),
-    ),
-    el(
-      "tbody",
-      {},
-      rows.map((cells) =>
-        el(
-          "tr",
-          {},
-          cells.map((each) => el("td", {}, each)),
-        ),
-      ),
-    ),
-  );
 }

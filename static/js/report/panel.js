@@ -1,8 +1,9 @@
 /**
- * The report: how far off, how many right, how many missed; over D, a node, beside the paper, beside another job.
+ * The report: how far off, how many right, how many missed; over D, per node, beside the paper, beside another job.
  * @module report/panel
  */
 import { getJson } from "../api.js";
+import { figure, resultSection as section, table } from "../controls.js";
 import { el, fill, formatCount, formatMetres, formatPercent, plural } from "../dom.js";
 import { onResult } from "../map/shown.js";
 import { setState } from "../state.js";
@@ -24,23 +25,18 @@ export function mount(container) {
 
 /** @param {import("../data/results.js").Result} result */
 function unscored(result) {
+  const [title, text] = result.local
+    ? [
+        "No georeference",
+        "The drive has neither oxts/ nor geo.csv, so it cannot be laid over OpenStreetMap. Its intersections are on the " +
+          "map in local metres.",
+      ]
+    : ["No map", "The job was submitted without a map. Run the drive again with one."];
   return el(
     "div",
     { class: "stack" },
     el("h2", {}, "Not scored"),
-    result.local
-      ? el(
-          "p",
-          { class: "note" },
-          el("strong", {}, "No georeference"),
-          "The drive has neither oxts/ nor geo.csv, so it cannot be laid over OpenStreetMap. Its intersections are on the map in metres of the drive’s own frame.",
-        )
-      : el(
-          "p",
-          { class: "note" },
-          el("strong", {}, "No map"),
-          "The job was submitted without a map. Run the drive again with one.",
-        ),
+    el("p", { class: "note" }, el("strong", {}, title), text),
     el("div", { class: "row" }, el("button", { onClick: () => setState({ panel: "job" }) }, "To the job")),
   );
 }
@@ -48,31 +44,29 @@ function unscored(result) {
 /** @param {import("../data/results.js").Result} result @param {any} report */
 function sections(result, report) {
   const scores = at(report, D);
-  const { map_level: level } = report;
+  const { map_level: level, osm } = report;
   const points = curve(report);
   const errors = result.matches.map((each) => each.error_m);
   const counts = el("p", { class: "small number" });
   const explain = (/** @type {number} */ d) => {
     const { tp, fp, fn } = at(report, d);
-    fill(
-      counts,
-      `${formatCount(tp)} true, ${formatCount(fp)} false; ${formatCount(fn)} times a node in the relevant zone without a detection.`,
-    );
+    const missed = `${formatCount(fn)} times a node in the relevant zone without a detection`;
+    fill(counts, `${formatCount(tp)} true, ${formatCount(fp)} false; ${missed}.`);
   };
   explain(D);
+  const source = `Scored against ${osm.source}${osm.date ? ` of ${osm.date}` : ""}; ${plural(osm.nodes, "intersection")}`;
+  const merged = report.tolerance_m ? ` (merged within ${report.tolerance_m} m)` : "";
+  const lines = [
+    { name: "Precision", colour: "var(--tp)", points: points.map((p) => [p.d, p.precision]) },
+    { name: "Recall", colour: "var(--fp)", dash: "6 3", points: points.map((p) => [p.d, p.recall]) },
+    { name: "F1", colour: "var(--found)", dash: "2 3", points: points.map((p) => [p.d, p.f1]) },
+  ];
   return [
     el(
       "div",
       {},
       el("h2", { class: "cut" }, result.job.drive_name),
-      el(
-        "p",
-        { class: "small" },
-        `Scored against ${report.osm.source}${report.osm.date ? ` of ${report.osm.date}` : ""}; ${plural(report.osm.nodes, "intersection")} under policy `,
-        el("b", {}, report.policy),
-        report.tolerance_m ? ` (merged within ${report.tolerance_m} m)` : "",
-        ".",
-      ),
+      el("p", { class: "small" }, `${source} under policy `, el("b", {}, report.policy), merged, "."),
     ),
     report.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
     el(
@@ -87,19 +81,12 @@ function sections(result, report) {
         "of the map right",
         `${level.true} of ${level.true + level.false}, one to one`,
       ),
-      figure(formatMetres(level.mean_m), "error of the map", `most ${formatMetres(level.max_m)}`),
+      figure(formatMetres(level.mean_m), "error of the map", `at most ${formatMetres(level.max_m)}`),
     ),
     paperNote(result, report),
     section(
       "Precision, recall and F1 over D",
-      lineChart(
-        [
-          { name: "Precision", colour: "var(--tp)", points: points.map((p) => [p.d, p.precision]) },
-          { name: "Recall", colour: "var(--fp)", dash: "6 3", points: points.map((p) => [p.d, p.recall]) },
-          { name: "F1", colour: "var(--found)", dash: "2 3", points: points.map((p) => [p.d, p.f1]) },
-        ],
-        { max: 10, mark: D, onMark: explain },
-      ),
+      lineChart(/** @type {any} */ (lines), { max: 10, mark: D, onMark: explain }),
       counts,
     ),
     section(
@@ -124,61 +111,29 @@ function paperNote(result, report) {
   const sequence = sequenceOf(result.job.drive_name);
   if (!sequence) return null;
   const holder = el("div", { hidden: true });
-  getJson("paper").then(
-    (answer) => {
-      const paper = (answer.sequences ?? answer)[sequence];
-      if (!paper) return;
-      holder.hidden = false;
-      const { precision, recall } = at(report, D);
-      const row = (/** @type {string} */ name, /** @type {any[]} */ values) =>
-        el(
-          "tr",
-          {},
-          el("td", {}, name),
-          values.map((each) => el("td", {}, each)),
-        );
-      fill(
-        holder,
-        section(
-          `Beside the paper: sequence ${sequence}`,
-          el(
-            "table",
-            {},
-            el(
-              "thead",
-              {},
-              el(
-                "tr",
-                {},
-                ["", "ACE", "Precision", "Recall"].map((name) => el("th", { scope: "col" }, name)),
-              ),
-            ),
-            el(
-              "tbody",
-              {},
-              row("This job", [formatMetres(report.ace_m), formatPercent(precision), formatPercent(recall)]),
-              row("Paper, RangeNet++ labels", [
-                formatMetres(paper.ace_m),
-                formatPercent(paper.precision),
-                formatPercent(paper.recall),
-              ]),
-            ),
-          ),
-          el("p", { class: "small" }, "At D = 5 m. Other labels and another map than the paper’s make other figures."),
-        ),
-      );
-    },
-    () => {}, // an older server has no such figures; the report stands without them
-  );
+  const show = (/** @type {any} */ answer) => {
+    const paper = (answer.sequences ?? answer)[sequence];
+    if (!paper) return;
+    holder.hidden = false;
+    const own = at(report, D);
+    const rows = [
+      ["This job", report.ace_m, own.precision, own.recall],
+      ["Paper, RangeNet++ labels", paper.ace_m, paper.precision, paper.recall],
+    ].map(([name, ace, precision, recall]) => [
+      name,
+      formatMetres(ace),
+      formatPercent(precision),
+      formatPercent(recall),
+    ]);
+    fill(
+      holder,
+      section(
+        `Beside the paper: sequence ${sequence}`,
+        table(["", "ACE", "Precision", "Recall"], rows),
+        el("p", { class: "small" }, "At D = 5 m. The paper used other labels and another map, so its figures differ."),
+      ),
+    );
+  };
+  getJson("paper").then(show, () => {}); // an older server has no such figures; the report stands without them
   return holder;
-}
-
-/** @param {string} title @param {...any} content */
-export function section(title, ...content) {
-  return el("section", { class: "section" }, el("h3", {}, title), content);
-}
-
-/** @param {string} value @param {string} name @param {string} [more] */
-function figure(value, name, more) {
-  return el("div", { class: "figure" }, el("b", {}, value), el("span", {}, name), more && el("em", {}, more));
 }

@@ -1,5 +1,7 @@
 /** Files of a folder that was picked or dropped, by their paths inside it. */
 
+import { isArchive } from "../api.js";
+
 /**
  * @typedef {object} Folder
  * @property {string} name
@@ -7,15 +9,11 @@
  * @property {FileSystemDirectoryHandle | null} handle To come back to it after a reload, where the browser can.
  */
 
-/** @typedef {(count: number) => void} OnCount Told now and then how many files were found. */
+/** @typedef {(count: number) => void} OnCount Called now and then with the number of files found. */
 
-const ARCHIVE = /\.(zip|tar|tgz|tar\.gz|tar\.zst|tzst)$/i;
 const JUNK = /(^|\/)(\.[^/]*|__MACOSX|Thumbs\.db|desktop\.ini)(\/|$)/i;
 const READ_AT_ONCE = 32;
 const STILL_MS = 24;
-
-/** @param {File | string} file */
-export const isArchive = (file) => ARCHIVE.test(typeof file === "string" ? file : file.name);
 
 /**
  * The folder of `<input type="file" webkitdirectory>`.
@@ -120,7 +118,7 @@ export function readDrop(transfer, onCount = () => {}) {
  * @returns {Promise<{archive: File} | {folder: Folder}>}
  */
 async function readItems(handles, entries, plain, onCount) {
-  if (plain.length === 1 && isArchive(plain[0]) && !entries[0]?.isDirectory) {
+  if (plain.length === 1 && isArchive(plain[0].name) && !entries[0]?.isDirectory) {
     return { archive: plain[0] };
   }
   if (handles.length === 1 && handles[0]) {

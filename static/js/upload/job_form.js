@@ -1,116 +1,75 @@
 /** What is to be done with the drive: the map to score against, the labels to use, the settings of the method. */
 
+import { getConfig, isMap } from "../api.js";
+import { field, filePicker, radios, section, select } from "../controls.js";
+import { flatten } from "../data/lists.js";
 import { el, fill } from "../dom.js";
-import { getConfig } from "../shell/config.js";
-import { field, filePicker, radios, section, select } from "./controls.js";
-import { OSM_FILE } from "./drive_folder.js";
-import { newKey } from "./job_request.js";
-import { settingsForm } from "./settings_form.js";
-import { LABEL_FOLDERS, POLICIES } from "./words.js";
+import { policyField } from "../job/run_dialog.js";
+import { LABEL_FOLDERS } from "./drive_folder.js";
+import { newKey } from "./upload.js";
+
+/** @typedef {import("./upload.js").JobSettings} JobSettings */
 
 /**
- * @param {object} known
- * @param {string[]} known.maps OSM files that the drive has, by path.
- * @param {boolean} known.isArchive What is in the drive is not known yet.
- * @param {string[]} known.folders Label folders.
- * @param {boolean} known.hasGeoreference
- * @param {any} known.presets As the service lists them.
- * @param {import("./job_request.js").JobSettings | null} known.before What was chosen before.
+ * @typedef {object} Known
+ * @property {string[]} maps OSM files that the drive has, by path.
+ * @property {boolean} isArchive What is in the drive is not known yet.
+ * @property {string[]} folders Label folders.
+ * @property {boolean} hasGeoreference
+ * @property {any} presets As the service lists them.
+ * @property {JobSettings | null} before What was chosen before.
+ */
+
+/**
+ * @param {Known} known
  * @param {() => void} onChange
  */
 export function jobForm(known, onChange) {
   /** @type {File | null} */
   let otherMap = null;
-  let { folders } = known;
-
+  const endings = getConfig().file_kinds.maps;
   const otherName = el("span", { class: "small quiet cut" }, "None chosen yet");
-  const mapPicker = filePicker(
-    "Choose a file …",
-    ([file]) => {
-      otherMap = OSM_FILE.test(file.name) ? file : null;
-      otherName.textContent = otherMap ? file.name : `${file.name} is no OSM file (.osm, .osm.gz, .osm.bz2, .osm.pbf).`;
-      onChange();
-    },
-    { accept: ".osm,.gz,.bz2,.pbf", name: "osm-file" },
-  );
+  const pickMap = (/** @type {FileList} */ [file]) => {
+    otherMap = isMap(file.name) ? file : null;
+    otherName.textContent = otherMap ? file.name : `${file.name} is not an OSM file (${endings.join(", ")}).`;
+    onChange();
+  };
+  const mapPicker = filePicker("Choose a file …", pickMap, { accept: ".osm,.gz,.bz2,.pbf", name: "osm-file" });
+  const other = el("div", { class: "row" }, mapPicker, otherName);
+  const inside = "If it holds an .osm file; else intersections are only found.";
+  const overpass = "From a public Overpass server, which learns where the drive is.";
   const choices = [
     ...known.maps.map((path) => ({ value: `file:${path}`, title: el("code", {}, path), hint: "In the folder." })),
-    ...(known.isArchive
-      ? [
-          {
-            value: "inside",
-            title: "The map in the archive",
-            hint: "If it holds an .osm file; else intersections are only found.",
-          },
-        ]
-      : []),
-    {
-      value: "other",
-      title: "A file of mine",
-      hint: ".osm, .osm.gz, .osm.bz2 or .osm.pbf",
-      more: el("div", { class: "row" }, mapPicker, otherName),
-    },
-    ...(getConfig().overpass
-      ? [
-          {
-            value: "overpass",
-            title: "Fetch the map of today",
-            hint: "From a public Overpass server; tells it where the drive is.",
-          },
-        ]
-      : []),
+    ...(known.isArchive ? [{ value: "inside", title: "The map in the archive", hint: inside }] : []),
+    { value: "other", title: "A file of mine", hint: endings.join(", "), more: other },
+    ...(getConfig().overpass ? [{ value: "overpass", title: "Fetch the map of today", hint: overpass }] : []),
     { value: "none", title: "No map", hint: "Find intersections only." },
   ];
   const map = radios("OpenStreetMap to score against", choices, usualMap(known), () => (showPolicy(), onChange()));
 
-  const policyHint = el("small", {});
-  const tolerance = el("input", {
-    type: "number",
-    min: 1,
-    max: 100,
-    step: "any",
-    required: true,
-    value: known.before?.tolerance_m ?? 15,
-  });
+  const usualReach = known.before?.tolerance_m ?? 15;
+  const tolerance = el("input", { type: "number", min: 1, max: 100, step: "any", required: true, value: usualReach });
   const toleranceField = field("Merging reach [m]", tolerance);
-  const policy = select(
-    Object.fromEntries(Object.entries(POLICIES).map(([key, [title]]) => [key, title])),
-    known.before?.policy ?? "drive",
-    () => showPolicy(),
-  );
-  const policyField = el(
-    "div",
-    { class: "stack-s" },
-    el("label", { class: "field" }, el("span", {}, "Which nodes count"), policy, policyHint),
-    toleranceField,
-  );
+  const policy = policyField(known.before?.policy, () => showPolicy());
+  const policies = el("div", { class: "stack-s" }, policy.element, toleranceField);
   function showPolicy() {
-    policyField.hidden = map.value() === "none";
-    policyHint.textContent = POLICIES[/** @type {keyof typeof POLICIES} */ (policy.value)][1];
-    toleranceField.hidden = policy.value !== "consolidated";
+    policies.hidden = map.value() === "none";
+    toleranceField.hidden = policy.value() !== "consolidated";
   }
 
   const labels = el("select", { onChange });
   const labelsField = field("Labels to find intersections with", labels);
   /** @param {string[]} names */
   function setFolders(names) {
-    folders = names;
     const before = labels.value || known.before?.labels;
-    fill(
-      labels,
-      names.map((name) =>
-        el("option", { value: name }, LABEL_FOLDERS[/** @type {keyof typeof LABEL_FOLDERS} */ (name)] ?? name),
-      ),
-    );
+    const options = names.map((name) => el("option", { value: name }, LABEL_FOLDERS[name] ?? name));
+    fill(labels, options);
     if (before && names.includes(before)) labels.value = before;
     labelsField.hidden = names.length < 2;
   }
 
-  const noFix = el(
-    "p",
-    { class: "note warning" },
-    "Without a georeference nothing can be scored against a map: the job would refuse it.",
-  );
+  const refusal = "Without a georeference nothing can be scored against a map: the service would refuse the job.";
+  const noFix = el("p", { class: "note warning" }, refusal);
   /** @param {boolean} has */
   function setGeoreference(has) {
     noFix.hidden = has || known.isArchive;
@@ -119,17 +78,13 @@ export function jobForm(known, onChange) {
   }
 
   const settings = settingsForm(known.presets, known.before, onChange);
-  setFolders(folders);
+  setFolders(known.folders);
   setGeoreference(known.hasGeoreference);
   const key = newKey();
+  const ofMap = section("Map", map.element, noFix, policies);
 
   return {
-    element: el(
-      "div",
-      { class: "stack" },
-      section("Map", map.element, noFix, policyField),
-      section("Method", labelsField, settings.element),
-    ),
+    element: el("div", { class: "stack" }, ofMap, section("Method", labelsField, settings.element)),
     setFolders,
     setGeoreference,
     /** What stands in the way, in words. @returns {string | null} */
@@ -141,13 +96,13 @@ export function jobForm(known, onChange) {
       distance_m: settings.value("keyframes.distance_m"),
       angle_deg: settings.value("keyframes.angle_deg"),
     }),
-    /** @returns {{job: import("./job_request.js").JobSettings, map: File | null}} `map`: to be sent as `osm.file`. */
+    /** @returns {{job: JobSettings, map: File | null}} `map`: to be sent as `osm.file`. */
     read: () => ({
       job: {
         ...settings.read(),
         labels: labels.value || null,
         osm: readMap(map.value(), otherMap),
-        policy: policy.value,
+        policy: policy.value(),
         tolerance_m: Number(tolerance.value),
         key,
       },
@@ -156,7 +111,7 @@ export function jobForm(known, onChange) {
   };
 }
 
-/** @param {{maps: string[], isArchive: boolean, hasGeoreference: boolean, before: any}} known */
+/** @param {Known} known */
 function usualMap({ maps, isArchive, hasGeoreference, before }) {
   if (before?.osm && "overpass" in before.osm) return "overpass";
   if (before?.osm && "file" in before.osm && maps.includes(before.osm.file)) return `file:${before.osm.file}`;
@@ -164,10 +119,202 @@ function usualMap({ maps, isArchive, hasGeoreference, before }) {
   return maps.length && hasGeoreference ? `file:${maps[0]}` : "none";
 }
 
-/** @param {string} value @param {File | null} other @returns {import("./job_request.js").JobSettings["osm"]} */
+/** @param {string} value @param {File | null} other @returns {JobSettings["osm"]} */
 function readMap(value, other) {
   if (value === "overpass") return { overpass: true };
   if (value === "inside") return { inside: true };
   if (value === "other" && other) return { file: other.name };
   return value.startsWith("file:") ? { file: value.slice("file:".length) } : null;
+}
+
+/** The settings that matter most, in words; the schema has the rest. */
+const MAIN = [
+  ["keyframes.distance_m", "Distance between keyframes"],
+  ["keyframes.window", "Keyframes in an image, before and after"],
+  ["bev.size_m", "Side of the image"],
+  ["bev.resolution_m", "Side of a cell"],
+  ["bev.min_points", "Points that make a cell road"],
+  ["branches.min_branches", "Branches of an intersection"],
+];
+
+const SECTIONS = {
+  keyframes: "Keyframes",
+  bev: "Image from above",
+  occupancy: "Gaps and specks",
+  centerline: "Centerline",
+  candidates: "Candidates",
+  branches: "Branches",
+  compound: "Compound intersections",
+  score: "Score of a detection",
+  fusion: "Map of intersections",
+};
+
+const UNITS = { m: "m", deg: "°", px: "px", widths: "road widths" };
+
+/**
+ * @param {{presets: {name: string, description: string, config: any}[], config_schema: any}} presets As the service lists them.
+ * @param {{preset: string, config: any} | null} before What was chosen before.
+ * @param {() => void} onChange
+ */
+function settingsForm(presets, before, onChange) {
+  let preset = presets.presets.find((each) => each.name === before?.preset) ?? presets.presets[0];
+  /** Values that differ from the preset, by path. @type {Map<string, any>} */
+  const changed = flatten(before?.config ?? {});
+  const main = el("div", { class: "stack-s" });
+  const all = el("div", { class: "stack" });
+  const summary = el("small", { class: "quiet" });
+  const description = el("small", {}, preset.description);
+  const names = Object.fromEntries(presets.presets.map((each) => [each.name, each.name]));
+  const chooser = select(names, preset.name, (name) => {
+    preset = presets.presets.find((each) => each.name === name) ?? preset;
+    changed.clear();
+    description.textContent = preset.description;
+    build();
+    onChange();
+  });
+
+  /** @param {string} path @param {string} [title] */
+  function control(path, title) {
+    const [part, name] = path.split(".");
+    const schema = schemaOf(presets.config_schema, preset.config, part)?.properties?.[name];
+    const usual = preset.config[part]?.[name];
+    if (!schema || usual === undefined || schema.const !== undefined) return null;
+    const value = changed.has(path) ? changed.get(path) : usual;
+    const input = inputFor(schema, value, (next, isValid) => {
+      if (isValid && JSON.stringify(next) === JSON.stringify(usual)) changed.delete(path);
+      else changed.set(path, next);
+      describe();
+      onChange();
+    });
+    const unit = Object.entries(UNITS).find(([suffix]) => name.endsWith(`_${suffix}`))?.[1];
+    const heading = `${title ?? words(name)}${unit ? ` [${unit}]` : ""}`;
+    const range = rangeOf(schema);
+    const hint = el("small", {}, schema.description, ` Preset: ${shown(usual)}${range && `; ${range}`}.`);
+    return el("label", { class: "field setting" }, el("span", {}, heading), input, hint);
+  }
+
+  function build() {
+    fill(
+      main,
+      MAIN.map(([path, title]) => control(path, title)),
+    );
+    fill(
+      all,
+      Object.entries(SECTIONS).map(([part, title]) => {
+        if (!preset.config[part]) return null; // a step that this preset leaves out
+        const paths = Object.keys(preset.config[part]).map((name) => `${part}.${name}`);
+        const controls = paths.filter((path) => !MAIN.some(([own]) => own === path)).map((path) => control(path));
+        const about = schemaOf(presets.config_schema, preset.config, part)?.description;
+        return section(title, about && el("small", {}, about), controls);
+      }),
+    );
+    describe();
+  }
+
+  function describe() {
+    summary.textContent = changed.size ? `${changed.size} changed` : "as the preset has them";
+  }
+
+  build();
+  const reset = el(
+    "button",
+    { type: "button", class: "link", onClick: () => (changed.clear(), build(), onChange()) },
+    "Back to the preset",
+  );
+  return {
+    element: el(
+      "div",
+      { class: "stack-s" },
+      field("Preset", chooser, description),
+      el(
+        "details",
+        { class: "box", open: changed.size > 0 },
+        el("summary", {}, "Settings ", summary),
+        el("div", { class: "stack-s" }, main, el("details", {}, el("summary", {}, "All other settings"), all), reset),
+      ),
+    ),
+    read: () => ({ preset: preset.name, config: changed.size ? nest(changed) : null }),
+    /** @returns {any} The value that will be used. */
+    value: (/** @type {string} */ path) =>
+      changed.has(path) ? changed.get(path) : path.split(".").reduce((at, name) => at?.[name], preset.config),
+    isValid: () => !all.parentElement?.parentElement?.querySelector("input:invalid"),
+  };
+}
+
+/** @param {any} root @param {any} config @param {string} part The schema of a section as the configuration has it. */
+function schemaOf(root, config, part) {
+  const schema = root.properties[part];
+  const options = [schema, ...(schema.anyOf ?? []), ...(schema.oneOf ?? [])].map((each) => resolve(root, each));
+  const kind = config[part]?.kind;
+  return options.find((each) => each?.properties && (kind === undefined || each.properties.kind?.const === kind));
+}
+
+/** @param {any} root @param {any} schema */
+const resolve = (root, schema) => (schema.$ref ? root.$defs[schema.$ref.split("/").pop()] : schema);
+
+/**
+ * @param {any} schema
+ * @param {any} value
+ * @param {(value: any, isValid: boolean) => void} onChange
+ */
+function inputFor(schema, value, onChange) {
+  if (schema.type === "boolean") {
+    return select({ true: "yes", false: "no" }, String(value), (next) => onChange(next === "true", true));
+  }
+  if (schema.enum) {
+    return select(
+      Object.fromEntries(schema.enum.map((/** @type {string} */ each) => [each, words(each)])),
+      value,
+      (next) => onChange(next, true),
+    );
+  }
+  const number =
+    (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.type === "number" || each.type === "integer") ??
+    {};
+  const mayBeNone = Boolean(schema.anyOf?.some((/** @type {any} */ each) => each.type === "null"));
+  const input = el("input", {
+    type: "number",
+    value: value ?? "",
+    min: number.minimum ?? number.exclusiveMinimum,
+    max: number.maximum ?? number.exclusiveMaximum,
+    step: number.type === "integer" ? 1 : "any",
+    required: !mayBeNone,
+    placeholder: mayBeNone ? "none" : null,
+  });
+  input.addEventListener("input", () => {
+    const next = input.value === "" ? null : Number(input.value);
+    const tooSmall = next !== null && number.exclusiveMinimum !== undefined && next <= number.exclusiveMinimum;
+    input.setCustomValidity(tooSmall ? `More than ${number.exclusiveMinimum} was expected.` : "");
+    onChange(next, input.validity.valid);
+  });
+  return input;
+}
+
+/** @param {any} schema @returns {string} */
+function rangeOf(schema) {
+  const number = (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.maximum !== undefined);
+  if (!number) return "";
+  const least = number.minimum ?? number.exclusiveMinimum;
+  return least === undefined ? `at most ${number.maximum}` : `${least} to ${number.maximum}`;
+}
+
+/** @param {any} value */
+const shown = (value) =>
+  value === null ? "none" : typeof value === "boolean" ? (value ? "yes" : "no") : words(String(value));
+
+/** @param {string} name "min_points" -> "Min points" */
+function words(name) {
+  const text = name.replace(/_(m|deg|px)$/, "").replaceAll("_", " ");
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
+/** @param {Map<string, any>} values @returns {Record<string, any>} */
+function nest(values) {
+  /** @type {Record<string, any>} */
+  const nested = {};
+  for (const [path, value] of values) {
+    const [part, name] = path.split(".");
+    (nested[part] ??= {})[name] = value;
+  }
+  return nested;
 }

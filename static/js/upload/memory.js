@@ -12,7 +12,7 @@
  */
 
 const KEY = "interloc.uploads";
-const MOST = 20;
+const MAX_KEPT = 20;
 const DATABASE = "interloc";
 const HANDLES = "folders";
 
@@ -29,7 +29,7 @@ export function rememberedUploads() {
 /** @param {Remembered[]} list */
 function store(list) {
   try {
-    localStorage.setItem(KEY, JSON.stringify(list.slice(0, MOST)));
+    localStorage.setItem(KEY, JSON.stringify(list.slice(0, MAX_KEPT)));
   } catch {
     // Without storage an upload cannot go on after a reload; it works all the same.
   }

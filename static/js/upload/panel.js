@@ -1,59 +1,126 @@
-/** The upload panel: from a folder to a job. */
+/** The upload panel: from picking a folder, or going on with an upload that was begun, to a job. */
 
-import { ApiError, getJson, sendJson } from "../api.js";
+import { ApiError, getConfig, getJson, isArchive, sendJson } from "../api.js";
+import { filePicker, iconButton, section } from "../controls.js";
 import { refreshLists, rememberJob } from "../data/lists.js";
-import { el, fill, plural } from "../dom.js";
-import { confirmAction, problemNote, showError, showMessage } from "../shell/messages.js";
+import { el, fill, formatAgo, formatBytes, icon, plural } from "../dom.js";
+import { confirmAction, problemNote, showError, showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
-import { noDriveReason } from "./checks.js";
-import { findDrives } from "./drive_folder.js";
-import { folderOfHandle, folderOfInput, isArchive, measure, readDrop } from "./folder.js";
-import { fingerprintOfDrive, formView } from "./form_view.js";
+import { findDrives, noDriveReason } from "./drive_folder.js";
+import { canPickHandles, folderOfHandle, folderOfInput, measure, readDrop } from "./folder.js";
+import { fingerprintOfDrive, formView } from "./form.js";
 import { forget, handleOf, rememberedUploads } from "./memory.js";
 import { progressView } from "./progress_view.js";
-import { startView } from "./start_view.js";
 import { Upload } from "./upload.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
 /** @typedef {import("./memory.js").Remembered} Remembered */
 /** @typedef {import("./folder.js").Folder} Folder */
+/**
+ * @typedef {object} Picked
+ * @property {DriveFolder | null} drive
+ * @property {DriveFolder[]} drives All in the folder.
+ * @property {File | null} archive
+ * @property {FileSystemDirectoryHandle | null} handle
+ */
 /** @typedef {{driveId: string, settings: import("./upload.js").Settings}} Begun An upload to go on with. */
+
+const EXAMPLE = `07/
+  velodyne/000000.bin, 000001.bin, …
+  labels/000000.label, …     or predictions/
+  poses.txt   calib.txt   times.txt
+  oxts/data/… or geo.csv     optional
+  map.osm.gz                 optional`;
 
 /** @type {Upload | null} */
 let current = null;
 
+/** @type {HTMLElement} Of this panel; there is one. */
+let panel;
+
 /** @param {HTMLElement} container */
 export function mount(container) {
-  listenToDrops(container);
+  panel = container;
+  listenToDrops();
   window.addEventListener("beforeunload", (event) => {
     if (current?.isRunning) event.preventDefault(); // the browser asks whether to leave
   });
-  showStart(container).catch(showError);
+  showStart().catch(showError);
 }
 
-/** @param {HTMLElement} container @param {any} [message] @param {Begun | null} [begun] An upload whose folder is to be picked again. */
-async function showStart(container, message = null, begun = null) {
+/**
+ * Show what can be picked or dropped, and the uploads that were begun.
+ *
+ * @param {any} [message] What happened to the last try.
+ * @param {Begun | null} [begun] An upload whose folder is to be picked again.
+ */
+async function showStart(message = null, begun = null) {
   const uploads = await stillOpen();
-  const list = await Promise.all(
-    uploads.map(async (upload) => ({ upload, hasHandle: (await handleOf(upload.driveId)) !== null })),
+  const handles = await Promise.all(uploads.map(({ driveId }) => handleOf(driveId)));
+  const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true });
+  const onPick = () => input.files.length && run(() => showFolder(folderOfInput(input.files), begun));
+  input.addEventListener("change", onPick);
+  const pick = async () => {
+    if (!canPickHandles()) {
+      input.click();
+      return;
+    }
+    const handle = await window.showDirectoryPicker({ id: "drive", mode: "read" }).catch((error) => {
+      if (error.name === "AbortError") return null; // the person changed their mind
+      throw error;
+    });
+    if (handle) run(async () => showFolder(await folderOfHandle(handle, counter()), begun));
+  };
+  const kinds = getConfig().file_kinds.archives;
+  const pickArchive = filePicker("Choose an archive", ([file]) => run(() => showArchive(file)), {
+    accept: [...kinds, ".gz", ".zst"].join(","),
+    name: "archive",
+  });
+  const open = uploads.map((upload, i) => {
+    const { name, at, arrived } = upload;
+    const has = arrived && ` · ${plural(arrived.files, "file")} there, ${formatBytes(arrived.size_bytes)}`;
+    const title = el("strong", { class: "cut" }, name);
+    return el(
+      "div",
+      { class: "box spread" },
+      el("div", { class: "cut" }, title, el("br"), el("small", {}, formatAgo(at), has)),
+      handles[i]
+        ? el("button", { onClick: () => run(() => continueByHandle(upload)) }, "Continue")
+        : el("button", { onClick: () => input.click() }, "Pick it again"),
+      iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
+    );
+  });
+  const call = el("strong", {}, "Drop the folder of a drive here");
+  const or = el("span", { class: "quiet" }, "or an archive: .zip, .tar, .tar.gz, .tar.zst");
+  const buttons = [el("button", { class: "primary", onClick: pick }, "Choose a folder"), pickArchive];
+  const note =
+    "Nothing is sent before you press a button. Scans are reduced to their ground points in the browser, so that a " +
+    "drive of 11 GB becomes some hundred MB.";
+  fill(
+    panel,
+    el(
+      "div",
+      { class: "stack" },
+      el("h2", {}, "Upload a drive"),
+      message,
+      el(
+        "div",
+        { class: "drop" },
+        icon("upload"),
+        el("p", {}, call, el("br"), or),
+        el("div", { class: "row" }, buttons),
+        input,
+      ),
+      el("p", { class: "small" }, note),
+      open.length > 0 && section("Uploads that were begun", open),
+      el("details", {}, el("summary", {}, "What a drive looks like"), el("pre", { class: "code" }, EXAMPLE)),
+    ),
   );
-  const view = startView(
-    {
-      onFolder: (files) => run(container, () => showFolder(container, folderOfInput(files), begun)),
-      onHandle: (handle) => run(container, () => showHandle(container, handle, begun)),
-      onArchive: (file) => run(container, () => showArchive(container, file)),
-      onContinue: (upload) => run(container, () => continueByHandle(container, upload)),
-      onForget: (upload) => run(container, () => remove(container, upload)),
-    },
-    list,
-    message,
-  );
-  fill(container, view);
 }
 
-/** Do something that may fail, and say so where it began. @param {HTMLElement} container @param {() => Promise<void>} work */
-function run(container, work) {
-  work().catch((error) => showStart(container, problemNote(error)).catch(showError));
+/** Do something that may fail, and say so where it began. @param {() => Promise<void>} work */
+function run(work) {
+  work().catch((error) => showStart(problemNote(error)).catch(showError));
 }
 
 /** @typedef {Remembered & {arrived: {files: number, size_bytes: number} | null}} Open With what the service has of it. */
@@ -75,57 +142,43 @@ async function stillOpen() {
   return /** @type {Open[]} */ (found.filter((each) => each !== null && each.driveId !== current?.driveId));
 }
 
-/** @param {HTMLElement} container @param {FileSystemDirectoryHandle} handle @param {Begun | null} [begun] */
-async function showHandle(container, handle, begun = null) {
-  await showFolder(container, await folderOfHandle(handle, counter(container)), begun);
-}
-
-/** @param {HTMLElement} container @returns {(count: number) => void} */
-function counter(container) {
+/** @returns {(count: number) => void} */
+function counter() {
   const text = el("p", { role: "status" }, "Reading the folder …");
-  fill(
-    container,
-    el(
-      "div",
-      { class: "stack" },
-      el("h2", {}, "Upload a drive"),
-      el("progress", { "aria-label": "Reading the folder" }),
-      text,
-    ),
-  );
+  const bar = el("progress", { "aria-label": "Reading the folder" });
+  fill(panel, el("div", { class: "stack" }, el("h2", {}, "Upload a drive"), bar, text));
   return (count) => (text.textContent = `Reading the folder: ${plural(count, "file")} so far`);
 }
 
-/** @param {HTMLElement} container @param {Folder} folder @param {Begun | null} begun */
-async function showFolder(container, folder, begun) {
-  await measure(folder, counter(container));
+/** @param {Folder} folder @param {Begun | null} begun */
+async function showFolder(folder, begun) {
+  await measure(folder, counter());
   const drives = await findDrives(folder);
   if (!drives.length) {
-    const error = { title: "No drive in there", detail: noDriveReason(folder) };
-    await showStart(container, problemNote(error), begun);
+    const error = { title: "No drive in this folder", detail: noDriveReason(folder) };
+    await showStart(problemNote(error), begun);
     return;
   }
   const known = rememberedUploads();
   const match = drives.find((drive) => known.some((upload) => upload.fingerprint === fingerprintOfDrive(drive)));
-  await showForm(container, { drive: match ?? drives[0], drives, archive: null, handle: folder.handle }, begun);
+  await showForm({ drive: match ?? drives[0], drives, archive: null, handle: folder.handle }, begun);
 }
 
-/** @param {HTMLElement} container @param {File} file */
-async function showArchive(container, file) {
-  if (!isArchive(file)) {
-    const detail = `${file.name} is none of .zip, .tar, .tar.gz, .tar.zst.`;
-    await showStart(container, problemNote({ title: "No archive", detail }));
+/** @param {File} file */
+async function showArchive(file) {
+  if (!isArchive(file.name)) {
+    const detail = `${file.name} is not an archive: expected .zip, .tar, .tar.gz or .tar.zst.`;
+    await showStart(problemNote({ title: "Not an archive", detail }));
     return;
   }
-  await showForm(container, { drive: null, drives: [], archive: file, handle: null }, null);
+  await showForm({ drive: null, drives: [], archive: file, handle: null }, null);
 }
 
 /**
- * @param {HTMLElement} container
- * @param {{drive: DriveFolder | null, drives: DriveFolder[], archive: File | null, handle: FileSystemDirectoryHandle | null}} picked
+ * @param {Picked} picked
  * @param {Begun | null} begun The upload that this is to go on with.
  */
-async function showForm(container, picked, begun) {
+async function showForm(picked, begun) {
   const presets = await getJson("presets");
   const fingerprint = picked.drive && fingerprintOfDrive(picked.drive);
   const match =
@@ -133,39 +186,37 @@ async function showForm(container, picked, begun) {
   const view = formView(
     { ...picked, presets, begun: match, before: begun?.settings ?? null },
     {
-      onStart: (source, settings) =>
-        start(container, picked, new Upload(source, settings, () => {}, begun?.driveId ?? null)),
-      onBack: () => run(container, () => showStart(container)),
-      onChoose: (drive) => run(container, () => showForm(container, { ...picked, drive }, null)),
-      onContinue: (upload) => run(container, () => goOn(container, picked, upload)),
+      onStart: (source, settings) => start(picked, new Upload(source, settings, () => {}, begun?.driveId ?? null)),
+      onBack: () => run(() => showStart()),
+      onChoose: (drive) => run(() => showForm({ ...picked, drive }, null)),
+      onContinue: (upload) => run(() => goOn(picked, upload)),
     },
   );
-  fill(container, view);
+  fill(panel, view);
 }
 
-/** @param {HTMLElement} container @param {Remembered} upload */
-async function continueByHandle(container, upload) {
+/** @param {Remembered} upload */
+async function continueByHandle(upload) {
   const handle = await handleOf(upload.driveId);
   if (!handle || (await handle.requestPermission({ mode: "read" })) !== "granted") {
     const detail = `Pick the folder of ${upload.name} again to go on.`;
-    await showStart(container, problemNote({ title: "The browser does not open the folder by itself", detail }));
+    await showStart(problemNote({ title: "The browser does not open the folder by itself", detail }));
     return;
   }
-  const folder = await folderOfHandle(handle, counter(container));
+  const folder = await folderOfHandle(handle, counter());
   const drives = await findDrives(folder);
   const drive = drives.find((each) => each.root === upload.root);
   if (!drive) throw new Error(`${folder.name} no longer holds ${upload.root || upload.name}. Pick its folder again.`);
-  await goOn(container, { drive, drives, archive: null, handle }, upload);
+  await goOn({ drive, drives, archive: null, handle }, upload);
 }
 
 /**
  * Go on with an upload at once, or ask for the files that only the form can give.
  *
- * @param {HTMLElement} container
- * @param {{drive: DriveFolder | null, drives: DriveFolder[], archive: File | null, handle: FileSystemDirectoryHandle | null}} picked
+ * @param {Picked} picked
  * @param {Remembered} upload
  */
-async function goOn(container, picked, { driveId, settings }) {
+async function goOn(picked, { driveId, settings }) {
   const drive = /** @type {DriveFolder} */ (picked.drive);
   const osm = settings.job?.osm;
   const extras = new Map();
@@ -175,14 +226,14 @@ async function goOn(container, picked, { driveId, settings }) {
     const isThere = own || (await isOnService(driveId, path));
     if (own) extras.set(path, own);
     if (!isThere) {
-      await showForm(container, picked, { driveId, settings });
+      await showForm(picked, { driveId, settings });
       showMessage(`${path.split("/").pop()} had not arrived yet: pick it again.`);
       return;
     }
   }
   const { handle } = picked;
   const source = { drive, archive: null, extras, handle, fingerprint: fingerprintOfDrive(drive) };
-  await start(container, picked, new Upload(source, settings, () => {}, driveId));
+  await start(picked, new Upload(source, settings, () => {}, driveId));
 }
 
 /** @param {string} driveId @param {string} path */
@@ -191,23 +242,17 @@ async function isOnService(driveId, path) {
   return folder.files[0]?.path === path;
 }
 
-/** @param {HTMLElement} container @param {any} picked @param {Upload} upload */
-async function start(container, picked, upload) {
+/** @param {Picked} picked @param {Upload} upload */
+async function start(picked, upload) {
   current = upload;
   const begun = () => (upload.driveId ? { driveId: upload.driveId, settings: upload.settings } : null);
+  const again = "Pick the folder again. What did not change is not sent again.";
   const view = progressView({
-    onChange: () => run(container, () => showForm(container, picked, begun())),
-    onMend: () =>
-      run(container, () =>
-        showStart(
-          container,
-          el("p", { class: "note" }, "Pick the folder again. What did not change is not sent again."),
-          begun(),
-        ),
-      ),
-    onLeave: () => run(container, () => showStart(container)),
+    onChange: () => run(() => showForm(picked, begun())),
+    onCorrect: () => run(() => showStart(el("p", { class: "note" }, again), begun())),
+    onLeave: () => run(() => showStart()),
   });
-  fill(container, view.element);
+  fill(panel, view.element);
   upload.onChange = () => view.update(upload);
   upload.transfer.onChange = upload.onChange;
   await upload.run();
@@ -217,33 +262,28 @@ async function start(container, picked, upload) {
   current = null;
   if (upload.jobId) {
     rememberJob(await getJson(`jobs/${upload.jobId}`));
-    setState({
-      drive: upload.driveId,
-      job: upload.jobId,
-      frame: null,
-      view: null,
-      ...(getState().panel === "upload" ? { panel: "job" } : {}),
-    });
-    await showStart(container);
+    const next = getState().panel === "upload" ? { panel: "job" } : {};
+    setState({ drive: upload.driveId, job: upload.jobId, frame: null, view: null, ...next });
+    await showStart();
   } else {
     setState({ drive: upload.driveId });
   }
 }
 
-/** @param {HTMLElement} container @param {Remembered} upload */
-async function remove(container, upload) {
+/** @param {Remembered} upload */
+async function remove(upload) {
   const text = "What has arrived on the service is removed. The files on this machine stay.";
   if (!(await confirmAction(`Remove the upload of ${upload.name}?`, text, "Remove"))) return;
   await sendJson("DELETE", `drives/${upload.driveId}`).catch((error) => {
     if (!(error instanceof ApiError && error.status === 404)) throw error;
   });
   forget(upload.driveId);
-  await showStart(container);
+  await showStart();
   await refreshLists();
 }
 
-/** Take what is dropped anywhere on the page. @param {HTMLElement} container */
-function listenToDrops(container) {
+/** Take what is dropped anywhere on the page. */
+function listenToDrops() {
   const isFiles = (/** @type {DragEvent} */ event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
   let depth = 0;
   const mark = () => document.body.classList.toggle("dropping", depth > 0);
@@ -262,15 +302,15 @@ function listenToDrops(container) {
     depth = 0;
     mark();
     if (current?.isRunning) {
-      showMessage("An upload is under way: stop it first, or wait for its end.");
+      showMessage("An upload is under way: stop it first, or wait until it is done.");
       return;
     }
     setState({ panel: "upload" });
-    const dropped = readDrop(event.dataTransfer, counter(container));
-    run(container, async () => {
+    const dropped = readDrop(event.dataTransfer, counter());
+    run(async () => {
       const found = await dropped;
-      if ("archive" in found) await showArchive(container, found.archive);
-      else await showFolder(container, found.folder, null);
+      if ("archive" in found) await showArchive(found.archive);
+      else await showFolder(found.folder, null);
     });
   });
 }

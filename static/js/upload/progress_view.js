@@ -1,20 +1,23 @@
 /** How far an upload is: steps, figures, what the service found, and what can be done about it. */
 
+import { factRows, problemList } from "../controls.js";
 import { announce, el, fill, formatBytes, formatCount, formatDuration, formatMetres, icon, plural } from "../dom.js";
-import { problemList } from "./controls.js";
-import { LAYOUTS, POSE_OWNERS, STEPS } from "./words.js";
+import { problemNote } from "../messages.js";
+import { LAYOUTS } from "./drive_folder.js";
 
 const REDRAW_MS = 150;
+const POSE_OWNERS = { camera: "of the camera", lidar: "of the LiDAR", imu: "of the IMU", oxts: "from OXTS" };
+const STEPS = { files: "Small files", archive: "Archive", plan: "Plan", scans: "Scans", check: "Check", run: "Job" };
 
 /** @typedef {import("./upload.js").Upload} Upload */
 
 /**
  * @param {object} actions
  * @param {() => void} actions.onChange Change the settings, and go on.
- * @param {() => void} actions.onMend Pick the folder again, and go on.
+ * @param {() => void} actions.onCorrect Pick the folder again, and go on.
  * @param {() => void} actions.onLeave Back to the start.
  */
-export function progressView({ onChange, onMend, onLeave }) {
+export function progressView({ onChange, onCorrect, onLeave }) {
   const title = el("h2", { class: "cut" });
   const badge = el("span", {});
   const steps = el("ol", { class: "steps" });
@@ -25,19 +28,9 @@ export function progressView({ onChange, onMend, onLeave }) {
   const problems = el("div", {});
   const fault = el("div", { role: "alert" });
   const buttons = el("div", { class: "row" });
-  const element = el(
-    "div",
-    { class: "stack upload-progress" },
-    el("div", { class: "spread" }, title, badge),
-    steps,
-    bar,
-    line,
-    figures,
-    fault,
-    problems,
-    buttons,
-    plan,
-  );
+  const head = el("div", { class: "spread" }, title, badge);
+  const parts = [head, steps, bar, line, figures, fault, problems, buttons, plan];
+  const element = el("div", { class: "stack upload-progress" }, parts);
   /** Which buttons are shown: they are not made anew while someone is about to press one. */
   let shownButtons = "";
   let shownFault = "";
@@ -54,16 +47,13 @@ export function progressView({ onChange, onMend, onLeave }) {
     badge.textContent = text;
     const at = upload.steps.indexOf(step);
     const marks = JSON.stringify([status, step]);
-    if (marks !== shownSteps)
-      fill(
-        steps,
-        upload.steps.map((each, i) =>
-          stepItem(
-            each,
-            status === "done" || i < at ? "done" : i > at ? "ahead" : status === "failed" ? "failed" : "now",
-          ),
-        ),
-      );
+    const stateOf = (/** @type {number} */ i) => {
+      if (status === "done" || i < at) return "done";
+      if (i > at) return "ahead";
+      return status === "failed" ? "failed" : "now";
+    };
+    const items = () => upload.steps.map((each, i) => stepItem(each, stateOf(i)));
+    if (marks !== shownSteps) fill(steps, items());
     shownSteps = marks;
     const isSending = step === "files" || step === "scans" || step === "archive";
     const fraction =
@@ -78,8 +68,7 @@ export function progressView({ onChange, onMend, onLeave }) {
     drawPlan(upload.plan);
     plan.hidden = status === "failed" && step === "plan";
     const faults = JSON.stringify(error);
-    if (faults !== shownFault)
-      fill(fault, error && el("div", { class: "note error" }, el("strong", {}, error.title), error.detail));
+    if (faults !== shownFault) fill(fault, error && problemNote(error));
     shownFault = faults;
     const list = JSON.stringify(upload.problems);
     if (list !== shownProblems)
@@ -95,19 +84,16 @@ export function progressView({ onChange, onMend, onLeave }) {
     shownButtons = status;
     const stop = el("button", { onClick: () => upload.stop() }, "Stop");
     const isFiles = upload.problems.length > 0;
-    const again = el(
-      "button",
-      { class: isFiles ? "" : "primary", onClick: () => upload.run() },
-      status === "stopped" ? "Continue" : "Try again",
-    );
+    const next = status === "stopped" ? "Continue" : "Try again";
+    const again = el("button", { class: isFiles ? "" : "primary", onClick: () => upload.run() }, next);
     const change = el("button", { onClick: onChange }, "Change settings");
-    const mend = el("button", { class: isFiles ? "primary" : "", onClick: onMend }, "Pick the mended folder");
+    const correct = el("button", { class: isFiles ? "primary" : "", onClick: onCorrect }, "Pick the corrected folder");
     const leave = el("button", { class: "plain", onClick: onLeave }, "Back");
     const sets = {
       ready: [],
       running: [el("button", { onClick: () => upload.pause() }, icon("pause"), "Pause"), stop],
       paused: [el("button", { class: "primary", onClick: () => upload.resume() }, icon("play"), "Resume"), stop],
-      failed: isFiles ? [mend, change, again, leave] : [again, change, mend, leave],
+      failed: isFiles ? [correct, change, again, leave] : [again, change, correct, leave],
       stopped: [again, change, leave],
       done: [el("button", { class: "primary", onClick: onLeave }, "Upload another")],
     };
@@ -119,20 +105,15 @@ export function progressView({ onChange, onMend, onLeave }) {
   function drawPlan(found) {
     if (!found || plan.childElementCount) return;
     const owner = POSE_OWNERS[/** @type {keyof typeof POSE_OWNERS} */ (found.pose_frame)] ?? found.pose_frame;
-    const row = (/** @type {string} */ name, /** @type {any} */ value, /** @type {any} */ why = null) =>
-      value && [el("dt", {}, name), el("dd", {}, value, why && el("small", { class: "why" }, why))];
-    fill(
-      plan,
-      el(
-        "dl",
-        { class: "figures box wordy" },
-        row("Layout", LAYOUTS[/** @type {keyof typeof LAYOUTS} */ (found.layout)] ?? found.layout),
-        row("Poses", owner, found.pose_frame_reason),
-        row("Georeference", found.georeference ?? "none", found.georeference_reason),
-        row("Way", found.length_m !== null && found.length_m !== undefined && formatMetres(found.length_m)),
-        row("To be sent", `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`),
-      ),
-    );
+    const why = (/** @type {string | null} */ text) => text && el("small", { class: "why" }, text);
+    const rows = factRows([
+      ["Layout", LAYOUTS[/** @type {keyof typeof LAYOUTS} */ (found.layout)] ?? found.layout],
+      owner && ["Poses", [owner, why(found.pose_frame_reason)]],
+      ["Georeference", [found.georeference ?? "none", why(found.georeference_reason)]],
+      typeof found.length_m === "number" && ["Distance", formatMetres(found.length_m)],
+      ["To be sent", `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`],
+    ]);
+    fill(plan, el("dl", { class: "figures box wordy" }, rows));
   }
 
   return {
@@ -163,33 +144,23 @@ const BADGES = {
 /** @param {import("./upload.js").Step} step @param {"done" | "now" | "ahead" | "failed"} state */
 function stepItem(step, state) {
   const spoken = { done: "done", now: "under way", ahead: "to come", failed: "failed" }[state];
-  return el(
-    "li",
-    { class: state, "aria-current": state === "now" ? "step" : null },
-    STEPS[step],
-    el("span", { class: "unseen" }, `, ${spoken}`),
-  );
+  const props = { class: state, "aria-current": state === "now" ? "step" : null };
+  return el("li", props, STEPS[step], el("span", { class: "unseen" }, `, ${spoken}`));
 }
 
 /** @param {Upload} upload @param {boolean} isSending */
 function figuresOf(upload, isSending) {
   const { transfer, done, total, step, source } = upload;
   const { meter } = transfer;
-  /** @type {any[]} */
-  const rows = [];
-  const row = (/** @type {string} */ name, /** @type {string} */ value) =>
-    rows.push(el("dt", {}, name), el("dd", {}, value));
-  if (total)
-    row(
-      step === "scans" && source.drive?.scans && upload.settings.sending !== "raw" ? "Scans" : "Files",
-      `${formatCount(done)} of ${formatCount(total)}`,
-    );
-  if (meter.sent || meter.skipped)
-    row("Sent", `${formatBytes(meter.sent)} of about ${formatBytes(Math.max(meter.total, meter.sent))}`);
-  if (meter.skipped) row("There already", formatBytes(meter.skipped));
-  if (isSending && upload.status === "running") {
-    if (meter.speed !== null) row("Speed", `${formatBytes(meter.speed)}/s`);
-    if (meter.secondsLeft !== null && step !== "files") row("Time left", `about ${formatDuration(meter.secondsLeft)}`);
-  }
-  return rows;
+  const isReducing = step === "scans" && source.drive?.scans && upload.settings.sending !== "raw";
+  const isUnderWay = isSending && upload.status === "running";
+  const all = formatBytes(Math.max(meter.total, meter.sent));
+  const left = isUnderWay && step !== "files" && meter.secondsLeft !== null && formatDuration(meter.secondsLeft);
+  return factRows([
+    total && [isReducing ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
+    (meter.sent || meter.skipped) && ["Sent", `${formatBytes(meter.sent)} of about ${all}`],
+    meter.skipped && ["There already", formatBytes(meter.skipped)],
+    isUnderWay && meter.speed !== null && ["Speed", `${formatBytes(meter.speed)}/s`],
+    left && ["Time left", `about ${left}`],
+  ]);
 }

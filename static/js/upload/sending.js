@@ -1,13 +1,11 @@
 /** The files of a drive on their way to the service: small files in batches, scans as they are, or reduced. */
 
-import { getConfig } from "../shell/config.js";
-import { sha256Hex } from "./digest.js";
-import { pathOf } from "./numbered.js";
-import { WorkerPool } from "./pool.js";
+import { getConfig, sha256 } from "../api.js";
+import { pathOf } from "./drive_folder.js";
 import { PARALLEL } from "./transfer.js";
 
 /** @typedef {import("./transfer.js").Transfer} Transfer */
-/** @typedef {import("./numbered.js").NumberedFiles} NumberedFiles */
+/** @typedef {import("./drive_folder.js").NumberedFiles} NumberedFiles */
 /** @typedef {Map<string, {size_bytes: number, sha256: string}>} Present Files that the service has, by path. */
 
 const SMALL_BYTES = 1024 * 1024;
@@ -40,7 +38,7 @@ export async function sendSmallFiles(transfer, files, present) {
   /** @type {[string, File][]} */
   const missing = [];
   for (const [path, file] of files) {
-    await transfer.turn();
+    await transfer.waitWhilePaused();
     if (await isPresent(file, present.get(path))) skip(transfer, file.size);
     else missing.push([path, file]);
   }
@@ -86,7 +84,7 @@ async function sendBatch(transfer, batch) {
  */
 async function isPresent(file, there) {
   if (!there || there.size_bytes !== file.size) return false;
-  const own = await sha256Hex(await file.arrayBuffer());
+  const own = await sha256(await file.arrayBuffer(), "hex");
   return own === null || own === there.sha256;
 }
 
@@ -136,7 +134,7 @@ export function rawFiles(drive, folders) {
  * @param {object} what
  * @param {import("./drive_folder.js").DriveFolder} what.drive
  * @param {number[]} what.frames Scans to send.
- * @param {Map<string, import("./labels.js").LabelScheme>} what.schemes By label folder.
+ * @param {Map<string, import("./upload.js").JudgedLabels>} what.schemes By label folder.
  * @param {number} what.groundBytes About the size of what is left of a scan.
  * @param {Present} what.present
  * @param {Set<string>} what.trusted Label folders whose files on the service are known to be good.
@@ -145,7 +143,7 @@ export function rawFiles(drive, folders) {
 export async function sendReduced(transfer, { drive, frames, schemes, groundBytes, present, trusted }, onDone) {
   const scans = /** @type {NumberedFiles} */ (drive.scans);
   const items = frames.flatMap((frame) => [...schemes.keys()].map((folder) => ({ frame, folder })));
-  const pool = WorkerPool.ofThisMachine();
+  const pool = new WorkerPool();
   const estimate = new Estimate(transfer.meter, items.length, groundBytes * items.length);
   let done = 0;
   try {
@@ -163,10 +161,10 @@ export async function sendReduced(transfer, { drive, frames, schemes, groundByte
           scanName: pathOf(scans, frame),
           labelName: pathOf(labels, frame),
         };
-        if (!files.labels) throw new Error(`${files.labelName}: is missing. Expected one .label file a scan.`);
-        const { bytes, digest } = await pool.run("reduce", { files, scheme: schemes.get(folder) });
+        if (!files.labels) throw new Error(`${files.labelName}: is missing. Expected one .label file per scan.`);
+        const { bytes, digest } = await pool.run({ files, scheme: schemes.get(folder) });
         estimate.add(bytes.byteLength);
-        if (there && there.sha256 === (await sha256Hex(bytes))) skip(transfer, bytes.byteLength);
+        if (there && there.sha256 === (await sha256(bytes, "hex"))) skip(transfer, bytes.byteLength);
         else await transfer.put(path, bytes, digest);
       }
       done += 1;
@@ -179,7 +177,7 @@ export async function sendReduced(transfer, { drive, frames, schemes, groundByte
 
 /** Bytes of all reduced scans, as far as those that are done tell. */
 class Estimate {
-  /** @param {import("./meter.js").Meter} meter @param {number} count @param {number} expected Before any is done. */
+  /** @param {import("./transfer.js").Meter} meter @param {number} count @param {number} expected Before any is done. */
   constructor(meter, count, expected) {
     this.meter = meter;
     this.left = count;
@@ -201,25 +199,20 @@ class Estimate {
 }
 
 /**
- * The manifest of the reduced drive.
+ * The manifest of the reduced drive: what the service planned, with the sizes that only the browser knows.
  *
- * @param {any} planned The manifest as far as the plan knows it.
+ * @param {any} planned
  * @param {import("./drive_folder.js").DriveFolder} drive
- * @param {Map<string, import("./schemes.js").Judgement>} judged By label folder.
  * @returns {Uint8Array<ArrayBuffer>}
  */
-export function manifestBytes(planned, drive, judged) {
+export function manifestBytes(planned, drive) {
   const scans = /** @type {NumberedFiles} */ (drive.scans);
   const points = [...scans.files.values()].map((file) => Math.floor(file.size / 16)).sort((a, b) => a - b);
   const middle = points.length / 2;
   const median = points.length % 2 ? points[Math.floor(middle)] : (points[middle - 1] + points[middle]) / 2;
-  const labels = [...judged].map(([folder, { scheme, counts }]) => ({
-    folder,
-    scheme: scheme.name,
-    road: [...scheme.road].sort((a, b) => a - b),
-    confusable: [...scheme.confusable].sort((a, b) => a - b),
-    counts: Object.fromEntries([...counts].sort(([a], [b]) => a - b)),
-    label_bytes: drive.labels[folder].bytes,
+  const labels = planned.labels.map((/** @type {any} */ each) => ({
+    ...each,
+    label_bytes: drive.labels[each.folder].bytes,
   }));
   const source = {
     scan_bytes: scans.bytes,
@@ -228,4 +221,68 @@ export function manifestBytes(planned, drive, judged) {
     most_points: points.at(-1),
   };
   return new TextEncoder().encode(`${JSON.stringify({ ...planned, labels, source }, null, 1)}\n`);
+}
+
+/** @typedef {{task: object, resolve: (value: any) => void, reject: (error: Error) => void}} Item */
+
+/** Several web workers that share the work of reducing scans. */
+class WorkerPool {
+  /** One worker per core, at most eight: more would only wait for the disk and the network. */
+  size = Math.min(8, navigator.hardwareConcurrency || 2);
+  /** @type {Item[]} */
+  waiting = [];
+  /** @type {Worker[]} */
+  idle = [];
+  /** @type {Map<Worker, Item>} */
+  busy = new Map();
+
+  /** Let the next free worker do a task. @param {object} task @returns {Promise<any>} */
+  run(task) {
+    return new Promise((resolve, reject) => {
+      this.waiting.push({ task, resolve, reject });
+      this.#next();
+    });
+  }
+
+  /** End all workers; what they were doing fails. */
+  close() {
+    const stopped = new Error("Stopped.");
+    for (const worker of [...this.busy.keys(), ...this.idle]) worker.terminate();
+    for (const item of [...this.busy.values(), ...this.waiting]) item.reject(stopped);
+    this.busy.clear();
+    this.waiting = [];
+    this.idle = [];
+  }
+
+  #next() {
+    while (this.waiting.length && (this.idle.length || this.busy.size < this.size)) {
+      const worker = this.idle.pop() ?? this.#start();
+      const item = /** @type {Item} */ (this.waiting.shift());
+      this.busy.set(worker, item);
+      worker.postMessage(item.task);
+    }
+  }
+
+  #start() {
+    const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+    worker.addEventListener("message", ({ data }) => {
+      const item = this.busy.get(worker);
+      if (!item) return;
+      this.busy.delete(worker);
+      this.idle.push(worker);
+      if (data.error === undefined) item.resolve(data);
+      else item.reject(new Error(data.error));
+      this.#next();
+    });
+    worker.addEventListener("error", (event) => {
+      const item = this.busy.get(worker);
+      this.busy.delete(worker);
+      worker.terminate();
+      item?.reject(
+        new Error(`The part of the page that reduces scans stopped: ${event.message || "it did not load"}.`),
+      );
+      this.#next();
+    });
+    return worker;
+  }
 }

@@ -1,8 +1,11 @@
-/** Sends files of one drive: several at once, again where the line or the server fails for a while. */
+/**
+ * Sends files of one drive: several at once, again where the connection or the server fails for a while.
+ *
+ * Pausing, stopping, retrying and digests of what is sent are here, since only the browser can do them.
+ */
 
-import { ApiError, encodePath, putFile, request, sleep } from "../api.js";
-import { sha256Base64 } from "./digest.js";
-import { Meter } from "./meter.js";
+import { ApiError, encodePath, putFile, request, sha256, sleep } from "../api.js";
+import { readWhole } from "./reduce.js";
 
 /** One connection less than browsers open to a server, so that the page can still ask for something. */
 export const PARALLEL = 5;
@@ -11,6 +14,57 @@ const DIGEST_MAX_BYTES = 512 * 1024 * 1024;
 const GIVE_UP_MS = 15 * 60_000;
 const MAX_WAIT_MS = 30_000;
 const DAMAGED_TRIES = 3;
+
+const WINDOW_MS = 15_000;
+const STEP_MS = 500;
+
+/** How much was sent, how fast, and how long the rest will take. */
+export class Meter {
+  /** @param {() => number} [now] Milliseconds. */
+  constructor(now = () => performance.now()) {
+    this.now = now;
+    this.sent = 0;
+    /** Bytes that are to be sent in all; an estimate while scans are being reduced. */
+    this.total = 0;
+    /** Bytes that were there already. */
+    this.skipped = 0;
+    /** @type {[number, number][]} Time and bytes sent until then. */
+    this.marks = [];
+  }
+
+  /** @param {number} bytes Less than nothing takes back what has to be sent again. */
+  add(bytes) {
+    this.sent += bytes;
+    const time = this.now();
+    const last = this.marks.at(-1);
+    if (!last || time - last[0] >= STEP_MS) this.marks.push([time, this.sent]);
+    while (this.marks.length > 2 && time - this.marks[0][0] > WINDOW_MS) this.marks.shift();
+  }
+
+  /** Forget the speed: after a pause it means nothing. */
+  restart() {
+    this.marks = [];
+  }
+
+  /** @returns {number} 0..1 */
+  get fraction() {
+    const all = this.total + this.skipped;
+    return all > 0 ? Math.min(1, (this.sent + this.skipped) / all) : 0;
+  }
+
+  /** @returns {number | null} Bytes per second; null where it is too early to tell. */
+  get speed() {
+    const first = this.marks[0];
+    const seconds = first ? (this.now() - first[0]) / 1000 : 0;
+    return first && seconds > 1 ? Math.max(0, this.sent - first[1]) / seconds : null;
+  }
+
+  /** @returns {number | null} */
+  get secondsLeft() {
+    const speed = this.speed;
+    return speed ? Math.max(0, this.total - this.sent) / speed : null;
+  }
+}
 
 export class Transfer {
   /** @param {() => void} onChange Called whenever something is worth showing. */
@@ -58,8 +112,8 @@ export class Transfer {
     this.gate = null;
   }
 
-  /** Wait while paused. */
-  async turn() {
+  /** Wait while paused; throws where the upload was stopped. */
+  async waitWhilePaused() {
     while (this.gate) await this.gate.promise;
     this.signal.throwIfAborted();
   }
@@ -78,7 +132,7 @@ export class Transfer {
     const lane = async () => {
       for (let next = iterator.next(); !next.done && !failed; next = iterator.next()) {
         try {
-          await this.turn();
+          await this.waitWhilePaused();
           await work(next.value);
         } catch (error) {
           failed = true;
@@ -102,7 +156,7 @@ export class Transfer {
   async put(path, data, digest = null) {
     const size = data instanceof Blob ? data.size : data.byteLength;
     if (!digest && size <= DIGEST_MAX_BYTES) {
-      digest = await sha256Base64(data instanceof Blob ? await readWhole(data, path) : data);
+      digest = await sha256(data instanceof Blob ? await readWhole(data, path) : data, "base64");
     }
     return this.send(`drives/${this.drive}/files/${encodePath(path)}`, data, { digest });
   }
@@ -116,9 +170,9 @@ export class Transfer {
    */
   async send(path, data, options = {}) {
     const size = data instanceof Blob ? data.size : data.byteLength;
-    await this.turn();
-    return this.insist(() =>
-      this.#inLine(async () => {
+    await this.waitWhilePaused();
+    return this.retry(() =>
+      this.#withConnection(async () => {
         let counted = 0;
         const count = (/** @type {number} */ sent) => {
           const step = Math.min(sent, size) - counted;
@@ -144,7 +198,7 @@ export class Transfer {
    * @template T
    * @param {() => Promise<T>} work
    */
-  async #inLine(work) {
+  async #withConnection(work) {
     if (this.free > 0) this.free -= 1;
     else await new Promise((/** @type {(value: void) => void} */ resolve) => this.queue.push(resolve));
     try {
@@ -164,7 +218,7 @@ export class Transfer {
    * @returns {Promise<{status: number, body: any}>}
    */
   async ask(path, options = {}) {
-    return this.insist(async () => {
+    return this.retry(async () => {
       const response = await request(path, { ...options, signal: this.signal });
       const text = await response.text();
       return { status: response.status, body: text ? JSON.parse(text) : null };
@@ -178,7 +232,7 @@ export class Transfer {
    * @param {() => Promise<T>} work
    * @returns {Promise<T>}
    */
-  async insist(work) {
+  async retry(work) {
     const began = Date.now();
     for (let tries = 1; ; tries += 1) {
       try {
@@ -212,15 +266,4 @@ function backOnline(signal) {
   return new Promise((resolve) => {
     globalThis.addEventListener?.("online", () => resolve(), { once: true, signal });
   });
-}
-
-/** @param {Blob} blob @param {string} path */
-async function readWhole(blob, path) {
-  try {
-    return await blob.arrayBuffer();
-  } catch {
-    throw new Error(
-      `${path}: cannot be read. It was changed, moved or is on a disk that is gone; pick the folder again.`,
-    );
-  }
 }

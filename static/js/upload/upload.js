@@ -1,15 +1,14 @@
 /** One upload from the first file to the job: every step can be repeated, so it goes on where it stopped. */
 
-import { ApiError } from "../api.js";
-import { checkAndKeep, waitForWork } from "./committing.js";
-import { submitJob } from "./job_request.js";
+import { ApiError, isMap, sleep } from "../api.js";
+import { runsOf, sorted } from "./drive_folder.js";
 import { forget, remember, remembered } from "./memory.js";
-import { runsOf, sorted } from "./numbered.js";
-import { groundBytesOf, judgeLabels } from "./schemes.js";
+import { countLabels } from "./reduce.js";
 import { listPresent, manifestBytes, rawFiles, sendFiles, sendReduced, sendSmallFiles } from "./sending.js";
 import { Transfer } from "./transfer.js";
 
-/** @typedef {import("./numbered.js").FileProblem} FileProblem */
+/** @typedef {import("../api.js").FileProblem} FileProblem */
+/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
 
 /**
  * @typedef {object} Settings
@@ -19,20 +18,47 @@ import { Transfer } from "./transfer.js";
  * @property {boolean} keepRaw
  * @property {{label_scheme: string, pose_frame: string, layout: string, oxts: string | null}} options
  * @property {{distance_m: number, angle_deg: number}} keyframes
- * @property {import("./job_request.js").JobSettings | null} job null: only upload.
+ * @property {JobSettings | null} job null: only upload.
+ */
+
+/**
+ * @typedef {object} JobSettings
+ * @property {string} preset
+ * @property {Record<string, any> | null} config Settings that differ from the preset.
+ * @property {string | null} labels
+ * @property {{file: string} | {overpass: true} | {inside: true} | null} osm `inside`: the map that an archive holds, if any.
+ * @property {string} policy
+ * @property {number} tolerance_m
+ * @property {string} key Sent with the request, so that a repetition makes no second job.
  */
 
 /**
  * @typedef {object} Source What was picked.
- * @property {import("./drive_folder.js").DriveFolder | null} drive
+ * @property {DriveFolder | null} drive
  * @property {File | null} archive
  * @property {Map<string, File>} extras Files from elsewhere, by their paths in the drive: a map, a georeference.
  * @property {FileSystemDirectoryHandle | null} handle
  * @property {string} fingerprint
  */
 
+/**
+ * @typedef {object} JudgedLabels What the service makes of the label ids of a folder.
+ * @property {string} folder
+ * @property {string | null} scheme
+ * @property {number[]} road
+ * @property {number[]} confusable
+ * @property {number | null} road_share
+ * @property {number | null} ground_share Of road, sidewalk, parking and other ground: what is left of a scan.
+ * @property {FileProblem[]} problems
+ */
+
 /** @typedef {"files" | "plan" | "scans" | "archive" | "check" | "run"} Step */
 /** @typedef {"ready" | "running" | "paused" | "failed" | "stopped" | "done"} Status */
+/** @typedef {Record<string, Record<string, number>>} LabelCounts Folder -> label id -> number of points. */
+
+const COMMIT_WAIT_S = 3;
+const POLL_MS = 700;
+const GROUND_POINT_BYTES = 7; // packed without loss, scans of 64 beams
 
 export class Upload {
   /**
@@ -59,10 +85,8 @@ export class Upload {
     this.problems = [];
     /** @type {{title: string, detail: string} | null} */
     this.error = null;
-    /** What the service made of the small files. @type {any} */
+    /** What the service made of the small files and the labels. @type {any} */
     this.plan = null;
-    /** @type {any} */
-    this.report = null;
     /** @type {string | null} */
     this.jobId = null;
     this.transfer = new Transfer(onChange);
@@ -86,11 +110,11 @@ export class Upload {
 
   pause() {
     this.transfer.pause();
-    this.#say({ status: "paused" });
+    this.#update({ status: "paused" });
   }
 
   resume() {
-    this.#say({ status: "running" });
+    this.#update({ status: "running" });
     this.transfer.resume();
   }
 
@@ -103,21 +127,21 @@ export class Upload {
   async run() {
     if (this.isRunning) return;
     this.transfer = new Transfer(this.onChange);
-    this.#say({ status: "running", error: null, problems: [], message: "", step: this.steps[0] });
+    this.#update({ status: "running", error: null, problems: [], message: "", step: this.steps[0] });
     try {
       const state = await this.#openDrive();
       if (state === "uploading") await this.#send();
       await this.#commit();
-      await this.#startJob();
+      if (this.settings.job) await this.#startJob(this.settings.job);
       if (this.driveId) forget(this.driveId);
-      this.#say({ status: "done" });
+      this.#update({ status: "done" });
     } catch (error) {
       this.#fail(error);
     }
   }
 
   /** @param {Partial<Upload>} changes */
-  #say(changes) {
+  #update(changes) {
     Object.assign(this, changes);
     this.onChange();
   }
@@ -125,13 +149,13 @@ export class Upload {
   /** @param {unknown} error */
   #fail(error) {
     if (error instanceof DOMException && error.name === "AbortError") {
-      this.#say({ status: "stopped" });
+      this.#update({ status: "stopped" });
     } else if (error instanceof Refusal || error instanceof ApiError) {
-      const problems = /** @type {FileProblem[]} */ (error.problems);
-      this.#say({ status: "failed", error: { title: error.title, detail: error.message }, problems: sorted(problems) });
+      const { title, message: detail, problems } = error;
+      this.#update({ status: "failed", error: { title, detail }, problems: sorted(problems) });
     } else {
       const detail = error instanceof Error ? error.message : String(error);
-      this.#say({ status: "failed", error: { title: "The upload stopped", detail } });
+      this.#update({ status: "failed", error: { title: "The upload stopped", detail } });
     }
   }
 
@@ -153,20 +177,13 @@ export class Upload {
   /** @param {string} fingerprint @param {Record<string, string>} [schemes] */
   #remember(fingerprint, schemes) {
     const { drive, handle } = this.source;
-    const id = /** @type {string} */ (this.driveId);
-    const before = remembered(id);
-    remember(
-      {
-        driveId: id,
-        fingerprint,
-        name: this.settings.name,
-        at: before?.at ?? new Date().toISOString(),
-        root: drive?.root ?? "",
-        settings: this.settings,
-        schemes: schemes ?? before?.schemes,
-      },
-      handle,
-    );
+    const driveId = /** @type {string} */ (this.driveId);
+    const before = remembered(driveId);
+    const at = before?.at ?? new Date().toISOString();
+    const { settings } = this;
+    const root = drive?.root ?? "";
+    schemes ??= before?.schemes;
+    remember({ driveId, fingerprint, name: settings.name, at, root, settings, schemes }, handle);
   }
 
   async #send() {
@@ -183,137 +200,186 @@ export class Upload {
     const small = new Map([...drive.small, ...extras]);
     small.delete("reduced.json"); // it makes a drive of the rest, so it goes last
     await sendSmallFiles(this.transfer, small, present);
-    const isTrusted = this.isSame();
-    if (!isTrusted) this.#remember(""); // old and new files are mixed until all is sent
-    if (drive.layout === "reduced") await this.#sendAll([...drive.ground], present, isTrusted);
-    else await this.#sendScans(drive, present, isTrusted);
+    // The very same files were sent before: what the service has of them is good.
+    const isSame = remembered(/** @type {string} */ (this.driveId))?.fingerprint === this.source.fingerprint;
+    if (!isSame) this.#remember(""); // old and new files are mixed until all is sent
+    if (drive.layout === "reduced") await this.#sendAll([...drive.ground], present, isSame);
+    else await this.#sendScans(drive, present, isSame);
     const manifest = drive.small.get("reduced.json");
     if (drive.layout === "reduced" && manifest) await this.transfer.put("reduced.json", manifest);
     this.#remember(this.source.fingerprint);
   }
 
-  /** True where the very same files were sent before: what the service has of them is good. */
-  isSame() {
-    return remembered(/** @type {string} */ (this.driveId))?.fingerprint === this.source.fingerprint;
+  /** @param {DriveFolder} drive @param {import("./sending.js").Present} present @param {boolean} isSame */
+  async #sendScans(drive, present, isSame) {
+    const { folders, sending } = this.settings;
+    this.#update({ step: "plan", message: "Reading poses and georeference" });
+    const { frames_to_look_into } = await this.#askPlan(drive, {});
+    const plan = await this.#askPlan(drive, await countFolders(drive, folders, frames_to_look_into));
+    if (sending === "raw") {
+      await this.#sendAll(rawFiles(drive, folders), present, isSame);
+      return;
+    }
+    /** @type {Map<string, JudgedLabels>} */
+    const schemes = new Map(plan.labels.map((/** @type {JudgedLabels} */ each) => [each.folder, each]));
+    const key = (/** @type {JudgedLabels} */ { road, confusable }) => JSON.stringify([road, confusable]);
+    const keys = Object.fromEntries([...schemes].map(([folder, scheme]) => [folder, key(scheme)]));
+    const before = remembered(/** @type {string} */ (this.driveId))?.schemes ?? {};
+    const trusted = new Set(isSame ? folders.filter((folder) => before[folder] === keys[folder]) : []);
+    this.#remember(isSame ? this.source.fingerprint : "", keys);
+    const { frames, manifest } = plan;
+    this.#update({ step: "scans", message: "", done: 0, total: frames.length * schemes.size });
+    const groundBytes = groundBytesOf(drive, plan.labels) / schemes.size;
+    const what = { drive, frames, schemes, groundBytes, present, trusted };
+    await sendReduced(this.transfer, what, (done) => this.#update({ done }));
+    await this.transfer.put("reduced.json", manifestBytes(manifest, drive));
+  }
+
+  /** @param {[string, File][]} files @param {import("./sending.js").Present} present @param {boolean} isSame */
+  async #sendAll(files, present, isSame) {
+    this.transfer.meter.total += files.reduce((sum, [, file]) => sum + file.size, 0);
+    this.#update({ step: "scans", message: "", done: 0, total: files.length });
+    await sendFiles(this.transfer, files, present, isSame, (done) => this.#update({ done }));
   }
 
   /**
-   * @param {import("./drive_folder.js").DriveFolder} drive
-   * @param {import("./sending.js").Present} present
-   * @param {boolean} isTrusted
+   * Let the service read the small files, and judge the labels.
+   *
+   * @param {DriveFolder} drive
+   * @param {LabelCounts} label_counts Of the scans `frames_to_look_into`, which the first answer names.
    */
-  async #sendScans(drive, present, isTrusted) {
-    const { folders, sending } = this.settings;
-    this.#say({ step: "plan", message: "Reading poses and georeference" });
-    const plan = await this.#askPlan(drive);
-    const judged = await this.#judge(drive, plan);
-    if (sending === "raw") {
-      await this.#sendAll(rawFiles(drive, folders), present, isTrusted);
-      return;
-    }
-    const schemes = new Map([...judged].map(([folder, { scheme }]) => [folder, scheme]));
-    const keys = Object.fromEntries(
-      [...schemes].map(([folder, scheme]) => [folder, JSON.stringify([scheme.road, scheme.confusable])]),
-    );
-    const before = remembered(/** @type {string} */ (this.driveId))?.schemes ?? {};
-    const trusted = new Set(isTrusted ? folders.filter((folder) => before[folder] === keys[folder]) : []);
-    this.#remember(isTrusted ? this.source.fingerprint : "", keys);
-    const { frames, manifest } = plan;
-    this.#say({ step: "scans", message: "", done: 0, total: frames.length * schemes.size });
-    const groundBytes = groundBytesOf(drive, judged.values()) / schemes.size;
-    await sendReduced(this.transfer, { drive, frames, schemes, groundBytes, present, trusted }, (done) =>
-      this.#say({ done }),
-    );
-    await this.transfer.put("reduced.json", manifestBytes(manifest, drive, judged));
-  }
-
-  /** @param {[string, File][]} files @param {import("./sending.js").Present} present @param {boolean} isTrusted */
-  async #sendAll(files, present, isTrusted) {
-    this.transfer.meter.total += files.reduce((sum, [, file]) => sum + file.size, 0);
-    this.#say({ step: "scans", message: "", done: 0, total: files.length });
-    await sendFiles(this.transfer, files, present, isTrusted, (done) => this.#say({ done }));
-  }
-
-  /** @param {import("./drive_folder.js").DriveFolder} drive */
-  async #askPlan(drive) {
+  async #askPlan(drive, label_counts) {
     const { folders, options, sending } = this.settings;
-    const keyframes = sending === "scans" ? null : this.settings.keyframes;
-    const scans = /** @type {import("./numbered.js").NumberedFiles} */ (drive.scans);
-    const runs = runsOf(scans.files.keys());
-    const [first, count] = runs[0];
-    const numbers = runs.length === 1 ? { first, last: first + count - 1 } : [...scans.files.keys()];
-    const json = { scans: numbers, label_folders: folders, options, keyframes, scan_folder: scans.folder };
-    const { body } = await this.transfer.ask(`drives/${this.driveId}/plan`, { method: "POST", json });
-    this.#say({ plan: body, problems: sorted(body.problems) });
-    if (body.problems.some((/** @type {FileProblem} */ each) => each.severity === "error") || !body.manifest) {
-      throw new Refusal(
-        "This drive cannot be used yet",
-        "Nothing but small files was sent so far. Mend what is listed, then go on.",
-        body.problems,
-      );
+    const { files, folder } = /** @type {import("./drive_folder.js").NumberedFiles} */ (drive.scans);
+    const [[first, count], ...others] = runsOf(files.keys());
+    const json = {
+      scans: others.length ? [...files.keys()] : { first, last: first + count - 1 },
+      label_folders: folders,
+      label_counts,
+      options,
+      keyframes: sending === "scans" ? null : this.settings.keyframes,
+      scan_folder: folder,
+    };
+    const { body: plan } = await this.transfer.ask(`drives/${this.driveId}/plan`, { method: "POST", json });
+    const ofLabels = plan.labels.flatMap((/** @type {JudgedLabels} */ each) => each.problems);
+    this.#update({ plan, problems: sorted([...plan.problems, ...ofLabels]) });
+    const isBad = (/** @type {FileProblem[]} */ problems) => problems.some(({ severity }) => severity === "error");
+    const sent = "Nothing but small files was sent so far.";
+    if (isBad(plan.problems) || !plan.manifest) {
+      const detail = `${sent} Correct what is listed, then go on.`;
+      throw new Refusal("This drive cannot be used yet", detail, this.problems);
     }
-    return body;
-  }
-
-  /** @param {import("./drive_folder.js").DriveFolder} drive @param {any} plan */
-  async #judge(drive, plan) {
-    const frames = plan.frames_to_look_into;
-    const judged = new Map();
-    for (const folder of this.settings.folders) {
-      const found = await judgeLabels(
-        drive.labels[folder],
-        frames,
-        this.settings.options.label_scheme,
-        plan.layout === "kitti360",
-      );
-      judged.set(folder, found);
-      this.problems = sorted([...this.problems, ...found.problems]);
+    if (isBad(ofLabels)) {
+      const detail = `${sent} Choose another label scheme, then go on.`;
+      throw new Refusal("The labels do not fit", detail, this.problems);
     }
-    if (this.problems.some((each) => each.severity === "error")) {
-      throw new Refusal(
-        "The labels do not fit",
-        "Nothing but small files was sent so far. Choose another label scheme, then go on.",
-        this.problems,
-      );
-    }
-    return judged;
+    return plan;
   }
 
   /** @param {File} archive */
   async #sendArchive(archive) {
     this.transfer.meter.total += archive.size;
-    this.#say({ step: "archive", message: "Sending the archive" });
+    this.#update({ step: "archive", message: "Sending the archive" });
     const headers = { "Content-Type": "application/octet-stream" };
     const answer = await this.transfer.send(`drives/${this.driveId}/archive`, archive, { method: "POST", headers });
-    this.#say({ message: "Unpacking" });
-    await waitForWork(this.transfer, "unpack", (job) =>
-      this.#say({ done: job.progress.done, total: job.progress.total ?? 0 }),
-    );
-    this.#say({ message: answer?.files ? `${answer.files} files` : "" });
+    this.#update({ message: "Unpacking" });
+    for (let job = await this.#latestJob("unpack"); job && job.state !== "successful"; ) {
+      if (job.state === "failed" || job.state === "dismissed") {
+        throw new ApiError(
+          job.error?.status ?? 422,
+          job.error ?? { title: "Stopped", detail: "The work was stopped." },
+        );
+      }
+      this.#update({ done: job.progress.done, total: job.progress.total ?? 0 });
+      await sleep(POLL_MS, this.transfer.signal);
+      this.transfer.signal.throwIfAborted();
+      job = await this.#latestJob("unpack");
+    }
+    this.#update({ message: answer?.files ? `${answer.files} files` : "" });
   }
 
+  /** Let the service check and reduce the drive. */
   async #commit() {
-    this.#say({ step: "check", message: "Checking the drive", done: 0, total: 0 });
-    const { options, keepRaw } = this.settings;
-    const request = { options, keep_raw: keepRaw };
-    const drive = await checkAndKeep(this.transfer, request, (job) => {
-      this.#say({
-        done: job.progress.done,
-        total: job.progress.total ?? 0,
-        message: job.message ?? "Checking the drive",
-      });
-    });
-    this.#say({ report: drive.report, problems: sorted(drive.report?.problems ?? []) });
+    this.#update({ step: "check", message: "Checking the drive", done: 0, total: 0 });
+    const json = { options: this.settings.options, keep_raw: this.settings.keepRaw };
+    const headers = { Prefer: `wait=${COMMIT_WAIT_S}` }; // the same commit again joins the one that runs
+    for (;;) {
+      await this.transfer.waitWhilePaused();
+      const path = `drives/${this.driveId}/commit`;
+      const { status, body } = await this.transfer.ask(path, { method: "POST", json, headers });
+      if (status !== 202) return this.#update({ problems: sorted(body.report?.problems ?? []) });
+      const job = await this.#latestJob("commit");
+      if (!job) continue;
+      const { progress, message } = job;
+      this.#update({ done: progress.done, total: progress.total ?? 0, message: message ?? "Checking the drive" });
+    }
   }
 
-  async #startJob() {
-    if (!this.settings.job) return;
-    this.#say({ step: "run", message: "Starting the job", done: 0, total: 0 });
-    this.jobId = await submitJob(this.transfer, /** @type {string} */ (this.driveId), this.settings.job);
+  /** @param {"unpack" | "commit"} kind @returns {Promise<any>} */
+  async #latestJob(kind) {
+    const { body } = await this.transfer.ask(`jobs?drive=${this.driveId}&kind=${kind}&limit=1`);
+    return body.jobs[0] ?? null;
+  }
+
+  /** @param {JobSettings} settings */
+  async #startJob({ key, osm: map, ...settings }) {
+    this.#update({ step: "run", message: "Starting the job", done: 0, total: 0 });
+    const osm = map && "inside" in map ? await this.#mapInside() : map;
+    const json = { drive_id: this.driveId, ...settings, osm };
+    const headers = { "Idempotency-Key": key };
+    const { body } = await this.transfer.ask("jobs", { method: "POST", json, headers });
+    this.jobId = body.id;
+  }
+
+  /** @returns {Promise<{file: string} | null>} The map that an archive held. */
+  async #mapInside() {
+    const file = [...(await listPresent(this.transfer)).keys()].find(isMap);
+    return file ? { file } : null;
   }
 }
 
-/** Something that stands in the way and that the person can mend. */
+/** @returns {string} A key that no other request has. */
+export function newKey() {
+  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+/**
+ * Count the label ids in some scans; only the browser has them.
+ *
+ * @param {DriveFolder} drive
+ * @param {string[]} folders
+ * @param {number[]} frames
+ * @returns {Promise<LabelCounts>}
+ */
+export async function countFolders(drive, folders, frames) {
+  /** @type {LabelCounts} */
+  const all = {};
+  for (const folder of folders) {
+    const labels = drive.labels[folder];
+    all[folder] = {};
+    for (const frame of frames) {
+      const file = labels.files.get(frame);
+      if (!file) continue;
+      for (const [id, count] of await countLabels(file, `${folder}/${file.name}`)) {
+        all[folder][id] = (all[folder][id] ?? 0) + count;
+      }
+    }
+  }
+  return all;
+}
+
+/**
+ * About how large the ground points of a scan are, by all label folders together.
+ *
+ * @param {DriveFolder} drive
+ * @param {JudgedLabels[]} labels
+ */
+export function groundBytesOf({ scans }, labels) {
+  const points = scans ? scans.bytes / 16 / scans.files.size : 0;
+  return labels.reduce((sum, { ground_share }) => sum + (ground_share ?? 0) * points * GROUND_POINT_BYTES, 0);
+}
+
+/** Something that stands in the way and that the person can correct. */
 export class Refusal extends Error {
   /** @param {string} title @param {string} detail @param {FileProblem[]} [problems] */
   constructor(title, detail, problems = []) {

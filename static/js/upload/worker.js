@@ -1,39 +1,20 @@
-/** Web worker: reduces scans, and counts label ids, away from the page. */
+/** Web worker: reduces scans away from the page, and computes the digests of what is left of them. */
 
-import { sha256Base64 } from "./digest.js";
-import { groupsOf } from "./labels.js";
-import { countLabels, reduceScan } from "./scan.js";
+import { sha256 } from "../api.js";
+import { groupsOf, reduceScan } from "./reduce.js";
 
-/** @type {Map<string, Uint8Array>} */
+/** @type {Map<string, Uint8Array>} Tables of groups, by label scheme. */
 const tables = new Map();
 
-/** @param {import("./labels.js").LabelScheme} scheme */
-function tableOf(scheme) {
-  const key = JSON.stringify([scheme.road, scheme.confusable]);
-  const table = tables.get(key) ?? groupsOf(scheme);
-  tables.set(key, table);
-  return table;
-}
-
-const WORK = {
-  /** @param {any} task */
-  async reduce({ files, scheme }) {
-    const bytes = await reduceScan(files, tableOf(scheme));
-    return { bytes, digest: await sha256Base64(bytes) };
-  },
-
-  /** @param {any} task */
-  async count({ labels, name }) {
-    return { counts: await countLabels(labels, name) };
-  },
-};
-
-self.addEventListener("message", async ({ data: { id, kind, task } }) => {
+self.addEventListener("message", async ({ data: { files, scheme } }) => {
   try {
-    const result = await WORK[/** @type {keyof typeof WORK} */ (kind)](task);
-    const moved = "bytes" in result ? [result.bytes.buffer] : [];
-    self.postMessage({ id, result }, { transfer: moved });
+    const key = JSON.stringify([scheme.road, scheme.confusable]);
+    const groups = tables.get(key) ?? groupsOf(scheme);
+    tables.set(key, groups);
+    const bytes = await reduceScan(files, groups);
+    const digest = await sha256(bytes, "base64");
+    self.postMessage({ bytes, digest }, { transfer: [bytes.buffer] });
   } catch (error) {
-    self.postMessage({ id, error: error instanceof Error ? error.message : String(error) });
+    self.postMessage({ error: error instanceof Error ? error.message : String(error) });
   }
 });

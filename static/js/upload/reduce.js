@@ -1,19 +1,46 @@
-/** One scan with its labels, reduced to the points that the method can use. */
-
-import { encodeGround } from "./ground.js";
+/**
+ * One scan with its labels, reduced to the points that the method can use, as bytes.
+ *
+ * Only the browser has the scans, and a hundredth of their bytes is of use: so this is done here, before anything is
+ * sent, by the same rules and in the same format as `interloc reduce` (the tests compare the two byte by byte).
+ *
+ * A `.ground` file has a header of 16 bytes (magic, version, number of points, number of road points; uint32, little
+ * endian), then a zlib stream of twelve planes of bytes: each coordinate's float32 bits as the difference to the point
+ * before, folded so that small differences of either sign are small numbers, the highest bytes of x, y and z first.
+ */
 
 const POINT_BYTES = 16;
 const LABEL_BYTES = 4;
 
+const MAX_POINTS = 4_000_000;
+const HEADER_BYTES = 16;
+const MAGIC = 0x50474c49; // "ILGP", little endian
+const VERSION = 1;
+
+/** Groups of the selection. */
+const ROAD = 1;
+const CONFUSABLE = 2;
+
+/**
+ * Table from label id to group: 1 road, 2 confusable, 0 neither.
+ * @param {{road: number[], confusable: number[]}} scheme
+ */
+export function groupsOf({ road, confusable }) {
+  const table = new Uint8Array(1 << 16);
+  for (const id of confusable) table[id] = CONFUSABLE;
+  for (const id of road) table[id] = ROAD;
+  return table;
+}
+
 /**
  * Pick the points of two groups of labels, those of the first in front, each in the order of the scan.
  *
- * @param {ArrayBuffer} scan float32 x y z remission a point.
- * @param {ArrayBuffer} labels uint32 a point, the id in the lower 16 bits.
+ * @param {ArrayBuffer} scan float32 x y z remission per point.
+ * @param {ArrayBuffer} labels uint32 per point, the id in the lower 16 bits.
  * @param {Uint8Array} groups Group of every id: 1 road, 2 confusable.
  * @param {string} scanName For messages.
  * @param {string} labelName
- * @returns {{bits: Uint32Array, roadCount: number}} Bits of the coordinates, three a point.
+ * @returns {{bits: Uint32Array, roadCount: number}} Bits of the coordinates, three per point.
  */
 export function selectPoints(scan, labels, groups, scanName, labelName) {
   checkSizes(scan.byteLength, labels.byteLength, scanName, labelName);
@@ -74,7 +101,7 @@ export async function reduceScan({ scan, labels, scanName, labelName }, groups) 
  */
 export async function countLabels(labels, name) {
   if (labels.size % LABEL_BYTES) {
-    throw new Error(labelSizeComplaint(labels.size, name));
+    throw new Error(`${name}: ${labelSizeMessage(labels.size)}`);
   }
   const counts = new Uint32Array(1 << 16);
   for (const label of new Uint32Array(await readWhole(labels, name))) {
@@ -112,15 +139,12 @@ export function sizeComplaint(scanBytes, labelBytes, scanName, labelName) {
     return {
       path: scanName,
       message:
-        `${text(scanBytes)} bytes, which is no multiple of 16. Expected four float32 a point (x y z remission). ` +
+        `${text(scanBytes)} bytes, which is not a multiple of 16. Expected four float32 per point (x y z remission). ` +
         "Usual cause: a file cut short while it was copied, or points with another number of values.",
     };
   }
   if (labelBytes % LABEL_BYTES) {
-    return {
-      path: labelName,
-      message: `${text(labelBytes)} bytes, which is no multiple of 4. Expected one uint32 a point.`,
-    };
+    return { path: labelName, message: labelSizeMessage(labelBytes) };
   }
   const points = scanBytes / POINT_BYTES;
   const labels = labelBytes / LABEL_BYTES;
@@ -135,13 +159,13 @@ export function sizeComplaint(scanBytes, labelBytes, scanName, labelName) {
   return null;
 }
 
-/** @param {number} size @param {string} name */
-function labelSizeComplaint(size, name) {
-  return `${name}: ${size.toLocaleString("en")} bytes, which is no multiple of 4. Expected one uint32 a point.`;
+/** @param {number} bytes */
+function labelSizeMessage(bytes) {
+  return `${bytes.toLocaleString("en")} bytes, which is not a multiple of 4. Expected one uint32 per point.`;
 }
 
 /** @param {Blob} blob @param {string} name */
-async function readWhole(blob, name) {
+export async function readWhole(blob, name) {
   try {
     return await blob.arrayBuffer();
   } catch {
@@ -149,4 +173,56 @@ async function readWhole(blob, name) {
       `${name}: cannot be read. It was changed, moved or is on a disk that is gone; pick the folder again.`,
     );
   }
+}
+
+/**
+ * Sort the bytes of the differences along the points by their weight.
+ *
+ * @param {Uint32Array} bits Three per point: the bits of its coordinates.
+ * @returns {Uint8Array<ArrayBuffer>} Twelve planes, each of one byte per point.
+ */
+export function splitPlanes(bits) {
+  const n = bits.length / 3;
+  const planes = new Uint8Array(12 * n);
+  for (let c = 0; c < 3; c += 1) {
+    let before = 0;
+    const first = c * n;
+    const second = (3 + c) * n;
+    const third = (6 + c) * n;
+    const last = (9 + c) * n;
+    for (let i = 0, at = c; i < n; i += 1, at += 3) {
+      const value = bits[at];
+      const step = (value - before) | 0;
+      before = value;
+      const folded = (step << 1) ^ (step >> 31);
+      planes[first + i] = folded >>> 24;
+      planes[second + i] = folded >>> 16;
+      planes[third + i] = folded >>> 8;
+      planes[last + i] = folded;
+    }
+  }
+  return planes;
+}
+
+/**
+ * Write the ground points of a scan.
+ *
+ * @param {Uint32Array} bits Three per point: the float32 bits of x, y, z in metres; road points first.
+ * @param {number} roadCount How many points are road.
+ * @returns {Promise<Uint8Array<ArrayBuffer>>}
+ */
+export async function encodeGround(bits, roadCount) {
+  const count = bits.length / 3;
+  if (count > MAX_POINTS) {
+    const most = MAX_POINTS.toLocaleString("en");
+    throw new Error(`${count.toLocaleString("en")} ground points; no scan has more than ${most}.`);
+  }
+  const zlib = new CompressionStream("deflate"); // zlib's format, with its checksum
+  const planes = /** @type {ReadableStream} */ (new Response(splitPlanes(bits)).body).pipeThrough(zlib);
+  const packed = new Uint8Array(await new Response(planes).arrayBuffer());
+  const bytes = new Uint8Array(HEADER_BYTES + packed.length);
+  const header = new DataView(bytes.buffer);
+  [MAGIC, VERSION, count, roadCount].forEach((value, i) => header.setUint32(4 * i, value, true));
+  bytes.set(packed, HEADER_BYTES);
+  return bytes;
 }

@@ -1,0 +1,170 @@
+/**
+ * What panels are made of: fields, choices, buttons, tables, dialogs.
+ * @module controls
+ */
+import { el, icon } from "./dom.js";
+
+let count = 0;
+
+/**
+ * @param {string} title
+ * @param {any} control
+ * @param {any} [hint]
+ * @returns {HTMLElement}
+ */
+export function field(title, control, hint) {
+  return el("label", { class: "field" }, el("span", {}, title), control, hint && el("small", {}, hint));
+}
+
+/**
+ * @param {Record<string, string>} choices Value -> text.
+ * @param {string} [value]
+ * @param {(value: string) => void} [onChange]
+ * @returns {HTMLSelectElement}
+ */
+export function select(choices, value, onChange) {
+  const options = Object.entries(choices).map(([key, text]) => el("option", { value: key }, text));
+  const element = el("select", { onChange: () => onChange?.(element.value) }, options);
+  if (value !== undefined) element.value = value;
+  return element;
+}
+
+/**
+ * Choices of which one holds, each with an explanation.
+ *
+ * @param {string} legend
+ * @param {{value: string, title: any, hint?: any, more?: any}[]} choices `more` is shown where it is chosen.
+ * @param {string} value
+ * @param {(value: string) => void} [onChange]
+ * @returns {{element: HTMLElement, value: () => string, choose: (value: string) => void}}
+ */
+export function radios(legend, choices, value, onChange) {
+  count += 1;
+  const name = `choice-${count}`;
+  const rows = choices.map((choice) => {
+    const checked = choice.value === value;
+    const input = el("input", { type: "radio", name, value: choice.value, checked, onChange: update });
+    const more = choice.more && el("div", { class: "more" }, choice.more);
+    const text = el("span", {}, choice.title, choice.hint && el("small", {}, choice.hint));
+    return { choice, input, more, element: el("div", {}, el("label", { class: "check" }, input, text), more) };
+  });
+  const chosen = () => rows.find(({ input }) => input.checked)?.choice.value ?? "";
+  function show() {
+    for (const { input, more } of rows) if (more) more.hidden = !input.checked;
+  }
+  function update() {
+    show();
+    onChange?.(chosen());
+  }
+  show();
+  const title = el("legend", { class: "field-name" }, legend);
+  const elements = rows.map((row) => row.element);
+  return {
+    element: el("fieldset", { class: "radios" }, title, elements),
+    value: chosen,
+    choose: (wanted) => {
+      for (const { choice, input } of rows) input.checked = choice.value === wanted;
+      show();
+    },
+  };
+}
+
+/**
+ * A button that lets a person pick files.
+ *
+ * @param {any} content Of the button.
+ * @param {(files: FileList) => void} onPick
+ * @param {{accept?: string, multiple?: boolean, folder?: boolean, name?: string, class?: string}} [options] `name`: of
+ *   the input, for tests.
+ */
+export function filePicker(content, onPick, { accept, multiple, folder, name, class: kind } = {}) {
+  const input = el("input", { type: "file", accept, multiple, hidden: true, name, webkitdirectory: folder || null });
+  input.addEventListener("change", () => {
+    if (input.files.length) onPick(input.files);
+    input.value = ""; // the same file may be picked again
+  });
+  const button = el("button", { type: "button", class: kind, onClick: () => input.click() }, content);
+  return el("span", {}, button, input);
+}
+
+/**
+ * @param {string} symbol Of `icons.svg`.
+ * @param {string} label Read aloud.
+ * @param {(event: Event) => void} onClick
+ * @param {string} [title] Shown under the pointer.
+ */
+export function iconButton(symbol, label, onClick, title = label) {
+  const props = { type: "button", class: "square plain", title, "aria-label": label, onClick };
+  return el("button", props, icon(symbol));
+}
+
+/** @param {string} title @param {...any} children */
+export function section(title, ...children) {
+  return el("section", { class: "stack-s" }, el("h3", {}, title), children);
+}
+
+/** A part of a result, with room above it. @param {string} title @param {...any} children */
+export function resultSection(title, ...children) {
+  return el("section", { class: "section" }, el("h3", {}, title), children);
+}
+
+/**
+ * Names and values, for a `dl`.
+ * @param {(([name: string, value: any])|null|undefined|false|0|"")[]} facts
+ * @returns {HTMLElement[][]}
+ */
+export function factRows(facts) {
+  return facts.flatMap((fact) => (fact ? [[el("dt", {}, fact[0]), el("dd", {}, fact[1])]] : []));
+}
+
+/** A figure in large. @param {string} value @param {string} name @param {string} [more] */
+export function figure(value, name, more) {
+  return el("div", { class: "figure" }, el("b", {}, value), el("span", {}, name), more && el("em", {}, more));
+}
+
+/**
+ * @param {string[]} heads
+ * @param {any[][]} rows Cells: `td` elements, or what goes into one.
+ * @returns {HTMLElement}
+ */
+export function table(heads, rows) {
+  const head = heads.map((name) => el("th", { scope: "col" }, name));
+  const body = rows.map((cells) =>
+    el(
+      "tr",
+      {},
+      cells.map((cell) => (cell instanceof HTMLTableCellElement ? cell : el("td", {}, cell))),
+    ),
+  );
+  return el("table", {}, el("thead", {}, el("tr", {}, head)), el("tbody", {}, body));
+}
+
+/**
+ * Open a dialog, to be removed when it is closed.
+ * @param {Record<string, any>} props
+ * @param {any[]} children
+ * @param {(answer: string) => void} [onClose] Gets the value of the button that closed it.
+ * @returns {HTMLDialogElement}
+ */
+export function openDialog(props, children, onClose) {
+  const dialog = el("dialog", props, children);
+  dialog.addEventListener("close", () => {
+    dialog.remove();
+    onClose?.(dialog.returnValue);
+  });
+  document.body.append(dialog);
+  dialog.showModal();
+  return dialog;
+}
+
+const SEVERITIES = /** @type {Record<string, string>} */ ({ error: "Error", warning: "Warning", note: "Note" });
+
+/** @param {import("./api.js").FileProblem[]} problems @returns {HTMLElement | null} */
+export function problemList(problems) {
+  if (!problems.length) return null;
+  const items = problems.map(({ severity, path, message }) => {
+    const kind = el("span", { class: "severity" }, SEVERITIES[severity] ?? severity);
+    return el("li", { class: `is-${severity}` }, kind, el("span", {}, el("code", {}, path), " ", message));
+  });
+  return el("ul", { class: "problems" }, items);
+}

@@ -1,0 +1,61 @@
+/**
+ * How drives and jobs are called and opened, wherever they are listed.
+ * @module job/words
+ */
+import { lists, ownSettings } from "../data/lists.js";
+import { el, formatAgo, formatMetres, plural } from "../dom.js";
+import { setState } from "../state.js";
+
+const STATES = /** @type {Record<string, [string, string]>} */ ({
+  uploading: ["Upload unfinished", ""],
+  checking: ["Being checked", "busy"],
+  ready: ["Ready", "good"],
+  accepted: ["Waiting", "busy"],
+  running: ["Running", "busy"],
+  successful: ["Done", "good"],
+  failed: ["Failed", "error"],
+  dismissed: ["Cancelled", ""],
+});
+
+/** @param {string} state @returns {HTMLElement} */
+export function stateBadge(state) {
+  const [text, kind] = STATES[state] ?? [state, ""];
+  return el("span", { class: `badge ${kind}` }, text);
+}
+
+/** @param {any} job @returns {string} Its name, or what it was asked for. */
+export function jobTitle(job) {
+  const request = job.request ?? {};
+  if (request.name) return request.name;
+  const parts = [`Preset ${request.preset ?? "default"}`];
+  if (request.osm) parts.push(`policy ${request.policy ?? "drive"}`);
+  if (ownSettings(request).length) parts.push("own settings");
+  return parts.join(", ");
+}
+
+/** @param {any} job @returns {string} Its title, and when it ended or which state it is in. */
+export function jobName(job) {
+  const title = jobTitle(job).replace("Preset ", "").replace("policy ", "");
+  return `${title} · ${job.state === "successful" ? formatAgo(job.finished_at ?? job.created_at) : job.state}`;
+}
+
+/** @param {any} job @returns {string} The result in a few words. */
+export function outcomeOf(job) {
+  const { intersections, report } = job.summary ?? {};
+  const parts = [];
+  if (intersections !== undefined) parts.push(plural(intersections, "intersection"));
+  if (report?.ace_m !== undefined && report.ace_m !== null) parts.push(`ACE ${formatMetres(report.ace_m)}`);
+  return parts.join(", ");
+}
+
+/** Show a drive, with its newest job if there is one. @param {string} id */
+export function openDrive(id) {
+  const jobs = lists.jobs.filter((each) => each.drive_id === id);
+  const job = jobs.find((each) => each.state === "successful") ?? jobs[0];
+  setState({ drive: id || null, job: job?.id ?? null, frame: null, view: null, panel: job ? "job" : "drives" });
+}
+
+/** @param {any} job */
+export function openJob(job) {
+  setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null });
+}

@@ -1,0 +1,95 @@
+/**
+ * Errors, news and questions: as boxes in a panel, floating where no panel asked, or as dialogs.
+ * @module messages
+ */
+import { ApiError } from "./api.js";
+import { field, iconButton, openDialog } from "./controls.js";
+import { el } from "./dom.js";
+
+const MAX_SHOWN = 20;
+
+/**
+ * A box that says what went wrong, in the server's words.
+ * @param {unknown} error An error, or a problem document.
+ */
+export function problemNote(error) {
+  const problem = /** @type {any} */ (error);
+  const title = problem.title ?? "Something went wrong";
+  const detail = problem.detail ?? problem.message ?? String(error);
+  return el("div", { class: "note error" }, el("strong", {}, title), detail, fileProblems(problem.problems ?? []));
+}
+
+/** @param {import("./api.js").FileProblem[]} problems */
+function fileProblems(problems) {
+  if (!problems.length) return null;
+  const shown = problems.slice(0, MAX_SHOWN).map((each) => el("li", {}, el("code", {}, each.path), " ", each.message));
+  if (problems.length > shown.length) shown.push(el("li", {}, `and ${problems.length - shown.length} more`));
+  return el("ul", {}, shown);
+}
+
+/**
+ * Show an error that no panel shows.
+ * @param {unknown} error
+ */
+export function showError(error) {
+  if (error instanceof DOMException && error.name === "AbortError") return;
+  if (error instanceof Error && !(error instanceof ApiError)) console.error(error);
+  toast(problemNote(error), 15000);
+}
+
+/** @param {string} text */
+export function showMessage(text) {
+  toast(el("div", { class: "note" }, text), 4000);
+}
+
+/** @param {HTMLElement} note @param {number} ms */
+function toast(note, ms) {
+  const region = document.getElementById("toasts");
+  if (!region) return;
+  if ([...region.children].some((other) => other.firstChild?.textContent === note.textContent)) return;
+  const close = iconButton("close", "Close", () => box.remove(), "");
+  const box = el("div", { class: "toast" }, note, close);
+  region.append(box);
+  setTimeout(() => box.remove(), ms);
+}
+
+/**
+ * Ask yes or no.
+ * @param {string} title
+ * @param {string} text
+ * @param {string} yes The name of the action.
+ * @returns {Promise<boolean>}
+ */
+export function confirmAction(title, text, yes) {
+  return new Promise((resolve) => {
+    const keep = el("button", { value: "no" }, "Keep");
+    const act = el("button", { class: "danger", value: "yes" }, yes);
+    const actions = el("div", { class: "actions" }, keep, act);
+    const form = el("form", { method: "dialog" }, el("h2", {}, title), el("p", { class: "quiet" }, text), actions);
+    openDialog({}, [form], (answer) => resolve(answer === "yes"));
+  });
+}
+
+/**
+ * Ask for a token, when the server requires one.
+ * @param {boolean} wrong Whether a token was refused.
+ * @returns {Promise<string|null>} null when the person gave up.
+ */
+export function askForToken(wrong) {
+  return new Promise((resolve) => {
+    const input = el("input", { type: "password", autocomplete: "off", spellcheck: false, required: true });
+    const refused = "The server refused this token. Was it copied completely, and is it still valid?";
+    const hint = "The operator creates one with “interloc token add NAME”. It is kept until this tab is closed.";
+    const later = el("button", { type: "button", onClick: () => dialog.close("") }, "Not now");
+    const form = el(
+      "form",
+      { method: "dialog", class: "stack" },
+      el("h2", {}, "This server requires a token"),
+      wrong && el("p", { class: "note error" }, refused),
+      field("API token", input, hint),
+      el("div", { class: "actions" }, later, el("button", { class: "primary", value: "use" }, "Use token")),
+    );
+    const dialog = openDialog({}, [form], (answer) => resolve(answer === "use" ? input.value.trim() : null));
+    input.focus();
+  });
+}

@@ -1,0 +1,142 @@
+/**
+ * What is around the panels: the header with drive and job at hand, and the tabs, the steps from a drive to its files.
+ * @module shell
+ */
+import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
+import { lists, loadPresets, onListsChange, refreshLists } from "./data/lists.js";
+import { el, fill, icon } from "./dom.js";
+import { jobName, openDrive } from "./job/words.js";
+import { askForToken, problemNote, showError } from "./messages.js";
+import { getState, setState, subscribe } from "./state.js";
+
+/** @param {HTMLElement} header */
+export function mountHeader(header) {
+  const openJob = () => setState({ job: jobs.value || null, frame: null, view: null });
+  const drives = el("select", { "aria-label": "Drive", onChange: () => openDrive(drives.value) });
+  const jobs = el("select", { "aria-label": "Job", onChange: openJob });
+  const token = el("button", { class: "plain", onClick: () => changeToken().catch(showError) });
+  const logo = el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 });
+  const docs = { class: "button plain", href: new URL("docs", ROOT).href, target: "_blank", rel: "noopener" };
+  const slash = el("span", { class: "quiet", "aria-hidden": "true" }, "/");
+  fill(
+    header,
+    el("a", { class: "brand", href: "#", onClick: home }, logo, "InterLoc"),
+    el("nav", { class: "switcher", "aria-label": "Drive and job" }, drives, slash, jobs),
+    el("span", { class: "grow" }),
+    token,
+    el("a", docs, "API"),
+    el("span", { class: "small version" }, getConfig().version && `v${getConfig().version}`),
+  );
+
+  const update = () => {
+    const { drive, job } = getState();
+    const isKnown = lists.drives.some((each) => each.id === drive);
+    fill(
+      drives,
+      option("", lists.drives.length ? "Choose a drive" : "No drive yet"),
+      drive && !isKnown && option(drive, drive),
+      lists.drives.map((each) => option(each.id, each.name)),
+    );
+    drives.value = drive ?? "";
+    const own = lists.jobs.filter((each) => each.drive_id === drive);
+    fill(
+      jobs,
+      option("", own.length ? "Choose a job" : "No job yet"),
+      job && !own.some((each) => each.id === job) && option(job, job),
+      own.map((each) => option(each.id, jobName(each))),
+    );
+    jobs.value = job ?? "";
+    jobs.disabled = !drive;
+    token.hidden = !getConfig().needs_token && !getToken();
+    fill(token, icon("key"), getToken() ? "Token set" : "Set token");
+  };
+  subscribe(["drive", "job"], update);
+  subscribe(["drive"], ({ drive }) => {
+    const isNew = drive && lists.isLoaded && !lists.drives.some((each) => each.id === drive);
+    if (isNew) refreshLists().catch(showError); // just uploaded
+  });
+  onListsChange(update);
+  onTokenChange(update);
+  update();
+  loadPresets().catch(showError);
+  refreshLists().catch(showError);
+}
+
+/** @param {string} value @param {string} text */
+const option = (value, text) => el("option", { value }, text);
+
+/** @param {Event} event */
+function home(event) {
+  event.preventDefault();
+  setState({ panel: "drives" });
+}
+
+async function changeToken() {
+  const token = await askForToken(false);
+  if (!token) return;
+  setToken(token);
+  await getJson("drives?limit=1");
+  await refreshLists();
+}
+
+/**
+ * Panels are loaded when they are first shown.
+ * @param {Record<string, {title: string, load: () => Promise<{mount: (container: HTMLElement) => void}>}>} panels
+ */
+export function mountTabs(panels) {
+  const list = /** @type {HTMLElement} */ (document.getElementById("tabs"));
+  const panel = /** @type {HTMLElement} */ (document.getElementById("panel"));
+  const names = Object.keys(panels);
+  /** @type {Record<string, HTMLElement>} */
+  const bodies = {};
+  const tabs = names.map((name) =>
+    el(
+      "button",
+      { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => setState({ panel: name }) },
+      panels[name].title,
+    ),
+  );
+  fill(list, tabs);
+  list.addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    if (!step) return;
+    const usable = names.filter((_, i) => !tabs[i].disabled);
+    const next = usable[(usable.indexOf(shown()) + step + usable.length) % usable.length];
+    setState({ panel: next });
+    document.getElementById(`tab-${next}`)?.focus();
+    event.preventDefault();
+  });
+
+  const shown = () => (names.includes(getState().panel) ? getState().panel : names[0]);
+  const update = () => {
+    const current = shown();
+    const leaves = Object.entries(bodies).some(
+      ([name, body]) => name !== current && body.contains(document.activeElement),
+    );
+    names.forEach((name, i) => {
+      const needsJob = name === "job" || name === "report" || name === "export";
+      tabs[i].disabled = needsJob && !getState().job && name !== current;
+      tabs[i].setAttribute("aria-selected", String(name === current));
+      tabs[i].tabIndex = name === current ? 0 : -1;
+      if (bodies[name]) bodies[name].hidden = name !== current;
+    });
+    if (!bodies[current]) {
+      const body = el("div", {
+        role: "tabpanel",
+        id: `panel-${current}`,
+        "aria-labelledby": `tab-${current}`,
+        class: "body",
+      });
+      bodies[current] = body;
+      panel.append(body);
+      panels[current].load().then(
+        (module) => module.mount(body),
+        (error) => fill(body, problemNote(error)),
+      );
+    }
+    if (leaves) panel.focus(); // what had the focus is hidden now
+    panel.scrollTop = 0;
+  };
+  subscribe(["panel", "job"], update);
+  update();
+}
