@@ -281,7 +281,7 @@ def test_an_archive_is_unpacked_and_run(upload: Upload, server: ServerProcess, s
     check_results(server.client, upload.job(), street, tmp_path / "out")
 
 
-def test_what_is_wrong_is_told_before_anything_is_sent(upload: Upload, street: Path, tmp_path: Path) -> None:
+def test_what_is_wrong_is_shown_before_anything_is_sent(upload: Upload, street: Path, tmp_path: Path) -> None:
     broken = Path(shutil.copytree(street, tmp_path / "broken"))
     (broken / "labels/000007.label").unlink()
     (broken / "poses.txt").unlink()
@@ -298,7 +298,7 @@ def test_what_is_wrong_is_told_before_anything_is_sent(upload: Upload, street: P
     assert "the scans themselves: pick the folder above it" in upload.text()
 
 
-def test_what_the_plan_refuses_can_be_mended(
+def test_what_the_plan_refuses_can_be_corrected(
     upload: Upload, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
     cut = Path(shutil.copytree(street, tmp_path / "cut"))
@@ -310,7 +310,7 @@ def test_what_the_plan_refuses_can_be_mended(
     assert "40 poses for the scans 0 to 59" in upload.text()
     assert not any(path.startswith("ground/") for path in upload.sent)
     (cut / "poses.txt").write_text("\n".join(lines) + "\n")
-    upload.press("Pick the mended folder")
+    upload.press("Pick the corrected folder")
     upload.page.wait_for_selector(".drop")
     upload.pick(cut)
     upload.press("Upload and run")
@@ -344,7 +344,7 @@ def test_settings_labels_and_maps_of_the_form_reach_the_job(
     upload.page.set_input_files("input[name=osm-file]", tmp_path / "city.osm")
     upload.page.get_by_label("Preset").first.select_option("paper")
     upload.page.get_by_label("Side of a cell").fill("0.25")
-    upload.page.get_by_label("Way between keyframes").fill("4")
+    upload.page.get_by_label("Distance between keyframes").fill("4")
     upload.press("Upload and run")
     job = ended(server.client, upload.job())
     assert job["state"] == "successful", job["error"]

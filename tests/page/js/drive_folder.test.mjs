@@ -1,9 +1,21 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { checkDrive, noDriveReason } from "../../../static/js/upload/checks.js";
-import { findDrives } from "../../../static/js/upload/drive_folder.js";
-import { runsOf } from "../../../static/js/upload/numbered.js";
+import { setConfig } from "../../../static/js/api.js";
+import {
+  checkDrive,
+  findDrives,
+  noDriveReason,
+  oxtsRows,
+  runsOf,
+  sampleOf,
+} from "../../../static/js/upload/drive_folder.js";
+import { fingerprintOf } from "../../../static/js/upload/memory.js";
+
+setConfig({
+  file_kinds: { maps: [".osm", ".osm.gz", ".osm.bz2", ".osm.pbf"], archives: [".zip"] },
+  raw_first_frames: { "2011_09_30_drive_0028": 1100 },
+});
 
 const POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n";
 
@@ -129,7 +141,7 @@ test("a reduced drive is sent as it is", async () => {
   assert.deepEqual(checkDrive(drive, [], false), []);
 });
 
-test("missing labels, poses and sizes that do not fit are told before anything is sent", async () => {
+test("missing labels, poses and sizes that do not fit are listed before anything is sent", async () => {
   const files = { ...scans("", [0, 1, 2, 3]), "calib.txt": "Tr: 1" };
   delete files["labels/000002.label"];
   files["labels/000001.label"] = 8;
@@ -140,21 +152,21 @@ test("missing labels, poses and sizes that do not fit are told before anything i
   assert.equal(errors.length, 4);
   assert.match(errors[0], /labels\/000002\.label is missing: 1 of 4 scans/);
   assert.match(errors[1], /labels\/000001\.label 2 labels for 3 points in velodyne\/000001\.bin/);
-  assert.match(errors[2], /velodyne\/000003\.bin 50 bytes, which is no multiple of 16/);
+  assert.match(errors[2], /velodyne\/000003\.bin 50 bytes, which is not a multiple of 16/);
   assert.match(errors[3], /poses\.txt is missing/);
   assert.match(texts(problems, "note")[0], /local metres/);
 });
 
-test("names that are no scan numbers are told", async () => {
+test("names that are not scan numbers are listed", async () => {
   const [drive] = await findDrives(
     folder({ ...scans("", [0, 1]), "velodyne/scan.bin": 16, "velodyne/7.bin": 16, "poses.txt": POSE }),
   );
   const errors = texts(drive.problems, "error");
   assert.match(errors[0], /velodyne\/scan\.bin is not named by its scan number/);
-  assert.match(errors[1], /numbered otherwise than its neighbours/);
+  assert.match(errors[1], /numbered differently from its neighbours/);
 });
 
-test("a folder that is no drive is explained", async () => {
+test("a folder that is not a drive is explained", async () => {
   for (const [files, words] of [
     [{ "000000.bin": 16 }, /the scans themselves: pick the folder above/],
     [{ "x/data.zip": 1 }, /holds an archive/],
@@ -184,4 +196,59 @@ test("ten thousand scans are sorted at once", async () => {
     [3, 2],
     [9, 1],
   ]);
+});
+
+test("samples are spread from the first to the last", () => {
+  assert.deepEqual(sampleOf([1, 2, 3]), [1, 2, 3]);
+  assert.deepEqual(sampleOf(Array.from({ length: 101 }, (_, i) => i)), [0, 25, 50, 75, 100]);
+});
+
+test("the fingerprint of a folder tells its files, whatever their order", () => {
+  const file = (text, lastModified) => new File([text], "x", { lastModified });
+  const files = [
+    ["a", file("1", 5)],
+    ["b", file("22", 6)],
+  ];
+  const mark = fingerprintOf(files);
+  assert.equal(fingerprintOf([...files].reverse()), mark);
+  assert.notEqual(
+    fingerprintOf([
+      ["a", file("1", 5)],
+      ["b", file("22", 7)],
+    ]),
+    mark,
+  );
+  assert.notEqual(
+    fingerprintOf([
+      ["a", file("1", 5)],
+      ["b", file("2", 6)],
+    ]),
+    mark,
+  );
+  assert.notEqual(
+    fingerprintOf([
+      ["a", file("1", 5)],
+      ["c", file("22", 6)],
+    ]),
+    mark,
+  );
+});
+
+test("the OXTS of a raw drive become one row per frame, from the first frame of the sequence", async () => {
+  const raw = (name, count, from = 0) => ({
+    name,
+    handle: null,
+    files: new Map(
+      Array.from({ length: count }, (_, i) => {
+        const path = `oxts/data/${String(i + from).padStart(10, "0")}.txt`;
+        return [path, new File([`${i + from}  8.4\n`], "x")];
+      }),
+    ),
+  });
+  const rows = await (await oxtsRows(raw("2011_09_30_drive_0027_sync", 3))).text();
+  assert.equal(rows, "0 8.4\n1 8.4\n2 8.4\n");
+  const eighth = await (await oxtsRows(raw("2011_09_30_drive_0028_sync", 1103))).text();
+  assert.equal(eighth, "1100 8.4\n1101 8.4\n1102 8.4\n");
+  await assert.rejects(oxtsRows(raw("x", 3, 2)), /frames are missing/);
+  await assert.rejects(oxtsRows(raw("x", 0)), /no OXTS file/);
 });

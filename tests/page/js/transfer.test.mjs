@@ -2,8 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { ApiError } from "../../../static/js/api.js";
-import { Meter } from "../../../static/js/upload/meter.js";
-import { Transfer } from "../../../static/js/upload/transfer.js";
+import { Meter, Transfer } from "../../../static/js/upload/transfer.js";
 
 const until = async (holds) => {
   while (!holds()) await new Promise((resolve) => setTimeout(resolve, 1));
@@ -32,7 +31,7 @@ test("some items are worked on at once, each one once", async () => {
   assert.equal(most, 4);
 });
 
-test("the first failure ends it, and is told", async () => {
+test("the first failure ends it, and is thrown", async () => {
   const transfer = new Transfer(() => {});
   let begun = 0;
   const work = async (item) => {
@@ -74,11 +73,11 @@ test("stopping ends what is paused", async () => {
   await assert.rejects(all, { name: "AbortError" });
 });
 
-test("what may pass is tried again, and said so; what may not is not", async () => {
-  const said = [];
-  const transfer = new Transfer(() => said.push(transfer.waiting));
+test("what may pass is tried again, and shown; what may not is not", async () => {
+  const waits = [];
+  const transfer = new Transfer(() => waits.push(transfer.waiting));
   let tries = 0;
-  const result = await transfer.insist(async () => {
+  const result = await transfer.retry(async () => {
     tries += 1;
     if (tries === 1) throw new ApiError(503, { title: "Database busy", detail: "" }, 0);
     if (tries === 2) throw new ApiError(0, { title: "Server not reached" }, 0);
@@ -86,11 +85,11 @@ test("what may pass is tried again, and said so; what may not is not", async () 
   });
   assert.equal(result, "sent");
   assert.equal(tries, 3);
-  assert.match(said[0], /^Database busy\. Trying again in 0 s\.$/);
+  assert.match(waits[0], /^Database busy\. Trying again in 0 s\.$/);
   assert.equal(transfer.waiting, null);
 
   let once = 0;
-  const refused = transfer.insist(async () => {
+  const refused = transfer.retry(async () => {
     once += 1;
     throw new ApiError(409, { title: "Drive is ready", detail: "It takes no more files." });
   });
@@ -98,7 +97,7 @@ test("what may pass is tried again, and said so; what may not is not", async () 
   assert.equal(once, 1);
 });
 
-test("the meter tells speed and time left from the last seconds, not from the first", () => {
+test("the meter computes speed and time left from the last seconds, not from the first", () => {
   let now = 0;
   const meter = new Meter(() => now);
   meter.total = 10_000;
