@@ -1,7 +1,7 @@
 /**
  * The service as the page uses it: requests with the token, errors in the server's words, events, downloads.
  *
- * Paths are relative to `/api/v1/` ("drives", `jobs/${id}/report`). Works in workers too, but for the question for a token.
+ * Paths are relative to `/api/v1/` ("drives", `jobs/${id}/report`). Works in workers too, except for the dialog for a token.
  * @module api
  */
 
@@ -65,8 +65,8 @@ let askToken = null;
 let asking = null;
 
 /**
- * Set who asks the person for a token when the server wants one.
- * @param {(wrong: boolean) => Promise<string|null>} ask Told whether one was refused; null: the person gave up.
+ * Set who asks the person for a token when the server requires one.
+ * @param {(wrong: boolean) => Promise<string|null>} ask Its argument: whether a token was refused. null: the person gave up.
  */
 export function onTokenNeeded(ask) {
   askToken = ask;
@@ -302,7 +302,7 @@ export function sleep(ms, signal) {
  * Save what an address gives: the browser's own download where it may, through memory where a token is needed.
  *
  * @param {string} path
- * @param {string} name Of the file, should the server not say.
+ * @param {string} name Of the file, where the server gives none.
  */
 export async function download(path, name) {
   if (!getToken()) {
@@ -327,7 +327,7 @@ function save(url, name) {
 }
 
 /**
- * @typedef {object} PageConfig What the service tells the page about itself, `/config.json`.
+ * @typedef {object} PageConfig What the service reports about itself, `/config.json`.
  * @property {string} version
  * @property {string|null} tile_url
  * @property {string} tile_attribution

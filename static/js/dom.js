@@ -86,7 +86,7 @@ export function icon(name, label) {
 }
 
 /**
- * Say something to screen readers, at the next pause.
+ * Announce something to screen readers, at the next pause.
  * @param {string} text
  */
 export function announce(text) {

@@ -241,7 +241,7 @@ def test_a_paused_upload_stands_still_and_goes_on(upload: Upload, server: Server
     upload.wait_for_scans(5)
     upload.press("Pause")
     upload.release()
-    upload.page.wait_for_selector("text=What is on its way still arrives")
+    upload.page.wait_for_selector("text=What is being sent still arrives")
     while upload.under_way:
         upload.page.wait_for_timeout(50)
     sent = len(upload.sent)

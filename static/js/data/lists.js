@@ -24,7 +24,7 @@ export async function refreshLists() {
   notify();
 }
 
-/** Ask for the presets, once: they tell which settings of a job are its own. */
+/** Ask for the presets, once: they show which settings of a job are its own. */
 export async function loadPresets() {
   if (lists.presets.length) return;
   lists.presets = (await getJson("presets")).presets;

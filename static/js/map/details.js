@@ -108,7 +108,7 @@ export function goTo(hit) {
   const { map, result } = shown;
   if (!map || !result) return;
   const zoom = Math.max(map.getZoom(), result.local ? 2.5 : 18.5);
-  map.once("moveend", () => openDetails(map, hit, result.local)); // on the way there the box would not find its room
+  map.once("moveend", () => openDetails(map, hit, result.local)); // while it moves the box would not find its room
   map.setView([hit.item.lat, hit.item.lng], zoom, { animate: true });
 }
 

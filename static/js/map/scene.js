@@ -49,7 +49,7 @@ export class Scene {
     this.roads.sort((a, b) => a.width - b.width);
     /** @type {Set<string>} */
     this.on = new Set();
-    /** Share of the way that a running job is through with. */
+    /** Share of the drive that a running job has processed. */
     this.progress = 0;
   }
 
@@ -260,10 +260,10 @@ export class Scene {
 /** @param {Points} points @param {import("./surface.js").View} view @param {number} x @param {number} y @param {number} reach @param {(item: any) => boolean} chosen */
 function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
   let row = -1;
-  let least = reach * reach;
+  let min = reach * reach;
   for (let i = 0; i < items.length; i += 1) {
     const d = (view.x(xs[i]) - x) ** 2 + (view.y(ys[i]) - y) ** 2;
-    if (d < least && chosen(items[i])) [row, least] = [i, d];
+    if (d < min && chosen(items[i])) [row, min] = [i, d];
   }
   return row;
 }

@@ -1,6 +1,6 @@
 /**
  * One canvas under the map on which everything of a result is drawn at once: ten thousand symbols cost a few
- * milliseconds a frame at rest and nothing while the map is dragged, since the canvas is larger than what is seen.
+ * milliseconds per frame at rest and nothing while the map is dragged, since the canvas is larger than what is seen.
  * @module map/surface
  */
 import { Browser, DomUtil, Renderer } from "../leaflet.js";
@@ -104,7 +104,7 @@ export class View {
   }
 }
 
-/** @param {any} map @param {number} zoom @returns {number} Pixels a metre in the middle of the map. */
+/** @param {any} map @param {number} zoom @returns {number} Pixels per metre in the middle of the map. */
 export function pixelsPerMetre(map, zoom) {
   const { crs } = map.options;
   if (crs.code !== "EPSG:3857") return crs.scale(zoom);

@@ -1,5 +1,5 @@
 /**
- * Map tiles: only when switched on, since they tell another server which place is looked at.
+ * Map tiles: only when switched on, since another server learns which place is looked at.
  * @module map/tiles
  */
 

@@ -159,9 +159,9 @@ function drawDensity(
     sizes[bin] += 1;
     for (const each of result.byFrame.get(properties.frame) ?? []) (each.outcome === "FP" ? falses : trues)[bin] += 1;
   });
-  let most = 1;
-  for (let i = 0; i < bins; i += 1) most = Math.max(most, (trues[i] + falses[i]) / sizes[i]);
-  const unit = (h - 2) / most;
+  let max = 1;
+  for (let i = 0; i < bins; i += 1) max = Math.max(max, (trues[i] + falses[i]) / sizes[i]);
+  const unit = (h - 2) / max;
   const width = w / bins;
   for (let i = 0; i < bins; i += 1) {
     const low = (trues[i] / sizes[i]) * unit;

@@ -112,14 +112,14 @@ export function lineChart(lines, { max, mark, onMark }) {
 
 /**
  * Counts of errors.
- * @param {number[]} counts The last one holds all beyond.
+ * @param {number[]} counts The last one includes all beyond.
  * @param {{width: number, limit: number}} options `width` of a bin; from `limit` on bars are in the colour of false.
  */
 export function barChart(counts, { width, limit }) {
   const h = 130;
-  const most = Math.max(1, ...counts);
+  const max = Math.max(1, ...counts);
   const step = (W - BOX.left - BOX.right) / counts.length;
-  const y = (/** @type {number} */ count) => BOX.top + (1 - count / most) * (h - BOX.top - BOX.bottom);
+  const y = (/** @type {number} */ count) => BOX.top + (1 - count / max) * (h - BOX.top - BOX.bottom);
   const total = counts.reduce((sum, each) => sum + each, 0);
   const legend = el("p", { class: "small number" });
   const describe = (/** @type {number|null} */ i) => {
@@ -141,8 +141,8 @@ export function barChart(counts, { width, limit }) {
       "aria-label": "Histogram of the errors",
       onPointerleave: () => describe(null),
     },
-    svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, formatCount(most)),
-    svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(most), y2: y(most) }),
+    svg("text", { x: BOX.left - 6, y: BOX.top + 6, "text-anchor": "end" }, formatCount(max)),
+    svg("line", { class: "grid", x1: BOX.left, x2: W - BOX.right, y1: y(max), y2: y(max) }),
     svg("line", { class: "axis", x1: BOX.left, x2: W - BOX.right, y1: y(0), y2: y(0) }),
     counts.map((count, i) => [
       svg("rect", {

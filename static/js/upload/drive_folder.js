@@ -1,8 +1,8 @@
 /**
- * Which drives a picked folder holds, which of its files belong to them, and what their names and sizes tell.
+ * Which drives a picked folder holds, which of its files belong to them, and what is wrong by their names and sizes.
  *
  * Only the browser sees the folder, so what is missing or cut short is reported here, before anything is sent. The
- * service judges all that takes reading: poses, georeference, labels, calibration.
+ * service judges all that has to be read: poses, georeference, labels, calibration.
  */
 
 import { getConfig, isMap } from "../api.js";
@@ -219,7 +219,7 @@ export function numberedFiles(files, folder, suffix, problems) {
   }
   if (!found.length) return null;
   found.sort((a, b) => a[0] - b[0]);
-  const digits = found.reduce((least, [, , stem]) => Math.min(least, stem.length), Infinity);
+  const digits = found.reduce((min, [, , stem]) => Math.min(min, stem.length), Infinity);
   const odd = found.find(([number, , stem]) => stem !== String(number).padStart(digits, "0"));
   if (odd) {
     const text = `is numbered differently from its neighbours (${digits} digits). Usual cause: files of two drives in one folder.`;
@@ -251,10 +251,10 @@ export function runsOf(numbers) {
   return runs;
 }
 
-/** @param {number[]} numbers @param {number} [most] @returns {string} "3, 4, 5 and 12 more" */
-function listed(numbers, most = 5) {
-  const head = numbers.slice(0, most).join(", ");
-  return numbers.length > most ? `${head} and ${formatCount(numbers.length - most)} more` : head;
+/** @param {number[]} numbers @param {number} [max] @returns {string} "3, 4, 5 and 12 more" */
+function listed(numbers, max = 5) {
+  const head = numbers.slice(0, max).join(", ");
+  return numbers.length > max ? `${head} and ${formatCount(numbers.length - max)} more` : head;
 }
 
 /**
@@ -286,7 +286,7 @@ const EXPECTED =
   "or velodyne_points/data/ and oxts/ (KITTI raw).";
 
 /**
- * List what is wrong with, or worth knowing of, a drive, as far as names and sizes tell.
+ * List what is wrong with, or worth knowing of, a drive, as far as names and sizes show.
  *
  * @param {DriveFolder} drive
  * @param {string[]} folders Label folders that are to be sent.

@@ -27,7 +27,7 @@ import { countFolders, groundBytesOf } from "./upload.js";
 const ADDED = /^(poses|cam0_to_world|times|calib[^/]*)\.txt$|^geo\.csv$/;
 
 const POSE_FRAMES = {
-  auto: "Tell by the motion",
+  auto: "Detect from the motion",
   camera: "Camera (KITTI, SemanticKITTI)",
   lidar: "LiDAR (kiss-icp and others)",
 };
@@ -93,7 +93,7 @@ export function formView(
   /** @type {FileProblem[]} */
   let labelProblems = [];
   let asked = 0;
-  /** Count the label ids of some scans, and let the service say what they mean. */
+  /** Count the label ids of some scans, and let the service judge what they mean. */
   async function judge() {
     if (!drive || !isOpen) return;
     asked += 1;
@@ -333,7 +333,7 @@ function labelSection(before, isUnknown, { onChange, onFolder }) {
     name,
     `${title} (road = ${road.join(", ")})`,
   ]);
-  const choices = { auto: "Tell by the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
+  const choices = { auto: "Detect from the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
   const chosen = before?.options.label_scheme ?? "auto";
   const isCustom = !(chosen in choices);
   const ids = el("input", { type: "text", placeholder: "40, 60", value: isCustom ? chosen : "", onInput: onChange });
@@ -420,9 +420,9 @@ function readingSection(before, onChange) {
   const ofDrive = "oxts/ or geo.csv; without them, local metres only.";
   const ofOthers = "One row of OXTS per frame, a geo.csv, or the KITTI raw drive of an odometry sequence.";
   const source = radios(
-    "Where it was on Earth",
+    "Georeference",
     [
-      { value: "drive", title: "What the folder says", hint: ofDrive },
+      { value: "drive", title: "From the folder", hint: ofDrive },
       { value: "other", title: "From elsewhere", hint: ofOthers, more: pickers },
     ],
     "drive",
@@ -430,7 +430,7 @@ function readingSection(before, onChange) {
   );
   const poseFrame = select(POSE_FRAMES, before?.options.pose_frame ?? "auto", onChange);
   const { reduced: _, ...layouts } = LAYOUTS;
-  const layout = select({ auto: "Tell by the folder", ...layouts }, before?.options.layout ?? "auto", onChange);
+  const layout = select({ auto: "Detect from the folder", ...layouts }, before?.options.layout ?? "auto", onChange);
   const poses = field("Poses are those of", poseFrame, "A wrong choice is noticed: the road would not be flat.");
   const grid = el("div", { class: "grid-2" }, poses, field("Layout", layout));
   const isMissing = () => source.value() === "other" && !fix;
@@ -440,6 +440,6 @@ function readingSection(before, onChange) {
     read: () => ({ pose_frame: poseFrame.value, layout: layout.value }),
     georeference: () => (source.value() === "other" ? fix : null),
     /** @returns {string | null} */
-    complaint: () => (isMissing() ? "Choose the georeference from elsewhere, or take what the folder says." : null),
+    complaint: () => (isMissing() ? "Choose the georeference from elsewhere, or use that of the folder." : null),
   };
 }

@@ -36,14 +36,14 @@ export function jobForm(known, onChange) {
   };
   const mapPicker = filePicker("Choose a file …", pickMap, { accept: ".osm,.gz,.bz2,.pbf", name: "osm-file" });
   const other = el("div", { class: "row" }, mapPicker, otherName);
-  const inside = "If it holds an .osm file; else intersections are only found.";
+  const inside = "If there is an .osm file in it; otherwise intersections are found but not scored.";
   const overpass = "From a public Overpass server, which learns where the drive is.";
   const choices = [
     ...known.maps.map((path) => ({ value: `file:${path}`, title: el("code", {}, path), hint: "In the folder." })),
     ...(known.isArchive ? [{ value: "inside", title: "The map in the archive", hint: inside }] : []),
     { value: "other", title: "A file of mine", hint: endings.join(", "), more: other },
     ...(getConfig().overpass ? [{ value: "overpass", title: "Fetch the map of today", hint: overpass }] : []),
-    { value: "none", title: "No map", hint: "Find intersections only." },
+    { value: "none", title: "No map", hint: "Intersections are found but not scored." },
   ];
   const map = radios("OpenStreetMap to score against", choices, usualMap(known), () => (showPolicy(), onChange()));
 
@@ -87,7 +87,7 @@ export function jobForm(known, onChange) {
     element: el("div", { class: "stack" }, ofMap, section("Method", labelsField, settings.element)),
     setFolders,
     setGeoreference,
-    /** What stands in the way, in words. @returns {string | null} */
+    /** What has to be changed first, in words. @returns {string | null} */
     complaint: () => {
       if (map.value() === "other" && !otherMap) return "Choose the OSM file, or another map.";
       return settings.isValid() && tolerance.validity.valid ? null : "A setting is out of its range.";
@@ -294,8 +294,8 @@ function inputFor(schema, value, onChange) {
 function rangeOf(schema) {
   const number = (schema.anyOf ?? [schema]).find((/** @type {any} */ each) => each.maximum !== undefined);
   if (!number) return "";
-  const least = number.minimum ?? number.exclusiveMinimum;
-  return least === undefined ? `at most ${number.maximum}` : `${least} to ${number.maximum}`;
+  const min = number.minimum ?? number.exclusiveMinimum;
+  return min === undefined ? `at most ${number.maximum}` : `${min} to ${number.maximum}`;
 }
 
 /** @param {any} value */

@@ -118,7 +118,7 @@ async function showStart(message = null, begun = null) {
   );
 }
 
-/** Do something that may fail, and say so where it began. @param {() => Promise<void>} work */
+/** Do something that may fail, and show it where it began. @param {() => Promise<void>} work */
 function run(work) {
   work().catch((error) => showStart(problemNote(error)).catch(showError));
 }
@@ -133,7 +133,7 @@ async function stillOpen() {
         const drive = await getJson(`drives/${upload.driveId}`);
         if (drive.state !== "ready") return { ...upload, arrived: drive };
       } catch (error) {
-        if (!(error instanceof ApiError && error.status === 404)) return { ...upload, arrived: null }; // cannot tell now
+        if (!(error instanceof ApiError && error.status === 404)) return { ...upload, arrived: null }; // unknown now
       }
       forget(upload.driveId);
       return null;

@@ -63,7 +63,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     bar.hidden = status === "failed" || status === "stopped";
     line.hidden = bar.hidden;
     line.textContent =
-      transfer.waiting ?? (transfer.isPaused ? "Paused. What is on its way still arrives." : upload.message);
+      transfer.waiting ?? (transfer.isPaused ? "Paused. What is being sent still arrives." : upload.message);
     fill(figures, figuresOf(upload, isSending));
     drawPlan(upload.plan);
     plan.hidden = status === "failed" && step === "plan";
@@ -143,9 +143,9 @@ const BADGES = {
 
 /** @param {import("./upload.js").Step} step @param {"done" | "now" | "ahead" | "failed"} state */
 function stepItem(step, state) {
-  const spoken = { done: "done", now: "under way", ahead: "to come", failed: "failed" }[state];
+  const readAloud = { done: "done", now: "under way", ahead: "to come", failed: "failed" }[state];
   const props = { class: state, "aria-current": state === "now" ? "step" : null };
-  return el("li", props, STEPS[step], el("span", { class: "unseen" }, `, ${spoken}`));
+  return el("li", props, STEPS[step], el("span", { class: "unseen" }, `, ${readAloud}`));
 }
 
 /** @param {Upload} upload @param {boolean} isSending */

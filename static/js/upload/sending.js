@@ -1,4 +1,4 @@
-/** The files of a drive on their way to the service: small files in batches, scans as they are, or reduced. */
+/** The files of a drive to be sent to the service: small files in batches, scans as they are, or reduced. */
 
 import { getConfig, sha256 } from "../api.js";
 import { pathOf } from "./drive_folder.js";
@@ -53,12 +53,12 @@ export async function sendSmallFiles(transfer, files, present) {
 
 /** @param {[string, File][]} files @returns {[string, File][][]} */
 function batches(files) {
-  const most = Math.min(MAX_BATCH_FILES, getConfig().limits.max_batch_files ?? MAX_BATCH_FILES);
+  const maxFiles = Math.min(MAX_BATCH_FILES, getConfig().limits.max_batch_files ?? MAX_BATCH_FILES);
   /** @type {[string, File][][]} */
   const all = [];
   let bytes = Infinity;
   for (const each of files) {
-    if (bytes + each[1].size > BATCH_BYTES || /** @type {any[]} */ (all.at(-1)).length >= most) {
+    if (bytes + each[1].size > BATCH_BYTES || /** @type {any[]} */ (all.at(-1)).length >= maxFiles) {
       all.push([]);
       bytes = 0;
     }
@@ -101,7 +101,7 @@ function skip(transfer, bytes) {
  * @param {Transfer} transfer
  * @param {[string, File][]} files
  * @param {Present} present
- * @param {boolean} isTrusted These are the very files that the upload began with: their sizes tell enough.
+ * @param {boolean} isTrusted These are the very files that the upload began with: equal sizes are enough.
  * @param {(done: number) => void} onDone
  */
 export async function sendFiles(transfer, files, present, isTrusted, onDone) {
@@ -175,7 +175,7 @@ export async function sendReduced(transfer, { drive, frames, schemes, groundByte
   }
 }
 
-/** Bytes of all reduced scans, as far as those that are done tell. */
+/** Bytes of all reduced scans, extrapolated from those that are done. */
 class Estimate {
   /** @param {import("./transfer.js").Meter} meter @param {number} count @param {number} expected Before any is done. */
   constructor(meter, count, expected) {

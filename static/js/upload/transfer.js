@@ -90,7 +90,7 @@ export class Transfer {
     return this.gate !== null;
   }
 
-  /** Begin nothing more; what is on its way arrives. */
+  /** Begin nothing more; what is being sent arrives. */
   pause() {
     if (this.gate) return;
     let open = () => {};

@@ -26,7 +26,7 @@ import { Transfer } from "./transfer.js";
  * @property {string} preset
  * @property {Record<string, any> | null} config Settings that differ from the preset.
  * @property {string | null} labels
- * @property {{file: string} | {overpass: true} | {inside: true} | null} osm `inside`: the map that an archive holds, if any.
+ * @property {{file: string} | {overpass: true} | {inside: true} | null} osm `inside`: the map in an archive, if there is one.
  * @property {string} policy
  * @property {number} tolerance_m
  * @property {string} key Sent with the request, so that a repetition makes no second job.
@@ -379,7 +379,7 @@ export function groundBytesOf({ scans }, labels) {
   return labels.reduce((sum, { ground_share }) => sum + (ground_share ?? 0) * points * GROUND_POINT_BYTES, 0);
 }
 
-/** Something that stands in the way and that the person can correct. */
+/** Something that prevents the upload and that the person can correct. */
 export class Refusal extends Error {
   /** @param {string} title @param {string} detail @param {FileProblem[]} [problems] */
   constructor(title, detail, problems = []) {
