@@ -191,6 +191,7 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
     assert ".osm.pbf" in told["file_kinds"]["maps"]
     assert ".tar.zst" in told["file_kinds"]["archives"]
     assert told["file_kinds"]["label_folders"] == ["labels", "predictions"]
+    assert told["raw_first_frames"] == {"2011_09_30_drive_0028": 1100}
 
 
 def test_the_page_is_open_to_all_and_says_that_a_token_is_needed(

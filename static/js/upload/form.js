@@ -27,7 +27,7 @@ import { countFolders, groundBytesOf } from "./upload.js";
 const ADDED = /^(poses|cam0_to_world|times|calib[^/]*)\.txt$|^geo\.csv$/;
 
 const POSE_FRAMES = {
-  auto: "Detect from the motion",
+  auto: "From the motion",
   camera: "Camera (KITTI, SemanticKITTI)",
   lidar: "LiDAR (kiss-icp and others)",
 };
@@ -333,7 +333,7 @@ function labelSection(before, isUnknown, { onChange, onFolder }) {
     name,
     `${title} (road = ${road.join(", ")})`,
   ]);
-  const choices = { auto: "Detect from the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
+  const choices = { auto: "From the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
   const chosen = before?.options.label_scheme ?? "auto";
   const isCustom = !(chosen in choices);
   const ids = el("input", { type: "text", placeholder: "40, 60", value: isCustom ? chosen : "", onInput: onChange });
@@ -430,7 +430,7 @@ function readingSection(before, onChange) {
   );
   const poseFrame = select(POSE_FRAMES, before?.options.pose_frame ?? "auto", onChange);
   const { reduced: _, ...layouts } = LAYOUTS;
-  const layout = select({ auto: "Detect from the folder", ...layouts }, before?.options.layout ?? "auto", onChange);
+  const layout = select({ auto: "From the folder", ...layouts }, before?.options.layout ?? "auto", onChange);
   const poses = field("Poses are those of", poseFrame, "A wrong choice is noticed: the road would not be flat.");
   const grid = el("div", { class: "grid-2" }, poses, field("Layout", layout));
   const isMissing = () => source.value() === "other" && !fix;

@@ -94,7 +94,7 @@ async function showStart(message = null, begun = null) {
   const or = el("span", { class: "quiet" }, "or an archive: .zip, .tar, .tar.gz, .tar.zst");
   const buttons = [el("button", { class: "primary", onClick: pick }, "Choose a folder"), pickArchive];
   const note =
-    "Nothing is sent before you press a button. Scans are reduced to their ground points in the browser, so that a " +
+    "No file is sent before you press a button. Scans are reduced to their ground points in the browser, so that a " +
     "drive of 11 GB becomes some hundred MB.";
   fill(
     panel,
