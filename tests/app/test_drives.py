@@ -72,7 +72,7 @@ def test_a_deleted_drive_leaves_nothing(client: httpx.Client, shared_data: Path)
 
 
 @pytest.mark.parametrize(
-    ("counts", "request_", "scheme", "severities"),
+    ("counts", "options", "scheme", "severities"),
     [
         ({40: 30, 60: 2, 48: 10, 70: 58}, {}, "semantickitti", []),
         ({9: 3, 11: 2, 15: 5}, {}, "learning", ["note"]),
@@ -84,9 +84,9 @@ def test_a_deleted_drive_leaves_nothing(client: httpx.Client, shared_data: Path)
     ],
 )
 def test_label_ids_are_judged_before_a_drive_is_there(
-    client: httpx.Client, counts: dict[int, int], request_: dict[str, str], scheme: str, severities: list[str]
+    client: httpx.Client, counts: dict[int, int], options: dict[str, str], scheme: str, severities: list[str]
 ) -> None:
-    answer = client.post("/api/v1/drives/labels", json={"label_counts": {"labels": counts}, **request_})
+    answer = client.post("/api/v1/drives/labels", json={"label_counts": {"labels": counts}, "options": options})
     (labels,) = answer.raise_for_status().json()["labels"]
     assert (labels["folder"], labels["scheme"]) == ("labels", scheme)
     assert [problem["severity"] for problem in labels["problems"]] == severities
@@ -95,6 +95,6 @@ def test_label_ids_are_judged_before_a_drive_is_there(
 
 
 def test_an_unknown_label_scheme_is_refused(client: httpx.Client) -> None:
-    answer = client.post("/api/v1/drives/labels", json={"label_counts": {}, "label_scheme": "road"})
+    answer = client.post("/api/v1/drives/labels", json={"label_counts": {}, "options": {"label_scheme": "road"}})
     assert answer.status_code == 422
     assert "expected auto" in answer.text
