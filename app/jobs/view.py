@@ -10,9 +10,10 @@ from app.schemas.jobs import JobModel, Progress
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, Job
+from interloc.output.layers import LAYERS
 
-_LAYERS = ("intersections", "detections", "trajectory", "keyframes")
-_MAP_LAYERS = ("osm-nodes", "matches", "osm-roads")
+_LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
+_MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm]
 
 
 def find_job(session: Session, job_id: str) -> tuple[Job, str]:

@@ -61,17 +61,15 @@ router = APIRouter(tags=["Results"])
 
 
 def _add_layer(layer: Layer) -> None:
-    address = layer.name.replace("_", "-")
-
     def read_layer(job_id: JobId, request: Request, results: ResultsDep) -> Response:
         result = results.open(job_id)
-        name = f"{result.slug}-{address}.geojson"
-        return deliver(request, result.layer(address), gzip_copies=result.cache, name=name)
+        name = f"{result.slug}-{layer.address}.geojson"
+        return deliver(request, result.layer(layer.address), gzip_copies=result.cache, name=name)
 
     properties = "\n".join(f"- `{name}`: {field.description}" for name, field in layer.properties.model_fields.items())
     get_and_head(
         router,
-        f"/jobs/{{job_id}}/{address}",
+        f"/jobs/{{job_id}}/{layer.address}",
         summary=layer.title,
         description=f"{layer.description}\n\n{properties}\n\n{layer.attribution} "
         "The same bytes as the command line writes: RFC 7946, longitude first.",

@@ -168,6 +168,11 @@ class Layer:
     is_osm: bool = False
 
     @property
+    def address(self) -> str:
+        """Name of the layer in the addresses of the API."""
+        return self.name.replace("_", "-")
+
+    @property
     def attribution(self) -> str:
         """Who is to be named where the layer is shown."""
         return f"{ATTRIBUTION} {OSM_ATTRIBUTION}" if self.is_osm else ATTRIBUTION

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from interloc.files import atomic_folder
+from interloc.output.layers import LAYERS
 
 FORMAT = "interloc-result"
 FORMAT_VERSION = 1
@@ -61,9 +62,7 @@ RESULT_NAMES = frozenset(
         *file_names(georeferenced=False).values(),
         "report.json",
         "report.html",
-        "osm_nodes.geojson",
-        "matches.geojson",
-        "osm_roads.geojson",
+        *(f"{layer.name}.geojson" for layer in LAYERS.values() if layer.is_osm),
         "figures",
     ]
 )
