@@ -390,9 +390,9 @@ def decode_ground(data: bytes, name: str) -> GroundPoints:
             name, f"{len(inflate.unused_data):,} bytes follow after its points. Expected nothing more."
         )
     xyz = from_planes(raw).view(np.float32)
-    finite = np.isfinite(xyz).all(axis=1)
+    finite = np.isfinite(xyz)
     if not finite.all():
-        bad_point = int(np.argmin(finite))
+        bad_point = int(np.argmin(finite.all(axis=1)))
         x, y, z = xyz[bad_point]
         raise DriveFileError(
             name, f"point {bad_point:,} of {count:,} is not finite ({x:g}, {y:g}, {z:g}). Expected x y z in metres."
@@ -409,9 +409,12 @@ def to_planes(bits: UInt32Array) -> bytes:
 
 def from_planes(planes: bytes) -> UInt32Array:
     """Return the (N, 3) uint32 of `to_planes`."""
-    weighed = np.frombuffer(planes, np.uint8).reshape(4, 3, len(planes) // 12).transpose(2, 1, 0)
-    folded = np.ascontiguousarray(weighed).view(">u4")[:, :, 0].astype(np.uint32)
-    return np.cumsum((folded >> 1) ^ -(folded & 1), axis=0, dtype=np.uint32)
+    highest, *lower = np.frombuffer(planes, np.uint8).reshape(4, 3, len(planes) // 12)
+    folded = highest.astype(np.uint32)
+    for plane in lower:
+        folded = (folded << 8) | plane
+    bits = np.cumsum((folded >> 1) ^ -(folded & 1), axis=1, dtype=np.uint32)
+    return np.ascontiguousarray(bits.T)
 
 
 def _counts(data: bytes, name: str) -> tuple[int, int]:
