@@ -77,7 +77,7 @@ def check_flat_road(
             f"see the same road {step:.2f} m apart in height (usual: under 0.1 m). "
         )
         if np.median([pair[1] for pair in steps]) > 1:  # one bad place is a jump of the poses, most are a wrong frame
-            findings.error(DriveFileError(pose_file, f"the road is not flat: {text}{_dialect(drive)}"))
+            findings.error(DriveFileError(pose_file, f"the road is not flat: {text}{_pose_frame_complaint(drive)}"))
         elif share > 1:
             findings.warning(pose_file, f"the poses jump: {text}Usual cause: an outage of GNSS or odometry there.")
     if tilts and min(tilts)[0] > MAX_TILT_RAD:
@@ -93,14 +93,14 @@ def check_flat_road(
     return max(step for step, *_ in steps) if steps else None
 
 
-def _dialect(drive: FolderDrive) -> str:
+def _pose_frame_complaint(drive: FolderDrive) -> str:
     """Return how the poses were read, and what else they may be."""
     if drive.pose_frame == "oxts":
         return "Poses were taken from OXTS. Usual cause: OXTS of another drive, or angles in another convention."
     other = "lidar" if drive.pose_frame == "camera" else "camera"
     return (
-        f"Poses were read as {drive.pose_frame} poses: {drive.pose_frame_reason}. Usual cause: a wrong pose dialect "
-        f"(try pose frame {other!r}), a calib.txt of another vehicle, inverted poses, or scans of another drive."
+        f"Poses were read as {drive.pose_frame} poses: {drive.pose_frame_reason}. Usual cause: a wrong pose frame "
+        f"(try {other!r}), a calib.txt of another vehicle, inverted poses, or scans of another drive."
     )
 
 
@@ -160,7 +160,7 @@ def _tilt(points: FloatArray) -> float | None:
 
 
 def check_georeference(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:
-    """Check that the georeference tells the same motion as the poses, piece by piece (drift does not matter).
+    """Check that the georeference moves as the poses do, piece by piece (drift does not matter).
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def check_georeference(poses: FloatArray, georeference: Georeference, findings: 
         findings.error(
             GeoreferenceFileError(
                 georeference.source,
-                f"tells another motion than the poses: off by {error:.0%} of the distance, piece by piece "
+                f"describes another motion than the poses: off by {error:.0%} of the distance, piece by piece "
                 "(usual: under 2 %). Usual cause: the georeference of another drive, rows that start at another frame, "
                 "or angles in another convention (expected: yaw 0 = east, counter-clockwise, radians).",
             )

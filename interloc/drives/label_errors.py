@@ -1,4 +1,4 @@
-"""Segmentation errors on purpose (paper, section V-C)."""
+"""Label errors on purpose: what the result does when the segmentation errs (paper, section V-C)."""
 
 from __future__ import annotations
 

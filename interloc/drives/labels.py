@@ -31,7 +31,7 @@ class LabelScheme:
     road : frozenset of int
         Ids of road.
     confusable : frozenset of int
-        Ids of sidewalk, parking and other ground: what the paper's noise takes for road (section V-C).
+        Ids of sidewalk, parking and other ground: what label errors take for road (paper, section V-C).
     known : frozenset of int or None
         All ids of the scheme; None where they are not known (custom ids).
     """
@@ -42,7 +42,7 @@ class LabelScheme:
     known: frozenset[int] | None = None
 
     def means_the_same(self, other: LabelScheme) -> bool:
-        """Say whether the same ids are road, and the same are confused with it."""
+        """Return whether the same ids are road, and the same are confused with it."""
         return (self.road, self.confusable) == (other.road, other.confusable)
 
     def groups(self) -> UInt8Array:
@@ -102,7 +102,7 @@ def named_scheme(choice: str) -> LabelScheme | None:
 
 
 def guess_scheme(ids: Iterable[int], *, kitti360: bool) -> LabelScheme:
-    """Tell the scheme from the ids that occur.
+    """Guess the scheme from the ids that occur.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class LabelJudgement:
 def judge_labels(
     folder: str, counts: dict[int, int], choice: str, *, kitti360: bool, check: bool, findings: Findings
 ) -> LabelJudgement:
-    """Tell what the label ids of some scans mean, and whether that makes sense.
+    """Find out what the label ids of some scans mean, and whether that makes sense.
 
     Parameters
     ----------

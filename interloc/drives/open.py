@@ -22,7 +22,7 @@ SAMPLED_SCANS = 5
 
 _STORES: tuple[Callable[[Path, DriveOptions, Findings], ScanStore | None], ...] = (
     ReducedStore.open,
-    RawStore.open,  # the last: it says what is wrong with a folder that is not a drive
+    RawStore.open,  # the last: it refuses a folder that is not a drive, with the usual mistake
 )
 """Ways of keeping scans; the first that knows a folder reads it. A new format is a `ScanStore` and a line here."""
 
@@ -45,7 +45,7 @@ def open_drive(
         "auto", "semantickitti", "learning" (0..19, road = 9), "kitti360", or the ids of road, as a collection or as
         text ("40,60").
     pose_frame : {"auto", "camera", "lidar"}
-        Whose poses the pose file holds; "auto" tells it from the motion.
+        Sensor whose poses the pose file holds; "auto" finds it out from the motion.
     layout : {"auto", "semantickitti", "kitti_raw", "kitti360"}
     oxts
         Georeference from elsewhere: the KITTI raw drive of an odometry sequence, a file with one OXTS row per frame

@@ -30,7 +30,7 @@ class ReadingOptions(BaseModel):
         examples=["auto"],
     )
     pose_frame: PoseFrame = Field(
-        "auto", description="Sensor whose poses the pose file holds; auto tells it from the motion."
+        "auto", description="Sensor whose poses the pose file holds; auto finds it out from the motion."
     )
     layout: LayoutChoice = Field("auto", description="Layout of the folder.")
     oxts: Path | None = Field(

@@ -45,7 +45,7 @@ class ReductionPlan:
     frames_to_send : (K,) int64
         Numbers of the scans to keep; empty where the poses cannot be read.
     frames_to_look_into : (M,) int64
-        Numbers of the scans whose label ids tell the label scheme (see `judge_counts`).
+        Numbers of the scans whose label ids are counted to find the label scheme (see `judge_counts`).
     layout : str or None
     pose_frame, pose_frame_reason : str or None
         Whose poses the pose file holds, and why that is thought.
@@ -186,7 +186,7 @@ def plan_of(
 def judge_counts(
     plan: ReductionPlan, label_folder: LabelFolder, counts: dict[int, int]
 ) -> tuple[LabelJudgement, list[Finding]]:
-    """Tell what label ids mean, as `open_drive` does.
+    """Find out what label ids mean, as `open_drive` does.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def checked_frames(frames: Sequence[int] | IntArray) -> IntArray:
     Raises
     ------
     DriveError
-        There are none, too many, negative ones, or the same twice.
+        There are none or too many, or one is negative or comes twice.
     """
     if not 0 < len(frames) <= MAX_SCANS:
         raise DriveFileError("scans", f"{len(frames):,} scans; expected 1 to {MAX_SCANS:,}.")
@@ -231,7 +231,7 @@ def checked_frames(frames: Sequence[int] | IntArray) -> IntArray:
 
 
 def _likely_scan_folder(root: Path, layout: LayoutChoice) -> ScanFolder:
-    """Tell from the small files where the scans of a drive would be."""
+    """Guess from the small files where the scans of a drive would be."""
     if layout == "auto" and not (root / "velodyne").is_dir():
         no_poses = (root / "oxts").is_dir() and not (root / "poses.txt").exists()
         layout = "kitti_raw" if no_poses or (root / "velodyne_points").is_dir() else layout

@@ -1,4 +1,4 @@
-"""The small files of a drive on their way into a reduced one."""
+"""The small files of a drive, and where each goes in a reduced one."""
 
 from __future__ import annotations
 

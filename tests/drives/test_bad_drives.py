@@ -154,7 +154,7 @@ def test_binary_poses(sequence: Path) -> None:
 
 def test_georeference_of_another_drive(sequence: Path, make: ModuleType) -> None:
     (sequence / "geo.csv").write_text(make.geo_csv(make.lidar_poses(turn_rad=-0.06)))
-    with pytest.raises(GeoreferenceError, match=r"geo\.csv .*: tells another motion than the poses"):
+    with pytest.raises(GeoreferenceError, match=r"geo\.csv .*: describes another motion than the poses"):
         open_drive(sequence)
     (sequence / "geo.csv").write_text(make.geo_csv(make.lidar_poses()))
     assert open_drive(sequence).georeference is not None
@@ -163,7 +163,7 @@ def test_georeference_of_another_drive(sequence: Path, make: ModuleType) -> None
 def test_road_that_is_not_flat_names_the_dialect(sequence: Path, make: ModuleType) -> None:
     drive = open_drive(sequence)
     wrong = dataclasses.replace(drive, T_world_lidar=make.camera_poses(drive.T_world_lidar))
-    with pytest.raises(DriveError, match=r"the road is not flat.*wrong pose dialect \(try pose frame 'lidar'\)"):
+    with pytest.raises(DriveError, match=r"the road is not flat.*wrong pose frame \(try 'lidar'\)"):
         check_flat_road(wrong, np.arange(12), "poses.txt", Findings(stop_at_first=True))
 
 

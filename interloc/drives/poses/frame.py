@@ -1,4 +1,4 @@
-"""Whose poses a pose file holds: those of the camera (KITTI) or of the LiDAR (most LiDAR odometries).
+"""The pose frame: whether a pose file holds poses of the camera (KITTI) or of the LiDAR (most LiDAR odometries).
 
 A vehicle moves where it looks. In the frame of a camera (x right, y down, z forward) it moves along z and turns about
 y; in that of a LiDAR (x forward, y left, z up) it moves along x and turns about z. Hills do not matter: the
@@ -44,13 +44,13 @@ def guess_frame(poses: FloatArray) -> tuple[Frame | None, str]:
     Returns
     -------
     {"camera", "lidar"} or None
-        None where the motion does not tell.
+        None where the motion leaves it open.
     str
         Why.
     """
     motion = body_motion(poses)
     if motion is None:
-        return None, f"the vehicle moves less than {MIN_MOTION_M:g} m, which does not tell camera from LiDAR"
+        return None, f"the vehicle moves less than {MIN_MOTION_M:g} m, which does not distinguish camera from LiDAR"
     if motion.along[2] > _CLEAR:
         return "camera", f"{motion.describe()}, as a camera that looks ahead (z forward, y down)"
     if motion.along[2] < 1 - _CLEAR:

@@ -119,7 +119,7 @@ class RawStore:
         return None if self.scans is None else self.scans.numbers
 
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
-        """Count the ids of some scans, and tell what they mean."""
+        """Count the ids of some scans, and find out what they mean."""
         counts: dict[int, int] = {}
         if self.labels is None or self.scans is None:
             return LabelJudgement()

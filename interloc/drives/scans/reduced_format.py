@@ -258,7 +258,7 @@ def ground_path(folder: LabelFolder, frame: int) -> str:
 
 
 def is_reduced(root: Path) -> bool:
-    """Tell a reduced drive by its manifest."""
+    """Return whether a folder is a reduced drive: one with a manifest."""
     return (root / MANIFEST).is_file()
 
 
@@ -412,7 +412,7 @@ def from_planes(planes: bytes) -> UInt32Array:
     highest, *lower = np.frombuffer(planes, np.uint8).reshape(4, 3, len(planes) // 12)
     folded = highest.astype(np.uint32)
     for plane in lower:
-        folded = (folded << 8) | plane
+        folded = (folded << np.uint32(8)) | plane
     bits = np.cumsum((folded >> 1) ^ -(folded & 1), axis=1, dtype=np.uint32)
     return np.ascontiguousarray(bits.T)
 
