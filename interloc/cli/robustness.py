@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.cli import console, options
+from interloc.evaluation.published import LABEL_ERRORS
 
 if TYPE_CHECKING:
     from interloc.osm.policies import Policy
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
 @options.evaluation_options
 @click.option(
     "--levels",
-    default="0/0,5/5,5/20,20/5,20/20",
+    default=",".join(LABEL_ERRORS),
     show_default=True,
-    help="r-FPR/r-FNR of each, in percent.",
+    help="Levels of label errors: r-FPR/r-FNR in percent.",
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of the random label errors.")
 def command(

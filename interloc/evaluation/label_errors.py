@@ -1,4 +1,8 @@
-"""How errors in the road labels change the result: the paper's experiment (section V-D, Table IV, Fig. 8)."""
+"""How errors in the road labels change the result: the paper's experiment (section V-D, Table IV, Fig. 8).
+
+A level of label errors is r-FPR / r-FNR in percent: the share of sidewalk, parking and other-ground points that are
+labelled road, and the share of road points that are dropped.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +26,10 @@ from interloc.output.geojson import encode, rounded
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LEVELS: tuple[str, ...] = ("0/0", "5/5", "5/20", "20/5", "20/20")
-"""r-FPR / r-FNR in percent: the share of sidewalk, parking and other-ground points taken as road, and the share of
-road points dropped."""
-
 
 @dataclass(frozen=True)
 class LabelErrorRow:
-    """One level of label errors, beside what the paper reports for it (None for other levels than its own).
+    """Figures at one level of label errors, and what the paper reports for it; None for levels it does not have.
 
     Attributes
     ----------

@@ -8,7 +8,8 @@ import pytest
 
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation, evaluate
-from interloc.evaluation.label_errors import LEVELS, label_error_table, parse_level, write_label_errors
+from interloc.evaluation.label_errors import label_error_table, parse_level, write_label_errors
+from interloc.evaluation.published import LABEL_ERRORS
 from interloc.osm.graph import RoadGraph
 from interloc.results import DriveResult
 
@@ -20,7 +21,7 @@ def levels(run: Callable[..., DriveResult], graph: Callable[..., RoadGraph]) -> 
     """Detections that lie further off the more the labels err, and none at all in the end."""
     roads = graph([(0, 0)])
     detections = [[(0, 1.0 + 2 * i, 0)] for i in range(4)] + [[]]
-    return [(level, evaluate(run([(0, 0)], made), roads)) for level, made in zip(LEVELS, detections, strict=True)]
+    return [(level, evaluate(run([(0, 0)], made), roads)) for level, made in zip(LABEL_ERRORS, detections, strict=True)]
 
 
 def test_rows_stand_beside_those_of_the_paper(levels: Levels) -> None:
@@ -50,7 +51,7 @@ def test_table_and_figure_are_written(levels: Levels, tmp_path: Path) -> None:
     names = ["figures/robustness.png", "figures/robustness.svg", "robustness.html", "robustness.json"]
     assert sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()) == names
     record = json.loads((tmp_path / "robustness.json").read_text(encoding="utf-8"))
-    assert [row["level"] for row in record["levels"]] == list(LEVELS)
+    assert [row["level"] for row in record["levels"]] == list(LABEL_ERRORS)
     assert record["levels"][0]["error_percentiles_m"]["50"] == pytest.approx(1.0, abs=1e-3)
     assert record["levels"][4]["error_percentiles_m"]["50"] is None
     assert record["levels"][1]["f1_by_threshold"]["5.0"] == 1.0
