@@ -17,6 +17,7 @@ from interloc.benchmark.fingerprint import file_facts, fingerprint, simulating_p
 from interloc.drive import Drive
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.open import open_drive
+from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
 from interloc.evaluation.published import SEQUENCES
 from interloc.files import atomic_write
@@ -37,23 +38,22 @@ class FolderCase:
         Name in the tables.
     path, osm : Path
         Folder of the drive, and the map to score it against.
-    options : dict
-        Of `interloc.drives.open_drive`.
+    options : DriveOptions
+        How the drive is read.
     """
 
     name: str
     path: Path
     osm: Path
-    options: dict[str, Any] = field(default_factory=dict)
+    options: DriveOptions = field(default_factory=DriveOptions)
     seed: None = None
 
     def facts(self) -> dict[str, Any]:
         """Return what the drive depends on: names, sizes and times of all files."""
-        oxts = self.options.get("oxts")
-        given = [] if oxts is None else [Path(oxts)]
+        given = [] if self.options.oxts is None else [self.options.oxts]
         return {
             "files": file_facts([self.path, self.osm, *given]),
-            "options": {key: str(value) for key, value in self.options.items() if key != "oxts"},
+            "options": self.options.model_dump(mode="json", exclude={"oxts"}),
         }
 
     def check(self) -> None:
@@ -65,7 +65,7 @@ class FolderCase:
             The drive is damaged, or has no georeference to compare it with a map by.
         """
         try:
-            drive = open_drive(self.path, **self.options)
+            drive = open_drive(self.path, self.options)
         except GeoreferenceError as error:
             raise GeoreferenceError(f"{self.path}: {error}") from error
         except DriveError as error:
@@ -79,17 +79,12 @@ class FolderCase:
     @contextmanager
     def opened(self, scratch: Path, progress: Progress | None = None) -> Iterator[Drive]:  # noqa: ARG002 - as the others
         """Give the drive."""
-        yield open_drive(self.path, **self.options)
+        yield open_drive(self.path, self.options)
 
     def explain(self, frame: int, settings: tuple[str, ...]) -> list[str]:
         """Return the command lines that draw the steps of the method at a frame."""
-        usual = {"labels": "labels", "label_scheme": "auto", "pose_frame": "auto", "layout": "auto", "oxts": None}
-        options = [
-            text
-            for key, value in self.options.items()
-            if value != usual.get(key)
-            for text in (f"--{key.replace('_', '-')}", str(value))
-        ]
+        unusual = self.options.model_dump(mode="json", exclude_defaults=True)
+        options = [text for name, value in unusual.items() for text in (f"--{name.replace('_', '-')}", value)]
         return [_explain(self.path, frame, self.name, self.osm, (*options, *settings))]
 
 
@@ -247,7 +242,8 @@ def semantickitti_cases(
     oxts: Path,
     osm: Path,
     sequences: Sequence[str] = SEQUENCES,
-    **options: Any,  # noqa: ANN401 - passed on
+    *,
+    labels: LabelFolder = "labels",
 ) -> list[FolderCase]:
     """Return sequences of SemanticKITTI with their georeference and maps.
 
@@ -260,8 +256,8 @@ def semantickitti_cases(
     osm
         Folder with `NN.osm[.gz|.bz2|.pbf]`.
     sequences
-    options
-        Of `open_drive`.
+    labels
+        Folder of the labels.
 
     Raises
     ------
@@ -276,16 +272,15 @@ def semantickitti_cases(
         path = base / sequence
         if not path.is_dir():
             raise DriveError(f"{path}: no such folder. There are: {', '.join(_numbered(base)) or 'none'}.")
-        cases.append(
-            FolderCase(sequence, path, _find_map(osm, sequence), {**options, "oxts": _find_oxts(oxts, sequence)})
-        )
+        options = DriveOptions(labels=labels, oxts=_find_oxts(oxts, sequence))
+        cases.append(FolderCase(sequence, path, _find_map(osm, sequence), options))
     return cases
 
 
 def folder_cases(
     drives: Sequence[Path],
     maps: Sequence[Path],
-    **options: Any,  # noqa: ANN401 - passed on
+    options: DriveOptions | None = None,
 ) -> list[FolderCase]:
     """Return any drives, with one map for all, or one map per drive in their order.
 
@@ -308,7 +303,7 @@ def folder_cases(
             raise DriveError(f"{path}: no such folder. Expected the folder of a drive.")
     chosen = maps if len(maps) == len(drives) else [maps[0]] * len(drives)
     return [
-        FolderCase(name, path, osm, dict(options))
+        FolderCase(name, path, osm, options or DriveOptions())
         for name, path, osm in zip(_names(drives), drives, chosen, strict=True)
     ]
 

@@ -12,6 +12,7 @@ from interloc.cli import console, options
 if TYPE_CHECKING:
     from interloc.benchmark.cases import Case, Poses
     from interloc.benchmark.run import NamedConfig
+    from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
     from interloc.osm.policies import Policy
 
 
@@ -164,7 +165,7 @@ def twins(
     help="Hand labels, or those of a network.",
 )
 @measuring_options
-def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: str, **measuring: Any) -> None:
+def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: LabelFolder, **measuring: Any) -> None:
     """Measure the sequences of SemanticKITTI itself.
 
     \b
@@ -199,10 +200,10 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: str
 def drives(
     drives: tuple[Path, ...],
     maps: tuple[Path, ...],
-    labels: str,
+    labels: LabelFolder,
     label_scheme: str,
-    pose_frame: str,
-    layout: str,
+    pose_frame: PoseFrame,
+    layout: LayoutChoice,
     oxts: Path | None,
     **measuring: Any,
 ) -> None:
@@ -213,11 +214,12 @@ def drives(
       interloc benchmark drives monday tuesday --osm town.osm.gz -o out
     """
     from interloc.benchmark.cases import folder_cases
+    from interloc.drives.options import DriveOptions
 
     if oxts is not None and len(drives) > 1:
         raise click.UsageError("--oxts belongs to one drive; put oxts/data or geo.csv into each of several drives")
-    given = {"labels": labels, "label_scheme": label_scheme, "pose_frame": pose_frame, "layout": layout, "oxts": oxts}
-    cases = folder_cases(drives, maps, **given)
+    reading = DriveOptions.of(labels=labels, label_scheme=label_scheme, pose_frame=pose_frame, layout=layout, oxts=oxts)
+    cases = folder_cases(drives, maps, reading)
     _measure(
         cases,
         title=", ".join(case.name for case in cases) if len(cases) <= 4 else f"{len(cases)} drives",

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from interloc.benchmark.cases import folder_cases, semantickitti_cases, twin_cases
+from interloc.drives.options import DriveOptions
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
 
 
@@ -58,14 +59,14 @@ def test_rows_of_oxts_are_found(data_set: Path) -> None:
     (case,) = semantickitti_cases(data_set, data_set / "oxts", data_set / "maps", ["00"], labels="predictions")
     assert case.path == data_set / "dataset/sequences/00"
     assert case.osm == data_set / "maps/00.osm.pbf"
-    assert case.options == {"labels": "predictions", "oxts": data_set / "oxts/00.txt.gz"}
+    assert case.options == DriveOptions(labels="predictions", oxts=data_set / "oxts/00.txt.gz")
 
 
 @pytest.mark.parametrize("place", ["2011_10_03_drive_0027_sync", "2011_10_03/2011_10_03_drive_0027_sync"])
 def test_raw_drives_are_found_under_their_published_names(data_set: Path, place: str) -> None:
     (data_set / "raw" / place / "oxts/data").mkdir(parents=True)
     (case,) = semantickitti_cases(data_set, data_set / "raw", data_set / "maps", ["00"])
-    assert case.options["oxts"] == data_set / "raw" / place
+    assert case.options.oxts == data_set / "raw" / place
 
 
 def test_a_missing_raw_drive_is_named(data_set: Path) -> None:

@@ -16,6 +16,7 @@ from interloc.benchmark.row import Cell, Row
 from interloc.benchmark.run import Benchmark, NamedConfig, run_benchmark
 from interloc.benchmark.tables import Measured
 from interloc.config import DEFAULT, PAPER
+from interloc.drives.options import DriveOptions
 from interloc.errors import OutputError
 
 DEFAULTS = NamedConfig("default", DEFAULT, ("--preset", "default"))
@@ -29,7 +30,7 @@ def figures(rows: list[Row]) -> list[dict]:
 
 @pytest.fixture(scope="module")
 def benchmark(town: Path) -> Benchmark:
-    cases = folder_cases([town], [town / "map.osm"], labels="labels", oxts=None)
+    cases = folder_cases([town], [town / "map.osm"])
     return Benchmark(tuple(cases), (DEFAULTS, PAPERS), ("0/0", "20/20"), seeds=2)
 
 
@@ -126,7 +127,7 @@ def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[R
 
 
 def test_the_command_that_shows_a_frame_names_what_is_not_usual() -> None:
-    case = FolderCase("a b", Path("data/a b"), Path("m.osm"), {"labels": "predictions", "oxts": None, "layout": "auto"})
+    case = FolderCase("a b", Path("data/a b"), Path("m.osm"), DriveOptions(labels="predictions"))
     (line,) = case.explain(7, ("--preset", "paper"))
     assert shlex.split(line) == [
         *("interloc", "explain", "data/a b", "--frame", "7", "-o", "explain_a b_7", "--osm", "m.osm"),
