@@ -8,15 +8,14 @@ from __future__ import annotations
 import io
 import json
 import os
-import shutil
-import tempfile
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
 from interloc.files import atomic_write, reason_of
 from interloc.output.geojson import read_json
-from interloc.output.layers import LAYERS, Layer
+from interloc.output.layers import LAYERS, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
@@ -59,37 +58,34 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     if driver is None:
         raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(DRIVERS)}.")
     names = _choose(result, layer, driver)
-    layers = [(LAYERS[name], read_json(result / f"{name}.geojson")["features"]) for name in names]
+    layers = [(LAYERS[name], LAYERS[name].read(result / f"{name}.geojson")) for name in names]
     if driver == "GPKG":
         _write_database(out, layers)
         return names
-    ((only, features),) = layers
+    ((only, rows),) = layers
     buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
-    _write_layer(buffer, driver, only, features)
+    _write_layer(buffer, driver, only, rows)
     with atomic_write(out) as file:
         file.write(buffer.getvalue())
     return names
 
 
-def _write_database(out: Path, layers: list[tuple[Layer, list[dict[str, Any]]]]) -> None:
+def _write_database(out: Path, layers: list[tuple[Layer, Rows]]) -> None:
     """Write a GeoPackage: SQLite needs a file that it can seek in, and others beside it."""
+    prefix = f".{out.name[:100]}.partial-"
     try:
-        folder = Path(tempfile.mkdtemp(prefix=f".{out.name[:100]}.partial-", dir=out.parent))
-    except OSError as error:
-        raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
-    try:
-        for number, (layer, features) in enumerate(layers):
-            _write_layer(folder / out.name, "GPKG", layer, features, append=number > 0)
-        with (folder / out.name).open("rb") as file:
-            os.fsync(file.fileno())
-        (folder / out.name).replace(out)
+        with TemporaryDirectory(prefix=prefix, dir=out.parent, ignore_cleanup_errors=True) as folder:
+            database = Path(folder) / out.name
+            for number, (layer, rows) in enumerate(layers):
+                _write_layer(database, "GPKG", layer, rows, append=number > 0)
+            with database.open("rb") as file:
+                os.fsync(file.fileno())
+            database.replace(out)
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
     except RuntimeError as error:  # of GDAL
-        reason = str(error).replace(str(folder), str(out.parent))
+        reason = str(error).replace(folder, str(out.parent))
         raise OutputError(f"{out} could not be written: {reason}") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _choose(result: Path, layer: str | None, driver: str) -> list[str]:
@@ -113,16 +109,14 @@ def _choose(result: Path, layer: str | None, driver: str) -> list[str]:
     return [wanted]
 
 
-def _write_layer(
-    sink: Path | io.BytesIO, driver: str, layer: Layer, features: list[dict[str, Any]], *, append: bool = False
-) -> None:
+def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows, *, append: bool = False) -> None:
     """Write a layer, or add it to a file."""
-    table = _table(layer, features)
+    table = _table(layer, rows)
     if driver == "LIBKML":  # what Google Earth shows beside the point
         # GDAL's KML driver writes integers of 64 bits as text.
         small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
         table = table.astype(small).rename(columns=_KML_NAMES)
-        table.insert(0, "Name", [layer.label.format(**feature["properties"]) for feature in features])
+        table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
     metadata = {"TITLE": layer.title, "ATTRIBUTION": layer.attribution}
     title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]
     table.to_file(
@@ -137,13 +131,19 @@ def _write_layer(
     )
 
 
-def _table(layer: Layer, features: list[dict[str, Any]]) -> Any:  # noqa: ANN401 - geopandas has no types
+def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no types
     """Return a GeoDataFrame with the properties of the layer, null where they are null, and lists as JSON text."""
-    from geopandas import GeoDataFrame  # noqa: PLC0415 - slow to import
+    import shapely  # noqa: PLC0415 - slow to import
+    from geopandas import GeoDataFrame  # noqa: PLC0415
 
-    names = list(layer.fields)
-    table = GeoDataFrame.from_features(features, crs="EPSG:4326", columns=[*names, "geometry"])
+    places: Any
+    if layer.geometry == "Point":
+        places = shapely.points(rows.points())
+    else:
+        places = [f.geometry and shapely.LineString(f.geometry.coordinates) for f in rows.features]
+    columns = {name: rows.column(name) for name in layer.fields}
     for name, kind in layer.fields.items():
         if kind == "list":
-            table[name] = [json.dumps(value, separators=(",", ":")) for value in table[name]]
+            columns[name] = [json.dumps(value, separators=(",", ":")) for value in columns[name]]
+    table = GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
     return table.astype({name: _DTYPES[kind] for name, kind in layer.fields.items()})
