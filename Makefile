@@ -13,7 +13,7 @@ PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist workst
 COMPILE := $(BIN)/python -m tests.compile
 BIOME := static/node_modules/.bin/biome
 
-.PHONY: install serve demo test test-quick lint format types bench load bench-page screenshots clean
+.PHONY: install serve demo page-tools test test-quick lint format types bench load bench-page screenshots clean
 
 install: $(READY)
 
@@ -47,8 +47,7 @@ ifneq ($(SERVE),)
 	} & $(BIN)/interloc serve --port $(PORT) --data-dir demo/service --log-level error; kill $$! 2>/dev/null || true
 endif
 
-test: lint types
-	@if command -v npm >/dev/null && [ ! -x $(BIOME) ]; then npm ci --silent --prefix static; fi
+test: page-tools lint types
 	$(COMPILE)
 	$(PYTEST) --cov --cov-report=term:skip-covered $(AGAIN)
 
@@ -56,6 +55,10 @@ test: lint types
 test-quick: $(READY)
 	$(COMPILE)
 	$(PYTEST) $(addprefix --ignore=tests/,app chain cli client page performance test_demo.py)
+
+# Linter, types and tests of the page, where npm is there to install them.
+page-tools: $(READY)
+	@if command -v npm >/dev/null && [ ! -x $(BIOME) ]; then npm ci --silent --prefix static; fi
 
 lint: $(READY)
 	$(BIN)/ruff check .
