@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+import pytest
 
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
+from interloc.config import KeyframeConfig
 from interloc.geometry import invert_transform
+from interloc.reduction.reduce import reduce_drive
 
 SENSOR_HEIGHT_M = 1.73
 
@@ -139,9 +144,23 @@ def geo_csv(poses: FloatArray) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_slow_drive(path: Path) -> Path:
-    """Write a georeferenced sequence of 12 scans, 0.9 m apart and turning little."""
+@pytest.fixture(scope="session")
+def make() -> ModuleType:
+    """The functions of this module, for tests that write drives of their own."""
+    return sys.modules[__name__]
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A georeferenced sequence of 12 scans, 0.9 m apart and turning little: 0, 3, 6 and 9 are keyframes."""
     poses = lidar_poses(step_m=0.9, turn_rad=0.01)
-    root = write_semantickitti(path, poses=poses)
+    root = write_semantickitti(tmp_path / "07", poses=poses)
     (root / "geo.csv").write_text(geo_csv(poses))
     return root
+
+
+@pytest.fixture
+def reduced(drive: Path, tmp_path: Path) -> Path:
+    """The drive, reduced to its keyframes."""
+    reduce_drive(drive, tmp_path / "reduced", keyframes=KeyframeConfig())
+    return tmp_path / "reduced"
