@@ -52,6 +52,10 @@ class RangeResult:
     peak_memory_bytes: int
 
 
+FindRange = Callable[[Drive, IntArray, int, int, DetectorConfig, Progress | None], RangeResult]
+"""Finds the intersections around the keyframes of a range, as `detect_range` does."""
+
+
 def detect_range(
     drive: Drive,
     keyframes: IntArray,
@@ -92,6 +96,7 @@ def detect(
     *,
     workers: int | None = 1,
     progress: Progress | None = None,
+    find: FindRange | None = None,
 ) -> DriveResult:
     """Find the intersections along a drive and fuse them into a map.
 
@@ -104,6 +109,8 @@ def detect(
         Processes; None: as many as pay off. The result does not depend on it.
     progress
         Called with the keyframes done and the keyframes in all.
+    find
+        What finds the intersections of a range, a function of a module; `detect_range` by default.
 
     Returns
     -------
@@ -118,13 +125,14 @@ def detect(
     keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
     if not len(keyframes):
         raise DriveError(f"{drive.name}: the drive holds no scans")
+    find = find or detect_range
     if workers is None:
         workers = min(cores(), max(1, len(keyframes) // _MIN_KEYFRAMES_PER_PROCESS))
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:
-        results = [detect_range(drive, keyframes, 0, len(keyframes), config, progress)]
+        results = [find(drive, keyframes, 0, len(keyframes), config, progress)]
     else:
-        results = _detect_in_processes(drive, keyframes, ranges, config, workers, progress)
+        results = _detect_in_processes(find, drive, keyframes, ranges, config, workers, progress)
     return assemble(
         drive,
         keyframes,
@@ -195,6 +203,7 @@ def split(count: int, workers: int) -> list[tuple[int, int]]:
 
 
 def _detect_in_processes(
+    find: FindRange,
     drive: Drive,
     keyframes: IntArray,
     ranges: list[tuple[int, int]],
@@ -210,11 +219,13 @@ def _detect_in_processes(
         if progress is not None:
             progress(done, len(keyframes))
 
-    return run_in_processes(partial(_detect_between, drive, keyframes, config), ranges, workers, on_result=count)
+    return run_in_processes(partial(_find_between, find, drive, keyframes, config), ranges, workers, on_result=count)
 
 
-def _detect_between(drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]) -> RangeResult:
-    return detect_range(drive, keyframes, *bounds, config)
+def _find_between(
+    find: FindRange, drive: Drive, keyframes: IntArray, config: DetectorConfig, bounds: tuple[int, int]
+) -> RangeResult:
+    return find(drive, keyframes, *bounds, config, None)
 
 
 def versions() -> dict[str, Any]:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from interloc.cli import console, options, summary
 
@@ -16,6 +17,11 @@ from interloc.cli import console, options, summary
 @options.config_options
 @options.drive_options
 @options.workers_option
+@click.option(
+    "--reference",
+    is_flag=True,
+    help="Run the paper's steps done plainly with OpenCV and scikit-image: slow, for comparison. Takes no settings.",
+)
 @options.QUIET
 @options.JSON
 def command(
@@ -24,6 +30,7 @@ def command(
     preset: str,
     settings: tuple[str, ...],
     workers: int | None,
+    reference: bool,
     quiet: bool,
     as_json: bool,
     **drive_: Any,
@@ -38,12 +45,20 @@ def command(
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
+    preset_from = click.get_current_context().get_parameter_source("preset")
+    if reference and (settings or preset_from is not ParameterSource.DEFAULT):
+        raise click.UsageError("--reference has the settings of the paper; it takes neither --preset nor --set")
     console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
     source = options.open_drive(drive, drive_)
     with result_folder(out) as folder:
         with console.progress("detect", "keyframe", quiet=quiet) as bar:
-            result = detect(source, config, workers=workers, progress=bar)
+            if reference:
+                from interloc.reference import detect_by_reference
+
+                result = detect_by_reference(source, workers=workers, progress=bar)
+            else:
+                result = detect(source, config, workers=workers, progress=bar)
         write_results(result, folder)
     if as_json:
         console.say_json(summary.run_summary(result, out))

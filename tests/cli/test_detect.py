@@ -158,3 +158,15 @@ def test_a_real_excerpt(interloc: Callable, data: Callable[[str], Path], tmp_pat
     assert outcome.code == 0
     assert outcome.json["scans"] == 10
     assert outcome.json["georeferenced"] is False
+
+
+def test_the_reference_runs_on_its_own_settings(
+    interloc: Callable, short_drive: Path, tmp_path: Path, strict_json: Callable
+) -> None:
+    assert interloc("detect", short_drive, "-o", tmp_path / "out", "--reference", "--workers", "1").code == 0
+    assert strict_json(tmp_path / "out" / "run.json")["reference"] is True
+    for settings in (["--preset", "paper"], ["--set", "bev.resolution_m=0.2"]):
+        refused = interloc("detect", short_drive, "-o", tmp_path / "no", "--reference", *settings)
+        assert refused.code == 2
+        assert "it takes neither --preset nor --set" in refused.err
+    assert not (tmp_path / "no").exists()

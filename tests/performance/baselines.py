@@ -5,17 +5,12 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-import cv2
 import numpy as np
-from skimage.morphology import skeletonize
 
 from interloc.config import PAPER
-from interloc.detection.branches import segment_all
-from interloc.detection.candidates import Candidates, merge_until_stable
-from interloc.detection.centerline import Centerline
-from interloc.detection.image import BinaryImage
-from interloc.detection.refinement import refine
+from interloc.detection.keyframes import select_keyframes
 from interloc.drives.open import open_drive
+from interloc.reference import find_range
 
 ROAD_IDS = (40, 60)
 
@@ -33,29 +28,18 @@ def masking(root: Path) -> dict[str, float]:
 
 
 def literal(root: Path, keyframes: int) -> dict[str, float]:
-    """Do what the paper says, plainly: all 41 scans of the window put together and binned for every keyframe."""
+    """Time `interloc.reference` around the middle of a drive, once its first window is read: one scan per keyframe."""
     drive = open_drive(root)
-    n, size_m, cell_m = PAPER.keyframes.window, PAPER.bev.size_m, PAPER.bev.resolution_m
-    first = max(n, len(drive.frames) // 2 - keyframes // 2)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
-    window = [drive.ground_points(i).road for i in range(first - n, first + n)]
-    found, began, worked = 0, time.perf_counter(), time.process_time()
-    for k in range(first, first + keyframes):
-        window = [*window[-2 * n :], drive.ground_points(k + n).road]
-        poses = drive.T_world_lidar[k - n : k + n + 1]
-        world = np.concatenate([xyz @ T[:3, :3].T + T[:3, 3] for xyz, T in zip(window, poses, strict=True)])
-        side = round(size_m / cell_m)
-        cells = np.floor((world[:, :2] - poses[n][:2, 3]) / cell_m).astype(np.int64) + side // 2
-        cells = cells[((cells >= 0) & (cells < side)).all(axis=1)]
-        counts = np.bincount((side - 1 - cells[:, 1]) * side + cells[:, 0], minlength=side * side)
-        bev = (counts.reshape(side, side) >= PAPER.bev.min_points).astype(np.uint8)
-        occupancy = cv2.morphologyEx(cv2.morphologyEx(bev, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
-        line = skeletonize(occupancy > 0).astype(np.uint8)
-        score = cv2.cornerHarris(line.astype(np.float32), 9, 3, 0.04)
-        peaks = (line > 0) & (score == cv2.dilate(score, np.ones((21, 21)))) & (score > 0.3 * score.max())
-        positions, groups = merge_until_stable(np.argwhere(peaks).astype(np.float64), 10.0 / cell_m)
-        centerline = Centerline.of(BinaryImage.from_array(line), BinaryImage.from_array(occupancy))
-        candidates = Candidates(positions, np.full(len(groups), 10 / cell_m), [np.empty((0, 2))] * len(groups))
-        found += len([refine(b) for b in segment_all(candidates, centerline, cell_m, PAPER.branches)[0]])
-    seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - worked
+    every = select_keyframes(drive.T_world_lidar, PAPER.keyframes)
+    first = max(0, len(every) // 2 - keyframes // 2)
+    marks: list[tuple[float, float]] = []
+    part = find_range(
+        drive,
+        every,
+        first,
+        first + keyframes + 1,
+        progress=lambda *_: marks.append((time.perf_counter(), time.process_time())),
+    )
+    seconds, cpu_seconds = (end - began for began, end in zip(marks[0], marks[-1], strict=True))
+    found = sum(len(detections.world_xy) for detections in part.detections[1:])
     return {"ms": 1e3 * seconds / keyframes, "cpu_ms": 1e3 * cpu_seconds / keyframes, "detections": found}

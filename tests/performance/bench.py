@@ -3,7 +3,7 @@
 Every figure comes from a fresh process, so that peaks of memory are honest, over files that are in the page cache and
 kernels that are compiled; loading those is timed by itself. Best and median of several runs are shown. Targets are held
 against the best: other work on the machine only ever adds, to processor time the least. Without --drive, a drive
-through the made-up town is simulated once (281 keyframes, 125,000 points a scan, 25 % road, 700 MB) and kept in the
+through the made-up town is simulated once (281 keyframes, 125,000 points per scan, 25 % road, 700 MB) and kept in the
 folder for temporary files.
 """
 
@@ -71,7 +71,7 @@ class Row:
 
 
 def pipeline(root: Path, name: str, workers: int) -> dict[str, float]:
-    """From files to GeoJSON: seconds and peak memory, and milliseconds a keyframe of each stage."""
+    """From files to GeoJSON: seconds and peak memory, and milliseconds per keyframe of each stage."""
     config, loading = preset(name), time.perf_counter()
     drive = open_drive(root)
     detector = Detector(config)
@@ -205,18 +205,18 @@ def rows_of(root: Path, times: int) -> list[Row]:
     masking_runs, literal_runs = (measured(name, root, times) for name in ("masking", "literal"))
     masked, plain = [run["cpu_ms"] for run in masking_runs], [run["ms"] for run in literal_runs]
     rows = [
-        Row("read and mask the scans in numpy, by the clock", "ms a keyframe", [run["ms"] for run in masking_runs]),
-        Row("  processor time", "ms a keyframe", masked),
-        Row("literal pipeline, by the clock", "ms a keyframe", plain),
-        Row("  processor time", "ms a keyframe", [run["cpu_ms"] for run in literal_runs]),
+        Row("read and mask the scans in numpy, by the clock", "ms per keyframe", [run["ms"] for run in masking_runs]),
+        Row("  processor time", "ms per keyframe", masked),
+        Row("the plain reference, by the clock", "ms per keyframe", plain),
+        Row("  processor time", "ms per keyframe", [run["cpu_ms"] for run in literal_runs]),
     ]
     for name in ("default", "paper"):
         runs = measured(name, root, times)
         wall, cpu = ([1e3 * run[key] / run["keyframes"] for run in runs] for key in ("seconds", "cpu_seconds"))
-        rows.append(Row(f"{name}, one core, by the clock", "ms a keyframe", wall, at_most=6.0))
-        rows.append(Row("  processor time", "ms a keyframe", cpu, at_most=6.0))
+        rows.append(Row(f"{name}, one core, by the clock", "ms per keyframe", wall, at_most=6.0))
+        rows.append(Row("  processor time", "ms per keyframe", cpu, at_most=6.0))
         rows += [
-            Row(f"  {stage[6:]}", "ms a keyframe", [run[stage] for run in runs])
+            Row(f"  {stage[6:]}", "ms per keyframe", [run[stage] for run in runs])
             for stage in runs[0]
             if stage.startswith("stage ")
         ]
@@ -228,7 +228,7 @@ def rows_of(root: Path, times: int) -> list[Row]:
             doubles = measured(f"{name}2", Path(folder), times)
             rate = [run["keyframes"] / run["seconds"] for run in doubles]
             rows.append(Row(f"{name}, two processes, {LONG}x as long", "keyframes/s", rate, at_least=300.0))
-            rows.append(Row("  times the literal pipeline", "x", [r * min(plain) / 1e3 for r in rate], at_least=20.0))
+            rows.append(Row("  times the plain reference", "x", [r * min(plain) / 1e3 for r in rate], at_least=20.0))
             rows.append(Row("  memory", "MB", [run["peak_mb"] for run in doubles], at_most=600.0))
         long = measured("default", Path(folder), 1)
         rows.append(Row(f"default, one process, {LONG}x as long: memory", "MB", [long[0]["peak_mb"]], at_most=600.0))
