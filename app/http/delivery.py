@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fastapi import Request
 from fastapi.responses import FileResponse, Response
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.staticfiles import NotModifiedResponse, StaticFiles
 from starlette.types import Message, Receive, Scope, Send
 
@@ -132,38 +132,34 @@ def deliver(
     stat = path.stat()
     media_type = media_type_of(path)
     etag = f"{stat.st_mtime_ns:x}-{stat.st_size:x}"
-    headers = MutableHeaders({"cache-control": cache_control})
-    headers["last-modified"] = formatdate(stat.st_mtime, usegmt=True)
-    if vary:
-        headers["vary"] = vary
-    if policy is not None and media_type.startswith(("text/html", "image/svg")):
-        headers["content-security-policy"] = policy
+    headers = {"cache-control": cache_control, "last-modified": formatdate(stat.st_mtime, usegmt=True)}
     if gzip_copies is not None and path.suffix.lower() in _COMPRESSIBLE and stat.st_size >= _MIN_BYTES:
-        headers.add_vary_header("Accept-Encoding")
+        vary = f"{vary}, Accept-Encoding" if vary else "Accept-Encoding"
         if "range" not in request.headers and accepts_gzip(request.headers):
             copy = _gzip_copy(path, gzip_copies, f"{stat.st_mtime_ns:x}.gz")
             if copy is not None:
                 path, stat, etag = copy, copy.stat(), f"{etag}-gzip"
                 headers["content-encoding"] = "gzip"
     headers["etag"] = f'"{etag}"'
-    answer = WholeFile(
-        path,
-        headers=headers,
-        media_type=media_type,
-        filename=name,
-        content_disposition_type="attachment" if download else "inline",
-        stat_result=stat,
-    )
-    if is_known(request, answer):
-        return NotModifiedResponse(answer.headers)
+    if vary:
+        headers["vary"] = vary
+    if policy is not None and media_type.startswith(("text/html", "image/svg")):
+        headers["content-security-policy"] = policy
+    known = not_modified(request, headers)
+    if known is not None:
+        return known
+    if name is not None:
+        headers["content-disposition"] = f'{"attachment" if download else "inline"}; filename="{name}"'
     if "range" in request.headers or stat.st_size > _MAX_BYTES_AT_ONCE:
-        return answer
-    return Response(path.read_bytes(), headers=answer.headers)
+        return WholeFile(path, headers=headers, media_type=media_type, stat_result=stat)
+    headers["accept-ranges"] = "bytes"
+    return Response(path.read_bytes(), headers=headers, media_type=media_type)
 
 
-def is_known(request: Request, answer: Response) -> bool:
-    """Tell whether the client has what it asks for (If-None-Match, If-Modified-Since)."""
-    return _STATIC_FILES.is_not_modified(answer.headers, request.headers)
+def not_modified(request: Request, headers: dict[str, str]) -> Response | None:
+    """Return the 304 where the client has what these headers describe (If-None-Match, If-Modified-Since)."""
+    known = Headers(headers)
+    return NotModifiedResponse(known) if _STATIC_FILES.is_not_modified(known, request.headers) else None
 
 
 def _gzip_copy(path: Path, folder: Path, version: str) -> Path | None:

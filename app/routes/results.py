@@ -7,10 +7,9 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
-from starlette.staticfiles import NotModifiedResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
-from app.http.delivery import REVALIDATE, deliver, is_known, media_type_of
+from app.http.delivery import REVALIDATE, deliver, media_type_of, not_modified
 from app.http.headers import prefers_html
 from app.http.openapi import get_and_head
 from app.http.problems import ProblemDocument
@@ -205,6 +204,6 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
         "cache-control": REVALIDATE,
         "content-disposition": f'attachment; filename="{folder}.zip"',
     }
+    known = not_modified(request, headers)
     content = () if request.method == "HEAD" else archive
-    answer = StreamingResponse(content, headers=headers, media_type="application/zip")
-    return NotModifiedResponse(answer.headers) if is_known(request, answer) else answer
+    return known or StreamingResponse(content, headers=headers, media_type="application/zip")

@@ -40,10 +40,10 @@ class LayerModel(BaseModel):
 
     name: str = Field(description="Name of the layer and of its GeoJSON file.", examples=["osm_nodes"])
     title: str
+    description: str
     geometry: str = Field(description="Point or LineString.")
-    is_osm: bool = Field(description="Whether it holds data of OpenStreetMap, which must be named as their source.")
-    attribution: str = Field(description="Who is to be named where the layer is shown.")
-    fields: dict[str, str] = Field(description="Properties of its features: name and type.")
+    is_osm: bool = Field(description="Whether the layer holds data of OpenStreetMap.")
+    attribution: str = Field(description="Sources to name where the layer is shown.")
 
 
 class LabelSchemeModel(BaseModel):
@@ -74,7 +74,9 @@ class PageConfig(BaseModel):
     overpass: bool = Field(description="Whether jobs may fetch the map from Overpass.")
     needs_token: bool = Field(description="Whether the API expects `Authorization: Bearer TOKEN`.")
     limits: dict[str, int | float] = Field(description="Limits of uploads, under the names of the settings.")
-    policies: list[PolicyModel] = Field(description="Which OSM nodes can count as intersections; the first is usual.")
+    policies: list[PolicyModel] = Field(
+        description="Which OSM nodes can count as intersections; the first is the default."
+    )
     layers: list[LayerModel] = Field(description="Layers of a result.")
     label_schemes: list[LabelSchemeModel] = Field(description="Label schemes with a name.")
     file_kinds: FileKinds
@@ -107,10 +109,10 @@ _LAYERS = [
     LayerModel(
         name=layer.name,
         title=layer.title,
+        description=layer.description,
         geometry=layer.geometry,
         is_osm=layer.is_osm,
         attribution=layer.attribution,
-        fields=layer.fields,
     )
     for layer in LAYERS.values()
 ]
