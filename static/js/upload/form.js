@@ -1,6 +1,6 @@
 /** The form between picking a folder and sending it: what was found, how to read it, what to do with it. */
 
-import { getConfig, isMap, sendJson } from "../api.js";
+import { ApiError, getConfig, isMap, sendJson } from "../api.js";
 import { factRows, field, filePicker, problemList, radios, section, select } from "../controls.js";
 import { el, fill, formatBytes, formatCount, formatPercent, icon, plural } from "../dom.js";
 import {
@@ -110,7 +110,8 @@ export function formView(
     } catch (fault) {
       if (mine !== asked) return;
       judged = [];
-      labelProblems = [error("labels", fault instanceof Error ? fault.message : String(fault))];
+      const refused = fault instanceof ApiError ? fault.problems[0]?.message.replace("Value error, ", "") : null;
+      labelProblems = [error("labels", refused ?? (fault instanceof Error ? fault.message : String(fault)))];
     }
     labels.setVerdict(judged);
     refresh();
