@@ -203,7 +203,7 @@ def test_why_there_is_no_evaluation(finished: Finished) -> None:
         assert finished.get(hint[1]).json()["local"] is True
 
 
-def test_a_new_version_of_a_file_is_not_served_from_an_old_twin(finished: Finished) -> None:
+def test_a_new_version_of_a_file_is_not_served_from_an_old_gzip_copy(finished: Finished) -> None:
     path = finished.data_dir / "jobs/paper/result/run.json"
     before = finished.get("/jobs/paper/run", headers={"accept-encoding": "gzip"})
     changed = json.dumps({**before.json(), "scans": 4711}).encode()
