@@ -62,7 +62,7 @@ def test_a_second_evaluation_replaces_the_first(
 
 def test_a_folder_that_is_no_result_is_refused(interloc: Callable, tmp_path: Path, osm: Path) -> None:
     assert "is not an InterLoc result: it has no run.json" in interloc("evaluate", tmp_path, "--osm", osm).complaint
-    assert "is no folder" in interloc("evaluate", tmp_path / "none", "--osm", osm).complaint
+    assert "is not a folder" in interloc("evaluate", tmp_path / "none", "--osm", osm).complaint
     assert not list(tmp_path.iterdir())
 
 
