@@ -7,7 +7,7 @@ import secrets
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
@@ -85,9 +85,13 @@ def _check_writable(folder: Path) -> None:
         ) from error
 
 
-async def _context(request: Request) -> Context:  # async: no trip to the thread pool
-    context: Context = request.app.state.context
-    return context
+def part_of_app(name: str) -> Any:  # noqa: ANN401 - as FastAPI's Depends
+    """Return the dependency on a part of the application, which `app.main` keeps in ``app.state`` under this name."""
+
+    async def part(request: Request) -> Any:  # noqa: ANN401 - async: no trip to the thread pool
+        return getattr(request.app.state, name)
+
+    return Depends(part)
 
 
-ContextDep = Annotated[Context, Depends(_context)]
+ContextDep = Annotated[Context, part_of_app("context")]

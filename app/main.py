@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
@@ -42,16 +42,6 @@ from interloc.pipeline import versions
 API = "/api/v1"
 
 
-@contextmanager
-def _remembering_faults(app: FastAPI) -> Iterator[None]:
-    """Keep the exception of a failed start: uvicorn reports it as text only."""
-    try:
-        yield
-    except Exception as error:
-        app.state.start_fault = error
-        raise
-
-
 def create_app(settings: Settings | None = None, context: Context | None = None) -> FastAPI:
     """Make the application.
 
@@ -66,14 +56,18 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        with _remembering_faults(app):
+        parts = app.state
+        try:
             opened = context or Context.open(settings)
-            app.state.context = opened
-            app.state.runner = runner = Runner(opened, finish_drive)
-            app.state.watcher = JobWatcher(opened)
-            app.state.results = Results(opened)
-            app.state.on_demand = OnDemand(runner)
+            parts.context = opened
+            parts.runner = runner = Runner(opened, finish_drive)
+            parts.watcher = JobWatcher(opened)
+            parts.results = Results(opened)
+            parts.on_demand = OnDemand(runner)
             runner.start()
+        except Exception as error:
+            parts.start_fault = error  # uvicorn reports it as text only
+            raise
         sweeper = Sweeper(opened)
         sweeper.start()
         try:

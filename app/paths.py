@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
+from pathlib import Path
 
 from interloc.errors import InterLocError
 
@@ -52,6 +53,11 @@ def check_path(path: str) -> str:
 def is_map(path: str) -> bool:
     """Return whether a file is an OpenStreetMap file by its name; a drive takes those at any time."""
     return path.lower().endswith(MAP_ENDINGS)
+
+
+def without_folder(text: str, folder: Path, name: str) -> str:
+    """Name the files of a folder as their owner knows them: a message must not reveal where the folder is."""
+    return text.replace(f"{folder}/", "").replace(str(folder), name)
 
 
 def _complaint(path: str) -> str | None:

@@ -11,6 +11,7 @@ from app.context import Context
 from app.drives.records import files_key, find_drive
 from app.http.problems import FileProblem
 from app.jobs.runner import Runner
+from app.paths import without_folder
 from app.schemas.drives import JudgedLabels, LabelsAnswer, LabelsRequest, PlanRequest, ReductionPlanModel
 from app.work.commit import reading_options
 from app.work.on_demand import plan_and_judge
@@ -41,11 +42,11 @@ async def plan_upload(context: Context, runner: Runner, drive_id: str, request: 
         },
         request.label_counts,
     )
-    return _shown(made, judged, str(root), name)
+    return _shown(made, judged, root, name)
 
 
 def judge_label_counts(request: LabelsRequest) -> LabelsAnswer:
-    """Tell what label ids mean, before the drive is on the service."""
+    """Judge what label ids mean, before the drive is on the service."""
     scheme, kitti360 = request.options.label_scheme, request.options.layout == "kitti360"
     labels = []
     for folder, counts in request.label_counts.items():
@@ -69,10 +70,10 @@ def _look_up(context: Context, drive_id: str, request: PlanRequest) -> tuple[str
 
 
 def _shown(
-    made: ReductionPlan, judged: dict[LabelFolder, tuple[LabelJudgement, list[Finding]]], root: str, name: str
+    made: ReductionPlan, judged: dict[LabelFolder, tuple[LabelJudgement, list[Finding]]], root: Path, name: str
 ) -> ReductionPlanModel:
     def named(text: str) -> str:
-        return text.replace(f"{root}/", "").replace(root, name)
+        return without_folder(text, root, name)
 
     def problems(found: list[Finding]) -> list[FileProblem]:
         return [

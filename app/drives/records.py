@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session, defer
 from app.context import Context
 from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problems import Problem
+from app.jobs.queue import no_drive
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.settings import Settings
 from app.states import DriveState
@@ -43,12 +44,8 @@ def create_drive(context: Context, owner: str, new: NewDrive) -> DriveModel:
         drive = Drive(
             name=new.name,
             owner=owner,
-            state=DriveState.UPLOADING,
             options=new.options.model_dump(mode="json"),
             keep_raw=new.keep_raw,
-            file_count=0,
-            size_bytes=0,
-            stored_bytes=0,
             created_at=now,
             touched_at=now,
         )
@@ -83,16 +80,6 @@ def lock_drive(session: Session, drive_id: str) -> Drive:
     if drive is None:
         raise no_drive(drive_id)
     return drive
-
-
-def no_drive(drive_id: str) -> Problem:
-    """Return the problem of a drive that does not exist."""
-    return Problem(
-        404,
-        "Drive not found",
-        f"There is no drive {drive_id[:64]!r}; it may have been deleted, or an upload that was left alone has expired. "
-        "GET /api/v1/drives lists them.",
-    )
 
 
 def list_drives(context: Context, after: str | None, limit: int) -> DriveList:

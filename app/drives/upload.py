@@ -15,10 +15,11 @@ from sqlalchemy import Table, bindparam, delete, insert, select, update
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.records import files_key, find_drive, no_drive, remove_empty
+from app.drives.records import files_key, find_drive, remove_empty
 from app.http.intake import INCOMING, Arrival
 from app.http.limits import check_drive, check_free_space
 from app.http.problems import Problem
+from app.jobs.queue import no_drive
 from app.paths import is_map
 from app.states import DriveState
 from app.store.models import Drive, DriveFile

@@ -8,6 +8,7 @@ from typing import Any
 from app.context import Context
 from app.http.problems import Problem
 from app.jobs.queue import Claim
+from app.paths import without_folder
 from app.store.storage import Storage
 from app.work.task import Task
 
@@ -40,9 +41,9 @@ def _limits(context: Context, slots: int) -> dict[str, Any]:
 
 
 def without_paths(problem: Problem, task: Task) -> Problem:
-    """Name files as their client knows them: problems must not reveal where the data folder is."""
+    """Name the files of a drive and a job as their client knows them."""
     for folder in (task.drive / "files", task.drive / "reduced", task.drive, task.result, task.scratch):
-        problem.detail = problem.detail.replace(f"{folder}/", "").replace(str(folder), task.drive_name)
+        problem.detail = without_folder(problem.detail, folder, task.drive_name)
     return problem
 
 

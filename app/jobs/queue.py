@@ -243,7 +243,7 @@ def submit(
             return _same(earlier, kind, drive_id, request, key), False
     drive = session.get(Drive, drive_id)
     if drive is None:
-        raise Problem(404, "Drive not found", f"There is no drive {drive_id}. GET /api/v1/drives lists them.")
+        raise no_drive(drive_id)
     if kind not in DRIVE_CHANGING and drive.state == DriveState.UPLOADING:
         raise not_ready(drive)
     if limit is not None:
@@ -260,6 +260,16 @@ def submit(
     session.add(job)
     session.flush()
     return job, True
+
+
+def no_drive(drive_id: str) -> Problem:
+    """Return the problem of a drive that does not exist."""
+    return Problem(
+        404,
+        "Drive not found",
+        f"There is no drive {drive_id[:64]}; it may have been deleted, or an upload that was left alone has expired. "
+        "GET /api/v1/drives lists them.",
+    )
 
 
 def not_ready(drive: Drive) -> Problem:

@@ -9,11 +9,10 @@ import time
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar
 
-from fastapi import Depends, Request
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
-from app.context import Context
+from app.context import Context, part_of_app
 from app.http.problems import Problem
 from app.jobs.attempt import Attempt, FinishDrive
 from app.jobs.executors import WorkExecutor, open_executor
@@ -188,9 +187,4 @@ class Runner:
             tidy(self._context.storage, job_id, keep_result=state == JobState.SUCCESSFUL)
 
 
-async def _runner(request: Request) -> Runner:
-    runner: Runner = request.app.state.runner
-    return runner
-
-
-RunnerDep = Annotated[Runner, Depends(_runner)]
+RunnerDep = Annotated[Runner, part_of_app("runner")]

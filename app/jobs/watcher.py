@@ -9,12 +9,11 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
 
-from app.context import Context
+from app.context import Context, part_of_app
 from app.jobs.view import find_job, job_model
 from app.schemas.jobs import JobModel
 from app.states import FINAL
@@ -118,12 +117,7 @@ def _changes(context: Context, known: dict[str, int]) -> dict[str, Change | None
     return gone | {job.id: Change.of(job_model(job, name, root_path, now)) for job, name in found}
 
 
-async def _watcher(request: Request) -> JobWatcher:
-    watcher: JobWatcher = request.app.state.watcher
-    return watcher
-
-
-WatcherDep = Annotated[JobWatcher, Depends(_watcher)]
+WatcherDep = Annotated[JobWatcher, part_of_app("watcher")]
 
 
 async def wait_for_job(context: Context, job_id: str, seconds: float) -> Job:

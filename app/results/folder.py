@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
-from sqlalchemy import select
-
-from app.context import Context
+from app.context import Context, part_of_app
 from app.http.problems import Problem
+from app.jobs.view import find_job
 from app.states import JobKind, JobState
-from app.store.models import Drive, Job
 from interloc.output.layout import RUN_FILE, TABLES, file_names
 
 _MAX_KNOWN = 1000
@@ -158,30 +155,25 @@ class Results:
 
     def _look_up(self, job_id: str) -> Result:
         with self._context.database.reading() as session:
-            row = session.execute(
-                select(Job.kind, Job.state, Job.request, Job.drive_id, Drive.name)
-                .join(Drive, Drive.id == Job.drive_id)
-                .where(Job.id == job_id)
-            ).first()
-        if row is None:
-            raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
-        kind, state, request, drive_id, drive_name = row
+            job, drive_name = find_job(session, job_id)
         address = f"/api/v1/jobs/{job_id}"
-        if kind != JobKind.INTERSECTIONS:
-            raise Problem(404, "No results", f"Job {job_id} is a {kind}; only jobs of kind intersections have results.")
-        if state != JobState.SUCCESSFUL:
-            detail = f"Job {job_id} is {state}. {_STATES[state].format(job=address)}"
-            raise Problem(409, "Result not ready", detail, state=state)
+        if job.kind != JobKind.INTERSECTIONS:
+            raise Problem(
+                404, "No results", f"Job {job_id} is a {job.kind}; only jobs of kind intersections have results."
+            )
+        if job.state != JobState.SUCCESSFUL:
+            detail = f"Job {job_id} is {job.state}. {_STATES[JobState(job.state)].format(job=address)}"
+            raise Problem(409, "Result not ready", detail, state=job.state)
         storage = self._context.storage
         result = Result(
             job_id=job_id,
-            drive_id=drive_id,
+            drive_id=job.drive_id,
             drive_name=drive_name,
             address=address,
             folder=storage.folder(f"jobs/{job_id}/result"),
-            drive=storage.folder(f"drives/{drive_id}"),
+            drive=storage.folder(f"drives/{job.drive_id}"),
             cache=storage.folder(f"jobs/{job_id}/cache"),
-            request=request,
+            request=job.request,
         )
         if not (result.folder / RUN_FILE).exists():
             detail = f"The result of job {job_id} is no longer on disk. Submit the job again."
@@ -189,9 +181,4 @@ class Results:
         return result
 
 
-async def _results(request: Request) -> Results:  # async: no trip to the thread pool
-    results: Results = request.app.state.results
-    return results
-
-
-ResultsDep = Annotated[Results, Depends(_results)]
+ResultsDep = Annotated[Results, part_of_app("results")]

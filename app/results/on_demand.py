@@ -7,8 +7,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
-
+from app.context import part_of_app
 from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.results.folder import Result
@@ -87,9 +86,4 @@ def _task_of(result: Result) -> Task:
     )
 
 
-async def _on_demand(request: Request) -> OnDemand:  # async: no trip to the thread pool
-    on_demand: OnDemand = request.app.state.on_demand
-    return on_demand
-
-
-OnDemandDep = Annotated[OnDemand, Depends(_on_demand)]
+OnDemandDep = Annotated[OnDemand, part_of_app("on_demand")]

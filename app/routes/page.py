@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
-from app.context import Context, ContextDep
+from app.context import Context, ContextDep, part_of_app
 from app.http.delivery import deliver
 from app.http.page import DOCS_POLICY, INDEX, SWAGGER, SWAGGER_PAGE, SWAGGER_START, PageFiles, list_addresses
 from app.http.problems import Problem
@@ -16,12 +16,7 @@ from app.schemas.page import PageConfig
 router = APIRouter(tags=["System"])
 
 
-async def _page_files(request: Request) -> PageFiles:  # async: no trip to the thread pool
-    files: PageFiles = request.app.state.page_files
-    return files
-
-
-PageFilesDep = Annotated[PageFiles, Depends(_page_files)]
+PageFilesDep = Annotated[PageFiles, part_of_app("page_files")]
 
 
 def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint

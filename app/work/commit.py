@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from app.paths import is_map
+from app.paths import is_map, without_folder
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.drive import GroundPoints
@@ -165,13 +165,12 @@ def _known_files(task: Task) -> set[str]:
 
 def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:
     """Sort problems, leave some of very many, and name the folder of the drive as its owner does."""
-
-    def named(text: str) -> str:
-        return text.replace(f"{root}/", "").replace(str(root), name)
-
     order = ("error", "warning", "note")
     problems = sorted(problems, key=lambda problem: order.index(problem.severity))
-    kept = [Finding(each.severity, named(each.path), named(each.message)) for each in problems[:MAX_PROBLEMS]]
+    kept = [
+        Finding(each.severity, without_folder(each.path, root, name), without_folder(each.message, root, name))
+        for each in problems[:MAX_PROBLEMS]
+    ]
     if len(problems) > MAX_PROBLEMS:
         kept.append(Finding("note", "", f"And {len(problems) - MAX_PROBLEMS:,} more problems."))
     return kept
