@@ -1,7 +1,7 @@
 """The commit of a drive: all of its files are checked, then its scans are reduced to what the method needs.
 
-A drive that comes reduced (by a client that thins and reduces before it sends) is checked scan by scan and taken over.
-What is wrong with the files ends up in the report, every problem with its path; the outcome has no result then.
+A drive that was reduced already, by the client that sent it, is checked scan by scan and taken over unchanged.
+What is wrong with the files is listed in the report, each finding with its path; the outcome then has no result.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduc
 
 PART_SCANS = 200
 MAX_PROBLEMS = 500
-"""In a report: a drive of 9,000 bad scans is told from some of them."""
+"""Maximum number of problems in a report: some of 9,000 bad scans are enough."""
 
 _PROBLEMS = "problems.json"
-_SHOWN = 3
+_MAX_NAMES_SHOWN = 3
 
 
 def prepare(task: Task) -> Plan:
-    """Check the files as `interloc info` does; cut the scans into parts where they are sound."""
+    """Check the files as `interloc info` does; cut the scans into parts if they are valid."""
     files = task.drive / "files"
     files.mkdir(parents=True, exist_ok=True)
     report = check(task)
@@ -49,7 +49,7 @@ def prepare(task: Task) -> Plan:
         return Plan([], 0, {"report": report.to_dict()})
     try:
         frames = _frames(task)
-    except InterLocError as error:  # what the check does not look at: files that cannot be gathered
+    except InterLocError as error:  # not covered by the check: files that cannot be gathered
         return Plan([], 0, {"report": _with_errors(report, _problems_of(error), task).to_dict()})
     edges = range(0, len(frames), PART_SCANS)
     parts = [Part(number, start, min(start + PART_SCANS, len(frames))) for number, start in enumerate(edges)]
@@ -57,7 +57,7 @@ def prepare(task: Task) -> Plan:
 
 
 def run(task: Task, part: Part, report: Report) -> None:
-    """Reduce some scans, or check them where they are reduced; what is wrong with them is noted, not raised."""
+    """Reduce some scans, or check them if they are reduced already; faults of scans are recorded, not raised."""
     target = task.scratch / f"part-{part.number}"
     if target.is_dir():
         return
@@ -77,7 +77,7 @@ def run(task: Task, part: Part, report: Report) -> None:
                 raise
         report(done)
     (folder / _PROBLEMS).write_text(json.dumps(problems[:MAX_PROBLEMS]))
-    os.sync()  # the scans themselves will be removed: better one wait a part than one a file
+    os.sync()  # the scans themselves will be removed: one wait per part is better than one per file
     with suppress(OSError):  # another attempt was faster
         folder.rename(target)
 
@@ -123,11 +123,11 @@ def finish(task: Task, plan: Plan) -> Outcome:
 
 
 def check(task: Task) -> DriveReport:
-    """Look at all label folders of a drive; one report, with the problems of all."""
+    """Check all label folders of a drive; return one report with the problems of all."""
     root = task.drive / "files"
     try:
         folders = _label_folders(task)
-    except DriveFileError:  # a manifest that cannot be read: said once more, with all else
+    except DriveFileError:  # a manifest that cannot be read: the report names it again, with everything else
         folders = ("labels",)
     reports = [inspect_drive(root, _options(task), labels=folder) for folder in folders]
     first = reports[0]
@@ -138,7 +138,7 @@ def check(task: Task) -> DriveReport:
 
 
 def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
-    """Tell which files will not be kept because nothing reads them."""
+    """Return a note on files that are not kept because nothing reads them."""
     root = task.drive / "files"
     if task.request.get("keep_raw") or any(problem.severity == "error" for problem in problems):
         return []
@@ -151,7 +151,7 @@ def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
     unknown = sorted(path for path in found if path not in known and not path.startswith(folders) and not is_map(path))
     if not unknown:
         return []
-    names = ", ".join(unknown[:_SHOWN]) + (", ..." if len(unknown) > _SHOWN else "")
+    names = ", ".join(unknown[:_MAX_NAMES_SHOWN]) + (", ..." if len(unknown) > _MAX_NAMES_SHOWN else "")
     return [Finding("note", unknown[0], f"not needed, so not kept ({len(unknown):,} in all: {names}).")]
 
 
@@ -164,7 +164,7 @@ def _known_files(task: Task) -> set[str]:
 
 
 def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:
-    """Sort problems, leave some of very many, and name the folder of the drive as its owner does."""
+    """Sort problems, keep some of very many, and name the files as their owner does."""
     order = ("error", "warning", "note")
     problems = sorted(problems, key=lambda problem: order.index(problem.severity))
     kept = [
@@ -188,7 +188,7 @@ def _problems_of(error: InterLocError) -> list[Finding]:
 
 
 def reading_options(given: dict[str, Any], root: Path, name: str) -> DriveOptions:
-    """Return how the uploaded files in `root` are to be read, by the options that came with the drive and its name."""
+    """Return how the uploaded files in `root` are read, by the options and the name of the drive."""
     options = ReadingOptions.model_validate(given)
     oxts = None if options.oxts is None else root / options.oxts
     return DriveOptions.of(options, oxts=oxts, name=name.replace("/", "_"))
@@ -206,7 +206,7 @@ def _label_folders(task: Task) -> tuple[LabelFolder, ...]:
 
 
 def _frames(task: Task) -> list[int]:
-    """Return the numbers of the scans that are to be reduced, or were."""
+    """Return the numbers of the scans that are to be reduced, or are reduced already."""
     root = task.drive / "files"
     if is_reduced(root):
         return [int(frame) for frame in read_manifest(root).kept_frames]
@@ -215,12 +215,12 @@ def _frames(task: Task) -> list[int]:
 
 @lru_cache(maxsize=2)
 def _reduction(root: str, options: DriveOptions, job_id: str) -> Reduction:  # noqa: ARG001 - files may differ for another job
-    """Survey a drive once for all parts of a job that this process does."""
+    """Prepare the reduction of a drive once for all parts of a job in this process."""
     return prepare_reduction(root, options)
 
 
 def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:
-    """Return what reduces one scan."""
+    """Return the function that reduces one scan."""
     reduction = _reduction(str(task.drive / "files"), _options(task), task.job_id)
     for labels in reduction.scans:
         (folder / ground_path(labels, 0)).parent.mkdir(parents=True)
@@ -228,7 +228,7 @@ def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:
 
 
 def _scan_check(task: Task) -> Callable[[int], None]:
-    """Return what decodes one reduced scan."""
+    """Return the function that decodes one reduced scan."""
     root = task.drive / "files"
     manifest = read_manifest(root)
     sources = [GroundFiles(root, labels.folder, manifest.kept_frames, manifest.keyframes) for labels in manifest.labels]
@@ -241,7 +241,7 @@ def _scan_check(task: Task) -> Callable[[int], None]:
 
 
 def _take_over(files: Path, reduced: Path) -> None:
-    """Link the files of an upload that is reduced already."""
+    """Link the files of an upload that was reduced by the client."""
     manifest = read_manifest(files)
     for labels in manifest.labels:
         (reduced / ground_path(labels.folder, 0)).parent.mkdir(parents=True)
