@@ -1,4 +1,4 @@
-"""What the method saw and did at one keyframe: all that the pictures show."""
+"""What the method saw and did at one keyframe, and what the map has there: all that the pictures show."""
 
 from __future__ import annotations
 
@@ -7,16 +7,92 @@ from itertools import islice
 
 import numpy as np
 
-from interloc.arrays import FloatArray, Int32Array
-from interloc.config import DetectorConfig
+from interloc.arrays import FloatArray, Int32Array, IntArray
+from interloc.config import BranchConfig, DetectorConfig
+from interloc.detection.branches import Branches, Piece
 from interloc.detection.detector import Detector, KeyframeDetections, Steps, locate
 from interloc.detection.image import Roi
 from interloc.detection.keyframes import Keyframe, select_keyframes
-from interloc.drive import Drive, DriveScan, GroundPoints, scans_of
+from interloc.drive import Drive, DriveScan, Georeference, GroundPoints, scans_of
 from interloc.errors import ConfigError, DriveError
-from interloc.explain.verdicts import Verdict, judge
-from interloc.geometry import yaw_of
+from interloc.geometry import enu_from_lonlat, rotate_2d, yaw_of
 from interloc.kernels import grid
+from interloc.osm.graph import RoadGraph
+from interloc.osm.intersections import intersection_nodes, road_ways
+from interloc.osm.policies import Policy
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One candidate and what became of it.
+
+    Attributes
+    ----------
+    number : int
+        Its name in the pictures, from 1 on.
+    position : (2,) float64
+        Row and column, pixels.
+    width : float
+        Road width there, pixels.
+    merged : (M, 2) float64
+        The corners or junctions of the centerline that it stands for, row and column.
+    branches
+    pieces
+        Those that are branches are in the order of ``branches``.
+    detections : list of int
+        Positions among ``Steps.junctions``: none, one, or several where it was split.
+    why_not : str or None
+        Why it is no intersection.
+    """
+
+    number: int
+    position: FloatArray
+    width: float
+    merged: FloatArray
+    branches: Branches
+    pieces: list[Piece]
+    detections: list[int]
+    why_not: str | None
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether it became an intersection."""
+        return bool(self.detections)
+
+
+def judge(steps: Steps, vehicle: FloatArray, config: BranchConfig) -> list[Verdict]:
+    """Explain all candidates of a keyframe, the nearest to the vehicle (x, y in W, metres) first."""
+    candidates, segmentation = steps.candidates, steps.segmentation
+    order = np.argsort(np.hypot(*(candidates.positions - steps.roi.image(vehicle)).T), kind="stable")
+    verdicts = []
+    for number, index in enumerate(order.tolist(), start=1):
+        branches, pieces = segmentation.branches[index], list(segmentation.pieces[index])
+        detections = [i for i, junction in enumerate(steps.junctions) if junction.branches.index == index]
+        verdicts.append(
+            Verdict(
+                number=number,
+                position=candidates.positions[index],
+                width=float(candidates.widths[index]),
+                merged=candidates.merged[index],
+                branches=branches,
+                pieces=pieces,
+                detections=detections,
+                why_not=None if detections else _why_not(branches, pieces, steps.roi, config),
+            )
+        )
+    return verdicts
+
+
+def _why_not(branches: Branches, pieces: list[Piece], roi: Roi, config: BranchConfig) -> str:
+    if branches.count >= config.min_branches:
+        position = branches.candidate
+        gap_m = float(min(position.min(), roi.size - 1 - position.max())) * roi.resolution_m
+        return f"{gap_m:.1f} m from the border, {config.margin_m:g} m needed"
+    why = f"{branches.count} {'branch' if branches.count == 1 else 'branches'}, {config.min_branches} needed"
+    short = [f"{piece.reach * roi.resolution_m:.1f}" for piece in pieces if not piece.is_branch]
+    if short:
+        why += f"; {len(short)} too short ({', '.join(short)} of {config.min_reach_m:g} m)"
+    return why
 
 
 @dataclass(frozen=True)
@@ -149,3 +225,53 @@ def _window_scan(scan: DriveScan, age: int, config: DetectorConfig) -> WindowSca
     points = np.ascontiguousarray(scan.road_points, np.float32)
     cells, _ = grid.cells_of(points, pose, config.bev.resolution_m, config.bev.max_range_m)
     return WindowScan(scan.frame, age, pose[:2, 3], cells)
+
+
+_NEAR_DEG = 0.1  # the plane of a fix has an end
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """What the map says about the region of interest.
+
+    Attributes
+    ----------
+    policy : Policy
+    roads : (R, 2, 2) float64
+        Ends of the road pieces; x, y along the axes of W from the vehicle, metres.
+    nodes : (N, 2) float64
+        Intersections in the region of interest, likewise.
+    osm_id : (N,) int64
+    """
+
+    policy: Policy
+    roads: FloatArray
+    nodes: FloatArray
+    osm_id: IntArray
+
+
+def ground_truth(evidence: Evidence, georeference: Georeference, graph: RoadGraph, policy: Policy) -> GroundTruth:
+    """Bring the map into W by the keyframe's own fix: the errors of the poses along the drive play no part.
+
+    Raises
+    ------
+    ConfigError
+        There is no such policy.
+    """
+    i = evidence.index
+    lat_deg, lon_deg = georeference.lat_deg[i], georeference.lon_deg[i]
+    turn = evidence.yaw_rad - yaw_of(georeference.R_enu_lidar[i])
+
+    def place(lonlat: FloatArray) -> FloatArray:
+        return rotate_2d(enu_from_lonlat(lat_deg, lon_deg, lonlat), turn)
+
+    half_m = evidence.roi.size * evidence.roi.resolution_m / 2
+    ends = graph.lonlat[graph.edges_of(road_ways(graph, policy))]
+    ends = ends[(np.abs(ends - (lon_deg, lat_deg)) < _NEAR_DEG).all(axis=(1, 2))]
+    roads = place(ends)
+    crosses = (roads.min(axis=1) < half_m).all(axis=1) & (roads.max(axis=1) > -half_m).all(axis=1)
+    nodes = intersection_nodes(graph, policy)
+    near = (np.abs(nodes.lonlat - (lon_deg, lat_deg)) < _NEAR_DEG).all(axis=1)
+    nodes_xy = place(nodes.lonlat[near])
+    inside = (np.abs(nodes_xy) < half_m).all(axis=1)
+    return GroundTruth(policy, roads[crosses], nodes_xy[inside], nodes.osm_id[near][inside])

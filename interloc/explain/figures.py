@@ -1,22 +1,97 @@
-"""The figures: a step each, the refinement of every intersection, and all of them on one sheet."""
+"""The figures: one per step, the refinement of every intersection, all of them on one sheet; and their files."""
 
 from __future__ import annotations
 
+import json
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from interloc.drawing import INK, MUTED
-from interloc.explain import panels, sheet
-from interloc.explain.candidate_panel import candidates
-from interloc.explain.evidence import Evidence
-from interloc.explain.ground_truth import GroundTruth
-from interloc.explain.refinement_panel import describe, draw_intersection, refinement
-from interloc.explain.verdicts import Verdict
+from interloc.config import DetectorConfig
+from interloc.drawing import INK, MUTED, image, write_image
+from interloc.drive import Drive
+from interloc.explain import panels
+from interloc.explain.evidence import Evidence, GroundTruth, Verdict, gather, ground_truth
+from interloc.explain.record import record
+from interloc.files import atomic_folder, atomic_write
+from interloc.osm.graph import RoadGraph
+from interloc.osm.policies import Policy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+logger = logging.getLogger(__name__)
+
+RECORD = "explain.json"
+OVERVIEW, REFINEMENT = "overview.png", "7_refinement.png"
+
+
+def explain(
+    drive: Drive,
+    frame: int,
+    config: DetectorConfig,
+    out: Path,
+    *,
+    graph: RoadGraph | None = None,
+    policy: Policy = "drive",
+) -> list[Path]:
+    """Draw the steps of the method for the keyframe nearest to a scan number.
+
+    Parameters
+    ----------
+    drive
+    frame : int
+        Scan number. The keyframe taken is said in the log, in the pictures and in ``explain.json``.
+    config
+    out
+        Folder of the pictures, written whole or not at all; one of an earlier call is replaced.
+    graph
+        Roads of OpenStreetMap to draw on top, where the drive is georeferenced.
+    policy
+        Which of them are roads and ground truth.
+
+    Returns
+    -------
+    list of Path
+        The six steps of the paper's Fig. 2, the refinement of its Fig. 5, all of them on one sheet, and the numbers.
+
+    Raises
+    ------
+    ConfigError
+        The drive has no such scan; there is no such policy.
+    DriveError
+        The drive is empty, or a scan of the window is damaged.
+    OutputError
+        The folder is something else's, or writing failed; nothing is left behind.
+    """
+    evidence = gather(drive, frame, config)
+    logger.info(
+        "frame %d: keyframe %d of %d is scan %d, %d keyframes in its window",
+        frame,
+        evidence.number + 1,
+        evidence.keyframe_count,
+        evidence.keyframe.frame,
+        len(evidence.window),
+    )
+    truth = None
+    if graph is not None and drive.georeference is None:
+        logger.warning("%s: without georeference the roads of OpenStreetMap cannot be drawn", drive.name)
+    elif graph is not None and drive.georeference is not None:
+        truth = ground_truth(evidence, drive.georeference, graph, policy)
+    with atomic_folder(out, marker=RECORD) as folder:
+        for step in STEPS:
+            write_image(folder / step.file, image(step_figure(step, evidence, truth), "png", dpi=panels.DPI))
+        write_image(folder / REFINEMENT, image(refinement_figure(evidence, truth), "png", dpi=panels.DPI))
+        write_image(folder / OVERVIEW, image(overview(evidence, truth), "png", dpi=panels.DPI))
+        with atomic_write(folder / RECORD) as handle:
+            text = json.dumps(record(evidence, drive.name, truth), indent=2, allow_nan=False)
+            handle.write(f"{text}\n".encode())
+    return [out / name for name in (*(step.file for step in STEPS), REFINEMENT, OVERVIEW, RECORD)]
+
 
 _OSM = "#6a2c91"
 _REFINEMENT = "Branch-based refinement"
@@ -38,19 +113,19 @@ STEPS = (
     Step(3, "3_bev.png", "BEV projection", panels.bev),
     Step(4, "4_occupancy.png", "Road occupancy inference", panels.occupancy),
     Step(5, "5_centerline.png", "Road centerline extraction", panels.centerline),
-    Step(6, "6_candidates.png", "Intersection candidate detection", candidates),
+    Step(6, "6_candidates.png", "Intersection candidate detection", panels.candidates),
 )
 
 
 def step_figure(step: Step, evidence: Evidence, truth: GroundTruth | None) -> Figure:
     """Draw one step over the whole region of interest, its key and numbers beside it."""
-    figure = sheet.sheet(sheet.WIDTH, sheet.HEIGHT)
-    sheet.title(figure, f"{step.number}  {step.title}", _subtitle(evidence))
-    axes = sheet.add_axes(figure, sheet.MAP_LEFT, sheet.MAP_BOTTOM, sheet.MAP_SIDE, sheet.MAP_SIDE)
+    figure = panels.sheet(panels.WIDTH, panels.HEIGHT)
+    panels.title(figure, f"{step.number}  {step.title}", _subtitle(evidence))
+    axes = panels.add_axes(figure, panels.MAP_LEFT, panels.MAP_BOTTOM, panels.MAP_SIDE, panels.MAP_SIDE)
     facts = step.draw(axes, evidence)
     _finish(axes, evidence, truth)
-    sheet.frame_map(axes, evidence)
-    sheet.write_key(figure, axes, facts)
+    panels.frame_map(axes, evidence)
+    panels.write_key(figure, axes, facts)
     return figure
 
 
@@ -62,25 +137,25 @@ def refinement_figure(evidence: Evidence, truth: GroundTruth | None) -> Figure:
     """Draw each intersection in a row: as far as its outer circle, and its inner circle enlarged."""
     kept = [v for v in evidence.verdicts if v.is_kept]
     if not kept:
-        return step_figure(Step(7, "", _REFINEMENT, refinement), evidence, truth)
+        return step_figure(Step(7, "", _REFINEMENT, panels.refinement), evidence, truth)
     row = _CELL + _TEXT + _GAP
     height = _TOP + len(kept) * row + _KEY
-    figure = sheet.sheet(sheet.WIDTH, height)
-    sheet.title(figure, f"7  {_REFINEMENT}", _subtitle(evidence))
+    figure = panels.sheet(panels.WIDTH, height)
+    panels.title(figure, f"7  {_REFINEMENT}", _subtitle(evidence))
     most = max(kept, key=lambda v: v.branches.count)
     for i, verdict in enumerate(kept):
         bottom = height - _TOP - i * row - _TEXT - _CELL
         figure.text(
-            sheet.MAP_LEFT / sheet.WIDTH,
+            panels.MAP_LEFT / panels.WIDTH,
             (bottom + _CELL + 8) / height,
-            describe(evidence, verdict),
+            panels.describe(evidence, verdict),
             fontsize=10,
             color=INK,
         )
-        wide = _view(figure, evidence, truth, verdict, left=sheet.MAP_LEFT, bottom=bottom, zoomed=False)
-        _view(figure, evidence, truth, verdict, left=sheet.MAP_LEFT + _CELL + _GAP, bottom=bottom, zoomed=True)
+        wide = _view(figure, evidence, truth, verdict, left=panels.MAP_LEFT, bottom=bottom, zoomed=False)
+        _view(figure, evidence, truth, verdict, left=panels.MAP_LEFT + _CELL + _GAP, bottom=bottom, zoomed=True)
         if verdict is most:
-            sheet.legend(figure, [wide], sheet.MAP_LEFT / sheet.WIDTH, _KEY / height, ncols=5, columnspacing=1.6)
+            panels.legend(figure, [wide], panels.MAP_LEFT / panels.WIDTH, _KEY / height, ncols=5, columnspacing=1.6)
     return figure
 
 
@@ -94,16 +169,16 @@ def _view(
     bottom: float,
     zoomed: bool,
 ) -> Axes:
-    axes = sheet.add_axes(figure, left, bottom, _CELL, _CELL)
+    axes = panels.add_axes(figure, left, bottom, _CELL, _CELL)
     panels.backdrop(axes, evidence)
-    draw_intersection(axes, evidence, verdict)
+    panels.draw_intersection(axes, evidence, verdict)
     _finish(axes, evidence, truth, outlined=True)
     x, y = evidence.around(verdict.position[0], verdict.position[1])
     if zoomed:
         half_m = max(1.3 * verdict.branches.inner * evidence.roi.resolution_m, 5.0)
-        sheet.frame_square(axes, x, y, half_m, tick_m=2.0 if half_m < 10 else 5.0)
+        panels.frame_square(axes, x, y, half_m, tick_m=2.0 if half_m < 10 else 5.0)
     else:
-        sheet.frame_square(axes, x, y, evidence.config.branches.outer_radius_m + 3.0, tick_m=10.0)
+        panels.frame_square(axes, x, y, evidence.config.branches.outer_radius_m + 3.0, tick_m=10.0)
     return axes
 
 
@@ -114,7 +189,7 @@ _TILE_TITLE = 26
 def overview(evidence: Evidence, truth: GroundTruth | None) -> Figure:
     """Draw all steps side by side."""
     width, height = 4 * _TILE + 5 * _SPACE, _HEAD + 2 * (_TILE + _TILE_TITLE + _SPACE)
-    figure = sheet.sheet(width, height)
+    figure = panels.sheet(width, height)
     figure.text(
         _SPACE / width,
         1 - 10 / height,
@@ -127,15 +202,15 @@ def overview(evidence: Evidence, truth: GroundTruth | None) -> Figure:
     figure.text(
         _SPACE / width, 1 - 34 / height, _subtitle(evidence), fontsize=9, color=MUTED, va="top", parse_math=False
     )
-    steps = (*STEPS, Step(7, "", _REFINEMENT, refinement))
+    steps = (*STEPS, Step(7, "", _REFINEMENT, panels.refinement))
     drawn = []
     for i, step in enumerate(steps):
         left = _SPACE + (i % 4) * (_TILE + _SPACE)
         bottom = height - _HEAD - (i // 4 + 1) * (_TILE + _TILE_TITLE + _SPACE) + _SPACE
-        axes = sheet.add_axes(figure, left, bottom, _TILE, _TILE)
+        axes = panels.add_axes(figure, left, bottom, _TILE, _TILE)
         step.draw(axes, evidence)
         _finish(axes, evidence, truth)
-        sheet.frame_map(axes, evidence, labels=False)
+        panels.frame_map(axes, evidence, labels=False)
         axes.set_title(f"{step.number}  {step.title}", loc="left", fontsize=11, color=INK, pad=6)
         drawn.append(axes)
     _overview_key(figure, evidence, drawn, left + _TILE + _SPACE, bottom)
@@ -144,14 +219,14 @@ def overview(evidence: Evidence, truth: GroundTruth | None) -> Figure:
 
 def _overview_key(figure: Figure, evidence: Evidence, panels_drawn: list[Axes], left: float, bottom: float) -> None:
     """Fill the eighth place: a scale, the key of all panels, the detections."""
-    width, height = figure.get_size_inches() * sheet.DPI
-    axes = sheet.add_axes(figure, left, bottom, _TILE, _TILE)
-    sheet.frame_map(axes, evidence, labels=False)
+    width, height = figure.get_size_inches() * panels.DPI
+    axes = panels.add_axes(figure, left, bottom, _TILE, _TILE)
+    panels.frame_map(axes, evidence, labels=False)
     axes.set_axis_off()
-    x, _, y, _ = sheet.extent(evidence)
-    sheet.scale_bar(axes, x + 4.0, y + 2.0, 20.0)
+    x, _, y, _ = panels.extent(evidence)
+    panels.scale_bar(axes, x + 4.0, y + 2.0, 20.0)
     place = ((left + 6) / width, (bottom + _TILE) / height)
-    sheet.legend(figure, panels_drawn, *place, fontsize=7.5, ncols=2, columnspacing=0.8, handletextpad=0.5)
+    panels.legend(figure, panels_drawn, *place, fontsize=7.5, ncols=2, columnspacing=0.8, handletextpad=0.5)
     facts = ["intersections (x ahead, y to the left):"]
     for number, i in [(verdict.number, i) for verdict in evidence.verdicts for i in verdict.detections]:
         ahead, aside = evidence.detections.lidar_xy[i]
@@ -179,7 +254,7 @@ def _finish(axes: Axes, evidence: Evidence, truth: GroundTruth | None, *, outlin
             zorder=7,
             label="OSM intersection",
         )
-    sheet.mark_vehicle(axes, evidence, outlined=outlined)
+    panels.mark_vehicle(axes, evidence, outlined=outlined)
 
 
 def _subtitle(evidence: Evidence) -> str:

@@ -9,9 +9,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.detection.image import BinaryImage
-from interloc.explain.evidence import Evidence
-from interloc.explain.ground_truth import GroundTruth
-from interloc.explain.verdicts import Verdict
+from interloc.explain.evidence import Evidence, GroundTruth, Verdict
 from interloc.geometry import rotate_2d
 
 
