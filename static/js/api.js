@@ -335,7 +335,7 @@ function save(url, name) {
  * @property {boolean} needs_token
  * @property {Record<string, number>} limits
  * @property {{name: string, title: string, description: string}[]} policies The first is the usual one.
- * @property {{name: string, title: string, is_osm: boolean}[]} layers Of a result.
+ * @property {{name: string, description: string, is_osm: boolean}[]} layers Of a result.
  * @property {{name: string, title: string, road: number[]}[]} label_schemes
  * @property {{maps: string[], archives: string[]}} file_kinds Endings of names, in lower case.
  * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.

@@ -51,7 +51,7 @@ function sections(result, link) {
   const files = (title, ...buttons) => [el("span", {}, title), el("div", { class: "formats" }, buttons)];
   /** @param {string} name */
   const vector = (name) => {
-    const title = LAYERS[name];
+    const title = el("span", { title: known.get(name)?.description }, LAYERS[name]);
     if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`));
     const path = name.replaceAll("_", "-");
     const others = ["fgb", "kml"].map((format) =>
