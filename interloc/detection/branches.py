@@ -146,8 +146,8 @@ def segment_all(
         if len(blockers) < len(every):
             for i in blockers.tolist():
                 found[i] = segment_branches(candidates, i, blockers, centerline, resolution_m, config)
-    inside = candidates.inside(centerline.image.height, config.margin_m / resolution_m)
-    kept = np.intersect1d(_with_enough_branches(found, blockers, config), inside).tolist()
+    inside = set(candidates.inside(centerline.image.height, config.margin_m / resolution_m).tolist())
+    kept = [i for i in _with_enough_branches(found, blockers, config).tolist() if i in inside]
     return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], blockers, kept)
 
 

@@ -39,7 +39,7 @@ class Candidates:
         return self.merged[index] if self.are_junctions else np.empty((0, 2))
 
     def inside(self, size: int, margin: float) -> IntArray:
-        """Return which candidates lie at least a margin from the border of an image of ``size`` pixels a side."""
+        """Return which candidates lie at least a margin from the border of an image of ``size`` pixels per side."""
         within = (self.positions >= margin) & (self.positions <= size - 1 - margin)
         return np.flatnonzero(within.all(axis=1))
 

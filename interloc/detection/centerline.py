@@ -46,7 +46,7 @@ class Centerline:
 
     @classmethod
     def of(cls, image: BinaryImage, occupancy: BinaryImage, max_width: int | None = None) -> Centerline:
-        """Build the graph of a thinned image; roads are measured up to half the image's side unless said otherwise."""
+        """Build the graph of a thinned image; roads are measured up to half the image's side by default."""
         rows, cols = image.pixels()
         neighbours = skeleton.neighbours_of(image.words, rows, cols)
         return cls(image, rows, cols, neighbours, occupancy, image.height // 2 if max_width is None else max_width)

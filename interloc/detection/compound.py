@@ -26,10 +26,10 @@ class _Axis:
     direction: FloatArray
     branches: list[int]
 
-    def meets(self, other: _Axis, least_angle_rad: float) -> FloatArray | None:
+    def meets(self, other: _Axis, min_angle_rad: float) -> FloatArray | None:
         """Return where two axes cross, None where they run too much alike."""
         cross = self.direction[0] * other.direction[1] - self.direction[1] * other.direction[0]
-        if abs(cross) < math.sin(least_angle_rad):
+        if abs(cross) < math.sin(min_angle_rad):
             return None
         delta = other.point - self.point
         along = (delta[0] * other.direction[1] - delta[1] * other.direction[0]) / cross

@@ -37,5 +37,5 @@ def infer_occupancy(bev: BinaryImage, resolution_m: float, config: OccupancyConf
 
 
 def odd_pixels(length_m: float, resolution_m: float) -> int:
-    """Return the odd number of pixels nearest to a length; 1 (no effect) at the least."""
+    """Return the odd number of pixels nearest to a length; never less than 1 (no effect)."""
     return 2 * round((length_m / resolution_m - 1) / 2) + 1 if length_m > resolution_m else 1

@@ -45,7 +45,7 @@ def explain(
     ----------
     drive
     frame : int
-        Scan number. The keyframe taken is said in the log, in the pictures and in ``explain.json``.
+        Scan number. The keyframe taken is named in the log, in the pictures and in ``explain.json``.
     config
     out
         Folder of the pictures, written whole or not at all; one of an earlier call is replaced.

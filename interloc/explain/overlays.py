@@ -171,7 +171,7 @@ _DRAW = {
 
 Marker = Literal["disc", "cross", "square", "star"]
 
-_SHARP_PX = 1500  # lines and marks are drawn on about so many pixels a side
+_SHARP_PX = 1500  # lines and marks are drawn on about so many pixels per side
 _SHIFT = 4  # OpenCV's fixed point: sixteenths of a pixel
 _ANGLES = np.arange(10) * np.pi / 5
 _STAR = np.stack([np.sin(_ANGLES), np.cos(_ANGLES)], axis=-1) * np.array([1.0, 0.42] * 5)[:, None]
@@ -184,7 +184,7 @@ class Canvas:
     ----------
     evidence
     sharp
-        Several pixels a cell, for lines and marks; else one.
+        Several pixels per cell, for lines and marks; else one.
     background
         A colour; transparent by default.
     """

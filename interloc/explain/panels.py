@@ -500,7 +500,7 @@ def refinement(axes: Axes, evidence: Evidence) -> list[str]:
 
 
 def describe(evidence: Evidence, verdict: Verdict) -> str:
-    """Say in a line what the refinement did."""
+    """Describe in one line what the refinement did."""
     metre = evidence.roi.resolution_m
     parts = []
     for i in verdict.detections:

@@ -1,4 +1,4 @@
-"""Binary images packed 64 columns a word.
+"""Binary images packed 64 columns per word.
 
 Layout: row ``r`` of the image is row ``r + 1`` of a (H + 2, words) uint64 array; column ``c`` is bit ``c % 64`` of word
 ``c // 64``. One empty row above and below and at least one empty column at the right make every 8-neighbour of a
