@@ -10,7 +10,7 @@ READY := $(VENV)/.ready
 # Two halves, of which the faster one helps the other; bytecode is kept, for the processes that the tests start.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
 # The kernels are compiled once, and not by all processes at the same time.
-COMPILE := $(BIN)/python -m tests.compile
+COMPILE := $(BIN)/python -m tests.preloaded
 BIOME := static/node_modules/.bin/biome
 
 .PHONY: install serve demo page-tools test test-quick lint format types bench load bench-page screenshots clean

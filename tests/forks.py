@@ -11,17 +11,10 @@ from collections.abc import Mapping, Sequence
 from multiprocessing import get_context
 from pathlib import Path
 
-from interloc.cli.main import COMMANDS, main
+from interloc.cli.main import main
 
 context = get_context("forkserver")
-context.set_forkserver_preload(
-    [
-        "pytest",
-        "app.server",
-        "app.work.intersections",
-        *(f"interloc.cli.{name.partition(':')[0]}" for name in COMMANDS.values()),
-    ]
-)
+context.set_forkserver_preload(["pytest", "tests.preloaded"])
 
 
 class Command:

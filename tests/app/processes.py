@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import re
@@ -23,14 +24,16 @@ FINAL = {"successful", "failed", "dismissed"}
 PATIENCE_S = 120.0
 
 
-def wait_until(condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S) -> Any:
+def wait_until(
+    condition: Callable[[], Any], what: str, patience_s: float = PATIENCE_S, *, every_s: float = 0.02
+) -> Any:
     """Wait until a condition is truthy; returns it."""
     end = time.monotonic() + patience_s
     while time.monotonic() < end:
         value = condition()
         if value:
             return value
-        time.sleep(0.02)
+        time.sleep(every_s)
     raise AssertionError(f"waited {patience_s:.0f} s in vain for {what}")
 
 
@@ -149,8 +152,35 @@ def ended(client: httpx.Client, job_id: str, patience_s: float = PATIENCE_S) -> 
         job = job_of(client, job_id)
         return job if job["state"] in FINAL else None
 
-    job: dict[str, Any] = wait_until(look, f"the end of job {job_id}", patience_s)
+    job: dict[str, Any] = wait_until(look, f"the end of job {job_id}", patience_s, every_s=0.1)
     return job
+
+
+class Gate:
+    """A scan of a ready drive that is a pipe: a job that comes to it stands there, without work, until it is opened."""
+
+    def __init__(self, data_dir: Path, drive_id: str, frame: int) -> None:
+        self._place = data_dir / f"drives/{drive_id}/reduced/ground/labels/{frame:06d}.ground"
+        self._content = self._place.read_bytes()
+        self._pipe = data_dir / f"gate-{drive_id}"
+        self._place.unlink()
+        os.mkfifo(self._pipe)
+        os.link(self._pipe, self._place)
+
+    def open(self) -> None:
+        """Let through who stands there, and all who come later."""
+        new = self._pipe.with_suffix(".new")
+        new.write_bytes(self._content)
+        new.replace(self._place)
+        try:
+            while True:
+                with os.fdopen(os.open(self._pipe, os.O_WRONLY | os.O_NONBLOCK), "wb") as pipe:
+                    os.set_blocking(pipe.fileno(), True)
+                    pipe.write(self._content)
+                time.sleep(0.02)  # for the reader to go on: it has the pipe open until then
+        except OSError as error:
+            if error.errno not in {errno.ENXIO, errno.EPIPE}:  # nobody stands there any more
+                raise
 
 
 def half_way(client: httpx.Client, job_id: str) -> dict[str, Any]:
@@ -162,5 +192,5 @@ def half_way(client: httpx.Client, job_id: str) -> dict[str, Any]:
         progress = job["progress"]
         return job if progress["total"] and 0 < progress["done"] < progress["total"] else None
 
-    job: dict[str, Any] = wait_until(look, f"job {job_id} to be half-way")
+    job: dict[str, Any] = wait_until(look, f"job {job_id} to be half-way", every_s=0.1)
     return job

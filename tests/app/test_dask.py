@@ -17,13 +17,12 @@ import pytest
 from app.jobs.executors import DaskExecutor
 from app.jobs.processes import WorkerLostError
 from interloc.cli.main import run
-from tests.app.processes import ended, half_way, submit, upload, wait_until
+from tests.app.processes import Gate, ended, half_way, submit, upload, wait_until
 from tests.app.street import write_street
 
 pytest.importorskip("distributed", reason="the extra interloc[dask] is not installed")
 
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
-SLOW = {"bev": {"resolution_m": 0.08}}
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +55,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=300)
+    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=100)
 
 
 def die() -> None:
@@ -68,11 +67,13 @@ def test_a_cluster_finds_what_the_command_line_finds(
 ) -> None:
     out = tmp_path / "out"
     osm = street / "map.osm"
-    arguments = ["--osm", str(osm), "--set", "bev.resolution_m=0.08", "--quiet"]
-    assert run(["run", str(street), "-o", str(out), *arguments]) == 0
+    assert run(["run", str(street), "-o", str(out), "--osm", str(osm), "--quiet"]) == 0
     client = serve(dask=cluster)
-    job_id = submit(client, upload(client, street), osm={"file": "map.osm"}, config=SLOW)
+    drive_id = upload(client, street)
+    gate = Gate(tmp_path / "data", drive_id, frame=60)
+    job_id = submit(client, drive_id, osm={"file": "map.osm"})
     half_way(client, job_id)
+    gate.open()
     job = ended(client, job_id)
     assert job["state"] == "successful", job
     for layer in (*LAYERS, "osm-nodes", "matches"):

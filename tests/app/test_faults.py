@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,9 +18,12 @@ import httpx
 import pytest
 
 from interloc.cli.main import run
+from interloc.reduction.reduce import reduce_drive
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.processes import (
     API,
+    FINAL,
+    Gate,
     ServerProcess,
     archive_of,
     ended,
@@ -34,26 +39,32 @@ from tests.app.processes import (
 from tests.app.street import write_street
 
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
-SLOW = {"bev": {"resolution_m": 0.12}}  # a job long enough to be disturbed
+SCANS = 100
+MIDDLE = 60
 
 Start = Callable[..., ServerProcess]
 
 
-@pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive of 450 keyframes. Shared: do not change it."""
-    return write_street(tmp_path_factory.mktemp("drives") / "street", scans=450)
+@dataclass(frozen=True)
+class Drive:
+    """A reduced drive with its map, and what the command line finds on it: the features of each layer."""
+
+    folder: Path
+    expected: dict[str, Any]
+
+
+def make_drive(root: Path, scans: int) -> Drive:
+    street, small, out = write_street(root / "raw" / "street", scans), root / "street", root / "result"
+    reduce_drive(street, small, keyframes=None)
+    shutil.copy(street / "map.osm", small)
+    assert run(["detect", str(small), "-o", str(out), "--quiet"]) == 0
+    return Drive(small, {layer: json.loads((out / f"{layer}.geojson").read_text())["features"] for layer in LAYERS})
 
 
 @pytest.fixture(scope="module")
-def expected(street: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the command line finds on it: the features of each layer."""
-    out = tmp_path_factory.mktemp("results") / "street"
-    osm = street / "map.osm"
-    assert (
-        run(["run", str(street), "-o", str(out), "--osm", str(osm), "--set", "bev.resolution_m=0.12", "--quiet"]) == 0
-    )
-    return {layer: json.loads((out / f"{layer}.geojson").read_text())["features"] for layer in LAYERS}
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    """A drive of which all keyframes are one range. Shared: do not change it."""
+    return make_drive(tmp_path_factory.mktemp("drives"), SCANS)
 
 
 @pytest.fixture
@@ -67,39 +78,46 @@ def start(tmp_path: Path) -> Iterator[Start]:
         yield go
 
 
-def assert_result(client: httpx.Client, job: dict[str, Any], expected: dict[str, Any]) -> None:
+def assert_result(client: httpx.Client, job: dict[str, Any], drive: Drive) -> None:
     assert job["state"] == "successful", job
-    for layer, features in expected.items():
+    for layer, features in drive.expected.items():
         answer = client.get(f"{API}/jobs/{job['id']}/{layer}")
         assert answer.status_code == 200, answer.text
         assert json.dumps(answer.json()["features"]) == json.dumps(features), layer
 
 
-def test_a_killed_worker_is_replaced_and_its_part_done_again(start: Start, street: Path, expected: dict) -> None:
-    server = start(workers=2)
-    drive = upload(server.client, street)
-    job = submit(server.client, drive, config=SLOW, osm={"file": "map.osm"})
+def standing_job(
+    server: ServerProcess, data_dir: Path, drive: Drive, frame: int = MIDDLE, **request: Any
+) -> tuple[str, Gate]:
+    """Submit a job that stands still half-way; returns its id and what it stands at."""
+    drive_id = upload(server.client, drive.folder)
+    gate = Gate(data_dir, drive_id, frame)
+    job = submit(server.client, drive_id, **request)
     half_way(server.client, job)
+    return job, gate
+
+
+def test_a_killed_worker_is_replaced_and_its_part_done_again(start: Start, drive: Drive, tmp_path: Path) -> None:
+    server = start(workers=2)
+    job, gate = standing_job(server, tmp_path / "data", drive)
     before = {worker.pid for worker in server.workers()}
     for worker in server.workers():
         kill_if_there(worker)
-    assert_result(server.client, ended(server.client, job), expected)
+    gate.open()
+    assert_result(server.client, ended(server.client, job), drive)
     assert before.isdisjoint(worker.pid for worker in server.workers())
 
 
-def test_a_job_goes_on_where_the_killed_server_left_it(
-    start: Start, street: Path, expected: dict, tmp_path: Path
-) -> None:
+def test_a_job_goes_on_where_the_killed_server_left_it(start: Start, tmp_path: Path) -> None:
+    long = make_drive(tmp_path / "long", 380)  # two ranges
     server = start(workers=1)
-    drive = upload(server.client, street)
-    job = submit(server.client, drive, config=SLOW, osm={"file": "map.osm"})
+    job, gate = standing_job(server, tmp_path / "data", long, frame=300, osm={"file": "map.osm"})
     scratch = tmp_path / "data" / "jobs" / job / "scratch"
 
     def checkpoints() -> dict[str, int]:
         return {path.name: path.stat().st_mtime_ns for path in files_below(scratch) if path.suffix == ".npz"}
 
     wait_until(checkpoints, "the first finished range")
-    half_way(server.client, job)
     workers = server.workers()
     server.kill()
     wait_until(lambda: not any(worker.is_running() for worker in workers), "the workers to end with their server")
@@ -108,26 +126,26 @@ def test_a_job_goes_on_where_the_killed_server_left_it(
     again = start(workers=1)
     wait_until(lambda: job_of(again.client, job)["attempts"] == 2, "the lease to run out")
     half_way(again.client, job)
-    kept = checkpoints()
-    assert {name: kept[name] for name in done} == done  # not done twice
-    assert_result(again.client, ended(again.client, job), expected)
+    assert checkpoints() == done  # not done twice
+    gate.open()
+    assert_result(again.client, ended(again.client, job), long)
     assert not scratch.exists()
 
 
-def test_a_stopped_server_gives_its_job_back(start: Start, street: Path, expected: dict) -> None:
+def test_a_stopped_server_gives_its_job_back(start: Start, drive: Drive, tmp_path: Path) -> None:
     server = start(workers=1)
-    drive = upload(server.client, street)
-    job = submit(server.client, drive, config=SLOW, osm={"file": "map.osm"})
-    half_way(server.client, job)
+    job, gate = standing_job(server, tmp_path / "data", drive)
     assert server.stop() == 0
 
+    gate.open()
     again = start(workers=1)
     job_again = ended(again.client, job)
     assert job_again["attempts"] == 1  # an orderly stop is no failed attempt
-    assert_result(again.client, job_again, expected)
+    assert_result(again.client, job_again, drive)
 
 
-def test_an_upload_goes_on_after_the_server_was_killed(start: Start, street: Path, tmp_path: Path) -> None:
+def test_an_upload_goes_on_after_the_server_was_killed(start: Start, tmp_path: Path) -> None:
+    street = write_street(tmp_path / "street", scans=20)
     server = start()
     drive = server.client.post(f"{API}/drives", json={"name": "street"}).json()["id"]
     names = ["poses.txt", "velodyne/000000.bin", "labels/000000.label"]
@@ -157,55 +175,52 @@ def test_an_upload_goes_on_after_the_server_was_killed(start: Start, street: Pat
     assert answer.json()["state"] == "ready"
 
 
-def test_a_job_that_kills_every_worker_fails_with_the_reason(start: Start, street: Path) -> None:
+def test_a_job_that_kills_every_worker_fails_with_the_reason(start: Start, drive: Drive, tmp_path: Path) -> None:
     server = start(workers=1, max_attempts=2)
-    drive = upload(server.client, street)
-    job = submit(server.client, drive, config=SLOW)
+    job, gate = standing_job(server, tmp_path / "data", drive)
 
     def look() -> dict[str, Any] | None:
+        for worker in server.workers():
+            kill_if_there(worker)
         state = job_of(server.client, job)
-        if state["state"] == "running" and state["progress"]["total"]:
-            for worker in server.workers():
-                kill_if_there(worker)
-        return state if state["state"] in {"failed", "successful"} else None
+        return state if state["state"] in FINAL else None
 
     end = wait_until(look, "the end of the job")
     assert end["state"] == "failed", end
     assert "worker" in end["error"]["detail"]
     assert "memory" in end["error"]["detail"]
     assert end["attempts"] <= 2
-    good = submit(server.client, drive)  # others are not harmed
+    gate.open()
+    good = submit(server.client, end["drive_id"])  # others are not harmed
     assert ended(server.client, good)["state"] == "successful"
 
 
 def test_two_servers_share_the_work_on_one_database(
     start: Start,
-    street: Path,
-    expected: dict,
+    drive: Drive,
     postgres_url: str,  # noqa: F811 - the fixture
 ) -> None:
     first, second = (start(workers=1, jobs_at_once=1, database_url=postgres_url) for _ in range(2))
-    drive = upload(first.client, street)
-    jobs = [submit((first, second)[i % 2].client, drive, config=SLOW, osm={"file": "map.osm"}) for i in range(4)]
+    drive_id = upload(first.client, drive.folder)
+    jobs = [submit((first, second)[i % 2].client, drive_id) for i in range(4)]
     for job in jobs:
         end = ended(second.client, job)
         assert end["attempts"] == 1  # nothing twice
-        assert_result(first.client, end, expected)
+        assert_result(first.client, end, drive)
 
 
 def test_a_server_takes_over_from_one_that_was_killed(
     start: Start,
-    street: Path,
-    expected: dict,
+    drive: Drive,
+    tmp_path: Path,
     postgres_url: str,  # noqa: F811 - the fixture
 ) -> None:
     first = start(workers=1, database_url=postgres_url)
-    drive = upload(first.client, street)
-    job = submit(first.client, drive, config=SLOW, osm={"file": "map.osm"})
-    half_way(first.client, job)
+    job, gate = standing_job(first, tmp_path / "data", drive)
     second = start(workers=1, database_url=postgres_url)
     first.kill()
-    assert_result(second.client, ended(second.client, job), expected)
+    gate.open()
+    assert_result(second.client, ended(second.client, job), drive)
 
 
 @pytest.fixture
@@ -245,16 +260,15 @@ def test_a_full_disk_refuses_uploads_and_keeps_what_is_there(start: Start, small
     assert server.client.put(f"{address}/velodyne/000000.bin", content=piece).status_code == 201  # room again
 
 
-def test_a_job_on_a_full_disk_fails_in_words(start: Start, street: Path, small_disk: Path, tmp_path: Path) -> None:
+def test_a_job_on_a_full_disk_fails_in_words(start: Start, drive: Drive, small_disk: Path, tmp_path: Path) -> None:
     database = f"sqlite:///{tmp_path / 'elsewhere.sqlite3'}"  # so that the failure itself can be recorded
-    short = write_street(tmp_path / "short", scans=60)
     server = start(data_dir=small_disk, workers=1, database_url=database)
-    drive = upload(server.client, short)
+    drive_id = upload(server.client, drive.folder)
     filler = small_disk / "filler"
     subprocess.run(["dd", "if=/dev/zero", f"of={filler}", "bs=4k"], check=False, capture_output=True)
-    end = ended(server.client, submit(server.client, drive))
+    end = ended(server.client, submit(server.client, drive_id))
     assert end["state"] == "failed"
     assert end["error"]["status"] == 507
     assert "space" in end["error"]["detail"]
     filler.unlink()
-    assert ended(server.client, submit(server.client, drive))["state"] == "successful"
+    assert ended(server.client, submit(server.client, drive_id))["state"] == "successful"

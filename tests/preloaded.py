@@ -1,0 +1,28 @@
+"""All that servers, workers and commands import or compile sooner or later: done once, then forked (see `forks`)."""
+
+from __future__ import annotations
+
+import tempfile
+from importlib import import_module
+from pathlib import Path
+
+from interloc.cli.main import COMMANDS
+from interloc.config import preset
+from interloc.drives.open import open_drive
+from interloc.evaluation.evaluate import evaluate
+from interloc.evaluation.report import write_report
+from interloc.osm.reader import read_osm
+from interloc.output.write import write_results
+from interloc.pipeline import detect
+from tests.app.street import write_street
+
+for name in ("app.server", "app.work.intersections", *(f"interloc.cli.{name}" for name in COMMANDS.values())):
+    import_module(name)
+
+with tempfile.TemporaryDirectory() as folder:
+    root = Path(folder)
+    drive = open_drive(write_street(root / "street", 40))
+    for name in ("paper", "default"):
+        result = detect(drive, preset(name))  # numba compiles the kernels, or finds them compiled
+    write_results(result, root / "result")
+    write_report(evaluate(result, read_osm(root / "street" / "map.osm")), result, root / "result")
