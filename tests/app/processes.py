@@ -60,9 +60,8 @@ class ServerProcess:
         self.client = httpx.Client(base_url=self.address, timeout=60)
 
     def workers(self) -> list[psutil.Process]:
-        """The processes that work for it (spawned ones, not Python's resource tracker)."""
-        children = psutil.Process(self.process.pid).children(recursive=True)
-        return [child for child in children if "spawn_main" in " ".join(_command_line(child))]
+        """The processes that work for it."""
+        return workers_of(self.process.pid)
 
     def kill(self) -> None:
         """kill -9: no farewell."""
@@ -84,11 +83,23 @@ class ServerProcess:
                 kill_if_there(child)
 
 
-def _command_line(process: psutil.Process) -> list[str]:
+def workers_of(pid: int) -> list[psutil.Process]:
+    """Processes that work for a server: spawned ones, or forked ones where it runs in the process of the tests."""
+    children = psutil.Process(pid).children(recursive=True)
+    lines = {child.pid: _command_line(child) for child in children}
+    return [
+        child
+        for child in children
+        if "spawn_main" in lines[child.pid]
+        or ("forkserver" in lines[child.pid] and "forkserver" in lines.get(child.ppid(), ""))
+    ]
+
+
+def _command_line(process: psutil.Process) -> str:
     try:
-        return list(process.cmdline())
+        return " ".join(process.cmdline())
     except psutil.Error:
-        return []
+        return ""
 
 
 def kill_if_there(process: psutil.Process) -> None:

@@ -8,7 +8,6 @@ import io
 import stat
 import struct
 import tarfile
-import time
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,7 +17,7 @@ import pytest
 import zstandard
 
 from tests.app.conftest import running_server
-from tests.app.processes import files_below
+from tests.app.processes import ended, files_below, wait_until
 
 FILES = {
     "poses.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n",
@@ -96,15 +95,8 @@ def refuse(client: httpx.Client, tmp_path: Path, data: bytes, *reasons: str, sta
         assert reason in answer.json()["detail"]
     assert str(tmp_path) not in answer.text
     assert listed(client, drive) == {}
-    wait_until(lambda: left(tmp_path) == before)
+    wait_until(lambda: left(tmp_path) == before, "what was unpacked to go")
     assert client.get(drive).json()["state"] == "uploading"
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20
-    while not holds():
-        assert time.monotonic() < deadline, "it never came to be"
-        time.sleep(0.02)
 
 
 TARRED = tarred(in_folder("07", FILES))
@@ -135,7 +127,7 @@ def test_every_kind_of_archive(client: httpx.Client, drive: str, home: Path, dat
     shown = client.get(drive).json()
     assert (shown["files"], shown["size_bytes"]) == (4, result["size_bytes"])
     root = f"data/drives/{drive.rsplit('/', maxsplit=1)[-1]}"
-    wait_until(lambda: left(home, root) == sorted(f"{root}/files/{name}" for name in FILES))
+    wait_until(lambda: left(home, root) == sorted(f"{root}/files/{name}" for name in FILES), "the archive to go")
 
 
 def test_an_archive_as_part_of_a_form(client: httpx.Client, drive: str) -> None:
@@ -160,7 +152,7 @@ def test_a_client_need_not_wait(client: httpx.Client, drive: str) -> None:
     assert answer.headers["preference-applied"] == "wait=0"
     job = answer.headers["location"]
     assert job == f"/api/v1/jobs/{answer.json()['job_id']}"
-    wait_until(lambda: client.get(job).json()["state"] == "successful")
+    wait_until(lambda: client.get(job).json()["state"] == "successful", "the end of the job")
     assert listed(client, drive) == digests(FILES)
 
 
@@ -286,7 +278,7 @@ def test_a_name_that_is_file_and_folder(client: httpx.Client, drive: str, home: 
     assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
     assert list(listed(client, drive)) == ["velodyne"]
     root = f"data/drives/{drive.rsplit('/', maxsplit=1)[-1]}"
-    wait_until(lambda: left(home, root) == [f"{root}/files/velodyne"])
+    wait_until(lambda: left(home, root) == [f"{root}/files/velodyne"], "the archive to go")
 
 
 CUT = {
@@ -414,6 +406,6 @@ def test_a_committed_drive_takes_no_archive_and_one_being_unpacked_no_commit(cli
     answer = client.post(f"{drive}/archive", content=KINDS["zip"], headers={"Prefer": "wait=0"})
     assert answer.status_code in {200, 202}
     commit = client.post(f"{drive}/commit")
-    wait_until(lambda: client.get(f"/api/v1/jobs/{answer.json()['job_id']}").json()["state"] == "successful")
+    ended(client, answer.json()["job_id"])
     assert commit.status_code == 409 or answer.status_code == 200
     assert client.post("/api/v1/drives/0123456789abcdef/archive", content=KINDS["zip"]).status_code == 404

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
@@ -13,13 +12,13 @@ from typing import Any
 
 import httpx
 import numpy as np
-import psutil
 import pytest
 
 from interloc.cli.main import run
 from interloc.config import KeyframeConfig
 from interloc.reduction.reduce import reduce_drive
 from tests.app.conftest import running_server
+from tests.app.processes import ended, wait_until, workers_of
 from tests.app.street import write_street
 
 RESULTS = ("detections", "keyframes", "intersections", "trajectory")
@@ -60,10 +59,9 @@ def drive(street: Path, tmp_path: Path) -> Path:
 def upload(client: httpx.Client, root: Path, **new: Any) -> str:
     """Make a drive and send all files of a folder."""
     drive = str(client.post("/api/v1/drives", json={"name": root.name, **new}).headers["location"])
-    for file in sorted(root.rglob("*")):
-        if file.is_file():
-            answer = client.put(f"{drive}/files/{file.relative_to(root).as_posix()}", content=file.read_bytes())
-            assert answer.status_code == 201, answer.text
+    files = [(file.relative_to(root).as_posix(), file.read_bytes()) for file in root.rglob("*") if file.is_file()]
+    answer = client.post(f"{drive}/scans", files=[("files", file) for file in files])
+    assert answer.status_code == 200, answer.text
     return drive
 
 
@@ -95,8 +93,7 @@ def results(client: httpx.Client, drive: str, **job: Any) -> dict[str, str]:
     answer = client.post("/api/v1/jobs", json={"drive_id": drive.rsplit("/", maxsplit=1)[-1], **job})
     assert answer.status_code == 202, answer.text
     address = answer.headers["location"]
-    wait_until(lambda: client.get(address).json()["state"] not in {"accepted", "running"})
-    shown = client.get(address).json()
+    shown = ended(client, answer.json()["id"])
     assert shown["state"] == "successful", shown["error"]
     tables = {}
     for table in RESULTS:
@@ -114,13 +111,6 @@ def by_command_line(root: Path, out: Path, *options: object) -> dict[str, str]:
         ).read_text()
         for table in RESULTS
     }
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 120
-    while not holds():
-        assert time.monotonic() < deadline, "it never came to be"
-        time.sleep(0.05)
 
 
 def files_below(home: Path, drive: str) -> list[str]:
@@ -197,7 +187,7 @@ def test_an_upload_that_is_reduced(client: httpx.Client, street: Path, home: Pat
     assert shown["report"]["reduced"]["kept_scans"] == 60
     for labels in ("labels", "predictions"):
         assert results(client, drive, labels=labels) == by_command_line(street, tmp_path / labels, "--labels", labels)
-    wait_until(lambda: not any(name.startswith("files/") for name in files_below(home, drive)))
+    wait_until(lambda: not any(name.startswith("files/") for name in files_below(home, drive)), "the raw files to go")
     sent = {path.relative_to(tmp_path / "07").as_posix() for path in (tmp_path / "07").rglob("*") if path.is_file()}
     assert {f"reduced/{name}" for name in sent} == set(files_below(home, drive)) - {"trajectory.geojson"}
     name = "ground/labels/000000.ground"
@@ -213,7 +203,10 @@ def test_raw_scans_go_maps_stay(client: httpx.Client, drive: Path, home: Path) -
     shown = commit(client, address)
     notes = [each["message"] for each in shown["report"]["problems"] if each["severity"] == "note"]
     assert any("README.md, image_2/000000.png" in note for note in notes)
-    wait_until(lambda: [name for name in files_below(home, address) if name.startswith("files/")] == ["files/map.osm"])
+    wait_until(
+        lambda: [name for name in files_below(home, address) if name.startswith("files/")] == ["files/map.osm"],
+        "the raw files to go",
+    )
     assert (shown["files"], shown["size_bytes"]) == (before["files"], before["size_bytes"])
     assert shown["stored_bytes"] < shown["size_bytes"] / 2
     root = home / "data" / "drives" / shown["id"]
@@ -415,7 +408,7 @@ def test_a_plan_is_made_by_a_worker(client: httpx.Client, street: Path) -> None:
     """It reads files of any size; the server goes on answering meanwhile, whatever becomes of the workers."""
     drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
     assert client.put(f"{drive}/files/poses.txt", content=(street / "poses.txt").read_bytes()).status_code == 201
-    workers = [child for child in psutil.Process().children(recursive=True) if "spawn_main" in str(child.cmdline())]
+    workers = workers_of(os.getpid())
     assert workers
     with ThreadPoolExecutor(1) as pool:
         try:
@@ -453,4 +446,4 @@ def test_a_drive_that_is_deleted_while_it_is_checked(client: httpx.Client, stree
     assert client.delete(address).status_code == 204
     assert client.get(address).status_code == 404
     assert client.post(f"{address}/commit").status_code == 404
-    wait_until(lambda: files_below(home, address) == [])
+    wait_until(lambda: not files_below(home, address), "all files to go")

@@ -143,8 +143,8 @@ def test_a_folder_of_something_else_is_not_touched(here: Any, scored: Any, tmp_p
 def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
     drive = here("push", street, "--json").json["drive_id"]
     with here.start("push", street, "--run", "--set", "keyframes.window=40", "-o", tmp_path / "out") as process:
-        jobs = f"{API}/jobs"
-        wait_until(lambda: server.client.get(jobs, params={"drive": drive}).json()["jobs"], "the job")
+        waits = "interloc_event_listeners 1.0"
+        wait_until(lambda: process.poll() is not None or waits in server.client.get("/metrics").text, "it to wait")
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)
     (job,) = server.client.get(f"{API}/jobs", params={"drive": drive}).json()["jobs"]
