@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from tests.app.processes import started
+from tests.app.processes import ServerProcess, started
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, chromium
-from tests.page.results import SCANS, Done, run_street
+from tests.page.results import SCANS, TOKEN, Done, run_street
 
 
 @pytest.fixture(scope="package")
@@ -43,6 +43,14 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
     with started(folder / "data", folder / "log", workers=1) as server:
         scored = run_street(server, street, osm={"file": "map.osm"})
         yield Done(server, scored, run_street(server, local), street)
+
+
+@pytest.fixture(scope="package")
+def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """An empty server that asks for `TOKEN`."""
+    folder = tmp_path_factory.mktemp("closed")
+    with started(folder / "data", folder / "log", workers=1, token=TOKEN) as server:
+        yield server
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from typing import Any
 from tests.app.processes import API, ServerProcess, archive_of, ended
 
 SCANS = 90
+TOKEN = "a-token-that-only-these-tests-know-0123456789"  # noqa: S105
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,11 @@ class Done:
     job: str
     local_job: str
     street: Path
+
+    @property
+    def data(self) -> Path:
+        """Data folder of the server."""
+        return self.server.log.with_name("data")
 
     def features(self, layer: str) -> list[dict[str, Any]]:
         answer = self.server.client.get(f"{API}/jobs/{self.job}/{layer}").raise_for_status()

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.app.processes import API, archive_of, ended, half_way, started, submit
+from tests.app.processes import API, Gate, ServerProcess, archive_of, ended, half_way, submit
 from tests.page.browsers import Browser, Watch, needs_page
 from tests.page.results import Done, show
 
@@ -17,7 +17,6 @@ AXE = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "axe-cor
 
 pytestmark = [*needs_page, pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not installed: npm ci in static/")]
 
-TOKEN = "a-token-that-only-this-test-knows-0123456789"  # noqa: S105
 WIDTHS = (1280, 400)  # a desk, a telephone
 SCHEMES = ("light", "dark")
 LOOK = """async () => {
@@ -161,16 +160,13 @@ def test_nothing_keeps_anyone_out(tab: Any, done: Done, see: Callable[[Any, Done
 
 @pytest.fixture
 def halted_job(done: Done) -> Iterator[str]:
-    """A job that stands still half-way: its worker is stopped."""
+    """A job that stands still half-way."""
     drive = done.server.client.get(f"{API}/jobs/{done.job}").json()["drive_id"]
-    job = submit(done.server.client, drive, osm={"file": "map.osm"}, config={"bev": {"resolution_m": 0.08}})
+    gate = Gate(done.data, drive, 45)
+    job = submit(done.server.client, drive)
     half_way(done.server.client, job)
-    workers = done.server.workers()
-    for worker in workers:
-        worker.suspend()
     yield job
-    for worker in workers:
-        worker.resume()
+    gate.open()
     assert ended(done.server.client, job)["state"] == "successful"
 
 
@@ -186,20 +182,19 @@ def test_a_running_job_is_told_to_everyone(tab: Any, done: Done, halted_job: str
         check(tab, f"{width} px")
 
 
-def test_the_question_for_a_token_is_for_everyone(tab: Any, watch: Watch, tmp_path: Path) -> None:
+def test_the_question_for_a_token_is_for_everyone(tab: Any, watch: Watch, closed: ServerProcess) -> None:
     watch.expect("status of 401")
-    with started(tmp_path / "data", tmp_path / "log", workers=1, token=TOKEN) as server:
-        for width in WIDTHS:
-            tab.set_viewport_size({"width": width, "height": 800})
-            tab.goto("about:blank")
-            tab.goto(server.address)
-            field = tab.get_by_label("API token")
-            field.wait_for()
-            check(tab, f"{width} px")
-            field.fill("not this one")
-            field.press("Enter")
-            tab.locator("dialog .note.error").wait_for()
-            check(tab, f"{width} px, refused")
+    for width in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 800})
+        tab.goto("about:blank")
+        tab.goto(closed.address)
+        field = tab.get_by_label("API token")
+        field.wait_for()
+        check(tab, f"{width} px")
+        field.fill("not this one")
+        field.press("Enter")
+        tab.locator("dialog .note.error").wait_for()
+        check(tab, f"{width} px, refused")
 
 
 class Keyboard:

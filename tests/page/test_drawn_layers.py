@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +18,13 @@ from interloc.geometry import lonlat_from_enu
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.results import DriveResult
-from tests.app.processes import API, ServerProcess, started
+from tests.app.processes import API, ServerProcess
 from tests.app.results.conftest import add_drive, add_job
 from tests.app.street import LAT_DEG, LON_DEG, write_street
 from tests.page.browsers import Browser, needs_page
 from tests.page.canvas import NOTE_PATHS, Part, painted, pixels_per_metre, screen_of
 from tests.page.canvas import Path as Painted
-from tests.page.results import run_street
+from tests.page.results import Done, run_street
 
 pytestmark = needs_page
 
@@ -87,12 +86,10 @@ class Scored:
 
 
 @pytest.fixture(scope="module")
-def scored(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scored]:
-    folder = tmp_path_factory.mktemp("layers")
-    street = write_street(folder / "street", SCANS)
+def scored(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Scored:
+    street = write_street(tmp_path_factory.mktemp("layers") / "other map", SCANS)
     write_other_map(street)
-    with started(folder / "data", folder / "log", workers=1) as server:
-        yield Scored(server, run_street(server, street, osm={"file": "map.osm"}))
+    return Scored(done.server, run_street(done.server, street, osm={"file": "map.osm"}))
 
 
 @dataclass(frozen=True)
@@ -279,24 +276,21 @@ def many_detections(result: DriveResult) -> DriveResult:
     return replace(result, detections=replace(detections, keyframe=detections.keyframe[order]))
 
 
-def test_more_than_ten_thousand_detections_are_all_drawn(sheet: Any, tmp_path: Path) -> None:
-    street = write_street(tmp_path / "street", SCANS)
-    write_results(many_detections(detect(open_drive(street), preset("default"))), tmp_path / "result")
-    data = tmp_path / "data"
-    with started(data, tmp_path / "log", workers=1) as server:
-        database = Database(f"sqlite:///{data}/interloc.sqlite3")
-        add_drive(database, data, "street", street)
-        add_job(database, data, "many", "street", tmp_path / "result")
-        database.close()
-        job = Scored(server, "many")
-        features = job.features("detections")
-        assert len(features) == MANY > 10_000
-        drawn = sheet("detections", job=job)
-        found = np.array([part.middle for part in drawn.parts])
-        assert len(found) == MANY
-        places = drawn.screen(features)
-        assert_all_near(found, places)
-        assert_ink(drawn.parts)
+def test_more_than_ten_thousand_detections_are_all_drawn(sheet: Any, done: Done, tmp_path: Path) -> None:
+    write_results(many_detections(detect(open_drive(done.street), preset("default"))), tmp_path / "result")
+    database = Database(f"sqlite:///{done.data}/interloc.sqlite3")
+    add_drive(database, done.data, "wide", done.street)
+    add_job(database, done.data, "many", "wide", tmp_path / "result")
+    database.close()
+    job = Scored(done.server, "many")
+    features = job.features("detections")
+    assert len(features) == MANY > 10_000
+    drawn = sheet("detections", job=job)
+    found = np.array([part.middle for part in drawn.parts])
+    assert len(found) == MANY
+    places = drawn.screen(features)
+    assert_all_near(found, places)
+    assert_ink(drawn.parts)
 
 
 def assert_all_near(found: np.ndarray, places: np.ndarray) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import API, ended, half_way, kill_if_there, started, submit, upload
+from tests.app.processes import API, Gate, ended, half_way, started, submit, upload
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, needs_page
 from tests.page.results import SCANS, Done, show
@@ -67,11 +67,11 @@ def test_the_watch_sees_what_it_is_for(browser: Browser, done: Done, watch: Watc
 TILE = "https://tiles.example/{z}/{x}/{y}.png"
 
 
-@pytest.fixture
-def tiled(done: Done, tmp_path: Path) -> Any:
+@pytest.fixture(scope="module")
+def tiled(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A second server on the same data, with a tile server of its own."""
-    data = Path(done.server.log).parent / "data"
-    with started(data, tmp_path / "log", workers=1, tile_url=TILE, tile_attribution="(c) Tiles Example") as server:
+    log = tmp_path_factory.mktemp("tiled") / "log"
+    with started(done.data, log, workers=1, tile_url=TILE, tile_attribution="(c) Tiles Example") as server:
         yield Done(server, done.job, done.local_job, done.street)
 
 
@@ -164,20 +164,17 @@ def test_a_job_that_fails_says_why(page: Any, done: Done) -> None:
 def test_a_job_is_watched_through_a_restart_of_the_server(browser: Browser, watch: Watch, tmp_path: Path) -> None:
     watch.expect("ERR_CONNECTION_REFUSED")
     watch.excuse("net::ERR_|network error|Failed to fetch")
-    street = write_street(tmp_path / "street", 250)
+    street = write_street(tmp_path / "street", SCANS)
     page = browser.new_page()
     with started(tmp_path / "data", tmp_path / "log", workers=1) as first:
         drive = upload(first.client, street)
-        job = submit(first.client, drive, osm={"file": "map.osm"}, config={"bev": {"resolution_m": 0.1}})
+        gate = Gate(tmp_path / "data", drive, SCANS // 2)
+        job = submit(first.client, drive)
         half_way(first.client, job)
-        workers = first.workers()
-        for worker in workers:
-            worker.suspend()  # else the job may be done before the page is open
         page.goto(f"{first.address}/#panel=job&job={job}")
         page.get_by_role("progressbar", name="Progress").wait_for()
         first.kill()
-        for worker in workers:
-            kill_if_there(worker)
+        gate.open()
         told = page.locator("#panel-job [role=status]", has_text="The server does not answer")
         told.wait_for()
         port = int(first.address.rsplit(":", 1)[1])

@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 
 from interloc.config import DetectorConfig
-from tests.app.processes import API, started
+from tests.app.processes import API, ServerProcess
 from tests.page.browsers import Browser, Watch, needs_page
-from tests.page.results import SCANS, Done, show
+from tests.page.results import SCANS, TOKEN, Done, show
 
 pytestmark = needs_page
-
-TOKEN = "a-token-that-only-this-test-knows-0123456789"  # noqa: S105
 
 
 def on_screen(page: Any, lon: float, lat: float) -> tuple[float, float]:
@@ -253,21 +251,20 @@ def test_errors_are_told_in_the_words_of_the_server(page: Any, done: Done, watch
     page.locator("#panel-job .note.error", has_text=detail).wait_for()
 
 
-def test_a_token_is_asked_for_once_and_refused_in_words(browser: Browser, watch: Watch, tmp_path: Path) -> None:
+def test_a_token_is_asked_for_once_and_refused_in_words(browser: Browser, watch: Watch, closed: ServerProcess) -> None:
     watch.expect("status of 401")
-    with started(tmp_path / "data", tmp_path / "log", workers=1, token=TOKEN) as server:
-        tab = browser.new_page()
-        tab.goto(server.address)
-        field = tab.get_by_label("API token")
-        field.fill("not this one")
-        field.press("Enter")
-        tab.locator("dialog .note.error").wait_for()
-        field.fill(TOKEN)
-        field.press("Enter")
-        tab.locator(".empty").wait_for()
-        tab.locator("dialog").wait_for(state="detached")
-        tab.reload()
-        tab.locator(".empty").wait_for()
-        assert tab.locator("dialog").count() == 0
-        assert TOKEN not in tab.url
-        tab.close()
+    tab = browser.new_page()
+    tab.goto(closed.address)
+    field = tab.get_by_label("API token")
+    field.fill("not this one")
+    field.press("Enter")
+    tab.locator("dialog .note.error").wait_for()
+    field.fill(TOKEN)
+    field.press("Enter")
+    tab.locator(".empty").wait_for()
+    tab.locator("dialog").wait_for(state="detached")
+    tab.reload()
+    tab.locator(".empty").wait_for()
+    assert tab.locator("dialog").count() == 0
+    assert TOKEN not in tab.url
+    tab.close()
