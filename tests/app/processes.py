@@ -192,6 +192,7 @@ class Gate:
         except OSError as error:
             if error.errno not in {errno.ENXIO, errno.EPIPE}:  # nobody stands there any more
                 raise
+        self._pipe.unlink()
 
 
 def half_way(client: httpx.Client, job_id: str) -> dict[str, Any]:
