@@ -9,11 +9,9 @@ AGAIN := --reruns 1 --only-rerun Timeout --only-rerun "in vain"
 READY := $(VENV)/.ready
 # Two halves, of which the faster one helps the other; bytecode is kept, for the processes that the tests start.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
-# The kernels are compiled once, and not by all processes at the same time.
-COMPILE := $(BIN)/python -m tests.preloaded
 BIOME := static/node_modules/.bin/biome
 
-.PHONY: install serve demo page-tools test test-quick lint format types bench load bench-page screenshots clean
+.PHONY: install serve demo page-tools test test-quick compiled lint format types bench load bench-page screenshots clean
 
 install: $(READY)
 
@@ -47,14 +45,17 @@ ifneq ($(SERVE),)
 	} & $(BIN)/interloc serve --port $(PORT) --data-dir demo/service --log-level error; kill $$! 2>/dev/null || true
 endif
 
-test: page-tools lint types
-	$(COMPILE)
+test: page-tools
+	@$(MAKE) --no-print-directory -j 2 lint types compiled
 	$(PYTEST) --cov --cov-report=term:skip-covered $(AGAIN)
 
 # What needs neither a server nor a browser: within a minute.
-test-quick: $(READY)
-	$(COMPILE)
-	$(PYTEST) $(addprefix --ignore=tests/,app chain cli client page performance test_demo.py)
+test-quick: compiled
+	$(PYTEST) $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
+
+# The kernels are compiled once, and not by all processes of the tests at the same time.
+compiled: $(READY)
+	$(BIN)/python -m tests.preloaded
 
 # Linter, types and tests of the page, where npm is there to install them.
 page-tools: $(READY)
