@@ -5,8 +5,9 @@ from __future__ import annotations
 import tempfile
 from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 
-from interloc.cli.main import COMMANDS
+from interloc import cli
 from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import evaluate
@@ -16,7 +17,8 @@ from interloc.output.write import write_results
 from interloc.pipeline import detect
 from tests.app.street import write_street
 
-for name in ("app.server", "app.work.intersections", *(f"interloc.cli.{name}" for name in COMMANDS.values())):
+commands = iter_modules(cli.__path__)
+for name in ("app.server", "app.work.intersections", *(f"interloc.cli.{each.name}" for each in commands)):
     import_module(name)
 
 with tempfile.TemporaryDirectory() as folder:
