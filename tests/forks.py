@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -15,6 +16,14 @@ from interloc.cli.main import main
 
 context = get_context("forkserver")
 context.set_forkserver_preload(["pytest", "tests.preloaded"])
+
+
+@cache
+def ready() -> None:
+    """Wait, once, until all is imported: no test has to be patient with that."""
+    process = context.Process(target=int)
+    process.start()
+    process.join()
 
 
 class Command:

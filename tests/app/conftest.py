@@ -27,6 +27,7 @@ app.jobs.processes._context = forks.context
 @contextmanager
 def running_server(data_dir: Path, **settings: Any) -> Iterator[str]:
     """Serve from a thread of this process; yields the address."""
+    forks.ready()
     options: dict[str, Any] = {"min_free_bytes": 0, "workers": 1, "log_level": "warning", **settings}
     settings_ = Settings(data_dir=data_dir, port=0, **options)
     server = Server(create_app(settings_), settings_)
