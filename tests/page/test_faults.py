@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import API, Gate, ended, half_way, started, submit, upload
+from tests.app.processes import API, Gate, ended, half_way, started, submit, upload, wait_until
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, needs_page
 from tests.page.results import SCANS, Done, show
@@ -173,6 +173,7 @@ def test_a_job_is_watched_through_a_restart_of_the_server(browser: Browser, watc
         half_way(first.client, job)
         page.goto(f"{first.address}/#panel=job&job={job}")
         page.get_by_role("progressbar", name="Progress").wait_for()
+        wait_until(lambda: "interloc_event_listeners 1.0" in first.client.get("/metrics").text, "the page to listen")
         first.kill()
         gate.open()
         told = page.locator("#panel-job [role=status]", has_text="The server does not answer")
