@@ -15,6 +15,7 @@ from interloc.evaluation.report import write_report
 from interloc.osm.reader import read_osm
 from interloc.output.write import write_results
 from interloc.pipeline import detect
+from interloc.reduction.reduce import reduce_drive
 from tests.app.street import write_street
 
 commands = iter_modules(cli.__path__)
@@ -23,8 +24,9 @@ for name in ("app.server", "app.work.intersections", *(f"interloc.cli.{each.name
 
 with tempfile.TemporaryDirectory() as folder:
     root = Path(folder)
-    drive = open_drive(write_street(root / "street", 40))
-    for name in ("paper", "default"):
-        result = detect(drive, preset(name))  # numba compiles the kernels, or finds them compiled
+    reduce_drive(write_street(root / "street", 40), root / "reduced", keyframes=None)
+    for folder_name in ("street", "reduced"):
+        for name in ("paper", "default"):
+            result = detect(open_drive(root / folder_name), preset(name))  # numba compiles, or finds all compiled
     write_results(result, root / "result")
     write_report(evaluate(result, read_osm(root / "street" / "map.osm")), result, root / "result")
