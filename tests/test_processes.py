@@ -38,12 +38,12 @@ def test_a_worker_that_is_ended_from_outside() -> None:
 
 
 def wait_or_fail(folder: Path, number: int) -> None:
-    (folder / f"begun-{number}").touch()
     if number == 1:
         while not (folder / "begun-0").exists():
             time.sleep(0.01)
         raise InterLocError("task 1 failed")
     try:
+        (folder / f"begun-{number}").touch()
         time.sleep(60)
     finally:
         (folder / "tidied-up").touch()

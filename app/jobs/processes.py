@@ -128,6 +128,11 @@ class _Slot:
         return worker is not None and worker[0].is_alive()
 
     @property
+    def _has_hung_up(self) -> bool:
+        """Whether an idle worker has closed its end of the pipe, as its death does: it sends nothing else unasked."""
+        return self._worker is not None and self._worker[1].poll()
+
+    @property
     def pid(self) -> int | None:
         worker = self._worker
         return None if worker is None else worker[0].pid
@@ -154,7 +159,7 @@ class _Slot:
         except Exception as error:  # noqa: BLE001 - whatever an argument raises
             work.future.set_exception(error)
             return
-        if not self.is_alive:
+        if not self.is_alive or self._has_hung_up:
             self._end()
             self._start()
         assert self._worker is not None
