@@ -4,13 +4,12 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PORT ?= 8000
 SERVE ?= yes
-# Waits for real servers and browsers can run out on a machine that is busy: once more, only those.
-AGAIN := --reruns 1 --only-rerun Timeout --only-rerun "in vain"
+# Tests of real kills, servers and browsers can fail on a machine that is busy. A test that fails is run once more, and
+# is named at the end of the run as one that needed it.
+AGAIN := --reruns 1
 READY := $(VENV)/.ready
-# Half of the time tests wait for servers and browsers, so two run on each core; whoever is done first helps the others.
-# Bytecode is kept, for the processes that the tests start.
-RUNS := $(shell $(PYTHON) -c "import os; print(2 * (os.cpu_count() or 1))")
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(RUNS) --dist worksteal
+# Two halves, of which the faster one helps the other; bytecode is kept, for the processes that the tests start.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
 BIOME := static/node_modules/.bin/biome
 
 .PHONY: install serve demo page-tools test test-quick compiled lint format types bench load bench-page screenshots clean

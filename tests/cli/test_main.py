@@ -153,7 +153,7 @@ def test_a_run_that_is_stopped_leaves_nothing(
             time.sleep(0.005)
         process.send_signal(stop)
         out, err = process.communicate(timeout=60)
-    assert process.returncode == 1
+    assert process.returncode == 1, err
     assert err.strip() == "interloc: interrupted; nothing was written"
     assert not out
     assert not list(tmp_path.iterdir())
