@@ -128,7 +128,7 @@ def test_a_push_that_is_stopped_goes_on_where_it_was(
     assert 15 <= len(before) < 64
     pushed = here("push", drive, "--json").json
     assert pushed["drive_id"] == begun["id"]
-    assert pushed["files_sent"] == 64 - len(before)
+    assert 64 - len(before) - pushed["files_sent"] in {0, 1}  # the file on its way may still have arrived
     after = files_on(server, begun["id"])
     assert {path: after[path] for path in before} == before
     whole = here("push", street, "--name", "as a whole", "--json").json
