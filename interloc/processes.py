@@ -95,8 +95,11 @@ def run_in_processes(
         return [future.result() for future in futures]
     except BaseException as error:
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(active_children()) - others:
+        stopped = set(active_children()) - others
+        for process in stopped:
             process.terminate()
+        for process in stopped:  # `shutdown` does not wait a second time
+            process.join()
         if isinstance(error, BrokenProcessPool):
             raise InterLocError(
                 "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers."
@@ -135,6 +138,7 @@ def _work_stoppably(work: Callable[[Task], Result], task: Task) -> Result:
 def _stop_work(*_: object) -> None:
     global _is_stopping  # noqa: PLW0603 - a signal handler has no other place
     _is_stopping = True
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the pool sends it again, and nothing may interrupt the tidying up
     raise KeyboardInterrupt
 
 
