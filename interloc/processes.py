@@ -7,11 +7,12 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 from interloc.errors import InterLocError
@@ -95,11 +96,7 @@ def run_in_processes(
         return [future.result() for future in futures]
     except BaseException as error:
         pool.shutdown(wait=False, cancel_futures=True)
-        stopped = set(active_children()) - others
-        for process in stopped:
-            process.terminate()
-        for process in stopped:  # `shutdown` does not wait a second time
-            process.join()
+        _stop(set(active_children()) - others)  # `shutdown` does not wait for them a second time
         if isinstance(error, BrokenProcessPool):
             raise InterLocError(
                 "a worker process was ended from outside. Usual cause: too little memory; try fewer --workers."
@@ -109,6 +106,13 @@ def run_in_processes(
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         messages.close()
+
+
+def _stop(processes: Collection[BaseProcess]) -> None:
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join()
 
 
 def send_message(message: Any) -> None:  # noqa: ANN401 - whatever can be pickled
