@@ -1,0 +1,397 @@
+"""Placing a drive on a road map without GNSS: search, bend, compare, decide."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.drive import Drive, Georeference
+from interloc.errors import ConfigError
+from interloc.geometry import bearing_deg, rotate_2d, rotation_from_rpy, wrap_angle
+from interloc.localization.decision import MIN_LENGTH_M, Decision, decide, too_short
+from interloc.localization.evidence import Evidence, evidence_of
+from interloc.localization.refine import Chain, Fit, Nodes, fit, uncertainty
+from interloc.localization.roads import RoadMap, WayIndex, road_map
+from interloc.localization.search import guess
+from interloc.localization.sightings import Sightings, no_sightings, sightings_of
+from interloc.localization.track import Track, track_of
+from interloc.osm.graph import RoadGraph
+from interloc.results import DriveResult
+
+Progress = Callable[[int, int], None]
+
+_KEPT = 60
+_QUICK_ROUNDS, _ROUNDS = 4, 12
+_BENT_FULLY = 12
+_ELSEWHERE_M, _ELSEWHERE_RAD = 25.0, 0.5
+_LISTED = 8
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place on the map where a drive may have been.
+
+    Attributes
+    ----------
+    lonlat : (2,) float64
+        Of the first scan, degrees.
+    heading_deg : float
+        Of the motion there, clockwise from north.
+    middle_lonlat : (2,) float64
+        Of the middle of the drive: what lies apart there is another place.
+    evidence : Evidence
+    offset_m, scale : float
+        See `interloc.localization.refine.Fit`.
+    track_lonlat : (n, 2) float64
+        The drive if it was here, every ten metres.
+    """
+
+    lonlat: FloatArray
+    heading_deg: float
+    middle_lonlat: FloatArray
+    evidence: Evidence
+    offset_m: float
+    scale: float
+    track_lonlat: FloatArray
+
+    @property
+    def score(self) -> float:
+        """Of its evidence."""
+        return self.evidence.score
+
+
+@dataclass(frozen=True)
+class Location:
+    """Where a drive was, or why that is not known.
+
+    Attributes
+    ----------
+    decision : Decision
+    places : list of Place
+        Best first, all apart from each other; the first is where it was if the decision is "found".
+    chance : float
+        Best score of the drive seen in a mirror.
+    georeference : Georeference or None
+        Of every scan, where found. Heights are those of the poses, over the first scan.
+    position_std_m : (N,) float64 or None
+        One sigma of the position of each scan: root of the mean variance of east and north.
+    heading_std_deg : (N,) float64 or None
+    leaving_out : dict of int to Georeference
+        The same without the use of one node of the map, by its OSM id: what scores that node fairly.
+    facts : dict
+        Size of drive and map, seconds; for run.json.
+    """
+
+    decision: Decision
+    places: list[Place]
+    chance: float = 0.0
+    georeference: Georeference | None = None
+    position_std_m: FloatArray | None = None
+    heading_std_deg: FloatArray | None = None
+    leaving_out: dict[int, Georeference] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def record(self) -> dict[str, Any]:
+        """Return it as JSON holds it; `run.json` and `--json` do."""
+        return {
+            "outcome": self.decision.outcome,
+            "reason": self.decision.reason,
+            "advice": self.decision.advice,
+            "chance_score": round(self.chance, 3),
+            "places": [_place_record(place) for place in self.places],
+            "position_std_m": _median(self.position_std_m),
+            "heading_std_deg": _median(self.heading_std_deg),
+            **self.facts,
+        }
+
+
+def locate(
+    drive: Drive,
+    graph: RoadGraph,
+    *,
+    result: DriveResult | None = None,
+    near: tuple[float, float] | None = None,
+    radius_m: float | None = None,
+    leave_one_out: bool = False,
+    progress: Progress | None = None,
+) -> Location:
+    """Find out where on a map a drive was, from its trajectory and the intersections along it.
+
+    Parameters
+    ----------
+    drive
+        Its poses are used; a georeference that it has is not.
+    graph
+        The map: it must hold the roads driven, and may hold many more.
+    result
+        Result of `detect` on the drive. None: the trajectory alone, which needs to be longer.
+    near, radius_m
+        Latitude, longitude and metres: search only there.
+    leave_one_out
+        Also compute what scores each node fairly; see `Location.leaving_out`.
+    progress
+        Called with the steps done and the steps in all.
+
+    Returns
+    -------
+    Location
+
+    Raises
+    ------
+    MapError
+        The map holds no roads for cars, or is too large to be searched as a whole.
+    ConfigError
+        Only one of `near` and `radius_m` is given, or it is out of range.
+    """
+    began = time.perf_counter()
+    _check_near(near, radius_m)
+    track = track_of(drive.T_world_lidar)
+    if track.length_m < MIN_LENGTH_M:
+        return Location(too_short(track.length_m), [], facts={"length_m": round(track.length_m, 1)})
+    sightings = no_sightings() if result is None else sightings_of(result, drive.frames, track)
+    searched = SearchedMap.of(road_map(graph, near, radius_m))
+    count = _Count(progress)
+    with ThreadPoolExecutor(2) as pool:  # the kernels let go of the interpreter
+        mirrored = pool.submit(find_places, track.mirrored(), sightings.mirrored(), searched, count.add)
+        found = find_places(track, sightings, searched, count.add)
+        chance = mirrored.result()[:1]
+    decision = decide_by(found, chance)
+    places = [_place(each, searched.roads) for each in found[:_LISTED]]
+    facts = {
+        "map": graph.source,
+        "map_km": round(searched.roads.length_m / 1000.0, 1),
+        "length_m": round(track.length_m, 1),
+        "intersections_seen": len(sightings),
+    }
+    best_chance = chance[0].score if chance else 0.0
+    if not decision.found:
+        return Location(decision, places, best_chance, facts=facts | _seconds(began))
+    return _placed(
+        Location(decision, places, best_chance),
+        found[0],
+        track,
+        searched,
+        graph.source,
+        facts,
+        began,
+        leave_one_out=leave_one_out,
+    )
+
+
+@dataclass(frozen=True)
+class SearchedMap:
+    """A map ready to be searched."""
+
+    roads: RoadMap
+    ways: WayIndex
+    nodes: Nodes
+
+    @classmethod
+    def of(cls, roads: RoadMap) -> SearchedMap:
+        """Prepare a map."""
+        _ = roads.raster
+        return cls(roads, WayIndex.of(roads), Nodes.of(roads.node_xy))
+
+
+@dataclass(frozen=True)
+class Found:
+    """A place in the making: the chain bent onto the roads there, and what speaks for it."""
+
+    chain: Chain
+    fit: Fit
+    evidence: Evidence
+
+    @property
+    def score(self) -> float:
+        """Of its evidence."""
+        return self.evidence.score
+
+    def is_elsewhere(self, other: Found) -> bool:
+        """Tell whether the middle of the drive lies apart from that of another place."""
+        middle = len(self.chain) // 2
+        here, there = self.fit.pose[middle], other.fit.pose[middle]
+        turned = abs(float(wrap_angle(float(here[2] - there[2]))))
+        return float(np.hypot(*(here[:2] - there[:2]))) > _ELSEWHERE_M or turned > _ELSEWHERE_RAD
+
+
+def find_places(
+    track: Track, sightings: Sightings, searched: SearchedMap, done: Callable[[int, int], None] | None = None
+) -> list[Found]:
+    """Return the places that explain a drive best, best first, apart from each other."""
+    chain = Chain.of(track, sightings)
+    bent: list[tuple[Found, int]] = []
+    for guesses in guess(track, sightings, searched.roads, searched.nodes, kept=_KEPT):
+        anchor = int(np.argmin(np.abs(chain.at_m - guesses.at_m)))
+        for number, pose in enumerate(guesses.pose):
+            if done is not None:
+                done(number, len(guesses.pose))
+            start = chain.placed(anchor, pose)
+            bent.append((_bend(chain, start, searched, anchor, _QUICK_ROUNDS), anchor))
+    best = _apart([each for each, _ in bent])[:_BENT_FULLY]
+    return _apart([_bend(chain, each.fit.pose, searched, None, _ROUNDS) for each in best])
+
+
+def decide_by(found: list[Found], chance: list[Found]) -> Decision:
+    """Decide by the places of a drive and of its mirror image."""
+    if not found:
+        return decide(0.0, 0.0, 0.0, 0.0)
+    runner_up = found[1].score if len(found) > 1 else 0.0
+    return decide(found[0].evidence.road, found[0].score, runner_up, chance[0].score if chance else 0.0)
+
+
+def _bend(chain: Chain, start: FloatArray, searched: SearchedMap, anchor: int | None, rounds: int) -> Found:
+    bent = fit(chain, start, searched.ways, searched.nodes, anchor=anchor, rounds=rounds)
+    return Found(chain, bent, evidence_of(chain, bent, searched.roads))
+
+
+def _apart(found: list[Found]) -> list[Found]:
+    kept: list[Found] = []
+    for each in sorted(found, key=lambda place: -place.score):
+        if all(each.is_elsewhere(other) for other in kept):
+            kept.append(each)
+    return kept
+
+
+def _placed(
+    location: Location,
+    best: Found,
+    track: Track,
+    searched: SearchedMap,
+    source: str,
+    facts: dict[str, Any],
+    began: float,
+    *,
+    leave_one_out: bool,
+) -> Location:
+    """Add to a location what it says of every scan."""
+    name = f"the map {source} (placed by its roads)"
+    covariance = uncertainty(best.chain, best.fit, searched.ways, searched.nodes)
+    at = np.interp(track.at_m, best.chain.at_m, np.arange(len(best.chain)))
+    rows = np.round(at).astype(np.int64)
+    position_std_m = np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0)
+    heading_std_deg = np.degrees(np.sqrt(covariance[rows, 2, 2]))
+    leaving_out = {}
+    if leave_one_out:
+        for node in np.unique(_nodes_used(best, searched.roads)).tolist():
+            others = Nodes.of(np.delete(searched.roads.node_xy, node, axis=0))
+            again = fit(best.chain, best.fit.pose, searched.ways, others, rounds=_ROUNDS)
+            osm_id = int(searched.roads.node_osm_id[node])
+            leaving_out[osm_id] = georeference_by(best.chain, again, track, searched.roads, name)
+    return Location(
+        location.decision,
+        location.places,
+        location.chance,
+        georeference_by(best.chain, best.fit, track, searched.roads, name),
+        position_std_m,
+        heading_std_deg,
+        leaving_out,
+        facts
+        | {
+            "lane_offset_m": round(best.fit.offset_m, 2),
+            "scale": round(best.fit.scale, 4),
+            "nodes_used": len(np.unique(_nodes_used(best, searched.roads))),
+        }
+        | _seconds(began),
+    )
+
+
+def _nodes_used(best: Found, roads: RoadMap) -> FloatArray:
+    """Return the rows of the nodes of the map that intersections seen lie near."""
+    if not len(best.chain.seen_from) or not len(roads.node_xy):
+        return np.zeros(0, dtype=np.int64)
+    distance, nearest = Nodes.of(roads.node_xy).tree.query(best.chain.seen_at(best.fit.pose))
+    return np.asarray(nearest[distance < _ELSEWHERE_M])
+
+
+def georeference_by(chain: Chain, fitted: Fit, track: Track, roads: RoadMap, source: str) -> Georeference:
+    """Return the geodetic pose of the LiDAR at every scan, from the bent chain.
+
+    A scan moves with the two poses of the chain between which it lies, each carrying it rigidly, in proportion.
+    """
+    at = np.interp(track.at_m, chain.at_m, np.arange(len(chain)))
+    first = np.minimum(at.astype(np.int64), len(chain) - 2)
+    share = (at - first)[:, None]
+    turn = np.unwrap(fitted.pose[:, 2] - chain.pose[:, 2])
+
+    def carried(row: Any) -> FloatArray:  # noqa: ANN401 - rows of an array
+        xy: FloatArray = rotate_2d(track.xy - chain.pose[row, :2], turn[row]) + fitted.pose[row, :2]
+        return xy
+
+    xy = (1.0 - share) * carried(first) + share * carried(first + 1)
+    turned = (1.0 - share[:, 0]) * turn[first] + share[:, 0] * turn[first + 1]
+    lonlat = roads.lonlat(xy)
+    zero = np.zeros(len(xy))
+    R_enu_level = rotation_from_rpy(zero, zero, turned - roads.north_rad(xy))
+    return Georeference(lonlat[:, 1], lonlat[:, 0], track.z_m.copy(), R_enu_level @ track.R_level_lidar, source)
+
+
+def _place(found: Found, roads: RoadMap) -> Place:
+    pose, middle = found.fit.pose, len(found.chain) // 2
+    lonlat = roads.lonlat(pose[:, :2])
+    heading = pose[0, 2] - roads.north_rad(pose[0, :2])
+    return Place(
+        lonlat[0],
+        float(bearing_deg(heading)),
+        lonlat[middle],
+        found.evidence,
+        found.fit.offset_m,
+        found.fit.scale,
+        lonlat,
+    )
+
+
+def _place_record(place: Place) -> dict[str, Any]:
+    evidence = place.evidence
+    return {
+        "lat_deg": round(float(place.lonlat[1]), 7),
+        "lon_deg": round(float(place.lonlat[0]), 7),
+        "heading_deg": round(place.heading_deg, 1),
+        "middle_lat_deg": round(float(place.middle_lonlat[1]), 7),
+        "middle_lon_deg": round(float(place.middle_lonlat[0]), 7),
+        "score": round(place.score, 3),
+        "on_roads": round(evidence.road, 3),
+        "intersections_seen": evidence.seen,
+        "intersections_at_nodes": evidence.at_nodes,
+        "branches_agreeing": round(evidence.branches, 3),
+        "nodes_passed": evidence.passed,
+        "nodes_missed": evidence.missed,
+    }
+
+
+def _check_near(near: tuple[float, float] | None, radius_m: float | None) -> None:
+    if (near is None) != (radius_m is None):
+        raise ConfigError("near and radius_m belong together: a position and how far around it to search.")
+    if near is not None and not (abs(near[0]) <= 89.0 and abs(near[1]) <= 180.0):
+        raise ConfigError(
+            f"near {near[0]:g}, {near[1]:g} is no place on earth. Expected latitude, longitude in degrees."
+        )
+    if radius_m is not None and not radius_m > 0.0:
+        raise ConfigError(f"radius_m is {radius_m:g}. Expected a positive number of metres.")
+
+
+def _median(values: FloatArray | None) -> float | None:
+    return None if values is None else round(float(np.median(values)), 3)
+
+
+def _seconds(began: float) -> dict[str, float]:
+    return {"seconds": round(time.perf_counter() - began, 2)}
+
+
+class _Count:
+    """Progress of the two searches: the drive, and its mirror image."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+        self._done = 0
+
+    def add(self, _: int, total: int) -> None:
+        """Count one more place bent onto the roads."""
+        if self._progress is not None:
+            self._done = min(self._done + 1, 2 * total)
+            self._progress(self._done, 2 * total)

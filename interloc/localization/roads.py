@@ -1,0 +1,214 @@
+"""The roads of a map as the search needs them: in metres, as segments, intersections with branches, and a raster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray, UInt8Array, UInt16Array
+from interloc.errors import MapError
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.kernels.roads import bucket_segments, draw_roads, nearest_ways
+from interloc.osm.graph import RoadGraph, distinct_edges
+from interloc.osm.intersections import MIN_DEGREE, road_ways
+
+CELL_M = 2.0
+REACH_M = 20.0
+NEAR_M = 12.0
+MAX_CELLS = 150_000_000
+NO_ROAD = 255
+WAY_REACH_M = 25.0
+MAX_BRANCHES = 8
+_BRANCH_M = 15.0
+_BUCKET_M = 32.0
+_TURN_COST_M = 20.0
+
+
+@dataclass(frozen=True)
+class RoadRaster:
+    """Distance to the roads and their directions, cell by cell; see `interloc.kernels.roads`.
+
+    Attributes
+    ----------
+    distance : (H, W) uint8
+        0.1 m; 255 where no road is within `REACH_M`.
+    directions : (H, W) uint16
+        A bit per sector of undirected bearing.
+    origin : (2,) float64
+        East, north of the corner of cell (0, 0), metres.
+    cell_m : float
+    """
+
+    distance: UInt8Array
+    directions: UInt16Array
+    origin: FloatArray
+    cell_m: float
+
+
+@dataclass(frozen=True)
+class RoadMap:
+    """Roads in the plane M: east and north of the middle of the map on the ellipsoid, metres.
+
+    Attributes
+    ----------
+    lat_deg, lon_deg : float
+        Origin of M.
+    segments : (S, 4) float64
+        x, y of both ends of every piece of road.
+    node_xy : (K, 2) float64
+        Intersections of policy `drive`.
+    node_angles_rad : (K, MAX_BRANCHES) float64
+        Directions in which their roads leave, counter-clockwise from east; NaN where there are no more.
+    node_osm_id : (K,) int64
+    """
+
+    lat_deg: float
+    lon_deg: float
+    segments: FloatArray
+    node_xy: FloatArray
+    node_angles_rad: FloatArray
+    node_osm_id: IntArray
+
+    @property
+    def length_m(self) -> float:
+        """Length of all roads."""
+        return float(np.hypot(*(self.segments[:, 2:] - self.segments[:, :2]).T).sum())
+
+    def lonlat(self, xy: FloatArray) -> FloatArray:
+        """Return longitudes, latitudes of (..., 2) points of M."""
+        return lonlat_from_enu(self.lat_deg, self.lon_deg, xy)
+
+    def xy(self, lonlat: FloatArray) -> FloatArray:
+        """Return points of M of (..., 2) longitudes, latitudes."""
+        return enu_from_lonlat(self.lat_deg, self.lon_deg, lonlat)
+
+    def north_rad(self, xy: FloatArray) -> FloatArray:
+        """Return how far north turned counter-clockwise from the y axis of M at (..., 2) points: meridians converge."""
+        step = 100.0
+        here, there = self.lonlat(xy), self.lonlat(xy + np.array([0.0, step]))
+        seen = enu_from_lonlat(here[..., 1], here[..., 0], there)  # the y axis of M, in east and north at the point
+        return np.arctan2(seen[..., 0], seen[..., 1])
+
+    @cached_property
+    def raster(self) -> RoadRaster:
+        """The raster of the roads.
+
+        Raises
+        ------
+        MapError
+            The map is too large for one.
+        """
+        low = self.segments.reshape(-1, 2).min(axis=0) - REACH_M
+        size = self.segments.reshape(-1, 2).max(axis=0) + REACH_M - low
+        columns, rows = (int(np.ceil(each / CELL_M)) for each in size)
+        if columns * rows > MAX_CELLS:
+            raise MapError(
+                f"the map is {size[0] / 1000:.0f} km by {size[1] / 1000:.0f} km: too large to be searched as a whole "
+                f"(limit: {MAX_CELLS * CELL_M**2 / 1e6:.0f} km2). Say roughly where the drive was (--near, --radius), "
+                "or cut the map."
+            )
+        distance = np.full((rows, columns), NO_ROAD, dtype=np.uint8)
+        directions = np.zeros((rows, columns), dtype=np.uint16)
+        draw_roads(distance, directions, self.segments, low, CELL_M, REACH_M, NEAR_M)
+        return RoadRaster(distance, directions, low, CELL_M)
+
+
+def road_map(graph: RoadGraph, near: tuple[float, float] | None = None, radius_m: float | None = None) -> RoadMap:
+    """Bring the roads of a map into its plane.
+
+    Parameters
+    ----------
+    graph
+        Roads; those that cars use are taken, service roads too: drives begin on them.
+    near : tuple of float or None
+        Latitude, longitude: only what lies within `radius_m` of it is taken.
+    radius_m : float or None
+
+    Raises
+    ------
+    MapError
+        There are no such roads.
+    """
+    edges = distinct_edges(graph.edges_of(road_ways(graph, "drive+service")))
+    drivable = distinct_edges(graph.edges_of(road_ways(graph, "drive")))
+    if near is None:
+        used = graph.lonlat[np.unique(edges)] if len(edges) else graph.lonlat
+        lon, lat = (used.min(axis=0) + used.max(axis=0)) / 2
+    else:
+        lat, lon = near
+    all_xy = enu_from_lonlat(lat, lon, graph.lonlat)
+    keep = np.ones(len(all_xy), dtype=np.bool_)
+    if radius_m is not None:
+        keep = np.hypot(all_xy[:, 0], all_xy[:, 1]) <= radius_m
+        edges = edges[keep[edges].any(axis=1)]
+    if len(edges) == 0:
+        where = "" if near is None else f" within {(radius_m or 0) / 1000:g} km of {near[0]:.5f}, {near[1]:.5f}"
+        raise MapError(f"{graph.source}: holds no roads for cars{where}. Expected the map of where the drive was.")
+    segments = np.column_stack([all_xy[edges[:, 0]], all_xy[edges[:, 1]]])
+    rows = np.flatnonzero((graph.degree(drivable) >= MIN_DEGREE) & graph.inside_bounds & keep)
+    return RoadMap(
+        lat_deg=float(lat),
+        lon_deg=float(lon),
+        segments=segments,
+        node_xy=all_xy[rows],
+        node_angles_rad=_branches(rows, drivable, all_xy),
+        node_osm_id=graph.node_id[rows],
+    )
+
+
+def _branches(rows: IntArray, edges: IntArray, xy: FloatArray) -> FloatArray:
+    """Return the directions in which roads leave each node, to the point about `_BRANCH_M` along each of them."""
+    neighbours: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    angles = np.full((len(rows), MAX_BRANCHES), np.nan)
+    for row, node in enumerate(rows.tolist()):
+        for branch, first in enumerate(neighbours[node][:MAX_BRANCHES]):
+            before, here = node, first
+            while np.hypot(*(xy[here] - xy[node])) < _BRANCH_M and len(neighbours[here]) == 2:
+                a, b = neighbours[here]
+                before, here = here, b if a == before else a
+                if here == node:
+                    break
+            away = xy[here] - xy[node]
+            angles[row, branch] = np.arctan2(away[1], away[0])
+    return angles
+
+
+@dataclass(frozen=True)
+class WayIndex:
+    """The pieces of road of a map in buckets, to find the nearest one to a point.
+
+    Attributes
+    ----------
+    segments : (S, 4) float64
+        x, y of both ends.
+    origin : (2,) float64
+        Corner of the grid of buckets.
+    starts, items : int64
+        See `interloc.kernels.roads.nearest_ways`.
+    """
+
+    segments: FloatArray
+    origin: FloatArray
+    starts: IntArray
+    items: IntArray
+
+    @classmethod
+    def of(cls, roads: RoadMap) -> WayIndex:
+        """Sort the roads of a map into buckets."""
+        segments = np.ascontiguousarray(roads.segments)
+        ends = segments.reshape(-1, 2)
+        origin = ends.min(axis=0) - WAY_REACH_M
+        size = ends.max(axis=0) + WAY_REACH_M - origin
+        columns, rows = (int(each // _BUCKET_M) + 1 for each in size)
+        return cls(segments, origin, *bucket_segments(segments, origin, _BUCKET_M, rows, columns, WAY_REACH_M))
+
+    def nearest(self, poses: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the segment, (P,), and the foot with its direction, (P, 4), of (P, 3) poses; -1 where none is near."""
+        return nearest_ways(
+            poses, self.segments, self.origin, _BUCKET_M, self.starts, self.items, WAY_REACH_M, _TURN_COST_M
+        )
