@@ -5,16 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from interloc.localization.evidence import Evidence
+
 Outcome = Literal["found", "ambiguous", "not_found"]
 
 MIN_LENGTH_M = 100.0
 """A shorter drive fits nearly everywhere."""
 
-MIN_ROAD = 0.60
-"""Least share of the track that must run on roads, of pieces with the least to say."""
+MIN_ROAD = 0.70
+"""Share of the track that must run along roads: wrong places with curves reach 0.72, right ones 0.73 to 0.96."""
+
+MIN_SCORE = 1.05
+"""Score of track and intersections together, where intersections were seen: wrong places that lead reach 1.0."""
 
 MARGIN = 0.10
 """How much better than the next place, and than chance, the best must be."""
+
+MIN_SEEN = 2
+"""Intersections seen, from which on they count in the decision."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +33,7 @@ class Decision:
     ----------
     outcome : {"found", "ambiguous", "not_found"}
     reason : str
-        A whole sentence.
+        Why, to stand after "the drive was not placed: " or "found: ".
     advice : str
         What would help, a whole sentence; "" where it was found.
     """
@@ -49,43 +57,51 @@ def too_short(length_m: float) -> Decision:
     )
 
 
-def decide(road: float, score: float, runner_up: float, chance: float) -> Decision:
+def decide(best: Evidence | None, runner_up: float, chance: float) -> Decision:
     """Decide by the figures of the best place.
 
     Parameters
     ----------
-    road : float
-        Share of the track on roads at the best place.
-    score : float
-        Of the best place; see `interloc.localization.evidence.Evidence`.
+    best
+        What speaks for the best place; None where nothing fitted at all.
     runner_up : float
-        Of the next best place, elsewhere.
+        Score of the next best place, elsewhere.
     chance : float
-        Of the best place for the same drive seen in a mirror. That one was never driven (unless the drive is
+        Score of the best place for the same drive seen in a mirror. That one was never driven (unless the drive is
         straight), has as many curves and intersections, and shows how well this map explains such a drive by chance.
 
     Notes
     -----
-    The score of the best place alone proves nothing: a curve more or less, and a wrong place does as well. What counts
-    is its lead over the best wrong ones; `interloc benchmark locate` measures how far wrong places lead by chance.
+    The score of the best place alone proves nothing: a curve less, and a wrong place does as well. What counts is its
+    lead over the best wrong ones; `interloc benchmark locate` measures how often a wrong place leads by chance.
     """
-    longer = "A longer drive, the labels of its scans (for intersections), or a rough position (--near) would help."
-    if road < MIN_ROAD:
+    longer = "A longer drive, the intersections along it (labels), or a rough position (--near) would help."
+    if best is None or best.road < MIN_ROAD:
+        share = 0.0 if best is None else best.road
         return Decision(
             "not_found",
-            f"at the best place only {100 * road:.0f} % of the track run along roads of the map "
+            f"at the best place only {100 * share:.0f} % of the track run along roads of the map "
             f"(expected {100 * MIN_ROAD:.0f} % or more).",
             "Give a map that holds the roads driven; if it does, the poses may drift too much.",
         )
-    if score - runner_up < MARGIN:
+    if best.score - runner_up < MARGIN:
         return Decision(
-            "ambiguous", f"the best place scores {score:.2f}, the next one {runner_up:.2f}: too close to call.", longer
+            "ambiguous", f"the best place scores {best.score:.2f}, the next one {runner_up:.2f}: too close.", longer
         )
-    if score - chance < MARGIN:
+    if best.score - chance < MARGIN:
         return Decision(
             "not_found",
-            f"the best place scores {score:.2f}, but so does chance: the same drive seen in a mirror, which nobody "
-            f"drove, reaches {chance:.2f}.",
+            f"the best place scores {best.score:.2f}, which is no better than chance: the same drive seen in a mirror, "
+            f"which nobody drove, reaches {chance:.2f}.",
             longer,
         )
-    return Decision("found", f"the best place scores {score:.2f}, the next one {runner_up:.2f}, chance {chance:.2f}.")
+    if best.seen >= MIN_SEEN and best.score < MIN_SCORE:
+        return Decision(
+            "not_found",
+            f"at the best place {best.at_nodes} of the {best.seen} intersections seen are at intersections of the map, "
+            f"and {best.missed} of the {best.passed} passed were not seen.",
+            "Give a map that holds the roads driven, better labels, or a longer drive.",
+        )
+    return Decision(
+        "found", f"the best place scores {best.score:.2f}, the next one {runner_up:.2f}, chance {chance:.2f}."
+    )

@@ -8,7 +8,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.geometry import wrap_angle
-from interloc.localization.refine import NODE_STEP_M, Chain, Fit
+from interloc.localization.refine import Chain, Fit
 from interloc.localization.roads import RoadMap
 
 _LANE_SIGMA_M = 1.5
@@ -103,8 +103,3 @@ def _passed(chain: Chain, fitted: Fit, roads: RoadMap, apart: FloatArray) -> tup
             then = (chain.seen_from >= passage[0] - _SAME_PASSAGE) & (chain.seen_from <= passage[-1] + _SAME_PASSAGE)
             missed += not (apart[then, node] < _NEAR_NODE_M).any()
     return passed, missed
-
-
-def effective_length_m(chain: Chain) -> float:
-    """Return the length of a chain."""
-    return (len(chain) - 1) * NODE_STEP_M

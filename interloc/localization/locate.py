@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Drive, Georeference
 from interloc.errors import ConfigError
 from interloc.geometry import bearing_deg, rotate_2d, rotation_from_rpy, wrap_angle
@@ -239,10 +239,8 @@ def find_places(
 
 def decide_by(found: list[Found], chance: list[Found]) -> Decision:
     """Decide by the places of a drive and of its mirror image."""
-    if not found:
-        return decide(0.0, 0.0, 0.0, 0.0)
     runner_up = found[1].score if len(found) > 1 else 0.0
-    return decide(found[0].evidence.road, found[0].score, runner_up, chance[0].score if chance else 0.0)
+    return decide(found[0].evidence if found else None, runner_up, chance[0].score if chance else 0.0)
 
 
 def _bend(chain: Chain, start: FloatArray, searched: SearchedMap, anchor: int | None, rounds: int) -> Found:
@@ -278,7 +276,7 @@ def _placed(
     heading_std_deg = np.degrees(np.sqrt(covariance[rows, 2, 2]))
     leaving_out = {}
     if leave_one_out:
-        for node in np.unique(_nodes_used(best, searched.roads)).tolist():
+        for node in _nodes_used(best, searched.roads).tolist():
             others = Nodes.of(np.delete(searched.roads.node_xy, node, axis=0))
             again = fit(best.chain, best.fit.pose, searched.ways, others, rounds=_ROUNDS)
             osm_id = int(searched.roads.node_osm_id[node])
@@ -295,18 +293,18 @@ def _placed(
         | {
             "lane_offset_m": round(best.fit.offset_m, 2),
             "scale": round(best.fit.scale, 4),
-            "nodes_used": len(np.unique(_nodes_used(best, searched.roads))),
+            "nodes_used": len(_nodes_used(best, searched.roads)),
         }
         | _seconds(began),
     )
 
 
-def _nodes_used(best: Found, roads: RoadMap) -> FloatArray:
+def _nodes_used(best: Found, roads: RoadMap) -> IntArray:
     """Return the rows of the nodes of the map that intersections seen lie near."""
     if not len(best.chain.seen_from) or not len(roads.node_xy):
         return np.zeros(0, dtype=np.int64)
-    distance, nearest = Nodes.of(roads.node_xy).tree.query(best.chain.seen_at(best.fit.pose))
-    return np.asarray(nearest[distance < _ELSEWHERE_M])
+    distance, nearest = Nodes.of(roads.node_xy).nearest(best.chain.seen_at(best.fit.pose), _ELSEWHERE_M)
+    return np.unique(nearest[np.isfinite(distance)])
 
 
 def georeference_by(chain: Chain, fitted: Fit, track: Track, roads: RoadMap, source: str) -> Georeference:

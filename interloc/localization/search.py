@@ -179,7 +179,7 @@ def _climb(relative: FloatArray, pose: FloatArray, raster: RoadRaster) -> tuple[
 def _landmarks(local: FloatArray, pose: FloatArray, nodes: Nodes) -> FloatArray:
     """Return the share of (J, 2) intersections seen that lie at nodes, softly, for each of (H, 3) places."""
     at = rotate_2d(local[None], pose[:, None, 2]) + pose[:, None, :2]
-    distance, _ = nodes.tree.query(at.reshape(-1, 2), distance_upper_bound=4.0 * _LANDMARK_SIGMA_M)
+    distance, _ = nodes.nearest(at.reshape(-1, 2), 4.0 * _LANDMARK_SIGMA_M)
     near = np.exp(-0.5 * (np.minimum(distance, 1e6) / _LANDMARK_SIGMA_M) ** 2)
     share: FloatArray = near.reshape(len(pose), -1).mean(axis=1)
     return share
