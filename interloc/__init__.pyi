@@ -7,6 +7,7 @@ from .drives.open import open_drive as open_drive
 from .errors import InterLocError as InterLocError
 from .evaluation.evaluate import evaluate as evaluate
 from .evaluation.report import write_report as write_report
+from .localization.locate import locate as locate
 from .osm.reader import read_osm as read_osm
 from .output.read import read_results as read_results
 from .output.write import write_results as write_results
@@ -20,6 +21,7 @@ __all__ = [
     "detect",
     "evaluate",
     "inspect_drive",
+    "locate",
     "open_drive",
     "preset",
     "read_osm",

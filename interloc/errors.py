@@ -32,6 +32,12 @@ class GeoreferenceError(InterLocError):
     http_status = 422
 
 
+class LocationError(InterLocError):
+    """A drive that could not be placed on a map by its roads."""
+
+    http_status = 422
+
+
 class MapError(InterLocError):
     """An OpenStreetMap file or answer that cannot be used."""
 

@@ -42,6 +42,13 @@ def rotation_from_rpy(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayL
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def rpy_from_rotation(rotation: FloatArray) -> FloatArray:
+    """Return roll, pitch, yaw, (..., 3) radians, of (..., 3, 3) rotations: inverse of `rotation_from_rpy`."""
+    roll = np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])
+    pitch = -np.arcsin(np.clip(rotation[..., 2, 0], -1.0, 1.0))
+    return np.stack([roll, pitch, yaw_of(rotation)], axis=-1)
+
+
 def yaw_of(rotation: FloatArray) -> FloatArray:
     """Return the heading of the x axis, radians counter-clockwise, of (..., 3, 3) rotations as (...,) float64."""
     return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])

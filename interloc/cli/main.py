@@ -19,6 +19,7 @@ COMMANDS = {
     "evaluate": "evaluate",
     "compare": "compare",
     "run": "run",
+    "locate": "locate",
     "explain": "explain",
     "robustness": "robustness",
     "export": "export",

@@ -165,6 +165,7 @@ def open_for_evaluation(
     preset: str,
     settings: tuple[str, ...],
     quiet: bool,
+    needs_georeference: bool = True,
     **reading: Any,
 ) -> tuple[Drive, DetectorConfig, RoadGraph | None]:
     """Check and open all that `evaluation_options` name, before any long work starts.
@@ -172,13 +173,15 @@ def open_for_evaluation(
     Returns
     -------
     tuple of Drive, DetectorConfig, RoadGraph or None
-        The drive, which has a georeference; the configuration; the map, None if it will come from Overpass.
+        The drive, which has a georeference where it needs one; the configuration; the map, None if it will come from
+        Overpass.
     """
     check_map_choice(osm, overpass=overpass)
     console.set_up_log(quiet=quiet)
     config = configure(preset, settings)
     source = open_drive(drive, reading)
-    require_georeference(source)
+    if needs_georeference:
+        require_georeference(source)
     return source, config, read_map(osm)
 
 

@@ -127,6 +127,12 @@ def evaluate(
         relevant_zone_m=relevant_zone_m,
     )
     map_level = replace(map_level, counts=map_level.counts & within(graph.bounds, result.intersections.lonlat))
+    if "location" in result.run:
+        warnings += (
+            result.run["location"].get("scored")
+            or "The run was placed on a map by its roads. If this is the same map, the figures flatter; "
+            "`interloc run --locate` scores each node with a fit that left it out.",
+        )
     if not node_table.in_zone.any():
         warnings += (
             f"No intersection of policy {policy} lies in the relevant zone of any keyframe: recall is undefined.",

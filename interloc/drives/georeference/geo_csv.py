@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import GeoreferenceFile, listed, missing_numbers
 from interloc.drives.georeference.geodetic import checked_fixes
-from interloc.geometry import rotation_from_rpy
+from interloc.files import atomic_write
+from interloc.geometry import rotation_from_rpy, rpy_from_rotation
 
 GEO_COLUMNS = ("frame", "lat_deg", "lon_deg", "alt_m", "roll_rad", "pitch_rad", "yaw_rad")
 
@@ -53,3 +56,20 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
         R_enu_lidar=rotation_from_rpy(poses[:, 3], poses[:, 4], poses[:, 5]),
         source=f"{file.name} (poses of the LiDAR)",
     )
+
+
+def write_geo_csv(path: Path, frames: IntArray, georeference: Georeference) -> None:
+    """Write a geo.csv with one row per scan, whole or not at all: what `read_geo_csv` reads.
+
+    Raises
+    ------
+    OutputError
+        The file could not be written.
+    """
+    angles = rpy_from_rotation(georeference.R_enu_lidar)
+    rows = [",".join(GEO_COLUMNS)]
+    fixes = zip(frames, georeference.lat_deg, georeference.lon_deg, georeference.alt_m, angles, strict=True)
+    for frame, lat, lon, alt, (roll, pitch, yaw) in fixes:
+        rows.append(f"{frame},{lat:.9f},{lon:.9f},{alt:.3f},{roll:.6f},{pitch:.6f},{yaw:.6f}")
+    with atomic_write(path) as file:
+        file.write(("\n".join(rows) + "\n").encode())

@@ -1,0 +1,135 @@
+"""`interloc locate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, locating, options
+
+if TYPE_CHECKING:
+    from interloc.drive import Drive
+
+
+@click.command(short_help="Place a drive on the map without GNSS.")
+@options.DRIVE
+@options.OSM
+@locating.near_options
+@click.option(
+    "--at",
+    type=locating.Numbers("LAT", "LON", "HEADING_DEG"),
+    metavar="LAT,LON,HEADING_DEG",
+    help="Place the drive by this pose of the LiDAR instead of a map; heading clockwise from north.",
+)
+@click.option("--at-frame", type=int, help="Scan that has the pose of --at.  [default: the first]")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="geo.csv to write: put it into the drive, or give it with --oxts.",
+)
+@click.option(
+    "--figure", type=click.Path(path_type=Path), help="Picture to draw, .png or .svg; drawn if not found, too."
+)
+@click.option("--growth", is_flag=True, help="Also find out from which distance on the drive is unique.")
+@click.option("--track-only", is_flag=True, help="Do not look for intersections: the trajectory alone.")
+@options.config_options
+@options.drive_options
+@options.workers_option
+@options.QUIET
+@options.JSON
+def command(
+    drive: Path,
+    osm: Path | None,
+    near: tuple[float, float] | None,
+    radius_km: float | None,
+    at: tuple[float, float, float] | None,
+    at_frame: int | None,
+    out: Path | None,
+    figure: Path | None,
+    growth: bool,
+    track_only: bool,
+    preset: str,
+    settings: tuple[str, ...],
+    workers: int | None,
+    quiet: bool,
+    as_json: bool,
+    **reading: Any,
+) -> None:
+    """Place DRIVE on a road map by its trajectory and its intersections; a georeference that it has is not used.
+
+    \b
+    Examples:
+      interloc locate sequences/07 --osm karlsruhe.osm.pbf -o geo.csv
+      interloc locate sequences/07 --osm germany.osm.pbf --near 49.01,8.43 --radius 5 -o geo.csv --figure where.png
+      interloc locate sequences/07 --at 48.98523,8.39364,211.5 -o geo.csv
+
+    Exit code 1 where the place is ambiguous or was not found: then no geo.csv is written.
+    """
+    from interloc.drives.georeference.geo_csv import write_geo_csv
+    from interloc.localization.placing import require_found
+
+    if (osm is None) == (at is None):
+        raise click.UsageError("say where to look: the map by --osm FILE, or one pose by --at LAT,LON,HEADING_DEG")
+    if at is None and at_frame is not None:
+        raise click.UsageError("--at-frame belongs to --at")
+    if at is not None and (near or radius_km or figure or growth):
+        raise click.UsageError("--at needs no map: leave out --near, --radius, --figure and --growth")
+    console.set_up_log(quiet=quiet)
+    config = options.configure(preset, settings)
+    source = locating.without_georeference(options.open_drive(drive, reading))
+    if at is not None:
+        _place_at(source, at, at_frame, out, quiet=quiet, as_json=as_json)
+        return
+    graph = options.read_map(osm)
+    assert graph is not None
+    result, location = locating.locate_drive(
+        source, graph, config, near=near, radius_km=radius_km, workers=workers, quiet=quiet, track_only=track_only
+    )
+    record = {"drive": source.name, **location.record()}
+    facts = []
+    if growth:
+        from interloc.localization.growth import growth_of, growth_text
+
+        with console.progress("growth", "length", quiet=quiet) as bar:
+            rows = growth_of(source, graph, result=result, near=near, radius_km=radius_km, progress=bar)
+        record["growth"] = rows
+        facts = [("growth", growth_text(rows))]
+    if figure is not None and location.places:
+        locating.write_figure(location, graph, source.name, figure)
+    if as_json:
+        console.say_json(record)
+    georeference = require_found(location, source.name)
+    if out is not None:
+        write_geo_csv(out, source.frames, georeference)
+        facts.append(("written to", str(out)))
+    if not as_json and not quiet:
+        console.say_facts([*locating.location_facts(location), *facts])
+
+
+def _place_at(
+    drive: Drive,
+    at: tuple[float, float, float],
+    at_frame: int | None,
+    out: Path | None,
+    *,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    from interloc.drives.georeference.geo_csv import write_geo_csv
+    from interloc.localization.anchors import georeference_at
+
+    georeference = georeference_at(drive, *at, frame=at_frame)
+    if out is not None:
+        write_geo_csv(out, drive.frames, georeference)
+    uncertainty = (
+        "that of the pose given, plus the drift of the poses from there, plus 1.7 m per 100 m of distance for each "
+        "degree that its heading is wrong"
+    )
+    if as_json:
+        console.say_json({"drive": drive.name, "georeference": georeference.source, "uncertainty": uncertainty})
+    elif not quiet:
+        written = [] if out is None else [("written to", str(out))]
+        console.say_facts([("placed by", georeference.source), ("uncertainty", uncertainty), *written])

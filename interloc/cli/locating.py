@@ -1,0 +1,146 @@
+"""What the commands that place a drive on a map share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from interloc.cli import console, options
+
+if TYPE_CHECKING:
+    from interloc.config import DetectorConfig
+    from interloc.drive import Drive
+    from interloc.localization.locate import Location
+    from interloc.osm.graph import RoadGraph
+    from interloc.results import DriveResult
+
+
+class Numbers(click.ParamType):  # type: ignore[type-arg, unused-ignore] # generic in the newest click only
+    """Numbers with commas between them: 49.01,8.43."""
+
+    def __init__(self, *names: str) -> None:
+        self.name = ",".join(names)
+        self._count = len(names)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Read them, or fail with what was expected."""
+        if isinstance(value, tuple):
+            return value
+        parts = str(value).split(",")
+        try:
+            numbers = tuple(float(part) for part in parts)
+        except ValueError:
+            numbers = ()
+        if len(numbers) != self._count:
+            self.fail(f"{value!r} is not {self.name}: {self._count} numbers with commas between them.", param, ctx)
+        return numbers
+
+
+near_options = options.together(
+    click.option(
+        "--near",
+        type=Numbers("LAT", "LON"),
+        metavar="LAT,LON",
+        help="Search only around here; with --radius.",
+    ),
+    click.option(
+        "--radius", "radius_km", type=click.FloatRange(min=0.1), help="How far around --near, km.  [default: 3]"
+    ),
+)
+"""Where to search."""
+
+
+def without_georeference(drive: Drive) -> Drive:
+    """Return a drive as if it had no GNSS."""
+    from dataclasses import replace
+
+    from interloc.drives.folder import FolderDrive
+
+    assert isinstance(drive, FolderDrive)  # all that `open_drive` opens
+    return replace(drive, georeference=None)
+
+
+def locate_drive(
+    drive: Drive,
+    graph: RoadGraph,
+    config: DetectorConfig,
+    *,
+    near: tuple[float, float] | None,
+    radius_km: float | None,
+    workers: int | None,
+    quiet: bool,
+    leave_one_out: bool = False,
+    track_only: bool = False,
+) -> tuple[DriveResult | None, Location]:
+    """Find the intersections along a drive without georeference, and place it on a map.
+
+    Returns
+    -------
+    DriveResult or None
+        None where the drive is too short to be placed, or only its track was to be used.
+    Location
+    """
+    from interloc.localization.decision import MIN_LENGTH_M
+    from interloc.localization.locate import locate
+    from interloc.localization.track import track_of
+    from interloc.pipeline import detect
+
+    if radius_km is not None and near is None:
+        raise click.UsageError("--radius says how far around --near to search; give --near too")
+    result = None
+    if not track_only and track_of(drive.T_world_lidar).length_m >= MIN_LENGTH_M:
+        with console.progress("detect", "keyframe", quiet=quiet) as bar:
+            result = detect(drive, config, workers=workers, progress=bar)
+    with console.progress("locate", "place", quiet=quiet) as bar:
+        location = locate(
+            drive,
+            graph,
+            result=result,
+            near=near,
+            radius_m=None if near is None else 1000.0 * (radius_km or 3.0),
+            leave_one_out=leave_one_out,
+            progress=bar,
+        )
+    return result, location
+
+
+def location_facts(location: Location) -> list[tuple[str, str]]:
+    """Return names and values for a person."""
+    facts = location.facts
+    best = location.places[0]
+    assert location.position_std_m is not None
+    assert location.heading_std_deg is not None
+    evidence = (
+        f"{100 * best.evidence.road:.0f} % of {facts['length_m']:.0f} m on roads, {best.evidence.at_nodes} of "
+        f"{best.evidence.seen} intersections seen are on the map, {best.evidence.missed} of {best.evidence.passed} "
+        "passed were not seen"
+    )
+    uncertainty = (
+        f"{_median(location.position_std_m):.1f} m, {_median(location.heading_std_deg):.1f} degrees "
+        "(one sigma, median; against the map, which has errors of its own)"
+    )
+    return [
+        ("found", location.decision.reason),
+        ("first scan", f"{best.lonlat[1]:.6f},{best.lonlat[0]:.6f}, heading {best.heading_deg:.1f} degrees"),
+        ("evidence", evidence),
+        ("uncertainty", uncertainty),
+        ("map", f"{facts['map']}: {facts['map_km']:g} km of roads"),
+        ("time", f"{facts['seconds']:.1f} s"),
+    ]
+
+
+def write_figure(location: Location, graph: RoadGraph, drive: str, path: Path) -> None:
+    """Draw a location into a .png or .svg file."""
+    from interloc.drawing import image, write_image
+    from interloc.localization.figures import location_figure
+
+    figure = location_figure(location, graph, drive)
+    write_image(path, image(figure, "svg" if path.suffix.lower() == ".svg" else "png"))
+
+
+def _median(values: Any) -> float:
+    import numpy as np
+
+    return float(np.median(values))

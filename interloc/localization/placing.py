@@ -1,0 +1,146 @@
+"""What a location makes of a run: every detection on the earth, and a fair copy to score."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.config import FusionConfig
+from interloc.drive import Drive, Georeference
+from interloc.errors import GeoreferenceError, LocationError
+from interloc.geometry import ecef_from_geodetic, lonlat_from_enu, rotate_2d, wrap_bearing, yaw_of
+from interloc.localization.locate import Location
+from interloc.mapping.fusion import fuse
+from interloc.mapping.georeferencing import trajectory
+from interloc.osm.intersections import IntersectionNodes
+from interloc.results import DriveResult
+
+FAIR = (
+    "The drive was placed on this very map by its roads, which flatters. Every OSM node is therefore scored with a fit "
+    "that left this node out; the roads around it still took part."
+)
+
+
+def require_found(location: Location, drive: str) -> Georeference:
+    """Return the georeference of a location.
+
+    Raises
+    ------
+    LocationError
+        The drive was not placed; the message lists the places and says what would help.
+    """
+    if location.georeference is not None:
+        return location.georeference
+    decision = location.decision
+    outcome = "its place is ambiguous" if decision.outcome == "ambiguous" else "it was not found on the map"
+    listed = "; ".join(
+        f"{place.lonlat[1]:.5f},{place.lonlat[0]:.5f} heading {place.heading_deg:.0f} (score {place.score:.2f}, "
+        f"{100 * place.evidence.road:.0f} % on roads, {place.evidence.at_nodes} of {place.evidence.seen} intersections)"
+        for place in location.places[:4]
+    )
+    places = f" Best places of its first scan: {listed}." if listed else ""
+    raise LocationError(f"{drive}: {outcome}: {decision.reason}{places} {decision.advice} Nothing was written.")
+
+
+def place_result(result: DriveResult, drive: Drive, georeference: Georeference, about: dict[str, Any]) -> DriveResult:
+    """Put a run that was made without georeference on the earth, and fuse its detections anew.
+
+    Parameters
+    ----------
+    result
+        Of `detect` on the drive without georeference.
+    drive, georeference
+        Of all scans.
+    about
+        What `run.json` shall say of it, under `location`.
+
+    Raises
+    ------
+    GeoreferenceError
+        The run has a georeference already.
+    """
+    if result.is_georeferenced:
+        raise GeoreferenceError(f"{result.drive}: the run has a georeference already. Expected one without.")
+    rows = np.searchsorted(drive.frames, result.keyframes.frame)
+    lat, lon = georeference.lat_deg[rows], georeference.lon_deg[rows]
+    yaw = yaw_of(georeference.R_enu_lidar[rows])
+    turn_deg = np.degrees(yaw - result.keyframes.world_yaw_rad)
+    keyframes = replace(result.keyframes, lonlat=np.stack([lon, lat], axis=-1), enu_yaw_rad=yaw)
+    table = result.detections
+    of = table.keyframe
+    bearings = [wrap_bearing(each - turn_deg[row]) for each, row in zip(table.bearings_deg, of.tolist(), strict=True)]
+    lonlat = lonlat_from_enu(lat[of], lon[of], rotate_2d(table.lidar_xy, yaw[of]))
+    detections = replace(table, lonlat=lonlat, bearings_deg=bearings)
+    fusion = FusionConfig.model_validate(result.run["config"]["fusion"])
+    intersections, intersection = fuse(keyframes, detections, fusion)
+    _, trajectory_lonlat = trajectory(drive.T_world_lidar, georeference)
+    return replace(
+        result,
+        keyframes=keyframes,
+        detections=replace(detections, intersection=intersection),
+        intersections=intersections,
+        trajectory_lonlat=trajectory_lonlat,
+        run=result.run | {"georeference": georeference.source, "location": about},
+    )
+
+
+def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: IntersectionNodes) -> DriveResult:
+    """Return a placed run in which nothing near a node owes its position to that node.
+
+    Each detection and each fused intersection moves to where the fit puts it that left out the node nearest to it.
+
+    Parameters
+    ----------
+    placed
+        Of `place_result`.
+    drive
+        It, for the numbers of its scans.
+    location
+        Of `locate` with `leave_one_out`.
+    nodes
+        The ground truth.
+    """
+    rows = np.searchsorted(drive.frames, placed.keyframes.frame)
+    detections, fused = placed.detections, placed.intersections
+    of_detection = rows[detections.keyframe]
+    of_fused = _scan_of_fused(placed, rows)
+    assert detections.lonlat is not None
+    assert fused.lonlat is not None
+    lonlat, fused_lonlat = detections.lonlat.copy(), fused.lonlat.copy()
+    nearest, nearest_fused = _nearest(detections.lonlat, nodes), _nearest(fused.lonlat, nodes)
+    assert location.georeference is not None
+    for osm_id, without in location.leaving_out.items():
+        these = np.flatnonzero(nearest == osm_id)
+        scans = of_detection[these]
+        turned = rotate_2d(detections.lidar_xy[these], yaw_of(without.R_enu_lidar[scans]))
+        lonlat[these] = lonlat_from_enu(without.lat_deg[scans], without.lon_deg[scans], turned)
+        these = np.flatnonzero(nearest_fused == osm_id)
+        scans = of_fused[these]
+        fused_lonlat[these, 0] += without.lon_deg[scans] - location.georeference.lon_deg[scans]
+        fused_lonlat[these, 1] += without.lat_deg[scans] - location.georeference.lat_deg[scans]
+    return replace(
+        placed, detections=replace(detections, lonlat=lonlat), intersections=replace(fused, lonlat=fused_lonlat)
+    )
+
+
+def _scan_of_fused(placed: DriveResult, rows: IntArray) -> IntArray:
+    """Return the scan of a keyframe in the middle of those that saw each fused intersection."""
+    scans = np.zeros(len(placed.intersections), dtype=np.int64)
+    for row in range(len(scans)):
+        seen_by = placed.detections.keyframe[placed.detections.intersection == row]
+        scans[row] = rows[seen_by[len(seen_by) // 2]] if len(seen_by) else 0
+    return scans
+
+
+def _nearest(lonlat: FloatArray, nodes: IntersectionNodes) -> IntArray:
+    """Return the OSM id of the node nearest to each of (N, 2) points; -1 where there are no nodes."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    if not len(nodes) or not len(lonlat):
+        return np.full(len(lonlat), -1, dtype=np.int64)
+    points, truth = (ecef_from_geodetic(each[:, 1], each[:, 0]) for each in (lonlat, nodes.lonlat))
+    _, row = cKDTree(truth).query(points)
+    return nodes.osm_id[np.asarray(row, dtype=np.int64)]
