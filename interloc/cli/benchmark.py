@@ -230,6 +230,67 @@ def drives(
     )
 
 
+@command.command()
+@click.option(
+    "--kitti",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder with oxts/, poses_suma/, calib/, times/ and, with --twins, osm/.",
+)
+@click.option("--osm", required=True, type=click.Path(path_type=Path), help="Map that holds all sequences.")
+@click.option("--sequences", default=SEQUENCES, show_default=True, help="KITTI odometry sequences to place.")
+@click.option("--lengths", default="whole,1000,500", show_default=True, help="Lengths of the pieces, metres.")
+@click.option(
+    "--twins",
+    type=click.Path(path_type=Path),
+    help="Folder of kept twins (simulated where missing): use the intersections along them, not the trajectory alone.",
+)
+@options.OUT
+@options.QUIET
+@options.JSON
+def locate(
+    kitti: Path, osm: Path, sequences: str, lengths: str, twins: Path | None, out: Path, quiet: bool, as_json: bool
+) -> None:
+    """Place KITTI sequences and pieces of them on a map without GNSS; the truth is OXTS.
+
+    Each piece is also searched on the mirrored map and on the map without the roads around the sequence, where nothing
+    may be found.
+
+    \b
+    Example:
+      interloc benchmark locate --kitti kitti --osm karlsruhe.osm.gz -o out
+    """
+    from dataclasses import asdict
+
+    from interloc.benchmark.locating import LocateRow, Piece, measure_pieces, pieces_of, table_of, write_locating
+    from interloc.osm.reader import read_osm
+
+    try:
+        lengths_m = tuple(float("inf") if each == "whole" else float(each) for each in _list(lengths))
+    except ValueError:
+        raise click.UsageError(f"--lengths {lengths}: expected metres with commas between them, or whole") from None
+    console.set_up_log(quiet=quiet)
+
+    def report(piece: Piece, rows: list[LocateRow]) -> None:
+        if not quiet:
+            first = rows[0]
+            outcome = first.outcome if first.right or first.outcome != "found" else "found, but WRONG"
+            error = "-" if first.median_m is None else f"{first.median_m:.2f} m"
+            click.echo(
+                f"{piece.sequence} from {piece.start_m:.0f} m, {piece.length_m:.0f} m: {outcome}, {error} "
+                f"(score {first.score:.2f}, next {first.runner_up:.2f}, chance {first.chance:.2f})",
+                err=True,
+            )
+
+    pieces = (piece for each in _list(sequences) for piece in pieces_of(kitti, each, lengths_m, twins=twins))
+    rows = measure_pieces(pieces, read_osm(osm), report)
+    write_locating(rows, out)
+    if as_json:
+        console.say_json({"rows": [asdict(row) for row in rows]})
+        return
+    click.echo(table_of(rows))
+
+
 def _measure(
     cases: list[Case] | list[Any],
     *,

@@ -2,7 +2,8 @@
 
 The chain is a pose graph in the plane (as in 2D SLAM): one pose every `NODE_STEP_M` of the way. Three kinds of
 measurement hold it: the odometry from pose to pose, the distance of each pose from the middle of the way it runs on,
-less the lane offset of the drive, and the intersections that were seen, each at its node of the map.
+less the lane offset of the drive, and the intersections that were seen, each at its node of the map. The scale of the
+odometry is estimated along.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _OFFSET_PRIOR = 5.0  # poses: how many of them hold the lane offset at zero
 _ALIGNED = 0.8  # cosine between a way and the heading of who drives on it
 _START_SIGMA_M = 5.0
 _START_GATE_M, _GATE_M = 20.0, 8.0
-_SCALE_LIMIT = 0.04
+_SCALE_STD, _SCALE_LIMIT = 0.01, 0.04
 
 
 @dataclass(frozen=True)
@@ -125,12 +126,14 @@ class Nodes:
 
 
 class _Normal:
-    """Normal equations of the chain: symmetric, block tridiagonal with blocks of 3 x 3."""
+    """Normal equations of the chain: symmetric, block tridiagonal with blocks of 3 x 3, bordered by the scale."""
 
     def __init__(self, count: int) -> None:
         self.diagonal = np.zeros((count, 3, 3))
         self.coupling = np.zeros((count - 1, 3, 3))
         self.right = np.zeros((count, 3))
+        self.border = np.zeros((count, 3))
+        self.corner, self.scale_right = 0.0, 0.0
         self.diagonal[:] += np.diag([1e-6, 1e-6, 1e-3])
 
     def banded(self) -> FloatArray:
@@ -145,10 +148,15 @@ class _Normal:
                 band[3 + column - row, row : 3 * (count - 1) : 3] = self.coupling[:, row, column]
         return band
 
-    def solve(self) -> FloatArray:
-        """Return the step, (n, 3)."""
-        step: FloatArray = solveh_banded(self.banded(), self.right.ravel(), lower=True, check_finite=False)
-        return step.reshape(-1, 3)
+    def solve(self) -> tuple[FloatArray, float]:
+        """Return the steps of the poses, (n, 3), and of the scale, by the Schur complement of the border."""
+        both = np.stack([self.right.ravel(), self.border.ravel()], axis=1)
+        solved = solveh_banded(self.banded(), both, lower=True, check_finite=False)
+        free, along = solved[:, 0], solved[:, 1]
+        border = self.border.ravel()
+        scale = float((self.scale_right - border @ free) / (self.corner - border @ along))
+        step: FloatArray = (free - scale * along).reshape(-1, 3)
+        return step, scale
 
     def covariance(self) -> FloatArray:
         """Return the covariance of each pose, (n, 3, 3): the diagonal blocks of the inverse.
@@ -205,9 +213,10 @@ def fit(
         fit_, normal = step.linearise(ways, nodes)
         if done >= rounds:
             return fit_
-        pose = pose + normal.solve()
+        moved, stretched = normal.solve()
+        pose, scale = pose + moved, float(np.clip(scale + stretched, 1.0 - _SCALE_LIMIT, 1.0 + _SCALE_LIMIT))
         if whole:
-            offset_m, scale, done = step.offset(), step.stretch(pose), done + 1
+            offset_m, done = step.offset(), done + 1
         low, high = low - grow, high + grow
 
 
@@ -287,19 +296,17 @@ class _Round:
         normal.coupling += np.swapaxes(of_first, 1, 2) @ second
         normal.right[:-1] -= np.einsum("nij,ni->nj", first, error)
         normal.right[1:] -= np.einsum("nij,ni->nj", second, error)
+        by_scale = -measured * [1.0, 1.0, 0.0]  # derivative of the error
+        normal.border[:-1] += np.einsum("nij,ni->nj", first, by_scale)
+        normal.border[1:] += np.einsum("nij,ni->nj", second, by_scale)
+        normal.corner = float((weight * by_scale**2).sum()) + 1.0 / _SCALE_STD**2
+        normal.scale_right = -float((weight * by_scale * error).sum()) - (self.scale - 1.0) / _SCALE_STD**2
         return float((weight * error**2).sum() / max(1, count))
 
     def offset(self) -> float:
         """Return the lane offset: the weighted mean of the distances from the ways, drawn to zero where few count."""
         weight = self.weight * (np.abs(self.lateral_m - self.offset_m) < 2.0 * self.sigma_m)
         return float((weight * self.lateral_m).sum() / (weight.sum() + _OFFSET_PRIOR))
-
-    def stretch(self, pose: FloatArray) -> float:
-        """Return the scale by which the steps of the odometry agree with those of the new poses, overrelaxed."""
-        measured, now = (np.hypot(*_steps(each)[:, :2].T) for each in (self.chain.pose, pose))
-        seen = float(measured @ now / (measured @ measured))
-        bound = 1.0 + _SCALE_LIMIT
-        return float(np.clip(self.scale + 1.5 * (seen - self.scale), 1.0 / bound, bound))
 
 
 def _steps(pose: FloatArray) -> FloatArray:

@@ -1,0 +1,132 @@
+"""A drive is placed where it was, or refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import interloc
+from interloc.errors import ConfigError, LocationError, MapError
+from interloc.geometry import wrap_angle, yaw_of
+from interloc.localization.locate import Location, locate
+from interloc.localization.placing import require_found
+from interloc.osm.graph import RoadGraph
+from tests.localization.conftest import LAT_DEG, LON_DEG, MadeDrive, drive_along, graph_of, route_xy
+
+
+@pytest.fixture(scope="module")
+def found(town: RoadGraph) -> tuple[MadeDrive, Location]:
+    drive = drive_along(route_xy())
+    return drive, locate(drive, town)
+
+
+def test_a_drive_is_placed_where_it_was(found: tuple[MadeDrive, Location]) -> None:
+    drive, location = found
+    assert location.decision.outcome == "found"
+    assert location.georeference is not None
+    assert np.median(drive.error_m(location.georeference)) < 1.0
+    assert np.percentile(drive.error_m(location.georeference), 95) < 3.0
+    off = np.degrees(np.abs(wrap_angle(yaw_of(location.georeference.R_enu_lidar) - drive.true_yaw_rad)))
+    assert np.median(off) < 0.5
+
+
+def test_every_scan_has_a_position_and_its_uncertainty(found: tuple[MadeDrive, Location]) -> None:
+    drive, location = found
+    assert location.georeference is not None
+    assert location.position_std_m is not None
+    assert len(location.georeference.lat_deg) == len(location.position_std_m) == len(drive.frames)
+    assert np.all((location.position_std_m > 0.05) & (location.position_std_m < 10.0))
+
+
+def test_the_lane_offset_is_found(found: tuple[MadeDrive, Location]) -> None:
+    assert found[1].facts["lane_offset_m"] == pytest.approx(-1.5, abs=0.5)
+
+
+def test_a_drive_in_a_mirror_is_refused(town: RoadGraph) -> None:
+    drive = drive_along(route_xy() * [-1.0, 1.0])
+    location = locate(drive, town)
+    assert location.decision.outcome != "found"
+    with pytest.raises(LocationError, match=r"made: .*Nothing was written"):
+        require_found(location, drive.name)
+
+
+def test_a_map_of_another_town_is_refused() -> None:
+    xy = 150.0 * np.stack(np.meshgrid(np.arange(8), np.arange(8)), axis=-1).reshape(-1, 2)
+    xy = xy + np.random.default_rng(3).uniform(-45.0, 45.0, xy.shape)
+    edges = [(i, i + 1) for i in range(63) if i % 8 != 7] + [(i, i + 8) for i in range(56)]
+    assert locate(drive_along(route_xy()), graph_of(xy, edges)).decision.outcome != "found"
+
+
+def test_a_short_drive_is_refused_at_once_in_words(town: RoadGraph) -> None:
+    location = locate(drive_along(np.array([[0.0, 0.0], [60.0, 0.0]])), town)
+    assert (location.decision.outcome, location.places) == ("not_found", [])
+    assert "57 m long" in location.decision.reason
+
+
+def test_a_straight_drive_is_ambiguous_on_streets_that_are_all_straight() -> None:
+    xy = np.array([[0.0, 0.0], [1500.0, 0.0], [0.0, 400.0], [1500.0, 400.0]])
+    location = locate(drive_along(np.array([[300.0, 0.0], [700.0, 0.0]])), graph_of(xy, [(0, 1), (2, 3)]))
+    assert location.decision.outcome == "ambiguous"
+    assert len(location.places) > 1
+    with pytest.raises(LocationError, match=r"ambiguous: .*49\.\d+,8\.\d+ heading"):
+        require_found(location, "straight")
+
+
+@pytest.mark.parametrize(("scale", "drift"), [(1.02, 0.0), (0.98, 0.0), (1.0, 5.0), (1.0, -5.0)])
+def test_poses_that_drift_are_right_or_refused(town: RoadGraph, scale: float, drift: float) -> None:
+    drive = drive_along(route_xy(), scale=scale, drift_deg_per_km=drift)
+    location = locate(drive, town)
+    if location.georeference is not None:
+        assert np.median(drive.error_m(location.georeference)) < 3.0
+
+
+def test_a_street_that_the_map_lacks_does_no_harm(town: RoadGraph) -> None:
+    drive = drive_along(route_xy())
+    missing = {tuple(sorted(pair)) for pair in ((21, 30), (30, 29))}
+    kept = np.array([tuple(sorted(edge)) not in missing for edge in town.edges.tolist()])
+    location = locate(drive, replace(town, edges=town.edges[kept], edge_way=town.edge_way[kept]))
+    if location.georeference is not None:
+        assert np.median(drive.error_m(location.georeference)) < 3.0
+
+
+def test_near_limits_the_search(town: RoadGraph) -> None:
+    drive = drive_along(route_xy())
+    location = locate(drive, town, near=(LAT_DEG, LON_DEG), radius_m=700.0)
+    assert location.facts["map_km"] < 19.0
+    with pytest.raises(MapError, match=r"holds no roads for cars within 1 km of 50\.0"):
+        locate(drive, town, near=(50.0, LON_DEG), radius_m=1000.0)
+    with pytest.raises(ConfigError, match="belong together"):
+        locate(drive, town, near=(LAT_DEG, LON_DEG))
+
+
+def test_the_record_lists_the_places_with_coordinates_and_figures(found: tuple[MadeDrive, Location]) -> None:
+    record = found[1].record()
+    assert record["outcome"] == "found"
+    first = record["places"][0]
+    assert abs(first["lat_deg"] - found[0].true_lonlat[0, 1]) < 1e-4
+    assert first["score"] > record["places"][1]["score"]
+    assert record["map"] == "town"
+
+
+def test_the_public_name() -> None:
+    assert interloc.locate is locate
+
+
+def test_a_real_drive_is_placed_without_gnss(data: Callable[[str], Path]) -> None:
+    """KITTI 07: the poses of SemanticKITTI, the trajectory alone, 166 km of roads; the truth is OXTS."""
+    kitti = data("kitti")
+    rows = np.loadtxt(kitti / "oxts" / "07.txt.gz")
+    calibration = (kitti / "calib" / "07.txt").read_text().split("Tr:")[1].split()[:12]
+    T_cam_lidar = np.vstack([np.array(calibration, dtype=np.float64).reshape(3, 4), [0, 0, 0, 1]])
+    camera = np.tile(np.eye(4), (len(rows), 1, 1))
+    camera[:, :3] = np.loadtxt(kitti / "poses_suma" / "07.txt")[: len(rows)].reshape(-1, 3, 4)
+    poses = np.linalg.inv(T_cam_lidar) @ camera @ T_cam_lidar
+    drive = MadeDrive(np.linalg.inv(poses[0]) @ poses, rows[:, 1::-1], rows[:, 5])
+    location = locate(drive, interloc.read_osm(kitti / "karlsruhe.osm.gz"))
+    assert location.decision.outcome == "found"
+    assert location.georeference is not None
+    assert np.median(drive.error_m(location.georeference)) < 2.0  # OXTS is the IMU, 0.8 m behind the LiDAR
