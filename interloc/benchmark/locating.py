@@ -199,7 +199,7 @@ def _row(
 def table_of(rows: list[LocateRow]) -> str:
     """Return the figures as a table in Markdown, one line per length."""
     lines = [
-        "| pieces | number | placed right | refused | wrong | median / 95 % [m] | heading [deg] | found on wrong maps |",
+        "| pieces | count | placed right | refused | wrong | median / 95 % [m] | heading [deg] | found on wrong maps |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for name, group in _by_length(rows):

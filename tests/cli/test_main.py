@@ -23,6 +23,7 @@ COMMANDS = [
     "evaluate",
     "compare",
     "run",
+    "locate",
     "explain",
     "robustness",
     "export",
