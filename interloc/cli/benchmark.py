@@ -82,6 +82,7 @@ def command() -> None:
       interloc benchmark twins --kitti kitti --sequences 07 --preset default --noise 20/20 --seeds 3 -o out
       interloc benchmark semantickitti --root data --oxts raw --osm maps --labels predictions -o out
       interloc benchmark drives first second --osm map.osm.gz -o out   any drives
+      interloc benchmark locate --kitti kitti --osm map.osm.gz -o out  placing drives without GNSS
 
     OUT/benchmark.html has tables, figures and maps; OUT/failures lists what went wrong where. A run that was stopped
     continues where it was: finished rows are kept in OUT/rows as long as settings, inputs and program are the same.
