@@ -105,20 +105,23 @@ def score_poses(
     rows, columns = distance.shape
     count = points.shape[0]
     need = hopeless * count
+    per_m, per_rad = 1.0 / cell_m, 16.0 / np.pi
+    sectors = points[:, 2] * per_rad
     scores = np.empty(poses.shape[0])
     for h in range(poses.shape[0]):
         turn = poses[h, 2]
         cosine, sine = np.cos(turn), np.sin(turn)
+        x0, y0, turned = poses[h, 0] - origin[0], poses[h, 1] - origin[1], turn * per_rad
         total = 0.0
         for i in range(count):
-            x = cosine * points[i, 0] - sine * points[i, 1] + poses[h, 0]
-            y = sine * points[i, 0] + cosine * points[i, 1] + poses[h, 1]
-            c = int(np.floor((x - origin[0]) / cell_m))
-            r = int(np.floor((y - origin[1]) / cell_m))
+            x = cosine * points[i, 0] - sine * points[i, 1] + x0
+            y = sine * points[i, 0] + cosine * points[i, 1] + y0
+            c = int(np.floor(x * per_m))
+            r = int(np.floor(y * per_m))
             if r >= 0 and c >= 0 and r < rows and c < columns:
                 w = weight[distance[r, c]]
                 if w > 0.0:
-                    sector = int(np.floor(((points[i, 2] + turn) % np.pi) / np.pi * 16.0)) % 16
+                    sector = int(np.floor(sectors[i] + turned)) & 15
                     if (directions[r, c] >> sector) & 1 == 0:
                         w *= wrong_way
                     total += w

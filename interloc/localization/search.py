@@ -41,8 +41,8 @@ _LANDMARK_SIGMA_M = 5.0
 _FAR_SHARE, _LANDMARK_SHARE = 0.5, 0.7
 _FIRST_KEPT = 4000
 _CHUNK = 400_000
-_CLIMB = ((3.0, np.radians(2.0)), (1.5, np.radians(1.0)))
-_NEIGHBOURS = np.array([(x, y, t) for x in (-1, 0, 1) for y in (-1, 0, 1) for t in (-1, 0, 1)], dtype=np.float64)
+_CLIMB = ((3.0, np.radians(2.0)), (3.0, np.radians(2.0)), (3.0, np.radians(2.0)), (1.5, np.radians(1.0)))
+_NEIGHBOURS = np.vstack([np.eye(3), -np.eye(3)])
 _SAME_PLACE_M, _SAME_TURN_RAD = 12.0, np.radians(9.0)
 
 
@@ -88,7 +88,7 @@ def guess(track: Track, sightings: Sightings, roads: RoadMap, nodes: Nodes, *, k
     roads, nodes
         The map.
     kept : int
-        Places to return for each anchor.
+        Places to return for one anchor; fewer for each of several.
 
     Yields
     ------
@@ -96,8 +96,9 @@ def guess(track: Track, sightings: Sightings, roads: RoadMap, nodes: Nodes, *, k
         One for each anchor.
     """
     points = resample(track, STEP_M)
-    for row in anchors(points):
-        yield _guess_around(row, points, sightings, roads, nodes, kept)
+    rows = anchors(points)
+    for row in rows:
+        yield _guess_around(row, points, sightings, roads, nodes, round(kept / len(rows) ** 0.5))
 
 
 def _guess_around(
@@ -166,13 +167,12 @@ def _climb(relative: FloatArray, pose: FloatArray, raster: RoadRaster) -> tuple[
     score = score_tracks(relative, pose, raster, _SIGMA_M)
     rows = np.arange(len(pose))
     for step_m, step_rad in _CLIMB:
-        for _ in range(2):
-            trial = pose[:, None] + _NEIGHBOURS * [step_m, step_m, step_rad]
-            each = score_tracks(relative, trial.reshape(-1, 3), raster, _SIGMA_M).reshape(len(pose), -1)
-            best = each.argmax(axis=1) if len(pose) else np.zeros(0, dtype=np.int64)
-            better = each[rows, best] > score
-            pose = np.where(better[:, None], trial[rows, best], pose)
-            score = np.where(better, each[rows, best], score)
+        trial = pose[:, None] + _NEIGHBOURS * [step_m, step_m, step_rad]
+        each = score_tracks(relative, trial.reshape(-1, 3), raster, _SIGMA_M).reshape(len(pose), -1)
+        best = each.argmax(axis=1) if len(pose) else np.zeros(0, dtype=np.int64)
+        better = each[rows, best] > score
+        pose = np.where(better[:, None], trial[rows, best], pose)
+        score = np.where(better, each[rows, best], score)
     return pose, score
 
 
