@@ -14,10 +14,14 @@ from interloc.kernels.roads import bucket_segments, draw_roads, nearest_ways
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.intersections import MIN_DEGREE, road_ways
 
-CELL_M = 2.0
+CELLS_M = (2.0, 4.0)
+"""Sides of the cells of the raster: the first that the map is not too large for."""
+
 REACH_M = 20.0
 NEAR_M = 12.0
-MAX_CELLS = 150_000_000
+MAX_CELLS = 100_000_000
+"""Three bytes each."""
+
 NO_ROAD = 255
 WAY_REACH_M = 25.0
 MAX_BRANCHES = 8
@@ -102,17 +106,19 @@ class RoadMap:
         """
         low = self.segments.reshape(-1, 2).min(axis=0) - REACH_M
         size = self.segments.reshape(-1, 2).max(axis=0) + REACH_M - low
-        columns, rows = (int(np.ceil(each / CELL_M)) for each in size)
-        if columns * rows > MAX_CELLS:
+        fitting = (each for each in CELLS_M if float(np.prod(size)) / each**2 <= MAX_CELLS)
+        cell_m = next(fitting, None)
+        if cell_m is None:
             raise MapError(
-                f"the map is {size[0] / 1000:.0f} km by {size[1] / 1000:.0f} km: too large to be searched as a whole "
-                f"(limit: {MAX_CELLS * CELL_M**2 / 1e6:.0f} km2). Say roughly where the drive was (--near, --radius), "
+                f"the map is {size[0] / 1000:.0f} km by {size[1] / 1000:.0f} km. Expected at most "
+                f"{MAX_CELLS * CELLS_M[-1] ** 2 / 1e6:.0f} km2 to be searched as a whole. Say roughly where the drive was (--near, --radius), "
                 "or cut the map."
             )
+        columns, rows = (int(np.ceil(each / cell_m)) for each in size)
         distance = np.full((rows, columns), NO_ROAD, dtype=np.uint8)
         directions = np.zeros((rows, columns), dtype=np.uint16)
-        draw_roads(distance, directions, self.segments, low, CELL_M, REACH_M, NEAR_M)
-        return RoadRaster(distance, directions, low, CELL_M)
+        draw_roads(distance, directions, self.segments, low, cell_m, REACH_M, NEAR_M)
+        return RoadRaster(distance, directions, low, cell_m)
 
 
 def road_map(graph: RoadGraph, near: tuple[float, float] | None = None, radius_m: float | None = None) -> RoadMap:
