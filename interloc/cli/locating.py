@@ -119,7 +119,7 @@ def location_facts(location: Location) -> list[tuple[str, str]]:
     )
     uncertainty = (
         f"{_median(location.position_std_m):.1f} m, {_median(location.heading_std_deg):.1f} degrees "
-        "(one sigma, median; against the map, which has errors of its own)"
+        "(one sigma, median; errors of the map included)"
     )
     return [
         ("found", location.decision.reason),

@@ -110,8 +110,8 @@ class RoadMap:
         cell_m = next(fitting, None)
         if cell_m is None:
             raise MapError(
-                f"the map is {size[0] / 1000:.0f} km by {size[1] / 1000:.0f} km. Expected at most "
-                f"{MAX_CELLS * CELLS_M[-1] ** 2 / 1e6:.0f} km2 to be searched as a whole. Say roughly where the drive was (--near, --radius), "
+                f"the map is {size[0] / 1000:.0f} km by {size[1] / 1000:.0f} km. To be searched as a whole it may have "
+                f"{MAX_CELLS * CELLS_M[-1] ** 2 / 1e6:.0f} km2. Say roughly where the drive was (--near, --radius), "
                 "or cut the map."
             )
         columns, rows = (int(np.ceil(each / cell_m)) for each in size)
