@@ -241,7 +241,8 @@ def find_places(
 def decide_by(found: list[Found], chance: list[Found]) -> Decision:
     """Decide by the places of a drive and of its mirror image."""
     runner_up = found[1].score if len(found) > 1 else 0.0
-    return decide(found[0].evidence if found else None, runner_up, chance[0].score if chance else 0.0)
+    length_m = float(found[0].chain.at_m[-1]) if found else 0.0
+    return decide(found[0].evidence if found else None, runner_up, chance[0].score if chance else 0.0, length_m)
 
 
 def _bend(chain: Chain, start: FloatArray, searched: SearchedMap, anchor: int | None, rounds: int) -> Found:
