@@ -16,7 +16,10 @@ from app.settings import Settings
 from app.store.database import Database
 from app.store.storage import Storage
 from app.store.tokens import TokenBook
-from interloc.errors import OutputError
+from interloc.errors import ConfigError, OutputError
+
+RESTORING = "restoring.json"
+"""File of a data folder into which a backup is being restored."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,18 @@ class Context:
 
     @classmethod
     def open(cls, settings: Settings) -> Context:
-        """Open database and storage, as `open_database` does."""
+        """Open database and storage, as `open_database` does.
+
+        Raises
+        ------
+        ConfigError
+            A backup is being restored into the data folder.
+        """
+        if (settings.data_dir / RESTORING).exists():
+            raise ConfigError(
+                f"a backup is being restored into the data folder {settings.data_dir}, and that has not ended. Run the "
+                "same `interloc restore` again: it goes on where it stopped."
+            )
         database = open_database(settings)
         storage = Storage(settings.data_dir)
         return cls(settings, database, storage, TokenBook(database, settings), Metrics())

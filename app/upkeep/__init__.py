@@ -1,0 +1,1 @@
+"""Care for what is kept: backups of it, and their restoration."""

@@ -1,0 +1,377 @@
+"""Backups, made while servers run: every drive as it was at one moment, with its jobs and their results.
+
+A backup is a folder in the layout of a data folder (``drives/<id>/...``, ``jobs/<id>/result/...``), with the rows in
+``backup.sqlite3``, whatever database the service uses, and ``backup.json``, which says what it is a backup of and
+whether it is complete.
+
+Each drive is locked for the moment that it takes to give its files a second name in ``staging/`` of the data folder
+and to read its rows: uploads name files under the same lock, so within it rows and files agree. The bytes are brought
+to the backup afterwards. There, the rows of a drive are written once its files are in place, and what it no longer has
+is removed last: a backup that was stopped half-way is as good as it can be, and the next one goes on from there.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal, Self, TypeVar
+
+from filelock import FileLock, Timeout
+from pydantic import BaseModel, ValidationError
+from sqlalchemy import select
+from sqlalchemy.exc import OperationalError
+
+from app.context import Context
+from app.drives.records import drive_key
+from app.settings import Settings
+from app.store.database import Database
+from app.store.models import Drive, Job
+from app.store.storage import Storage
+from app.upkeep.content import (
+    DriveContent,
+    back_in_queue,
+    copy_shared,
+    delete_content,
+    find_files,
+    read_content,
+    write_content,
+)
+from app.upkeep.transfer import Advance, Transfer, no_progress, prune, writing
+from interloc.errors import ConfigError, InterLocError
+from interloc.files import atomic_write
+from interloc.pipeline import versions
+
+DATABASE = "backup.sqlite3"
+RECORD = "backup.json"
+STAGING = "staging"
+
+_PAUSES_S = (0.2, 0.5, 1, 2, 4, 8)
+
+Returned = TypeVar("Returned")
+
+
+class BackupRecord(BaseModel):
+    """What ``backup.json`` holds.
+
+    Attributes
+    ----------
+    installation : str or None
+        Id of the service that it is a backup of.
+    version : str
+        Of InterLoc.
+    complete : bool
+        Whether the backup went to its end; the other figures are those of its end.
+    """
+
+    format: Literal[1] = 1
+    installation: str | None
+    version: str
+    begun_at: datetime
+    ended_at: datetime | None = None
+    complete: bool = False
+    drives: int = 0
+    jobs: int = 0
+    files: int = 0
+    size_bytes: int = 0
+
+    @classmethod
+    def read(cls, folder: Path) -> Self | None:
+        """Read the record of a backup; None where there is none.
+
+        Raises
+        ------
+        InterLocError
+            It cannot be understood.
+        """
+        try:
+            return cls.model_validate_json((folder / RECORD).read_bytes())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValidationError) as error:
+            raise InterLocError(
+                f"{folder / RECORD} cannot be read as the record of a backup; it was damaged, or written by a newer "
+                "version of InterLoc."
+            ) from error
+
+    def write(self, folder: Path) -> None:
+        """Write the record of a backup."""
+        with atomic_write(folder / RECORD) as file:
+            file.write(self.model_dump_json(indent=2).encode() + b"\n")
+
+
+@dataclass
+class BackupReport:
+    """What a backup has done.
+
+    Attributes
+    ----------
+    record : BackupRecord
+    brought_files, brought_bytes : int
+        What was not there from an earlier backup.
+    removed_files : int
+        What an earlier backup had and the service has no longer.
+    longest_lock_s : float
+        Longest time for which a drive was locked.
+    faults : list of str
+        What is missing in the data folder, or not as listed.
+    """
+
+    record: BackupRecord
+    brought_files: int = 0
+    brought_bytes: int = 0
+    removed_files: int = 0
+    longest_lock_s: float = 0.0
+    faults: list[str] = field(default_factory=list)
+
+
+def back_up(context: Context, out: Path, advance: Advance = no_progress) -> BackupReport:
+    """Make a backup, or bring an older one up to date.
+
+    Parameters
+    ----------
+    context
+        Of the service; its servers may run.
+    out
+        A new or an empty folder, or a backup of the same service.
+    advance
+
+    Raises
+    ------
+    ConfigError
+        `out` is something else, or lies where it cannot be a backup of this data folder.
+    InterLocError
+        Another backup of the data folder is being made; or the database does not answer.
+    OutputError
+        The backup cannot be written, as on a full disk; the next one goes on from there.
+    """
+    out = Path(os.path.realpath(out))
+    _check_place(context, out)
+    with _alone(context.storage):
+        return _Backup(context, out, advance).run()
+
+
+def open_service(settings: Settings) -> Context:
+    """Open a service that exists: a mistyped folder must not become a new one.
+
+    Raises
+    ------
+    ConfigError
+        There is none.
+    """
+    if not settings.data_dir.is_dir():
+        raise ConfigError(f"there is no data folder {settings.data_dir}; --data-dir (INTERLOC_DATA_DIR) names it.")
+    if settings.database_url is None and not (settings.data_dir / "interloc.sqlite3").is_file():
+        raise ConfigError(
+            f"the data folder {settings.data_dir} has no database interloc.sqlite3. --data-dir (INTERLOC_DATA_DIR) and "
+            "INTERLOC_DATABASE_URL must be those that the service runs with."
+        )
+    return Context.open(settings)
+
+
+class _Backup:
+    """A backup that is being made."""
+
+    def __init__(self, context: Context, out: Path, advance: Advance) -> None:
+        self._context = context
+        self._out = out
+        self._advance = advance
+        record = BackupRecord(
+            installation=installation_of(context), version=str(versions()["interloc"]), begun_at=datetime.now(UTC)
+        )
+        self._report = BackupReport(record)
+        with writing(out):
+            out.mkdir(parents=True, exist_ok=True)
+        record.write(out)  # it is not complete from here on
+        self._database = Database(f"sqlite:///{(out / DATABASE).as_posix()}")
+        self._staging = Transfer(context.storage.folder(STAGING))
+        self._transfer = Transfer(out)
+        self._done_bytes = self._total_bytes = 0
+
+    def run(self) -> BackupReport:
+        """Make it."""
+        record = self._report.record
+        try:
+            self._database.upgrade()
+            drives = self._drives()
+            self._total_bytes = sum(drives.values())
+            for drive_id, size in drives.items():
+                before = self._done_bytes
+                self._back_up_drive(drive_id)
+                self._done_bytes = before + size
+            self._forget_all_but(drives)
+        finally:
+            self._database.close()
+            self._transfer.close()
+        os.sync()
+        self._report.brought_files, self._report.brought_bytes = self._transfer.files, self._transfer.size_bytes
+        record.ended_at = datetime.now(UTC)
+        record.complete = True
+        record.write(self._out)
+        return self._report
+
+    def _drives(self) -> dict[str, int]:
+        """Return the ids of all drives, the oldest first, and how much is stored of each."""
+
+        def read() -> dict[str, int]:
+            with self._context.database.reading() as session:
+                rows = session.execute(select(Drive.id, Drive.stored_bytes).order_by(Drive.created_at, Drive.id))
+                return {row.id: row.stored_bytes for row in rows}
+
+        return _patiently(read)
+
+    def _back_up_drive(self, drive_id: str) -> None:
+        held = _patiently(lambda: self._hold(drive_id))
+        if held is None:  # deleted meanwhile
+            return
+        content, keys = held
+        record = self._report.record
+        end = self._done_bytes + int(content.drive["stored_bytes"])
+        for key in keys:
+            size = self._transfer.bring(self._staging.root / key, key)
+            record.size_bytes += size
+            self._done_bytes = min(end, self._done_bytes + size)
+            self._advance(self._done_bytes, self._total_bytes, str(content.drive["name"]))
+        self._transfer.finish()
+        jobs = [back_in_queue(job) for job in content.jobs]
+        with self._database.writing() as session:
+            write_content(session, DriveContent(content.drive, content.files, jobs))
+        known = set(keys)
+        for folder in (drive_key(drive_id), *(f"jobs/{job['id']}" for job in jobs)):
+            self._report.removed_files += prune(self._out, folder, known)
+        record.drives += 1
+        record.jobs += len(jobs)
+        record.files += len(keys)
+        _clear(self._staging.root)
+
+    def _hold(self, drive_id: str) -> tuple[DriveContent, list[str]] | None:
+        """Read the rows of a drive, and give its files a second name, all as of one moment; None if it is deleted."""
+        with self._context.database.reading() as session:
+            content = read_content(session, drive_id)
+        if content is not None:
+            self._stage(content)  # the lock is held only for what changes from here on
+        with self._context.database.writing() as session:
+            content = read_content(session, drive_id, lock=True)
+            if content is None:
+                return None
+            began = time.monotonic()
+            keys, faults = self._stage(content)
+            if faults:  # a job may have been removed since its row was read
+                content = read_content(session, drive_id) or content
+                keys, faults = self._stage(content)
+        self._report.longest_lock_s = max(self._report.longest_lock_s, time.monotonic() - began)
+        self._report.faults += faults
+        return content, keys
+
+    def _stage(self, content: DriveContent) -> tuple[list[str], list[str]]:
+        """Give the files of a drive a second name; returns their keys, and what is wrong with them."""
+        storage = self._context.storage
+        found = find_files(storage, content)
+        keys, faults = [], found.faults
+        for key in found.keys:
+            try:
+                self._staging.bring(storage.root / key, key)
+                keys.append(key)
+            except FileNotFoundError:
+                faults.append(f"{key} is not there")
+        self._staging.finish()
+        return keys, faults
+
+    def _forget_all_but(self, drives: Collection[str]) -> None:
+        """Bring the rows of the service itself up to date, and remove drives and jobs that it has no longer."""
+        with self._context.database.reading() as source, self._database.writing() as session:
+            copy_shared(source, session)
+            for drive_id in session.scalars(select(Drive.id)).all():
+                if drive_id not in drives:
+                    delete_content(session, drive_id)
+        with self._database.reading() as session:
+            known = {
+                "drives": set(session.scalars(select(Drive.id))),
+                "jobs": set(session.scalars(select(Job.id))),
+            }
+        for folder, ids in known.items():
+            for path in (self._out / folder).glob("*"):
+                if path.name not in ids:
+                    self._report.removed_files += prune(self._out, f"{folder}/{path.name}", ())
+
+
+def _check_place(context: Context, out: Path) -> None:
+    """Refuse a folder that cannot hold a backup of this service."""
+    root = context.storage.root
+    if out.is_relative_to(root):
+        raise ConfigError(f"{out} lies in the data folder {root}; a backup belongs elsewhere, best on another disk.")
+    if root.is_relative_to(out):
+        raise ConfigError(f"{out} holds the data folder {root}; a backup needs a folder of its own.")
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise ConfigError(f"{out} is a file; a backup needs a folder. Give the name of a new or an empty one.")
+    record = BackupRecord.read(out)
+    if record is None:
+        refuse_unless_empty(out, f"and no {RECORD}, so it is not a backup")
+    elif record.installation != installation_of(context):
+        raise ConfigError(
+            f"{out} is the backup of another service (installation {record.installation}, this one is "
+            f"{installation_of(context)}). It was not touched. Give the name of a new or an empty folder."
+        )
+
+
+def refuse_unless_empty(folder: Path, remark: str) -> None:
+    """Refuse a folder that holds something."""
+    names = sorted(entry.name for entry in folder.iterdir() if entry.name != "lost+found")  # of a disk's root
+    if names:
+        shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+        raise ConfigError(
+            f"{folder} is not empty: it holds {shown} {remark}. It was not touched. Give the name of a new or an empty "
+            "folder."
+        )
+
+
+@contextmanager
+def _alone(storage: Storage) -> Iterator[None]:
+    """Keep other backups of a data folder away; what one that was killed has staged is removed."""
+    staging = storage.folder(STAGING)
+    with writing(staging):
+        staging.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(staging / "lock", timeout=0):
+            _clear(staging)
+            try:
+                yield
+            finally:
+                _clear(staging)
+    except Timeout as error:
+        raise InterLocError(f"another backup of the data folder {storage.root} is being made; wait for it.") from error
+
+
+def _clear(staging: Path) -> None:
+    for folder in ("drives", "jobs"):
+        shutil.rmtree(staging / folder, ignore_errors=True)
+
+
+def _patiently(work: Callable[[], Returned]) -> Returned:
+    """Do work with the database of the service; again where it was busy or restarted."""
+    for pause_s in _PAUSES_S:
+        try:
+            return work()
+        except OperationalError:
+            time.sleep(pause_s)
+    try:
+        return work()
+    except OperationalError as error:
+        reason = " ".join(str(error.orig).split())
+        raise InterLocError(
+            f"the database of the service does not answer: {reason}. Make the backup again when it does; what was "
+            "brought so far is kept."
+        ) from error
+
+
+def installation_of(context: Context) -> str | None:
+    """Return the id of a service."""
+    del context
+    return None

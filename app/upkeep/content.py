@@ -1,0 +1,190 @@
+"""What belongs to a drive: its rows in the database, and the files that they stand for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from sqlalchemy import Table, delete, insert, select
+from sqlalchemy.orm import Session
+
+from app.drives.records import drive_key, files_key, reduced_key
+from app.paths import is_map
+from app.states import ACTIVE, DriveState, JobKind, JobState
+from app.store.models import Drive, DriveFile, Job, Token
+from app.store.storage import Storage
+from app.work.places import TRAJECTORY
+from interloc.drives.scans.reduced_format import MANIFEST
+from interloc.output.layout import RUN_FILE
+
+Row = dict[str, Any]
+
+_drives, _files, _jobs = (cast("Table", table.__table__) for table in (Drive, DriveFile, Job))
+
+DRIVE_TABLES = (_drives, _files, _jobs)
+"""Tables whose rows belong to a drive."""
+
+SHARED_TABLES = (cast("Table", Token.__table__),)
+"""Tables whose rows belong to the service as a whole."""
+
+
+@dataclass(frozen=True)
+class DriveContent:
+    """The rows of a drive, as dictionaries by column: they are written into another database as they are.
+
+    Attributes
+    ----------
+    drive : dict
+    files, jobs : list of dict
+    """
+
+    drive: Row
+    files: list[Row]
+    jobs: list[Row]
+
+    @property
+    def id(self) -> str:
+        """Id of the drive."""
+        return str(self.drive["id"])
+
+    def keeps(self, path: str) -> bool:
+        """Return whether an uploaded file is still needed: a reduced drive keeps its maps only."""
+        return self.drive["state"] != DriveState.READY or self.drive["keep_raw"] or is_map(path)
+
+
+@dataclass(frozen=True)
+class ContentFiles:
+    """The files of a drive that were found.
+
+    Attributes
+    ----------
+    keys : list of str
+        Their keys in the storage.
+    faults : list of str
+        What is missing, or is not as the rows say.
+    """
+
+    keys: list[str]
+    faults: list[str]
+
+
+def read_content(session: Session, drive_id: str, *, lock: bool = False) -> DriveContent | None:
+    """Read the rows of a drive; None where there is no such drive.
+
+    Parameters
+    ----------
+    session
+    drive_id
+    lock
+        Lock the drive until the transaction ends: no file of it takes or loses its name meanwhile.
+    """
+    query = select(_drives).where(_drives.c.id == drive_id)
+    drive = session.execute(query.with_for_update() if lock else query).mappings().one_or_none()
+    if drive is None:
+        return None
+    files = session.execute(select(_files).where(_files.c.drive_id == drive_id)).mappings()
+    jobs = session.execute(select(_jobs).where(_jobs.c.drive_id == drive_id)).mappings()
+    return DriveContent(dict(drive), [dict(row) for row in files], [dict(row) for row in jobs])
+
+
+def write_content(session: Session, content: DriveContent) -> None:
+    """Write the rows of a drive in place of those that the database has of it."""
+    delete_content(session, content.id)
+    for job in content.jobs:
+        if job["idempotency_key"] is not None:  # of a job that was removed since, of whatever drive
+            key = _jobs.c.owner == job["owner"], _jobs.c.idempotency_key == job["idempotency_key"]
+            session.execute(delete(_jobs).where(*key))
+    for table, rows in zip(DRIVE_TABLES, ([content.drive], content.files, content.jobs), strict=True):
+        if rows:
+            session.execute(insert(table), rows)
+
+
+def delete_content(session: Session, drive_id: str) -> None:
+    """Remove the rows of a drive."""
+    session.execute(delete(_drives).where(_drives.c.id == drive_id))
+
+
+def copy_shared(source: Session, target: Session) -> None:
+    """Write the rows of the service as a whole in place of those that the other database has."""
+    for table in SHARED_TABLES:
+        rows = [dict(row) for row in source.execute(select(table)).mappings()]
+        target.execute(delete(table))
+        if rows:
+            target.execute(insert(table), rows)
+
+
+def back_in_queue(job: Row) -> Row:
+    """Return a job as a service can go on with it that knows nothing of who works on it now."""
+    if job["state"] not in ACTIVE:
+        return job
+    anew = {"done": 0, "total": None, "attempts": 0, "lease_owner": None, "lease_until": None, "started_at": None}
+    message = job["message"] if job["state"] == JobState.ACCEPTED else None
+    return {
+        **job,
+        **anew,
+        "state": JobState.ACCEPTED,
+        "stage": "waiting",
+        "message": message,
+        "version": job["version"] + 1,
+    }
+
+
+def find_files(storage: Storage, content: DriveContent) -> ContentFiles:
+    """Find the files that a drive and its jobs need.
+
+    Notes
+    -----
+    Only files that rows stand for: what an upload leaves behind that was cut off belongs to nothing.
+    """
+    found, faults = [], []
+    for key, size in _listed(storage, content):
+        try:
+            actual = (storage.root / key).stat().st_size
+        except (FileNotFoundError, NotADirectoryError):
+            faults.append(f"{key} is not there")
+            continue
+        if size not in {None, actual}:
+            faults.append(f"{key} has {actual:,} bytes, not {size:,} as listed")
+        found.append(key)
+    for folder, marker in _folders(content):
+        keys = list(_below(storage, folder))
+        if f"{folder}/{marker}" not in keys:
+            faults.append(f"{folder}/{marker} is not there")
+        found += keys
+    return ContentFiles(found, faults)
+
+
+def _listed(storage: Storage, content: DriveContent) -> Iterator[tuple[str, int | None]]:
+    """Yield the keys of single files, and their sizes where they are known."""
+    is_ready = content.drive["state"] == DriveState.READY
+    is_reduced = storage.folder(reduced_key(content.id)).is_dir()
+    for row in content.files:
+        key = f"{files_key(content.id)}/{row['path']}"
+        is_all_there_is = not is_reduced and (storage.root / key).is_file()
+        if content.keeps(row["path"]) or is_all_there_is:
+            yield key, row["size_bytes"]
+    if is_ready:
+        names = [name for name in TRAJECTORY if (storage.folder(drive_key(content.id)) / name).is_file()]
+        yield f"{drive_key(content.id)}/{(names or TRAJECTORY)[0]}", None
+    for job in content.jobs:
+        if job["kind"] == JobKind.UNPACK and job["state"] in ACTIVE:
+            yield f"{drive_key(content.id)}/{job['request']['archive']}", None
+
+
+def _folders(content: DriveContent) -> Iterator[tuple[str, str]]:
+    """Yield the keys of whole folders, each with the name of a file that it must hold."""
+    if content.drive["state"] == DriveState.READY:
+        yield reduced_key(content.id), MANIFEST
+    for job in content.jobs:
+        if job["kind"] == JobKind.INTERSECTIONS and job["state"] == JobState.SUCCESSFUL:
+            yield f"jobs/{job['id']}/result", RUN_FILE
+
+
+def _below(storage: Storage, folder: str) -> Iterator[str]:
+    root = storage.folder(folder)
+    for parent, _, names in os.walk(root):
+        for name in names:
+            yield f"{folder}/{Path(parent, name).relative_to(root).as_posix()}"
