@@ -14,6 +14,7 @@ from fastapi import Depends, Request
 from app.metrics import Metrics
 from app.settings import Settings
 from app.store.database import Database
+from app.store.installation import bind, mark_folder
 from app.store.storage import Storage
 from app.store.tokens import TokenBook
 from interloc.errors import OutputError
@@ -41,19 +42,26 @@ class Context:
     jobs_changed: threading.Event = field(default_factory=threading.Event)
 
     @classmethod
-    def open(cls, settings: Settings) -> Context:
+    def open(cls, settings: Settings, *, bound: bool = True) -> Context:
         """Open database and storage, as `open_database` does."""
-        database = open_database(settings)
+        database = open_database(settings, bound=bound)
         storage = Storage(settings.data_dir)
         return cls(settings, database, storage, TokenBook(database, settings), Metrics())
 
     def close(self) -> None:
-        """Close the database."""
+        """Close database and storage."""
         self.database.close()
+        self.storage.close()
 
 
-def open_database(settings: Settings) -> Database:
-    """Create the data folder where it is missing, and bring the database up to date.
+def open_database(settings: Settings, *, bound: bool = True) -> Database:
+    """Create the data folder where it is missing, bring the database up to date, see that the two belong together.
+
+    Parameters
+    ----------
+    settings
+    bound
+        False opens them even if they do not belong together, to bind them.
 
     Raises
     ------
@@ -61,11 +69,17 @@ def open_database(settings: Settings) -> Database:
         The data folder cannot be written.
     InterLocError
         The database does not answer, or belongs to a newer version.
+    InstallationError
+        Data folder and database do not belong together; neither was changed.
     """
     _check_writable(settings.data_dir)
+    folder = Path(os.path.realpath(settings.data_dir))
     database = Database(settings.sqlalchemy_url)
+    ids: list[str] = []
     try:
-        database.upgrade()
+        database.upgrade((lambda session: ids.append(bind(session, database, folder))) if bound else None)
+        for id_ in ids:
+            mark_folder(folder, id_)
     except BaseException:
         database.close()
         raise

@@ -1,0 +1,1 @@
+"""Upkeep: rows and files are compared, and rows are made for folders that have none."""
