@@ -15,7 +15,7 @@ from app.drives.cleanup import tidy_drive
 from app.drives.commit import queue_commit
 from app.drives.records import drive_key, reduced_key
 from app.drives.upload import Placement, lock_counts, refuse_unless_open, register, sizes_of
-from app.http.intake import INCOMING, Arrival
+from app.http.intake import Arrival
 from app.http.problems import Problem
 from app.paths import is_map
 from app.states import DriveState, JobKind, JobState
@@ -105,8 +105,7 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
         return
     scratch = context.storage.folder(f"jobs/{job.id}/scratch")
     listing = json.loads((scratch / LISTING).read_text())
-    incoming = context.storage.folder(INCOMING)
-    incoming.mkdir(parents=True, exist_ok=True)
+    incoming = context.storage.incoming()
     arrivals = [
         Arrival(file["path"], incoming / secrets.token_hex(12), file["size_bytes"], file["sha256"]) for file in listing
     ]

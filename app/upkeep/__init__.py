@@ -1,1 +1,1 @@
-"""Care for what is kept: backups of it, and their restoration."""
+"""Upkeep: rows and files are compared, made anew, backed up and restored."""
