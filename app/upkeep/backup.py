@@ -4,10 +4,11 @@ A backup is a folder in the layout of a data folder (``drives/<id>/...``, ``jobs
 ``backup.sqlite3``, whatever database the service uses, and ``backup.json``, which says what it is a backup of and
 whether it is complete.
 
-Each drive is locked for the moment that it takes to give its files a second name in ``staging/`` of the data folder
-and to read its rows: uploads name files under the same lock, so within it rows and files agree. The bytes are brought
-to the backup afterwards. There, the rows of a drive are written once its files are in place, and what it no longer has
-is removed last: a backup that was stopped half-way is as good as it can be, and the next one goes on from there.
+Each drive is locked for the moment that it takes to give its files a second name, in the folder of this process below
+``incoming/``, and to read its rows: uploads name files under the same lock, so within it rows and files agree. The
+bytes are brought to the backup afterwards. There, the rows of a drive are written once its files are in place, and what
+it no longer has is removed last: a backup that was stopped half-way is as good as it can be, and the next one goes on
+from there.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,26 +32,28 @@ from app.context import Context
 from app.drives.records import drive_key
 from app.settings import Settings
 from app.store.database import Database
+from app.store.installation import id_of_database
 from app.store.models import Drive, Job
-from app.store.storage import Storage
 from app.upkeep.content import (
     DriveContent,
     back_in_queue,
-    copy_shared,
     delete_content,
     find_files,
     read_content,
+    read_shared,
     write_content,
+    write_shared,
+    writing_rows,
 )
 from app.upkeep.transfer import Advance, Transfer, no_progress, prune, writing
-from interloc.errors import ConfigError, InterLocError
+from interloc.errors import ConfigError, InterLocError, OutputError
 from interloc.files import atomic_write
 from interloc.pipeline import versions
 
 DATABASE = "backup.sqlite3"
 RECORD = "backup.json"
-STAGING = "staging"
 
+_LOCK = "lock"
 _PAUSES_S = (0.2, 0.5, 1, 2, 4, 8)
 
 Returned = TypeVar("Returned")
@@ -61,7 +64,7 @@ class BackupRecord(BaseModel):
 
     Attributes
     ----------
-    installation : str or None
+    installation : str
         Id of the service that it is a backup of.
     version : str
         Of InterLoc.
@@ -70,7 +73,7 @@ class BackupRecord(BaseModel):
     """
 
     format: Literal[1] = 1
-    installation: str | None
+    installation: str
     version: str
     begun_at: datetime
     ended_at: datetime | None = None
@@ -152,8 +155,13 @@ def back_up(context: Context, out: Path, advance: Advance = no_progress) -> Back
     """
     out = Path(os.path.realpath(out))
     _check_place(context, out)
-    with _alone(context.storage):
-        return _Backup(context, out, advance).run()
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    with _alone(out):
+        try:
+            return _Backup(context, out, advance).run()
+        except OutputError as error:
+            raise OutputError(f"{error} The backup is not complete; the next one goes on where it stopped.") from error
 
 
 def open_service(settings: Settings) -> Context:
@@ -185,11 +193,9 @@ class _Backup:
             installation=installation_of(context), version=str(versions()["interloc"]), begun_at=datetime.now(UTC)
         )
         self._report = BackupReport(record)
-        with writing(out):
-            out.mkdir(parents=True, exist_ok=True)
         record.write(out)  # it is not complete from here on
         self._database = Database(f"sqlite:///{(out / DATABASE).as_posix()}")
-        self._staging = Transfer(context.storage.folder(STAGING))
+        self._staging = Transfer(context.storage.incoming() / "backup")
         self._transfer = Transfer(out)
         self._done_bytes = self._total_bytes = 0
 
@@ -200,11 +206,13 @@ class _Backup:
             self._database.upgrade()
             drives = self._drives()
             self._total_bytes = sum(drives.values())
+            held = set()
             for drive_id, size in drives.items():
                 before = self._done_bytes
-                self._back_up_drive(drive_id)
+                if self._back_up_drive(drive_id):
+                    held.add(drive_id)
                 self._done_bytes = before + size
-            self._forget_all_but(drives)
+            self._forget_all_but(held)
         finally:
             self._database.close()
             self._transfer.close()
@@ -225,10 +233,11 @@ class _Backup:
 
         return _patiently(read)
 
-    def _back_up_drive(self, drive_id: str) -> None:
+    def _back_up_drive(self, drive_id: str) -> bool:
+        """Bring the backup of a drive up to date; False if there is no such drive any more."""
         held = _patiently(lambda: self._hold(drive_id))
-        if held is None:  # deleted meanwhile
-            return
+        if held is None:
+            return False
         content, keys = held
         record = self._report.record
         end = self._done_bytes + int(content.drive["stored_bytes"])
@@ -239,7 +248,7 @@ class _Backup:
             self._advance(self._done_bytes, self._total_bytes, str(content.drive["name"]))
         self._transfer.finish()
         jobs = [back_in_queue(job) for job in content.jobs]
-        with self._database.writing() as session:
+        with writing_rows(self._database) as session:
             write_content(session, DriveContent(content.drive, content.files, jobs))
         known = set(keys)
         for folder in (drive_key(drive_id), *(f"jobs/{job['id']}" for job in jobs)):
@@ -247,7 +256,8 @@ class _Backup:
         record.drives += 1
         record.jobs += len(jobs)
         record.files += len(keys)
-        _clear(self._staging.root)
+        shutil.rmtree(self._staging.root, ignore_errors=True)
+        return True
 
     def _hold(self, drive_id: str) -> tuple[DriveContent, list[str]] | None:
         """Read the rows of a drive, and give its files a second name, all as of one moment; None if it is deleted."""
@@ -284,8 +294,10 @@ class _Backup:
 
     def _forget_all_but(self, drives: Collection[str]) -> None:
         """Bring the rows of the service itself up to date, and remove drives and jobs that it has no longer."""
-        with self._context.database.reading() as source, self._database.writing() as session:
-            copy_shared(source, session)
+        with self._context.database.reading() as session:
+            shared = read_shared(session)
+        with writing_rows(self._database) as session:
+            write_shared(session, shared)
             for drive_id in session.scalars(select(Drive.id)).all():
                 if drive_id not in drives:
                     delete_content(session, drive_id)
@@ -313,7 +325,7 @@ def _check_place(context: Context, out: Path) -> None:
         raise ConfigError(f"{out} is a file; a backup needs a folder. Give the name of a new or an empty one.")
     record = BackupRecord.read(out)
     if record is None:
-        refuse_unless_empty(out, f"and no {RECORD}, so it is not a backup")
+        refuse_unless_empty(out, f"and no {RECORD}, so it is not a backup", but=_LOCK)
     elif record.installation != installation_of(context):
         raise ConfigError(
             f"{out} is the backup of another service (installation {record.installation}, this one is "
@@ -321,9 +333,9 @@ def _check_place(context: Context, out: Path) -> None:
         )
 
 
-def refuse_unless_empty(folder: Path, remark: str) -> None:
-    """Refuse a folder that holds something."""
-    names = sorted(entry.name for entry in folder.iterdir() if entry.name != "lost+found")  # of a disk's root
+def refuse_unless_empty(folder: Path, remark: str, *, but: str = "lost+found") -> None:
+    """Refuse a folder that holds something; the root of a disk always holds lost+found."""
+    names = sorted(entry.name for entry in folder.iterdir() if entry.name not in {"lost+found", but})
     if names:
         shown = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
         raise ConfigError(
@@ -333,25 +345,18 @@ def refuse_unless_empty(folder: Path, remark: str) -> None:
 
 
 @contextmanager
-def _alone(storage: Storage) -> Iterator[None]:
-    """Keep other backups of a data folder away; what one that was killed has staged is removed."""
-    staging = storage.folder(STAGING)
-    with writing(staging):
-        staging.mkdir(parents=True, exist_ok=True)
+def _alone(out: Path) -> Iterator[None]:
+    """Keep others from making the same backup."""
+    lock = FileLock(out / _LOCK, timeout=0)
     try:
-        with FileLock(staging / "lock", timeout=0):
-            _clear(staging)
-            try:
-                yield
-            finally:
-                _clear(staging)
+        with suppress(NotImplementedError):  # a file system without locks
+            lock.acquire()
     except Timeout as error:
-        raise InterLocError(f"another backup of the data folder {storage.root} is being made; wait for it.") from error
-
-
-def _clear(staging: Path) -> None:
-    for folder in ("drives", "jobs"):
-        shutil.rmtree(staging / folder, ignore_errors=True)
+        raise InterLocError(f"the backup {out} is being made by another process; wait for it.") from error
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _patiently(work: Callable[[], Returned]) -> Returned:
@@ -371,7 +376,9 @@ def _patiently(work: Callable[[], Returned]) -> Returned:
         ) from error
 
 
-def installation_of(context: Context) -> str | None:
+def installation_of(context: Context) -> str:
     """Return the id of a service."""
-    del context
-    return None
+    with context.database.reading() as session:
+        found = id_of_database(session)
+    assert found is not None  # it has one since it was opened
+    return found

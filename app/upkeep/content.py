@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from sqlalchemy import Table, delete, insert, select
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
 from app.drives.records import drive_key, files_key, reduced_key
 from app.paths import is_map
 from app.states import ACTIVE, DriveState, JobKind, JobState
-from app.store.models import Drive, DriveFile, Job, Token
+from app.store.database import Database
+from app.store.models import Drive, DriveFile, Installation, Job, Token
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.drives.scans.reduced_format import MANIFEST
+from interloc.errors import OutputError
 from interloc.output.layout import RUN_FILE
 
 Row = dict[str, Any]
@@ -27,7 +31,7 @@ _drives, _files, _jobs = (cast("Table", table.__table__) for table in (Drive, Dr
 DRIVE_TABLES = (_drives, _files, _jobs)
 """Tables whose rows belong to a drive."""
 
-SHARED_TABLES = (cast("Table", Token.__table__),)
+SHARED_TABLES = tuple(cast("Table", table.__table__) for table in (Installation, Token))
 """Tables whose rows belong to the service as a whole."""
 
 
@@ -107,13 +111,35 @@ def delete_content(session: Session, drive_id: str) -> None:
     session.execute(delete(_drives).where(_drives.c.id == drive_id))
 
 
-def copy_shared(source: Session, target: Session) -> None:
-    """Write the rows of the service as a whole in place of those that the other database has."""
-    for table in SHARED_TABLES:
-        rows = [dict(row) for row in source.execute(select(table)).mappings()]
-        target.execute(delete(table))
+def read_shared(session: Session) -> dict[Table, list[Row]]:
+    """Read the rows of the service as a whole."""
+    return {table: [dict(row) for row in session.execute(select(table)).mappings()] for table in SHARED_TABLES}
+
+
+def write_shared(session: Session, shared: dict[Table, list[Row]]) -> None:
+    """Write the rows of the service as a whole in place of those that the database has."""
+    for table, rows in shared.items():
+        session.execute(delete(table))
         if rows:
-            target.execute(insert(table), rows)
+            session.execute(insert(table), rows)
+
+
+@contextmanager
+def writing_rows(database: Database) -> Iterator[Session]:
+    """Open a transaction for rows that are brought from another database.
+
+    Raises
+    ------
+    OutputError
+        They could not be written, as on a full disk.
+    """
+    try:
+        with database.writing() as session:
+            yield session
+    except DBAPIError as error:
+        shown = database.url.render_as_string(hide_password=True)
+        reason = " ".join(str(error.orig).split())
+        raise OutputError(f"rows could not be written into the database {shown}: {reason}.") from error
 
 
 def back_in_queue(job: Row) -> Row:

@@ -21,17 +21,18 @@ from app.context import RESTORING
 from app.settings import Settings
 from app.states import DriveState
 from app.store.database import Database
-from app.store.models import Drive, Job
+from app.store.installation import remark_folder
+from app.store.models import Drive, Job, Token
 from app.store.storage import Storage
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, refuse_unless_empty
 from app.upkeep.content import (
-    DRIVE_TABLES,
-    SHARED_TABLES,
     DriveContent,
-    copy_shared,
     find_files,
     read_content,
+    read_shared,
     write_content,
+    write_shared,
+    writing_rows,
 )
 from app.upkeep.transfer import Advance, Transfer, no_progress, writing
 from interloc.errors import ConfigError, InterLocError
@@ -99,14 +100,16 @@ def restore(
     with _rows_of(backup, record) as rows:
         drives, left_out = _look_through(Storage(backup), rows)
         if left_out and not incomplete:
+            faults = [fault for faults in left_out.values() for fault in faults]
             raise ConfigError(
-                f"the backup {backup} is damaged: {_shown([fault for faults in left_out.values() for fault in faults])}. "
+                f"the backup {backup} is damaged: {_shown(faults)}. "
                 "Make it again with `interloc backup`, which brings what is missing; or --incomplete restores the "
                 f"{len(drives)} drives that it holds whole, without {_shown(list(left_out))}."
             )
         with _target(settings, record, resumed=resumed, drives=drives) as database:
             report = RestoreReport(record, left_out=list(left_out))
             _bring_all(Storage(backup), rows, drives, Storage(settings.data_dir), database, report, advance)
+    remark_folder(settings.data_dir, record.installation)
     (settings.data_dir / RESTORING).unlink()
     return report
 
@@ -139,11 +142,13 @@ def _bring_all(
             advance(done, total, str(content.drive["name"]))
         transfer.finish()
         done = end
-        with database.writing() as session:
+        with writing_rows(database) as session:
             write_content(session, _from_now_on(content, database.clock(session)))
     transfer.close()
-    with rows.reading() as source, database.writing() as session:
-        copy_shared(source, session)
+    with rows.reading() as session:
+        shared = read_shared(session)
+    with writing_rows(database) as session:
+        write_shared(session, shared)
         report.drives = session.scalar(select(func.count()).select_from(Drive)) or 0
         report.jobs = session.scalar(select(func.count()).select_from(Job)) or 0
     os.sync()
@@ -151,7 +156,7 @@ def _bring_all(
 
 
 def _from_now_on(content: DriveContent, now: float) -> DriveContent:
-    """Let the time of an upload that nobody touches begin anew, however old the backup: else it would expire at once."""
+    """Let the time after which an upload expires begin anew, however old the backup."""
     if content.drive["state"] == DriveState.READY:
         return content
     return DriveContent({**content.drive, "touched_at": now}, content.files, content.jobs)
@@ -229,12 +234,13 @@ def _target(settings: Settings, record: BackupRecord, *, resumed: bool, drives: 
     database = Database(settings.sqlalchemy_url)
     try:
         database.upgrade()
-        _refuse_unless_empty(database, resumed=resumed, drives=drives)
+        try:
+            _refuse_unless_empty(database, resumed=resumed, drives=drives)
+        except ConfigError:
+            if not resumed:
+                (folder / RESTORING).unlink()
+            raise
         yield database
-    except ConfigError:
-        if not resumed:
-            (folder / RESTORING).unlink(missing_ok=True)
-        raise
     finally:
         database.close()
 
@@ -243,16 +249,16 @@ def _refuse_unless_empty(database: Database, *, resumed: bool, drives: Sequence[
     """Refuse a database that holds something else than what this restoration has brought already."""
     with database.reading() as session:
         counts = {
-            table.name: session.scalar(select(func.count()).select_from(table)) or 0
-            for table in (*DRIVE_TABLES, *SHARED_TABLES)
+            name: session.scalar(select(func.count()).select_from(table)) or 0
+            for name, table in (("drives", Drive), ("jobs", Job), ("tokens", Token))
         }
         others = set(session.scalars(select(Drive.id))) - set(drives)
     if any(counts.values()) and (others or not resumed):
-        found = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
+        found = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         raise ConfigError(
-            f"the database {database.url.render_as_string(hide_password=True)} is not empty: it holds {found}. A backup "
-            "is restored into an empty one only: set INTERLOC_DATABASE_URL to a new database, or leave it out for a "
-            "SQLite file in the data folder."
+            f"the database {database.url.render_as_string(hide_password=True)} is not empty: it holds {found}. A "
+            "backup is restored into an empty one only: set INTERLOC_DATABASE_URL to a new database, or leave it out "
+            "for a SQLite file in the data folder."
         )
 
 

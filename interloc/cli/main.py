@@ -27,6 +27,8 @@ COMMANDS = {
     "benchmark": "benchmark",
     "serve": "service:serve",
     "token": "service:token",
+    "backup": "backup:backup",
+    "restore": "backup:restore",
     "push": "push",
     "fetch": "fetch",
     "config": "config",
