@@ -32,8 +32,10 @@ from app.context import Context
 from app.drives.records import drive_key
 from app.settings import Settings
 from app.store.database import Database
+from app.store.incoming import remove_dead
 from app.store.installation import id_of_database
 from app.store.models import Drive, Job
+from app.store.storage import INCOMING
 from app.upkeep.content import (
     DriveContent,
     back_in_queue,
@@ -194,6 +196,7 @@ class _Backup:
         )
         self._report = BackupReport(record)
         record.write(out)  # it is not complete from here on
+        remove_dead(context.storage.folder(INCOMING))  # what a backup that was killed has staged
         self._database = Database(f"sqlite:///{(out / DATABASE).as_posix()}")
         self._staging = Transfer(context.storage.incoming() / "backup")
         self._transfer = Transfer(out)

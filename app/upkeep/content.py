@@ -13,9 +13,9 @@ from sqlalchemy import Table, delete, insert, select
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
-from app.drives.records import drive_key, files_key, reduced_key
-from app.paths import is_map
+from app.drives.records import drive_key, files_key, reduced_key, stays_uploaded
 from app.states import ACTIVE, DriveState, JobKind, JobState
+from app.store import sidecars
 from app.store.database import Database
 from app.store.models import Drive, DriveFile, Installation, Job, Token
 from app.store.storage import Storage
@@ -53,10 +53,6 @@ class DriveContent:
     def id(self) -> str:
         """Id of the drive."""
         return str(self.drive["id"])
-
-    def keeps(self, path: str) -> bool:
-        """Return whether an uploaded file is still needed: a reduced drive keeps its maps only."""
-        return self.drive["state"] != DriveState.READY or self.drive["keep_raw"] or is_map(path)
 
 
 @dataclass(frozen=True)
@@ -104,6 +100,14 @@ def write_content(session: Session, content: DriveContent) -> None:
     for table, rows in zip(DRIVE_TABLES, ([content.drive], content.files, content.jobs), strict=True):
         if rows:
             session.execute(insert(table), rows)
+
+
+def write_sidecars(storage: Storage, content: DriveContent) -> None:
+    """Write beside the files what the rows say."""
+    sidecars.write_drive(storage, Drive(**content.drive))
+    for job in content.jobs:
+        if _has_result(job):
+            sidecars.write_job(storage, Job(**job))
 
 
 def delete_content(session: Session, drive_id: str) -> None:
@@ -185,19 +189,22 @@ def find_files(storage: Storage, content: DriveContent) -> ContentFiles:
 
 def _listed(storage: Storage, content: DriveContent) -> Iterator[tuple[str, int | None]]:
     """Yield the keys of single files, and their sizes where they are known."""
-    is_ready = content.drive["state"] == DriveState.READY
+    drive, folder = Drive(**content.drive), drive_key(content.id)
     is_reduced = storage.folder(reduced_key(content.id)).is_dir()
     for row in content.files:
         key = f"{files_key(content.id)}/{row['path']}"
         is_all_there_is = not is_reduced and (storage.root / key).is_file()
-        if content.keeps(row["path"]) or is_all_there_is:
+        if stays_uploaded(drive, row["path"]) or is_all_there_is:
             yield key, row["size_bytes"]
-    if is_ready:
-        names = [name for name in TRAJECTORY if (storage.folder(drive_key(content.id)) / name).is_file()]
-        yield f"{drive_key(content.id)}/{(names or TRAJECTORY)[0]}", None
+    if drive.state == DriveState.READY:
+        names = [name for name in TRAJECTORY if (storage.folder(folder) / name).is_file()]
+        yield f"{folder}/{(names or TRAJECTORY)[0]}", None
     for job in content.jobs:
         if job["kind"] == JobKind.UNPACK and job["state"] in ACTIVE:
-            yield f"{drive_key(content.id)}/{job['request']['archive']}", None
+            yield f"{folder}/{job['request']['archive']}", None
+    for key in (f"{folder}/{sidecars.DRIVE_FILE}", *(f"jobs/{job['id']}/{sidecars.JOB_FILE}" for job in content.jobs)):
+        if (storage.root / key).is_file():  # the clean-up writes one that is missing
+            yield key, None
 
 
 def _folders(content: DriveContent) -> Iterator[tuple[str, str]]:
@@ -205,8 +212,12 @@ def _folders(content: DriveContent) -> Iterator[tuple[str, str]]:
     if content.drive["state"] == DriveState.READY:
         yield reduced_key(content.id), MANIFEST
     for job in content.jobs:
-        if job["kind"] == JobKind.INTERSECTIONS and job["state"] == JobState.SUCCESSFUL:
+        if _has_result(job):
             yield f"jobs/{job['id']}/result", RUN_FILE
+
+
+def _has_result(job: Row) -> bool:
+    return job["kind"] == JobKind.INTERSECTIONS and job["state"] == JobState.SUCCESSFUL
 
 
 def _below(storage: Storage, folder: str) -> Iterator[str]:

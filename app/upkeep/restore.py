@@ -17,7 +17,7 @@ from pathlib import Path
 from pydantic import ValidationError
 from sqlalchemy import func, select
 
-from app.context import RESTORING
+from app.context import RESTORING, Context
 from app.settings import Settings
 from app.states import DriveState
 from app.store.database import Database
@@ -25,6 +25,7 @@ from app.store.installation import remark_folder
 from app.store.models import Drive, Job, Token
 from app.store.storage import Storage
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, refuse_unless_empty
+from app.upkeep.check import Finding, check
 from app.upkeep.content import (
     DriveContent,
     find_files,
@@ -32,6 +33,7 @@ from app.upkeep.content import (
     read_shared,
     write_content,
     write_shared,
+    write_sidecars,
     writing_rows,
 )
 from app.upkeep.transfer import Advance, Transfer, no_progress, writing
@@ -55,6 +57,8 @@ class RestoreReport:
         What was brought from the backup.
     left_out : list of str
         Names of the drives that the backup does not hold whole, and which therefore were not restored.
+    findings : list of Finding
+        What the quick check at the end has found.
     """
 
     record: BackupRecord
@@ -63,6 +67,7 @@ class RestoreReport:
     files: int = 0
     size_bytes: int = 0
     left_out: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
 
 
 def restore(
@@ -111,6 +116,11 @@ def restore(
             _bring_all(Storage(backup), rows, drives, Storage(settings.data_dir), database, report, advance)
     remark_folder(settings.data_dir, record.installation)
     (settings.data_dir / RESTORING).unlink()
+    context = Context.open(settings)
+    try:
+        report.findings = check(context, quick=True)
+    finally:
+        context.close()
     return report
 
 
@@ -143,7 +153,9 @@ def _bring_all(
         transfer.finish()
         done = end
         with writing_rows(database) as session:
-            write_content(session, _from_now_on(content, database.clock(session)))
+            content = _from_now_on(content, database.clock(session))
+            write_content(session, content)
+        write_sidecars(storage, content)
     transfer.close()
     with rows.reading() as session:
         shared = read_shared(session)
@@ -156,10 +168,15 @@ def _bring_all(
 
 
 def _from_now_on(content: DriveContent, now: float) -> DriveContent:
-    """Let the time after which an upload expires begin anew, however old the backup."""
-    if content.drive["state"] == DriveState.READY:
-        return content
-    return DriveContent({**content.drive, "touched_at": now}, content.files, content.jobs)
+    """Let begin anew the times after which an upload expires and the trash is emptied, however old the backup is."""
+    drive = dict(content.drive)
+    if drive["state"] != DriveState.READY:
+        drive["touched_at"] = now
+    rows = [drive, *(dict(job) for job in content.jobs)]
+    for row in rows:
+        if row["deleted_at"] is not None:
+            row["deleted_at"] = now
+    return DriveContent(drive, content.files, rows[1:])
 
 
 def _look_through(backup: Storage, rows: Database) -> tuple[list[str], dict[str, list[str]]]:

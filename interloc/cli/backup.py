@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,7 @@ def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, 
             "files": report.files,
             "size_bytes": report.size_bytes,
             "left_out": report.left_out,
+            "findings": [asdict(finding) for finding in report.findings],
         }
         console.say_json(facts)
     elif not quiet:
@@ -111,10 +113,14 @@ def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, 
             ("restored", f"the backup of {made_at:%Y-%m-%d %H:%M} UTC to {settings.data_dir}"),
             ("drives", f"{report.drives:,}, with {report.jobs:,} jobs"),
             ("size", f"{report.files:,} files, {console.size(report.size_bytes)}"),
+            ("check", "rows and files agree" if not report.findings else f"{len(report.findings)} findings"),
         ]
         console.say_facts(rows)
     if report.left_out:
         click.echo(f"warning: left out, because not whole in the backup: {_shown(report.left_out)}", err=True)
+    if report.findings:
+        found = _shown([f"{finding.place}: {finding.message}" for finding in report.findings])
+        raise InterLocError(f"the backup was restored as it is, but that is not whole: {found}")
 
 
 @contextmanager

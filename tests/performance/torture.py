@@ -1,0 +1,666 @@
+"""What the service survives: `make torture`.
+
+Real servers on this machine, on SQLite and on PostgreSQL, and clients that upload drives (file by file, as archives, by
+`interloc push`), commit them, have them worked on, delete them, take them out of the trash, and make backups. Three
+scenarios, each with a table at its end:
+
+- kills: `kill -9` of servers, workers, clients and backups, and of the database (SQLite: locked by somebody else;
+  PostgreSQL: connections cut, or one of its processes killed), at random moments. Every file and job that was
+  acknowledged is in a ledger. After each kill: how long until every job goes on; `interloc check` finds nothing,
+  nothing in the ledger is lost, no job is there twice, and results are, byte by byte, those of an undisturbed run.
+- ways: the natural ways in which a database and a data folder part. Nothing may be deleted.
+- backups: made under load, each restored, on the other kind of database too, checked and compared with the ledger.
+
+Runs for an hour with the default of 500 kills; `--kills`, `--minutes`, `--seed` and `--only` choose another course.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import sqlite3
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psycopg
+from sqlalchemy import select
+from sqlalchemy.exc import SQLAlchemyError
+
+from app.context import Context
+from app.settings import Settings
+from app.store.models import DriveFile, Job
+from app.upkeep.backup import back_up
+from app.upkeep.check import Finding, check
+from app.upkeep.restore import restore
+from tests import forks
+from tests.app.postgres import new_database
+from tests.app.processes import API, FINAL, ServerProcess, archive_of, files_below, kill_if_there, wait_until
+from tests.app.street import write_street
+
+SCANS = 40
+CLIENTS = 3
+SERVERS = 2
+LEASE_S = 3.0
+PATIENCE_S = 120.0
+KEPT_DRIVES = 2  # per client; older ones are deleted, so that looking through all of them stays quick
+ANEW = {429, 500, 502, 503, 507}
+
+
+def sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+@dataclass
+class Ledger:
+    """What was acknowledged, and what turned out to be otherwise."""
+
+    files: dict[str, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))
+    jobs: dict[str, str] = field(default_factory=dict)
+    done: Counter[str] = field(default_factory=Counter)
+    faults: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+
+    def snapshot(self) -> dict[str, dict[str, str]]:
+        """Files by drive, as of now."""
+        return {drive: dict(paths) for drive, paths in list(self.files.items())}
+
+    def forget(self, drive: str) -> None:
+        """A drive is about to be deleted for good."""
+        self.files.pop(drive, None)
+        for job in [job for job, of in list(self.jobs.items()) if of == drive]:
+            self.jobs.pop(job, None)
+
+
+class Fleet:
+    """Servers on one data folder, each on a port of its own that it keeps."""
+
+    def __init__(self, folder: Path, database_url: str | None, count: int = SERVERS) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.data = folder / "data"
+        self.database_url = database_url
+        self._folder = folder
+        self._options: dict[str, Any] = {"workers": 1, "lease_s": LEASE_S, "max_attempts": 20, "min_free_bytes": 0}
+        if database_url is not None:
+            self._options["database_url"] = database_url
+        self._ports = [_free_port() for _ in range(count)]
+        self.servers: list[ServerProcess] = []
+        self.servers = [self._start(number) for number in range(count)]
+
+    def settings(self) -> Settings:
+        """Settings of the service, for calls of its functions."""
+        return Settings(data_dir=self.data, database_url=self.database_url, min_free_bytes=0)
+
+    def address(self, rng: random.Random) -> str:
+        return f"http://127.0.0.1:{rng.choice(self._ports)}"
+
+    def restart(self, number: int) -> None:
+        self.servers[number].close()
+        self.servers[number] = self._start(number)
+
+    def is_ready(self) -> bool:
+        with suppress(httpx.TransportError):
+            return all(server.client.get("/readyz", timeout=10).status_code == 200 for server in self.servers)
+        return False
+
+    def close(self) -> None:
+        for server in self.servers:
+            server.close()
+
+    def _start(self, number: int) -> ServerProcess:
+        return ServerProcess(self.data, self._folder / f"server{number}.log", port=self._ports[number], **self._options)
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port: int = free.getsockname()[1]
+    return port
+
+
+class Client:
+    """A client that lives through whatever happens to the servers: it asks again until it is answered."""
+
+    def __init__(self, fleet: Fleet, ledger: Ledger, street: Path, reference: dict[str, str], seed: str) -> None:
+        self.fleet = fleet
+        self.ledger = ledger
+        self.rng = random.Random(seed)  # noqa: S311 - to be repeated
+        self.stopping = threading.Event()
+        self.process: forks.Command | None = None  # to be killed
+        self._street = street
+        self._contents = {path.relative_to(street).as_posix(): path.read_bytes() for path in files_below(street)}
+        self._archive = archive_of(street)
+        self._reference = reference
+        self._http = httpx.Client(timeout=30)
+        self._mine: list[str] = []
+        self._home = Path(tempfile.mkdtemp(dir=street.parent))
+
+    def live(self) -> None:
+        """Do one thing after the other until it is stopped."""
+        try:
+            while not self.stopping.is_set():
+                send = self.rng.choice([self._put_files, self._put_files, self._send_archive, self._push])
+                if (drive := send()) is not None and not self.stopping.is_set():
+                    self._work_on(drive)
+        except Exception as error:  # noqa: BLE001 - whatever it is belongs into the table
+            self.ledger.faults["client"].append(f"{type(error).__name__}: {error}")
+
+    def ask(self, method: str, path: str, **options: Any) -> httpx.Response:
+        """Send a request until it is answered by something else than "not now"."""
+        end = time.monotonic() + PATIENCE_S
+        while time.monotonic() < end:
+            with suppress(httpx.TransportError):
+                answer = self._http.request(method, f"{self.fleet.address(self.rng)}{API}{path}", **options)
+                if answer.status_code == 500:
+                    self.ledger.faults["500"].append(f"{method} {path}: {answer.text}")
+                if answer.status_code not in ANEW:
+                    return answer
+            time.sleep(0.1)
+        raise AssertionError(f"{method} {path} was not answered within {PATIENCE_S:.0f} s")
+
+    def _new_drive(self) -> str:
+        drive: str = self.ask("POST", "/drives", json={"name": "street"}).raise_for_status().json()["id"]
+        self.ledger.files[drive] = {}
+        self._mine.append(drive)
+        return drive
+
+    def _put_files(self) -> str | None:
+        drive = self._new_drive()
+        for path, content in self._contents.items():
+            if self.stopping.is_set():
+                return None
+            self.ask("PUT", f"/drives/{drive}/files/{path}", content=content).raise_for_status()
+            self.ledger.files[drive][path] = sha256(content)
+        self.ledger.done["uploads, file by file"] += 1
+        return drive
+
+    def _send_archive(self) -> str | None:
+        drive = self._new_drive()
+        answer = self.ask(
+            "POST", f"/drives/{drive}/archive", content=self._archive, headers={"Prefer": "respond-async"}
+        ).raise_for_status()
+        self._end_of(answer.json()["job_id"])
+        self.ledger.files[drive].update({path: sha256(content) for path, content in self._contents.items()})
+        self.ledger.done["archives"] += 1
+        return drive
+
+    def _push(self) -> str | None:
+        """Push a reduced drive, as often as the killer makes it necessary."""
+        home = Path(tempfile.mkdtemp(dir=self._home))
+        out, server = home / "out", self.fleet.address(self.rng)
+        environment = {**os.environ, "XDG_CACHE_HOME": str(home)}
+        while not self.stopping.is_set():
+            out.write_bytes(b"")
+            arguments = ["push", self._street, "--osm", self._street / "map.osm", "--server", server, "--json"]
+            self.process = forks.Command(arguments, environment, out, home / "err")
+            self.process.wait()
+            if self.process.returncode == 0:
+                drive = str(json.loads(out.read_text())["drive_id"])
+                self._mine.append(drive)
+                self.ledger.files[drive] = self._listed(drive)
+                self.ledger.done["pushes"] += 1
+                return drive
+            time.sleep(0.1)
+        return None
+
+    def _work_on(self, drive: str) -> None:
+        """Commit a drive, have its intersections found, look at them; sometimes delete and restore it."""
+        end = time.monotonic() + PATIENCE_S
+        while self.ask("GET", f"/drives/{drive}").json()["state"] != "ready":
+            answer = self.ask("POST", f"/drives/{drive}/commit", headers={"Prefer": "wait=5"})
+            assert answer.status_code in {200, 202, 409}, answer.text
+            assert time.monotonic() < end, f"drive {drive} was not ready within {PATIENCE_S:.0f} s"
+        self.ledger.done["commits"] += 1
+        key = f"{self.rng.getrandbits(64):x}"
+        request = {"drive_id": drive, "osm": {"file": "map.osm"}}
+        answer = self.ask("POST", "/jobs", json=request, headers={"Idempotency-Key": key}).raise_for_status()
+        job: str = answer.json()["id"]
+        self.ledger.jobs[job] = drive
+        self._end_of(job)
+        self._compare(job)
+        self.ledger.done["jobs"] += 1
+        if self.rng.random() < 0.5:
+            self.ask("DELETE", f"/drives/{drive}")
+            answer = self.ask("POST", f"/trash/drives/{drive}/restore")
+            if answer.status_code == 404 and self.ask("GET", f"/drives/{drive}").status_code != 200:
+                self.ledger.faults["lost"].append(f"drive {drive} was not in the trash: {answer.text}")
+            self._compare(job)
+            self.ledger.done["drives deleted and restored"] += 1
+        while len(self._mine) > KEPT_DRIVES:
+            old = self._mine.pop(0)
+            self.ledger.forget(old)
+            self.ask("DELETE", f"/drives/{old}")
+            self.ask("DELETE", f"/trash/drives/{old}")
+
+    def _end_of(self, job: str) -> None:
+        end = time.monotonic() + PATIENCE_S
+        while (told := self.ask("GET", f"/jobs/{job}").raise_for_status().json())["state"] not in FINAL:
+            assert time.monotonic() < end, f"job {job} did not end within {PATIENCE_S:.0f} s: {told}"
+            time.sleep(0.1)
+        if told["state"] != "successful":
+            self.ledger.faults["failed"].append(f"job {job}: {told['error']}")
+
+    def _compare(self, job: str) -> None:
+        """Compare a result with that of an undisturbed run."""
+        for name, expected in self._reference.items():
+            answer = self.ask("GET", f"/jobs/{job}/files/{name}")
+            if answer.status_code != 200:
+                self.ledger.faults["lost"].append(f"job {job}: {name}: {answer.text}")
+            elif without_timings(name, answer.content) != expected:
+                self.ledger.faults["unequal"].append(f"job {job}: {name}")
+
+    def _listed(self, drive: str) -> dict[str, str]:
+        files = self.ask("GET", f"/drives/{drive}/files?limit=1000").raise_for_status().json()["files"]
+        return {file["path"]: file["sha256"] for file in files}
+
+    def close(self) -> None:
+        self.stopping.set()
+        self._http.close()
+
+
+def without_timings(name: str, content: bytes) -> str:
+    """SHA-256 of a file of a result, without what no two runs have in common."""
+    if name == "report.json":
+        report = json.loads(content)
+        content = json.dumps({key: value for key, value in report.items() if "seconds" not in key}).encode()
+    return sha256(content)
+
+
+def undisturbed(folder: Path, street: Path) -> dict[str, str]:
+    """Files of the result of a run that nothing disturbs: layers, figures and the report as data."""
+    fleet = Fleet(folder, None, count=1)
+    client = Client(fleet, Ledger(), street, {}, "undisturbed")
+    try:
+        drive = client._put_files()
+        assert drive is not None
+        client._work_on(drive)
+        (job,) = client.ledger.jobs
+        files = client.ask("GET", f"/jobs/{job}/files").json()["files"]
+        kept = [file["path"] for file in files if file["path"].endswith((".geojson", ".svg", "report.json"))]
+        assert kept, files
+        return {path: without_timings(path, client.ask("GET", f"/jobs/{job}/files/{path}").content) for path in kept}
+    finally:
+        client.close()
+        fleet.close()
+
+
+@contextmanager
+def clients(fleet: Fleet, ledger: Ledger, street: Path, reference: dict[str, str], seed: str) -> Iterator[list[Client]]:
+    """Let clients live until the block ends."""
+    living = [Client(fleet, ledger, street, reference, f"{seed}-{number}") for number in range(CLIENTS)]
+    threads = [threading.Thread(target=client.live) for client in living]
+    for thread in threads:
+        thread.start()
+    try:
+        yield living
+    finally:
+        for client in living:
+            client.stopping.set()
+            if client.process is not None:
+                client.process.kill()
+        for thread in threads:
+            thread.join(2 * PATIENCE_S)
+
+
+def look_through(fleet: Fleet, ledger: Ledger, where: str, known: dict[str, dict[str, str]] | None = None) -> None:
+    """Write into the ledger what is not as it was acknowledged, and what `interloc check` finds and goes on finding."""
+    context = Context.open(fleet.settings())
+    try:
+        known = ledger.snapshot() if known is None else known
+        jobs = dict(ledger.jobs)
+        with context.database.reading() as session:
+            rows = session.execute(select(DriveFile.drive_id, DriveFile.path, DriveFile.sha256)).tuples()
+            listed = {(drive, path): digest for drive, path, digest in rows}
+            there = Counter(session.scalars(select(Job.drive_id).where(Job.kind == "intersections")))
+        for drive, paths in known.items():
+            for path, digest in paths.items():
+                if listed.get((drive, path)) != digest and drive in ledger.files:
+                    ledger.faults["lost"].append(f"{where}: drive {drive}: {path}")
+        for job, drive in jobs.items():
+            if there[drive] != 1 and job in ledger.jobs:
+                ledger.faults["lost" if not there[drive] else "double"].append(f"{where}: job {job}")
+        end = time.monotonic() + 2 * LEASE_S
+        while (found := _checked(context)) and time.monotonic() < end:  # what a running server is just mending
+            time.sleep(0.2)
+        ledger.faults["findings"] += [f"{where}: {each}" for each in found]
+        ledger.done["checks"] += 1
+    finally:
+        context.close()
+
+
+def _checked(context: Context) -> list[Finding | str]:
+    try:
+        return list(check(context))
+    except SQLAlchemyError as error:  # of a database that was just killed
+        return [f"the check itself: {error}"]
+
+
+class Killer:
+    """Kills at random moments, and measures how long it takes until all goes on."""
+
+    def __init__(self, fleet: Fleet, living: list[Client], backups: Backups, rng: random.Random) -> None:
+        self._fleet = fleet
+        self._living = living
+        self._backups = backups
+        self._rng = rng
+        self._targets: dict[str, Callable[[], bool]] = {
+            "server": self._kill_server,
+            "worker": self._kill_worker,
+            "client": self._kill_client,
+            "backup": self._kill_backup,
+            "database": self._kill_database,
+        }
+        self.recovered_s: dict[str, list[float]] = defaultdict(list)
+
+    def kill_one(self) -> str:
+        """Kill something, and wait until all goes on; returns what it was."""
+        while True:
+            time.sleep(self._rng.uniform(0.05, 1.5))
+            (target,) = self._rng.choices(list(self._targets), weights=[4, 3, 2, 1, 2])
+            held, began = self._leases(), time.monotonic()
+            if self._targets[target]():
+                break
+        wait_until(lambda: self._goes_on(held), f"all to go on after the kill of a {target}", 60, every_s=0.05)
+        self.recovered_s[target].append(time.monotonic() - began)
+        return target
+
+    def _kill_server(self) -> bool:
+        number = self._rng.randrange(len(self._fleet.servers))
+        self._fleet.servers[number].kill()
+        time.sleep(self._rng.choice([0, 0, 1.0]))
+        self._fleet.restart(number)
+        return True
+
+    def _kill_worker(self) -> bool:
+        workers = [worker for server in self._fleet.servers for worker in server.workers()]
+        if workers:
+            kill_if_there(self._rng.choice(workers))
+        return bool(workers)
+
+    def _kill_client(self) -> bool:
+        pushes = [client.process for client in self._living if client.process and client.process.poll() is None]
+        if pushes:
+            self._rng.choice(pushes).kill()
+        return bool(pushes)
+
+    def _kill_backup(self) -> bool:
+        return self._backups.kill()
+
+    def _kill_database(self) -> bool:
+        url = self._fleet.database_url
+        if url is None:
+            lock = sqlite3.connect(self._fleet.data / "interloc.sqlite3", timeout=30, isolation_level=None)
+            lock.execute("BEGIN EXCLUSIVE")
+            time.sleep(self._rng.uniform(0.1, 3.0))
+            lock.close()
+            return True
+        with psycopg.connect(url.replace("+psycopg", ""), autocommit=True) as connection:
+            others = "FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid()"
+            if self._rng.random() < 0.5:
+                connection.execute(f"SELECT pg_terminate_backend(pid) {others}")
+                return True
+            pids = [row[0] for row in connection.execute(f"SELECT pid {others}")]
+        with suppress(ProcessLookupError, IndexError):
+            os.kill(self._rng.choice(pids), signal.SIGKILL)  # PostgreSQL then restarts as after a crash
+        return bool(pids)
+
+    def _leases(self) -> dict[str, float]:
+        """Who works on what, and until when."""
+        end = time.monotonic() + 30
+        while True:
+            try:
+                return self._look()
+            except (sqlite3.Error, psycopg.Error):
+                if time.monotonic() > end:
+                    raise
+                time.sleep(0.05)
+
+    def _look(self) -> dict[str, float]:
+        query = "SELECT lease_owner, lease_until FROM jobs WHERE state = 'running' AND lease_owner IS NOT NULL"
+        url = self._fleet.database_url
+        if url is None:
+            connection = sqlite3.connect(self._fleet.data / "interloc.sqlite3", timeout=30)
+            try:
+                return dict(connection.execute(query).fetchall())
+            finally:
+                connection.close()
+        with psycopg.connect(url.replace("+psycopg", "")) as database:
+            return dict(database.execute(query).fetchall())
+
+    def _goes_on(self, held: dict[str, float]) -> bool:
+        """Whether every job that was held is held by somebody who renews it, or by nobody any more."""
+        now = self._leases()
+        return self._fleet.is_ready() and all(now[lease] > until for lease, until in held.items() if lease in now)
+
+
+class Backups:
+    """`interloc backup` into one folder, over and over."""
+
+    def __init__(self, fleet: Fleet, out: Path, ledger: Ledger) -> None:
+        self._fleet = fleet
+        self._out = out
+        self._ledger = ledger
+        self._process: forks.Command | None = None
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def kill(self) -> bool:
+        """Kill the one that is being made."""
+        process = self._process
+        if process is None or process.poll() is not None:
+            return False
+        process.kill()
+        return True
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
+        if self._fleet.database_url is not None:
+            environment["INTERLOC_DATABASE_URL"] = self._fleet.database_url
+        log, out = self._out.with_name("backup.log"), self._out.with_name("backup.out")
+        while not self._stopping.wait(0.5):
+            log.write_bytes(b"")
+            arguments = ["backup", self._out, "--data-dir", self._fleet.data, "--quiet"]
+            self._process = forks.Command(arguments, environment, out, log)
+            if self._process.wait() == 0:
+                self._ledger.done["backups"] += 1
+            elif log.read_text() and "database" not in log.read_text():
+                self._ledger.faults["backup"].append(log.read_text())
+
+
+Rows = Iterator[tuple[str, str]]
+
+
+def measure_kills(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
+    """Kill, and see what is left."""
+    end = time.monotonic() + 60 * options.minutes
+    for kind in ("sqlite", "postgresql"):
+        ledger, kills = Ledger(), options.kills // 2
+        with ExitStack() as stack:
+            url = None if kind == "sqlite" else stack.enter_context(new_database())
+            fleet = Fleet(folder / kind, url)
+            stack.callback(fleet.close)
+            backups = Backups(fleet, folder / kind / "backup", ledger)
+            with clients(fleet, ledger, street, reference, f"{options.seed}-{kind}") as living:
+                killer = Killer(fleet, living, backups, random.Random(f"{options.seed}-{kind}"))  # noqa: S311
+                for number in range(kills):
+                    if time.monotonic() > end:
+                        break
+                    target = killer.kill_one()
+                    look_through(fleet, ledger, f"kill {number + 1}, of a {target}")
+                    sys.stderr.write(f"{kind}: {number + 1} of {kills} kills: {target}\n")
+            backups.stop()
+            look_through(fleet, ledger, "at the end")
+        for target, seconds in killer.recovered_s.items():
+            times = f"{min(seconds):.1f} / {statistics.median(seconds):.1f} / {max(seconds):.1f} s"
+            yield f"{kind}: kills of a {target}", f"{len(seconds)}; all went on after {times} (min/median/max)"
+        yield from _told(kind, ledger)
+
+
+def _told(kind: str, ledger: Ledger) -> Rows:
+    yield f"{kind}: done meanwhile", ", ".join(f"{count} {what}" for what, count in sorted(ledger.done.items()))
+    names = dict.fromkeys(["findings", "lost", "double", "unequal", *ledger.faults])
+    yield f"{kind}: faults", ", ".join(f"{len(ledger.faults[name])} {name}" for name in names)
+    for name in names:
+        for fault in ledger.faults[name][:5]:
+            yield f"  {name}", fault
+
+
+def measure_ways(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
+    """Part database and data folder in the ways in which that happens, and count what is left of the files."""
+    fleet = Fleet(folder / "ways", None, count=1)
+    client = Client(fleet, Ledger(), street, reference, f"{options.seed}")
+    database = fleet.data / "interloc.sqlite3"
+    try:
+        client._work_on(client._put_files() or "")
+        assert fleet.servers[0].stop() == 0
+        shutil.copy(database, folder / "older.sqlite3")
+        fleet.restart(0)
+        client._work_on(client._send_archive() or "")
+        assert fleet.servers[0].stop() == 0
+    finally:
+        client.close()
+        fleet.close()
+    with new_database() as postgres:
+        elsewhere = f"sqlite:///{folder / 'elsewhere.sqlite3'}"
+        ways: dict[str, tuple[Callable[[Path], object], dict[str, Any]]] = {
+            "the address of an empty PostgreSQL": (lambda _: None, {"database_url": postgres}),
+            "a mistyped address": (lambda _: None, {"database_url": elsewhere}),
+            "the database file lost": (Path.unlink, {}),
+            "the database file damaged": (lambda file: file.write_bytes(b"damaged" * 1000), {}),
+            "an older database": (lambda file: shutil.copy(folder / "older.sqlite3", file), {}),
+            "the data folder not mounted": (lambda file: file.with_name("installation").unlink(), {}),
+        }
+        for number, (name, (part, settings)) in enumerate(ways.items()):
+            data = folder / f"way{number}"
+            shutil.copytree(fleet.data, data)
+            part(data / "interloc.sqlite3")
+            yield f"way in: {name}", _outcome(data, folder, settings)
+    data = folder / "shared"
+    shutil.copytree(fleet.data, data)
+    with ExitStack() as stack:
+        first = ServerProcess(data, folder / "first.log", min_free_bytes=0)
+        stack.callback(first.close)
+        yield "way in: a second service on the folder", _outcome(data, folder, {"database_url": elsewhere})
+
+
+def _outcome(data: Path, folder: Path, settings: dict[str, Any]) -> str:
+    """Start a server on a folder whose contents are days old, and stop it; returns what it did."""
+    before = Counter(sha256(path.read_bytes()) for kind in ("drives", "jobs") for path in files_below(data / kind))
+    for kind in ("drives", "jobs"):
+        for path in (data / kind).iterdir():
+            os.utime(path, (time.time() - 3 * 86400,) * 2)
+    log = folder / "way.log"
+    log.write_bytes(b"")
+    try:
+        server = ServerProcess(data, log, min_free_bytes=0, workers=1, **settings)
+    except AssertionError:
+        outcome = "refused to start"
+    else:
+        time.sleep(3)  # for the clean-up, which begins with the server
+        outcome = "started"
+        server.stop()
+        server.close()
+    lost = data / "lost+found"
+    aside = len(list(lost.glob("*/*"))) if lost.is_dir() else 0
+    after = Counter(sha256(path.read_bytes()) for path in files_below(data))
+    kept = before & after
+    return f"{outcome}; {kept.total()} of {before.total()} files kept, {aside} folders set aside"
+
+
+def measure_backups(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
+    """Make backups while clients work; restore and check each."""
+    ledger, locked_s, took_s = Ledger(), [0.0], [0.0]
+    fleet = Fleet(folder / "backups", None)
+    try:
+        with clients(fleet, ledger, street, reference, f"{options.seed}-backups"):
+            for number in range(options.backups):
+                time.sleep(2)
+                out = folder / f"backup{number - number % 2}"  # every second one brings the one before up to date
+                known = ledger.snapshot()
+                began = time.monotonic()
+                context = Context.open(fleet.settings())
+                try:
+                    report = back_up(context, out)
+                finally:
+                    context.close()
+                took_s.append(time.monotonic() - began)
+                locked_s.append(report.longest_lock_s)
+                ledger.faults["backup"] += report.faults
+                known = {drive: paths for drive, paths in known.items() if drive in ledger.files}  # not deleted
+                with ExitStack() as stack:
+                    url = None if number % 4 < 2 else stack.enter_context(new_database())
+                    _restore(folder / f"restored{number}", out, url, known, ledger)
+                sys.stderr.write(f"{number + 1} of {options.backups} backups\n")
+    finally:
+        fleet.close()
+    yield "backups under load, restored and checked", f"{options.backups}"
+    yield "a backup took", f"{max(took_s):.1f} s at most; no drive was locked for longer than {max(locked_s):.2f} s"
+    yield from _told("backups", ledger)
+
+
+def _restore(data: Path, backup: Path, url: str | None, known: dict[str, dict[str, str]], ledger: Ledger) -> None:
+    settings = Settings(data_dir=data, database_url=url, min_free_bytes=0)
+    restored = restore(settings, backup)
+    ledger.faults["findings"] += [f"{data.name}: {each}" for each in restored.findings]
+    context = Context.open(settings)
+    try:
+        ledger.faults["findings"] += [f"{data.name}: {each}" for each in check(context)]
+        with context.database.reading() as session:
+            rows = session.execute(select(DriveFile.drive_id, DriveFile.path, DriveFile.sha256)).tuples()
+            listed = {(drive, path): digest for drive, path, digest in rows}
+    finally:
+        context.close()
+    for drive, paths in known.items():
+        for path, digest in paths.items():
+            if listed.get((drive, path)) != digest and drive in ledger.files:
+                ledger.faults["lost"].append(f"{data.name}: drive {drive}: {path}")
+    shutil.rmtree(data)
+
+
+SCENARIOS = {"ways": measure_ways, "backups": measure_backups, "kills": measure_kills}
+
+
+def main(say: Callable[[str], object] = print) -> None:
+    """Torture, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=500, help="half of them on SQLite, half on PostgreSQL")
+    parser.add_argument("--backups", type=int, default=20)
+    parser.add_argument("--minutes", type=float, default=180.0, help="after which no further kill begins")
+    parser.add_argument("--seed", default=f"{random.SystemRandom().getrandbits(32):x}")
+    parser.add_argument("--only", choices=SCENARIOS, help="one scenario instead of all")
+    options = parser.parse_args()
+    rows: list[tuple[str, str]] = [("seed", options.seed)]
+    forks.ready()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        street = write_street(folder / "street", SCANS)
+        reference = undisturbed(folder / "undisturbed", street)
+        for name, measure in SCENARIOS.items():
+            if options.only in {None, name}:
+                (folder / name).mkdir()
+                rows += measure(folder / name, street, reference, options)
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        say(f"{name:{width}}  {value}")
+
+
+if __name__ == "__main__":
+    main()
