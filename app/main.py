@@ -62,6 +62,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         try:
             opened = context or Context.open(settings)
             parts.context = opened
+            await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
             await run_in_threadpool(reconcile_all, opened)  # before the first request: what a kill has left apart
             parts.runner = runner = Runner(opened, finish_drive)
             parts.watcher = JobWatcher(opened)
