@@ -25,7 +25,7 @@ from typing import Literal, Self, TypeVar
 
 from filelock import FileLock, Timeout
 from pydantic import BaseModel, ValidationError
-from sqlalchemy import select
+from sqlalchemy import Table, select
 from sqlalchemy.exc import OperationalError
 
 from app.context import Context
@@ -38,6 +38,7 @@ from app.store.models import Drive, Job
 from app.store.storage import INCOMING
 from app.upkeep.content import (
     DriveContent,
+    Row,
     back_in_queue,
     delete_content,
     find_files,
@@ -207,7 +208,10 @@ class _Backup:
         record = self._report.record
         try:
             self._database.upgrade()
-            drives = self._drives()
+            shared = _patiently(self._read_shared)
+            with writing_rows(self._database) as session:
+                write_shared(session, shared)
+            drives = _patiently(self._read_drives)
             self._total_bytes = sum(drives.values())
             held = set()
             for drive_id, size in drives.items():
@@ -226,15 +230,15 @@ class _Backup:
         record.write(self._out)
         return self._report
 
-    def _drives(self) -> dict[str, int]:
+    def _read_shared(self) -> dict[Table, list[Row]]:
+        with self._context.database.reading() as session:
+            return read_shared(session)
+
+    def _read_drives(self) -> dict[str, int]:
         """Return the ids of all drives, the oldest first, and how much is stored of each."""
-
-        def read() -> dict[str, int]:
-            with self._context.database.reading() as session:
-                rows = session.execute(select(Drive.id, Drive.stored_bytes).order_by(Drive.created_at, Drive.id))
-                return {row.id: row.stored_bytes for row in rows}
-
-        return _patiently(read)
+        with self._context.database.reading() as session:
+            rows = session.execute(select(Drive.id, Drive.stored_bytes).order_by(Drive.created_at, Drive.id))
+            return {row.id: row.stored_bytes for row in rows}
 
     def _back_up_drive(self, drive_id: str) -> bool:
         """Bring the backup of a drive up to date; False if there is no such drive any more."""
@@ -296,11 +300,8 @@ class _Backup:
         return keys, faults
 
     def _forget_all_but(self, drives: Collection[str]) -> None:
-        """Bring the rows of the service itself up to date, and remove drives and jobs that it has no longer."""
-        with self._context.database.reading() as session:
-            shared = read_shared(session)
+        """Remove drives and jobs that the service has no longer."""
         with writing_rows(self._database) as session:
-            write_shared(session, shared)
             for drive_id in session.scalars(select(Drive.id)).all():
                 if drive_id not in drives:
                     delete_content(session, drive_id)

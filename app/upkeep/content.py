@@ -102,11 +102,12 @@ def write_content(session: Session, content: DriveContent) -> None:
             session.execute(insert(table), rows)
 
 
-def write_sidecars(storage: Storage, content: DriveContent) -> None:
-    """Write beside the files what the rows say."""
-    sidecars.write_drive(storage, Drive(**content.drive))
+def write_missing_sidecars(storage: Storage, content: DriveContent) -> None:
+    """Write beside the files what the rows say, where that is not there."""
+    if not (storage.folder(drive_key(content.id)) / sidecars.DRIVE_FILE).is_file():
+        sidecars.write_drive(storage, Drive(**content.drive))
     for job in content.jobs:
-        if _has_result(job):
+        if _has_result(job) and not (storage.folder(f"jobs/{job['id']}") / sidecars.JOB_FILE).is_file():
             sidecars.write_job(storage, Job(**job))
 
 

@@ -22,7 +22,7 @@ from app.settings import Settings
 from app.states import DriveState
 from app.store.database import Database
 from app.store.installation import remark_folder
-from app.store.models import Drive, Job, Token
+from app.store.models import Drive, Installation, Job, Token
 from app.store.storage import Storage
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, refuse_unless_empty
 from app.upkeep.check import Finding, check
@@ -32,8 +32,8 @@ from app.upkeep.content import (
     read_content,
     read_shared,
     write_content,
+    write_missing_sidecars,
     write_shared,
-    write_sidecars,
     writing_rows,
 )
 from app.upkeep.transfer import Advance, Transfer, no_progress, writing
@@ -155,12 +155,13 @@ def _bring_all(
         with writing_rows(database) as session:
             content = _from_now_on(content, database.clock(session))
             write_content(session, content)
-        write_sidecars(storage, content)
+        write_missing_sidecars(storage, content)
     transfer.close()
     with rows.reading() as session:
         shared = read_shared(session)
     with writing_rows(database) as session:
         write_shared(session, shared)
+        session.merge(Installation(id=report.record.installation, created_at=report.record.begun_at.timestamp()))
         report.drives = session.scalar(select(func.count()).select_from(Drive)) or 0
         report.jobs = session.scalar(select(func.count()).select_from(Job)) or 0
     os.sync()

@@ -289,7 +289,7 @@ def undisturbed(folder: Path, street: Path) -> dict[str, str]:
         client._work_on(drive)
         (job,) = client.ledger.jobs
         files = client.ask("GET", f"/jobs/{job}/files").json()["files"]
-        kept = [file["path"] for file in files if file["path"].endswith((".geojson", ".svg", "report.json"))]
+        kept = [file["name"] for file in files if file["name"].endswith((".geojson", ".svg", "report.json"))]
         assert kept, files
         return {path: without_timings(path, client.ask("GET", f"/jobs/{job}/files/{path}").content) for path in kept}
     finally:
@@ -322,8 +322,8 @@ def look_through(fleet: Fleet, ledger: Ledger, where: str, known: dict[str, dict
         known = ledger.snapshot() if known is None else known
         jobs = dict(ledger.jobs)
         with context.database.reading() as session:
-            rows = session.execute(select(DriveFile.drive_id, DriveFile.path, DriveFile.sha256)).tuples()
-            listed = {(drive, path): digest for drive, path, digest in rows}
+            rows = session.execute(select(DriveFile.drive_id, DriveFile.path, DriveFile.sha256))
+            listed = {(row.drive_id, row.path): row.sha256 for row in rows}
             there = Counter(session.scalars(select(Job.drive_id).where(Job.kind == "intersections")))
         for drive, paths in known.items():
             for path, digest in paths.items():
@@ -546,7 +546,10 @@ def measure_ways(folder: Path, street: Path, reference: dict[str, str], options:
             "the database file lost": (Path.unlink, {}),
             "the database file damaged": (lambda file: file.write_bytes(b"damaged" * 1000), {}),
             "an older database": (lambda file: shutil.copy(folder / "older.sqlite3", file), {}),
-            "the data folder not mounted": (lambda file: file.with_name("installation").unlink(), {}),
+            "the data folder not mounted": (
+                lambda file: file.rename(folder / "found.sqlite3"),
+                {"data_dir": folder / "empty", "database_url": f"sqlite:///{folder / 'found.sqlite3'}"},
+            ),
         }
         for number, (name, (part, settings)) in enumerate(ways.items()):
             data = folder / f"way{number}"
@@ -570,7 +573,7 @@ def _outcome(data: Path, folder: Path, settings: dict[str, Any]) -> str:
     log = folder / "way.log"
     log.write_bytes(b"")
     try:
-        server = ServerProcess(data, log, min_free_bytes=0, workers=1, **settings)
+        server = ServerProcess(settings.pop("data_dir", data), log, min_free_bytes=0, workers=1, **settings)
     except AssertionError:
         outcome = "refused to start"
     else:
@@ -624,8 +627,8 @@ def _restore(data: Path, backup: Path, url: str | None, known: dict[str, dict[st
     try:
         ledger.faults["findings"] += [f"{data.name}: {each}" for each in check(context)]
         with context.database.reading() as session:
-            rows = session.execute(select(DriveFile.drive_id, DriveFile.path, DriveFile.sha256)).tuples()
-            listed = {(drive, path): digest for drive, path, digest in rows}
+            rows = session.execute(select(DriveFile.drive_id, DriveFile.path, DriveFile.sha256))
+            listed = {(row.drive_id, row.path): row.sha256 for row in rows}
     finally:
         context.close()
     for drive, paths in known.items():
