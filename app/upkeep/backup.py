@@ -38,6 +38,7 @@ from app.store.models import Drive, Job
 from app.store.storage import INCOMING
 from app.upkeep.content import (
     DriveContent,
+    Held,
     Row,
     back_in_queue,
     delete_content,
@@ -268,36 +269,42 @@ class _Backup:
 
     def _hold(self, drive_id: str) -> tuple[DriveContent, list[str]] | None:
         """Read the rows of a drive, and give its files a second name, all as of one moment; None if it is deleted."""
+        held = Held()
         with self._context.database.reading() as session:
             content = read_content(session, drive_id)
         if content is not None:
-            self._stage(content)  # the lock is held only for what changes from here on
+            self._stage(content, held)  # so that under the lock only that is left which changes from here on
         with self._context.database.writing() as session:
+            began = time.monotonic()
             content = read_content(session, drive_id, lock=True)
             if content is None:
                 return None
-            began = time.monotonic()
-            keys, faults = self._stage(content)
+            keys, faults = self._stage(content, held)
             if faults:  # a job may have been removed since its row was read
                 content = read_content(session, drive_id) or content
-                keys, faults = self._stage(content)
+                keys, faults = self._stage(content, held)
         self._report.longest_lock_s = max(self._report.longest_lock_s, time.monotonic() - began)
         self._report.faults += faults
         return content, keys
 
-    def _stage(self, content: DriveContent) -> tuple[list[str], list[str]]:
+    def _stage(self, content: DriveContent, held: Held) -> tuple[list[str], list[str]]:
         """Give the files of a drive a second name; returns their keys, and what is wrong with them."""
-        storage = self._context.storage
-        found = find_files(storage, content)
-        keys, faults = [], found.faults
-        for key in found.keys:
+        root = self._context.storage.root
+        found = find_files(self._context.storage, content, held)
+        gone = set()
+        for key in found.new:
             try:
-                self._staging.bring(storage.root / key, key)
-                keys.append(key)
+                self._staging.bring(root / key, key)
             except FileNotFoundError:
-                faults.append(f"{key} is not there")
+                gone.add(key)
         self._staging.finish()
-        return keys, faults
+        for key in found.new:
+            if key not in gone:  # known by what has the second name: the first may be another file by now
+                stat = (self._staging.root / key).stat()
+                held.files[key] = stat.st_size, stat.st_mtime_ns
+        held.folders.update({known: keys for known, keys in found.folders.items() if gone.isdisjoint(keys)})
+        keys = [key for key in found.keys if key not in gone]
+        return keys, [*found.faults, *(f"{key} is not there" for key in gone)]
 
     def _forget_all_but(self, drives: Collection[str]) -> None:
         """Remove drives and jobs that the service has no longer."""

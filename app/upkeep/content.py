@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from sqlalchemy import Table, delete, insert, select
+from sqlalchemy import Select, Table, delete, insert, select
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
@@ -55,7 +55,23 @@ class DriveContent:
         return str(self.drive["id"])
 
 
-@dataclass(frozen=True)
+@dataclass
+class Held:
+    """Files of a drive that have a second name already, and need not be looked at again.
+
+    Attributes
+    ----------
+    files : dict
+        Size and time by key.
+    folders : dict
+        Keys of the files of a whole folder, by its key and the time at which the drive was last touched.
+    """
+
+    files: dict[str, tuple[int, int]] = field(default_factory=dict)
+    folders: dict[tuple[str, float], list[str]] = field(default_factory=dict)
+
+
+@dataclass
 class ContentFiles:
     """The files of a drive that were found.
 
@@ -63,12 +79,18 @@ class ContentFiles:
     ----------
     keys : list of str
         Their keys in the storage.
+    new : list of str
+        Those that are not held yet.
+    folders : dict
+        As of `Held`.
     faults : list of str
         What is missing, or is not as the rows say.
     """
 
-    keys: list[str]
-    faults: list[str]
+    keys: list[str] = field(default_factory=list)
+    new: list[str] = field(default_factory=list)
+    folders: dict[tuple[str, float], list[str]] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
 
 
 def read_content(session: Session, drive_id: str, *, lock: bool = False) -> DriveContent | None:
@@ -82,12 +104,17 @@ def read_content(session: Session, drive_id: str, *, lock: bool = False) -> Driv
         Lock the drive until the transaction ends: no file of it takes or loses its name meanwhile.
     """
     query = select(_drives).where(_drives.c.id == drive_id)
-    drive = session.execute(query.with_for_update() if lock else query).mappings().one_or_none()
-    if drive is None:
+    drives = _rows(session, query.with_for_update() if lock else query)
+    if not drives:
         return None
-    files = session.execute(select(_files).where(_files.c.drive_id == drive_id)).mappings()
-    jobs = session.execute(select(_jobs).where(_jobs.c.drive_id == drive_id)).mappings()
-    return DriveContent(dict(drive), [dict(row) for row in files], [dict(row) for row in jobs])
+    files = _rows(session, select(_files).where(_files.c.drive_id == drive_id))
+    return DriveContent(drives[0], files, _rows(session, select(_jobs).where(_jobs.c.drive_id == drive_id)))
+
+
+def _rows(session: Session, query: Select[Any]) -> list[Row]:
+    found = session.execute(query)
+    columns = tuple(found.keys())
+    return [dict(zip(columns, row, strict=True)) for row in found]
 
 
 def write_content(session: Session, content: DriveContent) -> None:
@@ -118,7 +145,7 @@ def delete_content(session: Session, drive_id: str) -> None:
 
 def read_shared(session: Session) -> dict[Table, list[Row]]:
     """Read the rows of the service as a whole."""
-    return {table: [dict(row) for row in session.execute(select(table)).mappings()] for table in SHARED_TABLES}
+    return {table: _rows(session, select(table)) for table in SHARED_TABLES}
 
 
 def write_shared(session: Session, shared: dict[Table, list[Row]]) -> None:
@@ -163,49 +190,65 @@ def back_in_queue(job: Row) -> Row:
     }
 
 
-def find_files(storage: Storage, content: DriveContent) -> ContentFiles:
+def find_files(storage: Storage, content: DriveContent, held: Held | None = None) -> ContentFiles:
     """Find the files that a drive and its jobs need.
+
+    Parameters
+    ----------
+    storage
+    content
+    held
+        What is not to be looked at again where its rows are the same.
 
     Notes
     -----
     Only files that rows stand for: what an upload leaves behind that was cut off belongs to nothing.
     """
-    found, faults = [], []
-    for key, size in _listed(storage, content):
+    held, found = held or Held(), ContentFiles()
+    for key, size, mtime_ns in _listed(storage, content):
+        found.keys.append(key)
+        if held.files.get(key) == (size, mtime_ns):
+            continue
         try:
             actual = (storage.root / key).stat().st_size
         except (FileNotFoundError, NotADirectoryError):
-            faults.append(f"{key} is not there")
+            found.faults.append(f"{key} is not there")
+            found.keys.pop()
             continue
         if size not in {None, actual}:
-            faults.append(f"{key} has {actual:,} bytes, not {size:,} as listed")
-        found.append(key)
+            found.faults.append(f"{key} has {actual:,} bytes, not {size:,} as listed")
+        found.new.append(key)
     for folder, marker in _folders(content):
-        keys = list(_below(storage, folder))
+        known = folder, float(content.drive["touched_at"])
+        keys = held.folders.get(known)
+        if keys is None:
+            keys = list(_below(storage, folder))
+            found.new += keys
         if f"{folder}/{marker}" not in keys:
-            faults.append(f"{folder}/{marker} is not there")
-        found += keys
-    return ContentFiles(found, faults)
+            found.faults.append(f"{folder}/{marker} is not there")
+        found.folders[known] = keys
+        found.keys += keys
+    return found
 
 
-def _listed(storage: Storage, content: DriveContent) -> Iterator[tuple[str, int | None]]:
-    """Yield the keys of single files, and their sizes where they are known."""
-    drive, folder = Drive(**content.drive), drive_key(content.id)
+def _listed(storage: Storage, content: DriveContent) -> Iterator[tuple[str, int | None, int | None]]:
+    """Yield the keys of single files, with their sizes and times where they are known."""
+    drive, folder, files = Drive(**content.drive), drive_key(content.id), files_key(content.id)
     is_reduced = storage.folder(reduced_key(content.id)).is_dir()
     for row in content.files:
-        key = f"{files_key(content.id)}/{row['path']}"
-        is_all_there_is = not is_reduced and (storage.root / key).is_file()
-        if stays_uploaded(drive, row["path"]) or is_all_there_is:
-            yield key, row["size_bytes"]
+        key = f"{files}/{row['path']}"
+        # What a commit reduces goes, unless nothing has replaced it.
+        if stays_uploaded(drive, row["path"]) or (not is_reduced and (storage.root / key).is_file()):
+            yield key, row["size_bytes"], row["mtime_ns"]
     if drive.state == DriveState.READY:
         names = [name for name in TRAJECTORY if (storage.folder(folder) / name).is_file()]
-        yield f"{folder}/{(names or TRAJECTORY)[0]}", None
+        yield f"{folder}/{(names or TRAJECTORY)[0]}", None, None
     for job in content.jobs:
         if job["kind"] == JobKind.UNPACK and job["state"] in ACTIVE:
-            yield f"{folder}/{job['request']['archive']}", None
+            yield f"{folder}/{job['request']['archive']}", None, None
     for key in (f"{folder}/{sidecars.DRIVE_FILE}", *(f"jobs/{job['id']}/{sidecars.JOB_FILE}" for job in content.jobs)):
         if (storage.root / key).is_file():  # the clean-up writes one that is missing
-            yield key, None
+            yield key, None, None
 
 
 def _folders(content: DriveContent) -> Iterator[tuple[str, str]]:
@@ -218,11 +261,12 @@ def _folders(content: DriveContent) -> Iterator[tuple[str, str]]:
 
 
 def _has_result(job: Row) -> bool:
-    return job["kind"] == JobKind.INTERSECTIONS and job["state"] == JobState.SUCCESSFUL
+    return bool(job["kind"] == JobKind.INTERSECTIONS and job["state"] == JobState.SUCCESSFUL)
 
 
 def _below(storage: Storage, folder: str) -> Iterator[str]:
-    root = storage.folder(folder)
-    for parent, _, names in os.walk(root):
+    root = str(storage.root)
+    for parent, _, names in os.walk(f"{root}/{folder}"):
+        below = Path(parent).relative_to(root).as_posix()
         for name in names:
-            yield f"{folder}/{Path(parent, name).relative_to(root).as_posix()}"
+            yield f"{below}/{name}"

@@ -56,16 +56,9 @@ class Transfer:
         with suppress(FileNotFoundError, NotADirectoryError):
             if self._is_same(found, target.stat()):
                 return found.st_size
-        self._partial.mkdir(parents=True, exist_ok=True)
-        temporary = self._partial / str(len(self._waiting))
         with writing(target):
-            if self._link(source, temporary):
-                self._place(temporary, target)
-            else:
-                shutil.copyfile(source, temporary)
-                os.utime(temporary, ns=(found.st_atime_ns, found.st_mtime_ns))
-                self._waiting.append((temporary, target))
-                self._waiting_bytes += found.st_size
+            if not self._link(source, target):
+                self._copy(source, target, found)
         self.files += 1
         self.size_bytes += found.st_size
         if len(self._waiting) >= _BATCH_FILES or self._waiting_bytes >= _BATCH_BYTES:
@@ -92,16 +85,34 @@ class Transfer:
         return (found.st_size, found.st_mtime_ns) == (there.st_size, there.st_mtime_ns)
 
     def _link(self, source: Path, target: Path) -> bool:
+        """Link a file, directly where there is nothing of its name; False where files cannot be linked."""
         if not self._can_link:
             return False
         try:
-            os.link(source, target)
+            with suppress(FileExistsError, FileNotFoundError, NotADirectoryError):
+                os.link(source, target)
+                return True
+            os.link(source, temporary := self._temporary())
         except FileNotFoundError:
             raise
         except OSError:  # another file system, or one without links; else the copy finds out what is wrong
             self._can_link = False
             return False
+        self._place(temporary, target)
         return True
+
+    def _copy(self, source: Path, target: Path, found: os.stat_result) -> None:
+        temporary = self._temporary()
+        shutil.copyfile(source, temporary)
+        os.utime(temporary, ns=(found.st_atime_ns, found.st_mtime_ns))
+        self._waiting.append((temporary, target))
+        self._waiting_bytes += found.st_size
+
+    def _temporary(self) -> Path:
+        self._partial.mkdir(parents=True, exist_ok=True)
+        temporary = self._partial / str(len(self._waiting))
+        temporary.unlink(missing_ok=True)
+        return temporary
 
     def _place(self, temporary: Path, target: Path) -> None:
         try:

@@ -343,7 +343,7 @@ def killed(target: Callable[..., None], *arguments: Any) -> None:
     assert process.exitcode == 9
 
 
-@pytest.mark.parametrize("calls", [1, 60, 200])
+@pytest.mark.parametrize("calls", [1, 150])
 def test_a_killed_backup_looks_incomplete_and_goes_on(data: Path, tmp_path: Path, calls: int) -> None:
     out, restored = tmp_path / "backup", tmp_path / "restored"
     killed(die_in_backup, data, out, calls)
@@ -365,11 +365,11 @@ def test_a_killed_backup_looks_incomplete_and_goes_on(data: Path, tmp_path: Path
     assert contents(out) == contents(tmp_path / "fresh") == contents(tmp_path / "whole")
 
 
-@pytest.mark.parametrize("calls", [1, 60, 200])
-def test_a_killed_restoration_goes_on(data: Path, tmp_path: Path, calls: int) -> None:
+def test_a_killed_restoration_goes_on(data: Path, tmp_path: Path) -> None:
     out, restored = tmp_path / "backup", tmp_path / "restored"
     make_backup(data, out)
-    killed(die_in_restoration, restored, out, calls)
+    killed(die_in_restoration, restored, out, 1)  # in its first drive
+    killed(die_in_restoration, restored, out, 150)  # in a later one
     with pytest.raises(ConfigError, match="a backup is being restored into the data folder"):
         Context.open(Settings(data_dir=restored))
     with pytest.raises(ConfigError, match="there is no data folder"):
