@@ -140,7 +140,8 @@ def list_trash(context: Context, after: str | None, limit: int) -> TrashList:
             (drive, drive.name)
             for drive in session.scalars(drives.order_by(*last_deleted_first(Drive)).limit(limit + 1))
         ]
-        found += session.execute(jobs.order_by(*last_deleted_first(Job)).limit(limit + 1)).tuples()
+        rows = session.execute(jobs.order_by(*last_deleted_first(Job)).limit(limit + 1))
+        found += [(job, name) for job, name in rows]
     found.sort(key=lambda pair: (pair[0].deleted_at or 0.0, pair[0].id), reverse=True)
     page = found[:limit]
     return TrashList(
@@ -211,19 +212,21 @@ def find_purgeable(context: Context, kind: TrashKind, id_: str) -> None:
 def half_purged(context: Context) -> list[tuple[Path, TrashKind, str]]:
     """Return the folders whose purge has begun and not ended: path, kind, id."""
     root = context.storage.folder(TRASH)
-    found: list[tuple[Path, TrashKind, str]] = []
-    for path in sorted(root.iterdir()) if root.is_dir() else ():
-        kind, _, id_ = path.name.partition("-")
-        if kind == "drives" or kind == "jobs":  # noqa: PLR1714 - narrows the type
-            found.append((path, kind, id_))
-    return found
+    paths = sorted(root.iterdir()) if root.is_dir() else []
+    kinds: tuple[TrashKind, ...] = ("drives", "jobs")
+    return [
+        (path, kind, path.name.removeprefix(f"{kind}-"))
+        for path in paths
+        for kind in kinds
+        if path.name.startswith(f"{kind}-")
+    ]
 
 
 def finish_purges(context: Context) -> None:
     """Complete what a server did that was killed during a purge."""
     for path, kind, id_ in half_purged(context):
         with context.database.reading() as session:
-            row = session.get(Drive if kind == "drives" else Job, id_)
+            row = _get(session, kind, id_, lock=False)
             is_deleted = row is not None and _is_deleted(session, row)
             drive_id = row.drive_id if isinstance(row, Job) and row.deleted_at is None else None
         if row is None:
@@ -241,23 +244,29 @@ def finish_purges(context: Context) -> None:
 
 def _item(context: Context, row: Drive | Job, name: str) -> TrashItem:
     assert row.deleted_at is not None
-    is_drive = isinstance(row, Drive)
+    if isinstance(row, Drive):
+        kind: TrashKind = "drives"
+        size = row.stored_bytes
+    else:
+        kind = "jobs"
+        size = size_of(context.storage.folder(f"jobs/{row.id}"))
     return TrashItem(
-        kind="drives" if is_drive else "jobs",
+        kind=kind,
         id=row.id,
         name=name,
         owner=row.owner,
-        size_bytes=row.stored_bytes if is_drive else size_of(context.storage.folder(f"jobs/{row.id}")),
+        size_bytes=size,
         deleted_at=moment(row.deleted_at),
         deleted_by=row.deleted_by,
         purged_at=moment(row.deleted_at + 3600 * context.settings.trash_h),
     )
 
 
-def _get(session: Session, kind: TrashKind, id_: str) -> Drive | Job | None:
-    """Return a row, locked until the transaction ends."""
-    table: type[Drive | Job] = Drive if kind == "drives" else Job
-    return session.get(table, id_, with_for_update=True, populate_existing=True)
+def _get(session: Session, kind: TrashKind, id_: str, *, lock: bool = True) -> Drive | Job | None:
+    """Return a row, locked until the transaction ends unless it is only to be looked at."""
+    if kind == "drives":
+        return session.get(Drive, id_, with_for_update=lock, populate_existing=True)
+    return session.get(Job, id_, with_for_update=lock, populate_existing=True)
 
 
 def _find(session: Session, kind: TrashKind, id_: str, *, is_deleted: bool) -> Drive | Job:

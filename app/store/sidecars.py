@@ -59,12 +59,12 @@ Sidecar = TypeVar("Sidecar", DriveSidecar, JobSidecar)
 
 def write_drive(storage: Storage, drive: Drive) -> None:
     """Write what the row of a drive says into its folder."""
-    _write(storage.folder(f"drives/{drive.id}") / DRIVE_FILE, DriveSidecar.model_validate(drive, from_attributes=True))
+    _write(storage.folder(f"drives/{drive.id}") / DRIVE_FILE, DriveSidecar, drive)
 
 
 def write_job(storage: Storage, job: Job) -> None:
     """Write what the row of a successful job says into its folder."""
-    _write(storage.folder(f"jobs/{job.id}") / JOB_FILE, JobSidecar.model_validate(job, from_attributes=True))
+    _write(storage.folder(f"jobs/{job.id}") / JOB_FILE, JobSidecar, job)
 
 
 def read_drive(folder: Path) -> DriveSidecar | None:
@@ -77,12 +77,13 @@ def read_job(folder: Path) -> JobSidecar | None:
     return _read(folder / JOB_FILE, JobSidecar)
 
 
-def _write(path: Path, sidecar: BaseModel) -> None:
+def _write(path: Path, model: type[BaseModel], row: Drive | Job) -> None:
     try:
+        sidecar = model.model_validate(row, from_attributes=True)
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as file:
             file.write(sidecar.model_dump_json(indent=1).encode())
-    except (OSError, OutputError) as error:  # the row is what counts
+    except (OSError, OutputError, ValidationError) as error:  # the row is what counts
         _log.warning("%s could not be written: %s", path, error)
 
 
