@@ -181,9 +181,9 @@ Rows = Iterator[tuple[str, str]]
 
 def measure_kills(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
     """Kill, and see what is left."""
-    end = time.monotonic() + 60 * options.minutes
     for kind in ("sqlite", "postgresql"):
         ledger, kills = Ledger(), options.kills // 2
+        end = time.monotonic() + 60 * options.minutes / 2
         with ExitStack() as stack:
             url = None if kind == "sqlite" else stack.enter_context(new_database())
             fleet = Fleet(folder / kind, url)
