@@ -14,9 +14,13 @@ from fastapi import Depends, Request
 from app.metrics import Metrics
 from app.settings import Settings
 from app.store.database import Database
+from app.store.installation import bind, mark_folder
 from app.store.storage import Storage
 from app.store.tokens import TokenBook
-from interloc.errors import OutputError
+from interloc.errors import ConfigError, OutputError
+
+RESTORING = "restoring.json"
+"""File of a data folder into which a backup is being restored."""
 
 
 @dataclass(frozen=True)
@@ -41,35 +45,59 @@ class Context:
     jobs_changed: threading.Event = field(default_factory=threading.Event)
 
     @classmethod
-    def open(cls, settings: Settings) -> Context:
+    def open(cls, settings: Settings, *, bound: bool = True) -> Context:
         """Open database and storage, as `open_database` does."""
-        database = open_database(settings)
+        database = open_database(settings, bound=bound)
         storage = Storage(settings.data_dir)
         return cls(settings, database, storage, TokenBook(database, settings), Metrics())
 
     def close(self) -> None:
-        """Close the database."""
+        """Close database and storage."""
         self.database.close()
+        self.storage.close()
 
 
-def open_database(settings: Settings) -> Database:
-    """Create the data folder where it is missing, and bring the database up to date.
+def open_database(settings: Settings, *, bound: bool = True) -> Database:
+    """Create the data folder where it is missing, bring the database up to date, see that the two belong together.
+
+    Parameters
+    ----------
+    settings
+    bound
+        False opens them even if they do not belong together, to bind them.
 
     Raises
     ------
+    ConfigError
+        A backup is being restored into the data folder.
     OutputError
         The data folder cannot be written.
     InterLocError
         The database does not answer, or belongs to a newer version.
+    InstallationError
+        Data folder and database do not belong together; neither was changed.
     """
+    _refuse_half_restored(settings.data_dir)
     _check_writable(settings.data_dir)
+    folder = Path(os.path.realpath(settings.data_dir))
     database = Database(settings.sqlalchemy_url)
+    ids: list[str] = []
     try:
-        database.upgrade()
+        database.upgrade((lambda session: ids.append(bind(session, database, folder))) if bound else None)
+        for id_ in ids:
+            mark_folder(folder, id_)
     except BaseException:
         database.close()
         raise
     return database
+
+
+def _refuse_half_restored(folder: Path) -> None:
+    if (folder / RESTORING).exists():
+        raise ConfigError(
+            f"a backup is being restored into the data folder {folder}, and that has not ended. Run the same "
+            "`interloc restore` again: it goes on where it stopped."
+        )
 
 
 def _check_writable(folder: Path) -> None:

@@ -11,6 +11,7 @@ from fastapi.concurrency import run_in_threadpool
 from app.context import Context
 from app.drives.cleanup import Sweeper
 from app.drives.finish import finish_drive
+from app.drives.reconcile import reconcile_all
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.http.page import PageFiles
@@ -34,6 +35,7 @@ from app.routes import (
     results,
     scans,
     system,
+    trash,
 )
 from app.security import client_of
 from app.settings import Settings
@@ -60,6 +62,8 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         try:
             opened = context or Context.open(settings)
             parts.context = opened
+            await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
+            await run_in_threadpool(reconcile_all, opened)  # before the first request: what a kill has left apart
             parts.runner = runner = Runner(opened, finish_drive)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
@@ -93,7 +97,9 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     app.state.page_files = PageFiles(settings)
     add_handlers(app)
     add_middleware(app, settings)
-    for module in (drives, files, scans, archive, commit, jobs, events, results, keyframes, exports, compare, demo):
+    of_drives = (drives, files, scans, archive, commit, demo)
+    of_jobs = (jobs, events, results, keyframes, exports, compare)
+    for module in (*of_drives, *of_jobs, trash):
         app.include_router(module.router, prefix=API, dependencies=[Depends(client_of)])
     for module in (system, page):
         app.include_router(module.router)

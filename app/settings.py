@@ -73,7 +73,13 @@ class Settings(BaseSettings):
     )
     max_queued_jobs: int = Field(100, ge=1, description="Maximum number of jobs of one client that wait or run.")
     upload_expires_h: float = Field(
-        7 * 24.0, gt=0, description="Time in hours after which an upload is removed that nobody has touched."
+        7 * 24.0, gt=0, description="Time in hours after which an upload expires that nobody has touched."
+    )
+    trash_h: float = Field(
+        72.0,
+        ge=0,
+        le=24 * 365,
+        description="Time in hours for which deleted drives and jobs can be restored; 0: they are gone at once.",
     )
 
     # What the page may show and fetch.

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
+from app.drives.reconcile import reconcile
 from app.drives.records import drive_model, find_drive, lock_drive
 from app.http.limits import check_free_space
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
-from app.jobs.queue import submit
+from app.jobs.queue import active_job, submit
 from app.schemas.drives import CommitRequest, DriveModel, DriveOptionsModel
-from app.states import ACTIVE, DriveState, JobKind, JobState
+from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.drives.inspect import DriveReport
 
@@ -33,6 +33,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         404: no such drive. 409: an archive is still being unpacked. 507: the disk is full.
     """
     check_free_space(context, 0)
+    reconcile(context, drive_id)  # what is checked is what is listed, also after a server was killed
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state == DriveState.READY:
@@ -99,13 +100,3 @@ def not_sound(drive: Drive) -> Problem:
         problems=report.problems,
         report=report.to_dict(),
     )
-
-
-def active_job(session: Session, drive_id: str, kind: JobKind) -> Job | None:
-    """Return the job of a kind that waits or runs for a drive."""
-    return session.scalars(
-        select(Job)
-        .where(Job.drive_id == drive_id, Job.kind == kind, Job.state.in_(ACTIVE))
-        .order_by(Job.created_at)
-        .limit(1)
-    ).first()

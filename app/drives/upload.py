@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.records import files_key, find_drive, remove_empty
-from app.http.intake import INCOMING, Arrival
+from app.http.intake import Arrival
 from app.http.limits import check_drive, check_free_space
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
@@ -27,7 +27,11 @@ from app.store.models import Drive, DriveFile
 _AT_ONCE = 500  # paths in one query
 
 _drives, _files = (cast("Table", table.__table__) for table in (Drive, DriveFile))
-_COUNTS = select(_drives.c.id, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes).with_for_update()
+_COUNTS = (
+    select(_drives.c.id, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes)
+    .where(_drives.c.deleted_at.is_(None))
+    .with_for_update()
+)
 _SIZES = select(_files.c.path, _files.c.size_bytes)
 _REPLACE = delete(_files).where(_files.c.drive_id == bindparam("of"), _files.c.path == bindparam("at"))
 _INSERT = insert(_files)
@@ -162,7 +166,13 @@ def register(
     fresh = len(arrivals) - len(known)
     check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
     rows: list[dict[str, Any]] = [
-        {"drive_id": drive.id, "path": each.path, "size_bytes": each.size_bytes, "sha256": each.sha256}
+        {
+            "drive_id": drive.id,
+            "path": each.path,
+            "size_bytes": each.size_bytes,
+            "sha256": each.sha256,
+            "mtime_ns": each.temporary.stat().st_mtime_ns,  # stays the same when it is renamed
+        }
         for each in arrivals
     ]
     connection = session.connection()
@@ -180,7 +190,7 @@ class Placement:
     """Moves files to their places; if the block or its transaction fails, the old files are restored."""
 
     def __init__(self, context: Context, drive_id: str) -> None:
-        self._incoming = context.storage.folder(INCOMING)
+        self._incoming = context.storage.incoming
         self._files = context.storage.folder(files_key(drive_id))
         self._moved: list[tuple[Path, Path | None]] = []
 
@@ -240,7 +250,7 @@ class Placement:
 
     def _save(self, target: Path) -> Path | None:
         """Keep the file that is about to be replaced; until then readers find it under its name."""
-        old = self._incoming / secrets.token_hex(12)
+        old = self._incoming() / secrets.token_hex(12)
         try:
             os.link(target, old)
         except FileNotFoundError:

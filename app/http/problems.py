@@ -106,8 +106,9 @@ def disk_full() -> Problem:
     return Problem(
         507,
         "Disk full",
-        "The service has no disk space left. Nothing of this request was kept; delete drives that are no longer needed "
-        "(DELETE /api/v1/drives/{id}) or ask its operator, then send it again.",
+        "The service has no disk space left. Nothing of this request was kept; empty the trash (DELETE /api/v1/trash), "
+        "delete drives that are no longer needed for good (DELETE /api/v1/drives/{id}?purge=true) or ask its operator, "
+        "then send it again.",
     )
 
 

@@ -21,6 +21,7 @@ from app.jobs.folders import place_result, task_of, tidy, without_paths
 from app.jobs.processes import WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
 from app.states import DriveState, JobState
+from app.store import sidecars
 from app.store.models import Drive, Job
 from app.work import kinds
 from app.work.progress import ProgressFiles
@@ -216,6 +217,9 @@ class Attempt:
                     return "left to its lease"  # whoever takes it over finds all parts done
                 time.sleep(wait_s)
         tidy(storage, job_id, keep_result=state == JobState.SUCCESSFUL)
+        if state == JobState.SUCCESSFUL and not self._kind.changes_drive:
+            with suppress(SQLAlchemyError):  # the clean-up writes what is missing
+                self._write_sidecar()
         return state
 
     def _finish(self, state: JobState, outcome: Outcome | Problem) -> bool:
@@ -232,6 +236,12 @@ class Attempt:
                 assert job is not None
                 self._finish_drive(session, self._context, job, outcome)
         return True
+
+    def _write_sidecar(self) -> None:
+        with self._context.database.reading() as session:
+            job = session.get(Job, self.claim.job.id)
+        if job is not None:
+            sidecars.write_job(self._context.storage, job)
 
     def _leave(self) -> str:
         """Leave a job that another server has taken over, or that was deleted with its drive."""

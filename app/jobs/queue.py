@@ -18,7 +18,7 @@ from sqlalchemy import CursorResult, case, func, or_, select, text, update
 from sqlalchemy.orm import Session, aliased
 
 from app.http.problems import Problem
-from app.states import ACTIVE, FINAL, DriveState, JobState
+from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.work.kinds import DRIVE_CHANGING, URGENT
@@ -242,7 +242,7 @@ def submit(
         if earlier is not None:
             return _same(earlier, kind, drive_id, request, key), False
     drive = session.get(Drive, drive_id)
-    if drive is None:
+    if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
     if kind not in DRIVE_CHANGING and drive.state == DriveState.UPLOADING:
         raise not_ready(drive)
@@ -262,13 +262,23 @@ def submit(
     return job, True
 
 
+def active_job(session: Session, drive_id: str, kind: JobKind) -> Job | None:
+    """Return the job of a kind that waits or runs for a drive."""
+    return session.scalars(
+        select(Job)
+        .where(Job.drive_id == drive_id, Job.kind == kind, Job.state.in_(ACTIVE))
+        .order_by(Job.created_at)
+        .limit(1)
+    ).first()
+
+
 def no_drive(drive_id: str) -> Problem:
     """Return the problem of a drive that does not exist."""
     return Problem(
         404,
         "Drive not found",
         f"There is no drive {drive_id[:64]}; it may have been deleted, or an upload that was left alone has expired. "
-        "GET /api/v1/drives lists them.",
+        "GET /api/v1/drives lists those that there are, GET /api/v1/trash those that can be restored.",
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
 from app.http.problems import Problem, ProblemDocument
@@ -25,11 +25,21 @@ def find_job(session: Session, job_id: str) -> tuple[Job, str]:
         404 there is no such job.
     """
     found = session.execute(
-        select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id == job_id)
+        select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id == job_id, is_alive())
     ).one_or_none()
     if found is None:
-        raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
+        raise no_job(job_id)
     return found[0], found[1]
+
+
+def is_alive() -> ColumnElement[bool]:
+    """Return the condition that neither a job nor its drive, joined, is in the trash."""
+    return and_(Job.deleted_at.is_(None), Drive.deleted_at.is_(None))
+
+
+def no_job(job_id: str) -> Problem:
+    """Return the problem of a job that does not exist."""
+    return Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
 
 
 def job_model(job: Job, drive_name: str, root_path: str, now: float) -> JobModel:

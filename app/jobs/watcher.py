@@ -14,7 +14,7 @@ from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
 
 from app.context import Context, part_of_app
-from app.jobs.view import find_job, job_model
+from app.jobs.view import find_job, is_alive, job_model
 from app.schemas.jobs import JobModel
 from app.states import FINAL
 from app.store.models import Drive, Job
@@ -104,7 +104,8 @@ class JobWatcher:
 def _changes(context: Context, known: dict[str, int]) -> dict[str, Change | None]:
     """Return the jobs whose version is not the known one; None for those that were removed."""
     with context.database.reading() as session:
-        rows = session.execute(select(Job.id, Job.version).where(Job.id.in_(list(known))))
+        alive = select(Job.id, Job.version).join(Drive, Drive.id == Job.drive_id).where(is_alive())
+        rows = session.execute(alive.where(Job.id.in_(list(known))))
         versions = {row.id: row.version for row in rows}
         changed = [job_id for job_id, version in versions.items() if version != known[job_id]]
         gone: dict[str, Change | None] = dict.fromkeys(known.keys() - versions.keys())

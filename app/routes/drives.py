@@ -7,9 +7,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 
 from app.context import ContextDep
-from app.drives import records
+from app.drives import records, trash
 from app.drives.plan import judge_label_counts
 from app.http.problems import ProblemDocument
+from app.results.folder import ResultsDep
 from app.schemas.drives import DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
 from app.security import ClientDep
 
@@ -54,6 +55,16 @@ def show_drive(drive_id: str, context: ContextDep, _client: ClientDep) -> DriveM
 
 
 @router.delete("/{drive_id}", status_code=204, responses=NOT_FOUND, summary="Delete a drive")
-def delete_drive(drive_id: str, context: ContextDep, _client: ClientDep) -> None:
-    """Remove a drive with its files, its jobs and their results. Jobs that run are dismissed."""
-    records.delete_drive(context, drive_id)
+def delete_drive(
+    drive_id: str,
+    context: ContextDep,
+    results: ResultsDep,
+    client: ClientDep,
+    purge: Annotated[bool, Query(description="Delete it for good, instead of moving it to the trash.")] = False,
+) -> None:
+    """Move a drive to the trash, with its files, its jobs and their results. Jobs that run are dismissed.
+
+    It can be restored from there for some days (POST /api/v1/trash/drives/{id}/restore).
+    """
+    trash.delete_drive(context, drive_id, client, at_once=purge)
+    results.forget()

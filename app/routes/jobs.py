@@ -8,12 +8,13 @@ from fastapi import APIRouter, Header, Path, Query, Response
 from sqlalchemy import select
 
 from app.context import ContextDep
+from app.drives.trash import delete_job as delete_ended_job
 from app.http.paging import cursor_of, newest_first, rows_after
-from app.http.problems import Problem, ProblemDocument
-from app.jobs.folders import tidy
+from app.http.problems import ProblemDocument
 from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
-from app.jobs.view import find_job, job_model
+from app.jobs.view import find_job, is_alive, job_model
+from app.results.folder import ResultsDep
 from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
 from app.security import ClientDep
 from app.states import FINAL, JobKind, JobState
@@ -97,7 +98,8 @@ def list_jobs(
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
     """List jobs, the newest first."""
-    query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).order_by(*newest_first(Job)).limit(limit + 1)
+    query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
+    query = query.order_by(*newest_first(Job)).limit(limit + 1)
     if kind != "all":
         query = query.where(Job.kind == kind)
     if drive is not None:
@@ -129,7 +131,7 @@ def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
         **NOT_FOUND,
         200: {"description": "It has ended, by this request or earlier."},
         202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
-        204: {"description": "The job and its results are removed."},
+        204: {"description": "The job and its results are in the trash."},
         409: _problem("It has not ended, so it cannot be removed."),
     },
 )
@@ -137,34 +139,26 @@ def delete_job(
     job_id: JobId,
     response: Response,
     context: ContextDep,
-    _client: ClientDep,
-    purge: Annotated[bool, Query(description="Remove a job that has ended, with its results.")] = False,
+    results: ResultsDep,
+    client: ClientDep,
+    purge: Annotated[bool, Query(description="Move a job that has ended to the trash, with its results.")] = False,
 ) -> JobModel | Response:
-    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed."""
+    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed.
+
+    What is removed can be restored for some days (POST /api/v1/trash/jobs/{id}/restore).
+    """
+    if purge:
+        delete_ended_job(context, job_id, client)
+        results.forget()
+        return Response(status_code=204)
     database = context.database
     with database.writing() as session:
         job, name = find_job(session, job_id)
-        if purge:
-            _require_ended(job)
-            session.delete(job)
-        else:
-            cancel(session, database, job)
-            model = job_model(job, name, context.settings.root_path, database.clock(session))
-    if purge:
-        tidy(context.storage, job_id, keep_result=False)
-        return Response(status_code=204)
+        cancel(session, database, job)
+        model = job_model(job, name, context.settings.root_path, database.clock(session))
     context.jobs_changed.set()
     response.status_code = 200 if model.state in FINAL else 202
     return model
-
-
-def _require_ended(job: Job) -> None:
-    if job.state not in FINAL:
-        raise Problem(
-            409,
-            "Job not ended",
-            f"Job {job.id} is {job.state}. Cancel it first (DELETE without purge), then remove it.",
-        )
 
 
 @router.get("/presets", summary="List presets")

@@ -71,7 +71,7 @@ class DriveModel(BaseModel):
     size_bytes: int = Field(description="Size of the files as uploaded.")
     stored_bytes: int = Field(description="Size of what is kept of them.")
     created_at: datetime
-    expires_at: datetime | None = Field(None, description="When the upload is removed if it is left alone.")
+    expires_at: datetime | None = Field(None, description="When the upload goes to the trash if it is left alone.")
     report: DriveReport | None = Field(
         None, description="What the last commit found, in the form of `interloc info --json`."
     )

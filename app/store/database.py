@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -81,8 +81,13 @@ class Database:
         now = _SQLITE_NOW if self.is_sqlite else "SELECT extract(epoch FROM clock_timestamp())"
         return float(session.execute(text(now)).scalar_one())
 
-    def upgrade(self) -> None:
+    def upgrade(self, then: Callable[[Session], None] | None = None) -> None:
         """Bring the tables up to date (Alembic); servers that start together do it one after the other.
+
+        Parameters
+        ----------
+        then
+            Called at the end of the same transaction: where it raises, nothing has changed.
 
         Raises
         ------
@@ -91,7 +96,7 @@ class Database:
         """
         shown = self.url.render_as_string(hide_password=True)
         try:
-            self._upgrade()
+            self._upgrade(then)
         except CommandError as error:
             raise InterLocError(
                 f"the database {shown} was made by a newer version of InterLoc ({error}); "
@@ -101,7 +106,7 @@ class Database:
             reason = " ".join(str(error.orig).split())
             raise InterLocError(f"the database {shown} cannot be reached or brought up to date: {reason}") from error
 
-    def _upgrade(self) -> None:
+    def _upgrade(self, then: Callable[[Session], None] | None) -> None:
         with self.engine.connect().execution_options(writes=True) as connection, connection.begin():
             if not self.is_sqlite:
                 connection.execute(text(f"SELECT pg_advisory_xact_lock({_UPGRADE_LOCK})"))
@@ -109,6 +114,10 @@ class Database:
             config.set_main_option("script_location", str(_MIGRATIONS))
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
+            if then is not None:
+                with Session(connection) as session:
+                    then(session)
+                    session.flush()
 
     def close(self) -> None:
         """Close the connections."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from app.settings import Settings
     from app.store.database import Database
 
-_DATA_DIR = click.option(
+DATA_DIR = click.option(
     "--data-dir", type=click.Path(path_type=Path), help="Folder of drives and results.  [default: ./interloc-data]"
 )
 
@@ -24,7 +24,7 @@ _DATA_DIR = click.option(
 @click.command(short_help="Run the web service and its page.")
 @click.option("--host", help="Address to listen on.  [default: 127.0.0.1]")
 @click.option("--port", type=click.IntRange(0, 65535), help="Port to listen on; 0: any free one.  [default: 8000]")
-@_DATA_DIR
+@DATA_DIR
 @click.option("--workers", type=click.IntRange(1, 256), help="Number of worker processes.  [default: one per core]")
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler that does the work instead, as tcp://host:8786.")
 @click.option("--allow-anonymous", is_flag=True, default=None, help="Serve other machines without any token.")
@@ -45,7 +45,7 @@ def serve(**given: Any) -> None:
       interloc serve                                        for this machine only
       interloc token add alice && interloc serve --host 0.0.0.0
     """
-    settings = _read_settings(given)
+    settings = read_settings(given)
     from app.server import serve as run_server
     from interloc.pipeline import versions
 
@@ -70,7 +70,7 @@ def token() -> None:
 
 @token.command()
 @click.argument("name")
-@_DATA_DIR
+@DATA_DIR
 def add(name: str, data_dir: Path | None) -> None:
     """Make a token for NAME and print it: only its hash is kept, so it cannot be shown again."""
     from app.store.tokens import add_token
@@ -82,7 +82,7 @@ def add(name: str, data_dir: Path | None) -> None:
 
 
 @token.command("list")
-@_DATA_DIR
+@DATA_DIR
 def list_(data_dir: Path | None) -> None:
     """List who has a token, and since when."""
     from app.store.tokens import list_tokens
@@ -97,7 +97,7 @@ def list_(data_dir: Path | None) -> None:
 
 @token.command()
 @click.argument("name")
-@_DATA_DIR
+@DATA_DIR
 def revoke(name: str, data_dir: Path | None) -> None:
     """Refuse the token of NAME from now on."""
     from app.store.tokens import revoke_token
@@ -109,7 +109,7 @@ def revoke(name: str, data_dir: Path | None) -> None:
 
 @contextmanager
 def _database(data_dir: Path | None) -> Iterator[Database]:
-    settings = _read_settings({"data_dir": data_dir})
+    settings = read_settings({"data_dir": data_dir})
     from app.context import open_database
 
     database = open_database(settings)
@@ -119,7 +119,7 @@ def _database(data_dir: Path | None) -> Iterator[Database]:
         database.close()
 
 
-def _read_settings(given: dict[str, Any]) -> Settings:
+def read_settings(given: dict[str, Any]) -> Settings:
     """Read the settings from the environment and from the options that were given, which take precedence.
 
     Raises

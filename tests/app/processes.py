@@ -38,8 +38,8 @@ def wait_until(
 
 
 def files_below(folder: Path) -> list[Path]:
-    """All files below a folder that a server works in: what goes meanwhile is passed over."""
-    return [Path(root) / name for root, _, names in os.walk(folder) for name in names]
+    """All files below a folder that a server works in, but its lock: what goes meanwhile is passed over."""
+    return [Path(root) / name for root, _, names in os.walk(folder) for name in names if name != "lock"]
 
 
 class ServerProcess:

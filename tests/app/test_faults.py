@@ -160,10 +160,11 @@ def test_an_upload_goes_on_after_the_server_was_killed(start: Start, tmp_path: P
         head = f"PUT {API}/drives/{drive}/files/velodyne/000001.bin HTTP/1.1\r\nHost: {address.netloc}\r\n"
         connection.sendall(f"{head}Content-Length: {size}\r\n\r\n".encode() + bytes(size // 2))
         incoming = tmp_path / "data" / "incoming"
-        wait_until(lambda: any(incoming.iterdir()), "the beginning of the file")
+        wait_until(lambda: files_below(incoming), "the beginning of the file")
         server.kill()
 
     again = start()
+    wait_until(lambda: not files_below(incoming), "what the dead server was receiving to go")
     listed = again.client.get(f"{API}/drives/{drive}/files").json()["files"]
     assert sorted(file["path"] for file in listed) == sorted(names)
     answer = again.client.post(
@@ -252,7 +253,7 @@ def test_a_full_disk_refuses_uploads_and_keeps_what_is_there(start: Start, small
     assert "disk" in answers[stored].json()["detail"]
     listed = server.client.get(address).json()["files"]
     assert len(listed) == codes.count(201)  # nothing of the refused ones is listed
-    assert not list((small_disk / "incoming").iterdir())
+    assert not files_below(small_disk / "incoming")
     kept = server.client.get(f"{address}/velodyne/000000.bin")
     assert kept.content == piece
     for number in range(codes.count(201)):

@@ -278,7 +278,7 @@ def test_a_client_that_vanishes_leaves_nothing(client: httpx.Client, drive: str,
             link.sendall(f"{sent:x}\r\n".encode() if "chunked" in head and sent else b"")
             link.sendall(bytes(sent))
             if sent > 1_000_000:
-                wait_until(lambda: any((shared_data / "incoming").iterdir()), "its beginning")
+                wait_until(lambda: files_below(shared_data / "incoming"), "its beginning")
     wait_until(lambda: not stored(shared_data, drive), "it to go")
     assert client.get(f"{drive}/files").json()["files"] == []
 

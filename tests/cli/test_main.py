@@ -30,6 +30,8 @@ COMMANDS = [
     "benchmark",
     "serve",
     "token",
+    "backup",
+    "restore",
     "push",
     "fetch",
     "config",
