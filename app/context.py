@@ -1,4 +1,4 @@
-"""What all parts of the service share: settings, database, storage, tokens, metrics, and two signals."""
+"""What all parts of the service share: settings, database, storage, tokens, metrics, the reserve, and two signals."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from fastapi import Depends, Request
 from app.metrics import Metrics
 from app.settings import Settings
 from app.store.database import Database
+from app.store.reserve import Reserve
 from app.store.storage import Storage
 from app.store.tokens import TokenBook
 from interloc.errors import OutputError
@@ -26,6 +27,8 @@ class Context:
     Attributes
     ----------
     settings, database, storage, tokens, metrics
+    reserve : Reserve
+        Disk space that is given up when there is no other.
     stopping : threading.Event
         Set when the server begins to stop: streams and waits that would go on must end.
     jobs_changed : threading.Event
@@ -37,6 +40,7 @@ class Context:
     storage: Storage
     tokens: TokenBook
     metrics: Metrics
+    reserve: Reserve
     stopping: threading.Event = field(default_factory=threading.Event)
     jobs_changed: threading.Event = field(default_factory=threading.Event)
 
@@ -44,8 +48,9 @@ class Context:
     def open(cls, settings: Settings) -> Context:
         """Open database and storage, as `open_database` does."""
         database = open_database(settings)
-        storage = Storage(settings.data_dir)
-        return cls(settings, database, storage, TokenBook(database, settings), Metrics())
+        reserve = reserve_of(settings)
+        database.disk_is_full = reserve.give_up
+        return cls(settings, database, Storage(settings.data_dir), TokenBook(database, settings), Metrics(), reserve)
 
     def close(self) -> None:
         """Close the database."""
@@ -63,6 +68,7 @@ def open_database(settings: Settings) -> Database:
         The database does not answer, or belongs to a newer version.
     """
     _check_writable(settings.data_dir)
+    reserve_of(settings).give_up_if_full()  # bringing the tables up to date needs some space
     database = Database(settings.sqlalchemy_url)
     try:
         database.upgrade()
@@ -70,6 +76,11 @@ def open_database(settings: Settings) -> Database:
         database.close()
         raise
     return database
+
+
+def reserve_of(settings: Settings) -> Reserve:
+    """Return the reserve of disk space that the settings ask for."""
+    return Reserve(settings.data_dir, settings.disk_reserve_bytes, settings.min_free_bytes)
 
 
 def _check_writable(folder: Path) -> None:

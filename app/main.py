@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+from anyio import to_thread
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
@@ -37,9 +38,12 @@ from app.routes import (
 )
 from app.security import client_of
 from app.settings import Settings
+from app.upkeep import Upkeep
 from interloc.pipeline import versions
 
 API = "/api/v1"
+
+_THREADS = 64  # that answer requests: more than may wait for the database at the same time
 
 
 def create_app(settings: Settings | None = None, context: Context | None = None) -> FastAPI:
@@ -57,6 +61,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         parts = app.state
+        to_thread.current_default_thread_limiter().total_tokens = _THREADS
         try:
             opened = context or Context.open(settings)
             parts.context = opened
@@ -64,16 +69,19 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
             parts.on_demand = OnDemand(runner)
+            parts.probe = system.Probe(opened, runner)
             runner.start()
         except Exception as error:
             parts.start_fault = error  # uvicorn reports it as text only
             raise
-        sweeper = Sweeper(opened)
-        sweeper.start()
+        helpers = (Sweeper(opened), Upkeep(opened))
+        for helper in helpers:
+            helper.start()
         try:
             yield
         finally:
-            await run_in_threadpool(sweeper.stop)
+            for helper in helpers:
+                await run_in_threadpool(helper.stop)
             await run_in_threadpool(runner.stop)
             opened.close()
 

@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.drives.records import files_key, find_drive, remove_empty
 from app.http.intake import INCOMING, Arrival
-from app.http.limits import check_drive, check_free_space
+from app.http.limits import check_drive, check_free_space, check_quota
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
 from app.paths import is_map
@@ -27,7 +27,9 @@ from app.store.models import Drive, DriveFile
 _AT_ONCE = 500  # paths in one query
 
 _drives, _files = (cast("Table", table.__table__) for table in (Drive, DriveFile))
-_COUNTS = select(_drives.c.id, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes).with_for_update()
+_COUNTS = select(
+    _drives.c.id, _drives.c.owner, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes
+).with_for_update()
 _SIZES = select(_files.c.path, _files.c.size_bytes)
 _REPLACE = delete(_files).where(_files.c.drive_id == bindparam("of"), _files.c.path == bindparam("at"))
 _INSERT = insert(_files)
@@ -75,9 +77,10 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
 
 @dataclass(frozen=True)
 class DriveCounts:
-    """The four columns of a drive that an upload needs; read without the ORM because this runs once per file."""
+    """The columns of a drive that an upload needs; read without the ORM because this runs once per file."""
 
     id: str
+    owner: str
     state: str
     file_count: int
     size_bytes: int
@@ -132,8 +135,9 @@ def check_upload(context: Context, drive_id: str, path: str, length: int) -> Non
     """
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
-    refuse_unless_open(drive, [path])
-    check_drive(context, drive.file_count, drive.size_bytes + length)
+        refuse_unless_open(drive, [path])
+        check_drive(context, drive.file_count, drive.size_bytes + length)
+        check_quota(context, session, drive.owner, length)
     check_free_space(context, length)
 
 
@@ -156,11 +160,12 @@ def register(
     Raises
     ------
     Problem
-        413: the drive would become too large.
+        413: the drive would become too large, or its owner may not store so much.
     """
     more = sum(arrival.size_bytes for arrival in arrivals) - sum(known.values())
     fresh = len(arrivals) - len(known)
     check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
+    check_quota(context, session, drive.owner, more)
     rows: list[dict[str, Any]] = [
         {"drive_id": drive.id, "path": each.path, "size_bytes": each.size_bytes, "sha256": each.sha256}
         for each in arrivals

@@ -18,6 +18,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
+from app.store.database import is_disk_full
 from interloc.errors import InterLocError
 
 MEDIA_TYPE = "application/problem+json"
@@ -170,9 +171,9 @@ def _of_disconnect(_: ClientDisconnect) -> Problem:
 
 
 def _of_database_error(error: SQLAlchemyError) -> Problem:
-    if "disk is full" in str(error) or "No space left" in str(error):
+    if is_disk_full(error):
         return disk_full()
-    _log.error("database: %s", error)
+    _log.warning("database: %s", error)
     detail = "The database did not answer in time. Send the request again in a moment."
     return Problem(503, "Database busy", detail, headers={"Retry-After": "5"})
 

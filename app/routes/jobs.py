@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Path, Query, Response
+from fastapi import APIRouter, Header, Path, Query, Request, Response
 from sqlalchemy import select
 
 from app.context import ContextDep
+from app.http.limits import job_limit
 from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problems import Problem, ProblemDocument
 from app.jobs.folders import tidy
@@ -73,7 +74,7 @@ def create_job(
             owner=client,
             request=request,
             key=idempotency_key,
-            limit=settings.max_queued_jobs,
+            limit=job_limit(context, client),
         )
         _, drive_name = find_job(session, job.id)
         model = job_model(job, drive_name, settings.root_path, database.clock(session))
@@ -135,12 +136,14 @@ def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
 )
 def delete_job(
     job_id: JobId,
+    request: Request,
     response: Response,
     context: ContextDep,
     _client: ClientDep,
     purge: Annotated[bool, Query(description="Remove a job that has ended, with its results.")] = False,
 ) -> JobModel | Response:
     """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed."""
+    request.state.action = "remove_job" if purge else "cancel_job"
     database = context.database
     with database.writing() as session:
         job, name = find_job(session, job_id)

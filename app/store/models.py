@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from app.states import DriveState, JobState
+from app.states import DriveState, JobState, Scope
 
 
 def new_id() -> str:
@@ -111,3 +111,12 @@ class Token(Base):
     name: Mapped[str] = mapped_column(primary_key=True)
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
     created_at: Mapped[float]
+    scope: Mapped[str] = mapped_column(default=Scope.WRITE, server_default=Scope.WRITE.value)
+    """See `Scope`."""
+    expires_at: Mapped[float | None]
+    last_used_at: Mapped[float | None]
+    """To within some minutes."""
+    max_bytes: Mapped[int | None]
+    """Bytes that its drives may keep on disk."""
+    max_jobs: Mapped[int | None]
+    """Jobs of each kind that may wait or run."""
