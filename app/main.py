@@ -85,6 +85,12 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             await run_in_threadpool(runner.stop)
             opened.close()
 
+    def needs_token() -> bool:
+        opened: Context | None = getattr(app.state, "context", None)
+        if opened is None:
+            return not settings.allow_anonymous and (settings.token is not None or not settings.is_loopback)
+        return opened.tokens.are_needed()
+
     app = FastAPI(
         title="InterLoc",
         version=str(versions()["interloc"]),
@@ -97,7 +103,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         generate_unique_id_function=operation_id,
         responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` lists where."}},
     )
-    app.openapi = Description(app)  # type: ignore[method-assign] # as FastAPI's documentation has it
+    app.openapi = Description(app, needs_token)  # type: ignore[method-assign] # as FastAPI's documentation has it
     app.state.page_files = PageFiles(settings)
     add_handlers(app)
     add_middleware(app, settings)

@@ -21,9 +21,12 @@ from app.http.intake import INCOMING
 from app.http.problems import Problem
 from app.paths import is_map
 from app.states import FINAL, DriveState, JobKind
+from app.store.clock import ClockWatch
 from app.store.models import Base, Drive, Job
 
 PERIOD_S = 3600.0
+_STEADY_S = 3500.0  # one period, for which the clock must not have jumped before anything is removed for its age
+_JUMP_S = 600.0
 LEFT_ALONE_S = 24 * 3600.0
 """Age from which a file or folder without a row in the database is a leftover: no upload takes so long."""
 
@@ -46,10 +49,17 @@ class SweepReport:
     leftovers: list[str]
 
 
-def sweep(context: Context) -> SweepReport:
-    """Remove what is no longer needed; several servers may do this at the same time."""
-    report = SweepReport(_remove_expired(context), [])
-    for key in _leftovers(context):
+def sweep(context: Context, *, by_age: bool = True) -> SweepReport:
+    """Remove what is no longer needed; several servers may do this at the same time.
+
+    Parameters
+    ----------
+    context
+    by_age
+        Also what is old: not where the clock may be wrong.
+    """
+    report = SweepReport(_remove_expired(context) if by_age else [], [])
+    for key in _leftovers(context) if by_age else ():
         context.storage.delete(key)
         report.leftovers.append(key)
     with context.database.reading() as session:
@@ -150,10 +160,15 @@ def _is_old(path: Path) -> bool:
 
 
 class Sweeper:
-    """Cleans up once per hour, from `start` to `stop`."""
+    """Cleans up once per hour, from `start` to `stop`.
+
+    Nothing is removed for its age within the first hour, and after the clock of the database has jumped: it may have
+    been set wrongly, before the start too, and an hour is time to notice that.
+    """
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self._watch = ClockWatch(_JUMP_S)
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -171,8 +186,12 @@ class Sweeper:
     def _run(self) -> None:
         while True:
             try:
-                sweep(self._context)
+                sweep(self._context, by_age=self._clock_is_steady())
             except (SQLAlchemyError, OSError) as error:
                 _log.warning("clean-up: %s", error)
             if self._stopping.wait(PERIOD_S):
                 return
+
+    def _clock_is_steady(self) -> bool:
+        with self._context.database.reading() as session:
+            return self._watch.look(self._context.database.clock(session)) >= _STEADY_S

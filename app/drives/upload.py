@@ -20,7 +20,7 @@ from app.http.intake import INCOMING, Arrival
 from app.http.limits import check_drive, check_free_space, check_quota
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
-from app.paths import is_map
+from app.paths import folded, folded_hash, hash_of, is_map
 from app.states import DriveState
 from app.store.models import Drive, DriveFile
 
@@ -63,13 +63,14 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
     Raises
     ------
     Problem
-        404: there is no such drive. 409: it takes no files now, or a name is that of a folder. 413: it would become
-        too large. Nothing was changed.
+        404: there is no such drive. 409: it takes no files now, or a name is that of a folder or too similar to another
+        one. 413: it would become too large. Nothing was changed.
     """
     with Placement(context, drive_id) as placement, context.database.writing() as session:
         counts = lock_counts(session, drive_id)
         refuse_unless_open(counts, [arrival.path for arrival in arrivals])
         known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
+        refuse_similar_names(session, drive_id, [arrival.path for arrival in arrivals])
         register(context, session, counts, arrivals, known)
         placement.move(arrivals)
     return not known
@@ -152,6 +153,42 @@ def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str,
     return known
 
 
+def refuse_similar_names(session: Session, drive_id: str, paths: Sequence[str]) -> None:
+    """Refuse paths that other file systems take for one: of two files that differ in case only, one would be lost.
+
+    Raises
+    ------
+    Problem
+        409: with the two paths.
+    """
+    plain = {path: folded(path) or path for path in paths}
+    first: dict[str, str] = {}
+    for path, key in plain.items():
+        if (other := first.setdefault(key, path)) != path:
+            raise _too_similar(path, other)
+    for start in range(0, len(paths), _AT_ONCE):
+        some = [(path, plain[path]) for path in paths[start : start + _AT_ONCE]]
+        hashes = {hash_of(key): path for path, key in some}
+        rows = session.execute(
+            select(_files.c.path, _files.c.folded).where(_files.c.drive_id == drive_id, _files.c.folded.in_(hashes))
+        )
+        for other, hashed in rows:
+            if other != hashes[hashed]:
+                raise _too_similar(hashes[hashed], other)
+        keys = {key: path for path, key in some if key != path}
+        for other in sizes_of(session, drive_id, list(keys)) if keys else ():
+            raise _too_similar(keys[other], other)
+
+
+def _too_similar(path: str, other: str) -> Problem:
+    return Problem(
+        409,
+        "Names in conflict",
+        f"{path} and {other} differ only in upper and lower case or in the way their letters are composed; many file "
+        "systems take them for one file. Nothing of this request was kept; rename one of them, or DELETE it first.",
+    )
+
+
 def register(
     context: Context, session: Session, drive: DriveCounts, arrivals: Sequence[Arrival], known: dict[str, int]
 ) -> None:
@@ -167,7 +204,13 @@ def register(
     check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
     check_quota(context, session, drive.owner, more)
     rows: list[dict[str, Any]] = [
-        {"drive_id": drive.id, "path": each.path, "size_bytes": each.size_bytes, "sha256": each.sha256}
+        {
+            "drive_id": drive.id,
+            "path": each.path,
+            "size_bytes": each.size_bytes,
+            "sha256": each.sha256,
+            "folded": folded_hash(each.path),
+        }
         for each in arrivals
     ]
     connection = session.connection()

@@ -10,7 +10,8 @@ from sqlalchemy import ColumnElement, and_, or_
 from app.http.problems import Problem
 from app.store.models import Drive, Job
 
-_CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
+CURSOR_PATTERN = r"^([0-9]{1,12}\.[0-9]{1,20})_([0-9a-f]{1,32})$"
+"""What `cursor_of` returns, as a regular expression for the description of the API."""
 
 
 def cursor_of(row: Drive | Job) -> str:
@@ -26,7 +27,7 @@ def rows_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
     Problem
         422: it is not a cursor.
     """
-    match = _CURSOR.fullmatch(cursor)
+    match = re.fullmatch(CURSOR_PATTERN, cursor)
     if match is None:
         raise Problem(
             422,

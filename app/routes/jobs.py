@@ -9,13 +9,14 @@ from sqlalchemy import select
 
 from app.context import ContextDep
 from app.http.limits import job_limit
-from app.http.paging import cursor_of, newest_first, rows_after
+from app.http.paging import CURSOR_PATTERN, cursor_of, newest_first, rows_after
 from app.http.problems import Problem, ProblemDocument
 from app.jobs.folders import tidy
 from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
 from app.jobs.view import find_job, job_model
 from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
+from app.schemas.strict import ID_PATTERN
 from app.security import ClientDep
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
@@ -23,7 +24,7 @@ from interloc.config import PRESETS, DetectorConfig
 
 router = APIRouter(tags=["Jobs"])
 
-JobId = Annotated[str, Path(max_length=64, description="Id of the job, from POST /api/v1/jobs.")]
+JobId = Annotated[str, Path(pattern=ID_PATTERN, description="Id of the job, from POST /api/v1/jobs.")]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such job."}}
 
 
@@ -88,13 +89,13 @@ def create_job(
 def list_jobs(
     context: ContextDep,
     _client: ClientDep,
-    drive: Annotated[str | None, Query(max_length=64, description="Only those of this drive.")] = None,
+    drive: Annotated[str | None, Query(pattern=ID_PATTERN, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
         JobKind | Literal["all"],
         Query(description="Only those of this kind; commit and unpack are the checks of uploads."),
     ] = JobKind.INTERSECTIONS,
-    after: Annotated[str | None, Query(max_length=100, description="`next` of the previous page.")] = None,
+    after: Annotated[str | None, Query(pattern=CURSOR_PATTERN, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
     """List jobs, the newest first."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from app.states import DriveState, JobState, Scope
@@ -57,6 +57,18 @@ class DriveFile(Base):
     path: Mapped[str] = mapped_column(String(512), primary_key=True)
     size_bytes: Mapped[int]
     sha256: Mapped[str] = mapped_column(String(64))
+    folded: Mapped[str | None] = mapped_column(String(32))
+    """See `app.paths.folded_hash`: two files must not differ in nothing but case or composition."""
+
+    __table_args__ = (
+        Index(
+            "ix_drive_files_folded",
+            "drive_id",
+            "folded",
+            sqlite_where=text("folded IS NOT NULL"),
+            postgresql_where=text("folded IS NOT NULL"),
+        ),
+    )
 
 
 class Job(Base):
