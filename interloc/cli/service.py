@@ -72,41 +72,35 @@ def token() -> None:
     """
 
 
-class _Moment(click.ParamType):
-    """A time to come: 30d, 12h or a date."""
-
-    name = "when"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the seconds since 1970."""
-        span = re.fullmatch(r"(\d{1,5})([dh])", value)
-        if span is not None:
-            return time.time() + int(span[1]) * {"d": 86400, "h": 3600}[span[2]]
-        try:
-            return datetime.fromisoformat(value).replace(tzinfo=UTC).timestamp()
-        except (ValueError, OverflowError):
-            return self.fail(f"{value!r}: expected 30d, 12h or a date such as 2030-12-31 (UTC).", param, ctx)
+_UNITS = ("B", "kB", "MB", "GB", "TB")
 
 
-class _Size(click.ParamType):
-    """A number of bytes, with or without a unit."""
+def _moment(text: str) -> float:
+    """Return the seconds since 1970 of 30d, 12h or a date."""
+    span = re.fullmatch(r"(\d{1,5})([dh])", text)
+    if span is not None:
+        return time.time() + int(span[1]) * {"d": 86400, "h": 3600}[span[2]]
+    try:
+        return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+    except (ValueError, OverflowError):
+        raise click.BadParameter(f"{text!r}: expected 30d, 12h or a date such as 2030-12-31 (UTC).") from None
 
-    name = "size"
-    _UNITS = ("", "kB", "MB", "GB", "TB")
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        """Return the bytes; units are powers of 1024, as in the settings."""
-        found = re.fullmatch(r"(\d{1,15}(?:\.\d{1,6})?) ?([kMGT]?B)?", value)
-        if found is None:
-            return self.fail(f"{value!r}: expected a number with kB, MB, GB or TB, for example 200GB.", param, ctx)
-        return int(float(found[1]) * 1024 ** self._UNITS.index((found[2] or "").removeprefix("B")))
+def _size(text: str) -> int:
+    """Return a number of bytes; units are powers of 1024, as in the settings."""
+    found = re.fullmatch(r"(\d{1,15}(?:\.\d{1,6})?) ?([kMGT]?B)?", text)
+    if found is None:
+        raise click.BadParameter(f"{text!r}: expected a number with kB, MB, GB or TB, for example 200GB.")
+    return int(float(found[1]) * 1024 ** _UNITS.index(found[2] or "B"))
 
 
 @token.command()
 @click.argument("name")
 @click.option("--read-only", is_flag=True, help="It may look at everything, and change nothing.")
-@click.option("--expires", type=_Moment(), help="When it ends: 30d, 12h or a date (UTC).  [default: never]")
-@click.option("--max-bytes", type=_Size(), help="What its drives may keep on disk, for example 200GB.")
+@click.option(
+    "--expires", type=_moment, metavar="WHEN", help="When it ends: 30d, 12h or a date (UTC).  [default: never]"
+)
+@click.option("--max-bytes", type=_size, metavar="SIZE", help="What its drives may keep on disk, for example 200GB.")
 @click.option("--max-jobs", type=click.IntRange(1), help="How many jobs of each kind may wait or run.")
 @_DATA_DIR
 def add(
