@@ -96,7 +96,7 @@ def _complaint(path: str) -> str | None:
         (not path, "is empty"),
         (
             any(unicodedata.category(character) in _CONTROLS for character in path) or "\ufffd" in path,
-            "holds a control or format character, or bytes that are not UTF-8",
+            "holds a control character, another one that is not shown, or bytes that are not UTF-8",
         ),
         ("\\" in path, "holds a backslash"),
         (path.startswith("/") or path[1:2] == ":", "is an absolute path"),

@@ -460,9 +460,7 @@ def parse_config(values: object, *, strict: bool = False) -> DetectorConfig:
         Names each field that is unknown or refused, and why.
     """
     try:
-        if strict:
-            return DetectorConfig.model_validate_json(json.dumps(values), strict=True)
-        return DetectorConfig.model_validate(values)
+        return DetectorConfig.model_validate(values, strict=strict)
     except ValidationError as error:
         lines = []
         for item in error.errors():

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Annotated, Any
 
+from fastapi import Query
 from sqlalchemy import ColumnElement, and_, or_
 
 from app.http.problems import Problem
 from app.store.models import Drive, Job
 
-CURSOR_PATTERN = r"^([0-9]{1,12}\.[0-9]{1,20})_([0-9a-f]{1,32})$"
-"""What `cursor_of` returns, as a regular expression for the description of the API."""
+_CURSOR = r"^([0-9]{1,12}\.[0-9]{1,20})_([0-9a-f]{1,32})$"
+
+After = Annotated[
+    str | None,
+    Query(max_length=100, description="`next` of the previous page.", json_schema_extra={"pattern": _CURSOR}),
+]
+"""Where a page begins."""
 
 
 def cursor_of(row: Drive | Job) -> str:
@@ -27,7 +33,7 @@ def rows_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
     Problem
         422: it is not a cursor.
     """
-    match = re.fullmatch(CURSOR_PATTERN, cursor)
+    match = re.fullmatch(_CURSOR, cursor)
     if match is None:
         raise Problem(
             422,

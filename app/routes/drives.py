@@ -10,7 +10,7 @@ from app.context import ContextDep
 from app.drives import records
 from app.drives.plan import judge_label_counts
 from app.http.openapi import CHANGES_NOTHING
-from app.http.paging import CURSOR_PATTERN
+from app.http.paging import After
 from app.http.problems import ProblemDocument
 from app.schemas.drives import DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
 from app.schemas.strict import ID_PATTERN
@@ -34,7 +34,7 @@ def create_drive(new: NewDrive, response: Response, context: ContextDep, client:
 def list_drives(
     context: ContextDep,
     _client: ClientDep,
-    after: Annotated[str | None, Query(pattern=CURSOR_PATTERN, description="`next` of the previous page.")] = None,
+    after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> DriveList:
     """List drives, the newest first, without their reports."""

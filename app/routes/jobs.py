@@ -9,7 +9,7 @@ from sqlalchemy import select
 
 from app.context import ContextDep
 from app.http.limits import job_limit
-from app.http.paging import CURSOR_PATTERN, cursor_of, newest_first, rows_after
+from app.http.paging import After, cursor_of, newest_first, rows_after
 from app.http.problems import Problem, ProblemDocument
 from app.jobs.folders import tidy
 from app.jobs.queue import cancel, submit
@@ -95,7 +95,7 @@ def list_jobs(
         JobKind | Literal["all"],
         Query(description="Only those of this kind; commit and unpack are the checks of uploads."),
     ] = JobKind.INTERSECTIONS,
-    after: Annotated[str | None, Query(pattern=CURSOR_PATTERN, description="`next` of the previous page.")] = None,
+    after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
     """List jobs, the newest first."""

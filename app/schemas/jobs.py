@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.problems import ProblemDocument
 from app.paths import MAX_PATH
-from app.schemas.strict import ID_PATTERN, Number
+from app.schemas.strict import ID_PATTERN, Number, Yes
 from app.states import JobKind, JobState
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
@@ -27,7 +27,7 @@ class OsmOverpass(BaseModel):
     """The current map from a public Overpass server."""
 
     model_config = ConfigDict(extra="forbid")
-    overpass: Literal[True]
+    overpass: Yes
 
 
 class NewJob(BaseModel):
