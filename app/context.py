@@ -1,4 +1,4 @@
-"""What all parts of the service share: settings, database, storage, tokens, metrics, and two signals."""
+"""What all parts of the service share: settings, database, storage, tokens, metrics, the reserve, and two signals."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from app.metrics import Metrics
 from app.settings import Settings
 from app.store.database import Database
 from app.store.installation import bind, mark_folder
+from app.store.reserve import Reserve
 from app.store.storage import Storage
 from app.store.tokens import TokenBook
 from interloc.errors import ConfigError, OutputError
@@ -30,6 +31,8 @@ class Context:
     Attributes
     ----------
     settings, database, storage, tokens, metrics
+    reserve : Reserve
+        Disk space that is given up when there is no other.
     stopping : threading.Event
         Set when the server begins to stop: streams and waits that would go on must end.
     jobs_changed : threading.Event
@@ -41,6 +44,7 @@ class Context:
     storage: Storage
     tokens: TokenBook
     metrics: Metrics
+    reserve: Reserve
     stopping: threading.Event = field(default_factory=threading.Event)
     jobs_changed: threading.Event = field(default_factory=threading.Event)
 
@@ -48,8 +52,9 @@ class Context:
     def open(cls, settings: Settings, *, bound: bool = True) -> Context:
         """Open database and storage, as `open_database` does."""
         database = open_database(settings, bound=bound)
-        storage = Storage(settings.data_dir)
-        return cls(settings, database, storage, TokenBook(database, settings), Metrics())
+        reserve = reserve_of(settings)
+        database.disk_is_full = reserve.give_up
+        return cls(settings, database, Storage(settings.data_dir), TokenBook(database, settings), Metrics(), reserve)
 
     def close(self) -> None:
         """Close database and storage."""
@@ -80,6 +85,7 @@ def open_database(settings: Settings, *, bound: bool = True) -> Database:
     _refuse_half_restored(settings.data_dir)
     _check_writable(settings.data_dir)
     folder = Path(os.path.realpath(settings.data_dir))
+    reserve_of(settings).give_up_if_full()  # bringing the tables up to date needs some space
     database = Database(settings.sqlalchemy_url)
     ids: list[str] = []
     try:
@@ -98,6 +104,11 @@ def _refuse_half_restored(folder: Path) -> None:
             f"a backup is being restored into the data folder {folder}, and that has not ended. Run the same "
             "`interloc restore` again: it goes on where it stopped."
         )
+
+
+def reserve_of(settings: Settings) -> Reserve:
+    """Return the reserve of disk space that the settings ask for."""
+    return Reserve(settings.data_dir, settings.disk_reserve_bytes, settings.min_free_bytes)
 
 
 def _check_writable(folder: Path) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+from anyio import to_thread
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
+from app.background import Background
 from app.context import Context
 from app.drives.cleanup import Sweeper
 from app.drives.finish import finish_drive
@@ -43,6 +45,8 @@ from interloc.pipeline import versions
 
 API = "/api/v1"
 
+_THREADS = 64  # that answer requests: more than may wait for the database at the same time
+
 
 def create_app(settings: Settings | None = None, context: Context | None = None) -> FastAPI:
     """Make the application.
@@ -59,6 +63,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         parts = app.state
+        to_thread.current_default_thread_limiter().total_tokens = _THREADS
         try:
             opened = context or Context.open(settings)
             parts.context = opened
@@ -68,18 +73,27 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
             parts.on_demand = OnDemand(runner)
+            parts.probe = system.Probe(opened, runner)
             runner.start()
         except Exception as error:
             parts.start_fault = error  # uvicorn reports it as text only
             raise
-        sweeper = Sweeper(opened)
-        sweeper.start()
+        helpers = (Sweeper(opened), Background(opened))
+        for helper in helpers:
+            helper.start()
         try:
             yield
         finally:
-            await run_in_threadpool(sweeper.stop)
+            for helper in helpers:
+                await run_in_threadpool(helper.stop)
             await run_in_threadpool(runner.stop)
             opened.close()
+
+    def needs_token() -> bool:
+        opened: Context | None = getattr(app.state, "context", None)
+        if opened is None:
+            return not settings.allow_anonymous and (settings.token is not None or not settings.is_loopback)
+        return opened.tokens.are_needed()
 
     app = FastAPI(
         title="InterLoc",
@@ -93,7 +107,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         generate_unique_id_function=operation_id,
         responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` lists where."}},
     )
-    app.openapi = Description(app)  # type: ignore[method-assign] # as FastAPI's documentation has it
+    app.openapi = Description(app, needs_token)  # type: ignore[method-assign] # as FastAPI's documentation has it
     app.state.page_files = PageFiles(settings)
     add_handlers(app)
     add_middleware(app, settings)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
-from prometheus_client.core import GaugeMetricFamily, Metric, SummaryMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric, SummaryMetricFamily
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
@@ -54,6 +54,13 @@ class Metrics:
             "interloc_removed_bytes", "Bytes of what was removed or set aside.", ("reason",), registry=self.registry
         )
 
+        self.refused_tokens = Counter(
+            "interloc_refused_tokens",
+            "Requests refused for their token: unknown, too many, expired, read only.",
+            ("reason",),
+            registry=self.registry,
+        )
+
     def count_request(
         self, method: str, route: str, status: int, *, seconds: float | None, received_bytes: int
     ) -> None:
@@ -85,6 +92,7 @@ class _StateRegistry(CollectorRegistry):
     def collect(self) -> Iterable[Metric]:
         """Read it."""
         yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
+        yield from _writers(self._database)
         with self._database.reading() as session:
             now = self._database.clock(session)
             yield from _drives(session)
@@ -94,6 +102,16 @@ class _StateRegistry(CollectorRegistry):
 
 def _gauge(name: str, help_: str, value: float) -> Metric:
     return GaugeMetricFamily(name, help_, value)
+
+
+def _writers(database: Database) -> Iterator[Metric]:
+    waits = database.waits
+    taken = SummaryMetricFamily("interloc_database_write_wait_seconds", "Time that writers waited for their turn.")
+    taken.add_metric([], count_value=waits.count, sum_value=waits.seconds)
+    yield taken
+    given_up = CounterMetricFamily("interloc_database_busy", "Writers that did not get their turn in time.")
+    given_up.add_metric([], waits.given_up)
+    yield given_up
 
 
 def _drives(session: Session) -> Iterator[Metric]:

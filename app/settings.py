@@ -71,6 +71,17 @@ class Settings(BaseSettings):
     idle_timeout_s: float = Field(
         60.0, gt=0, description="Time in seconds after which a request is given up whose body does not go on."
     )
+    min_body_rate: float = Field(
+        1024.0,
+        ge=0,
+        description="Bytes per second that a body must reach on the average once it takes longer than that; "
+        "0 for any rate.",
+    )
+    disk_reserve_bytes: int = Field(
+        16 * MB,
+        ge=0,
+        description="Size of a file that is given up when the disk is full, so that deleting still works; 0 for none.",
+    )
     max_queued_jobs: int = Field(100, ge=1, description="Maximum number of jobs of one client that wait or run.")
     upload_expires_h: float = Field(
         7 * 24.0, gt=0, description="Time in hours after which an upload expires that nobody has touched."

@@ -27,6 +27,7 @@ from app.metrics import Removal
 from app.paths import is_map
 from app.states import FINAL, DriveState, JobKind, JobState
 from app.store import sidecars
+from app.store.clock import ClockWatch
 from app.store.incoming import is_old, remove_dead, size_of
 from app.store.installation import id_of_database, id_of_folder
 from app.store.models import Drive, Job
@@ -34,12 +35,20 @@ from app.store.storage import INCOMING
 from interloc.errors import InterLocError
 
 PERIOD_S = 3600.0
+_STEADY_S = 3500.0  # one period, for which the clock must not have jumped before anything goes for its age
+_JUMP_S = 600.0
 
 _log = logging.getLogger(__name__)
 
 
-def sweep(context: Context) -> Counter[Removal]:
+def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
     """Do all of it; several servers may do so at the same time.
+
+    Parameters
+    ----------
+    context
+    by_age
+        Also what is old: not where the clock may be wrong.
 
     Returns
     -------
@@ -49,12 +58,13 @@ def sweep(context: Context) -> Counter[Removal]:
     swept: Counter[Removal] = Counter()
     if not _is_bound(context):
         return swept
-    swept["expired"] = _expire(context)
     finish_purges(context)
-    swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
-    swept["lost"] = len(set_unknown_aside(context))
+    if by_age:
+        swept["expired"] = _expire(context)
+        swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
+        swept["lost"] = len(set_unknown_aside(context))
+        swept["archive"] = _remove_archives(context)
     swept["incoming"] = remove_incoming(context)
-    swept["archive"] = _remove_archives(context)
     _tidy_drives(context)
     _write_sidecars(context)
     if swept.total():
@@ -249,10 +259,15 @@ def _write_sidecars(context: Context) -> None:
 
 
 class Sweeper:
-    """Cleans up once per hour, from `start` to `stop`."""
+    """Cleans up once per hour, from `start` to `stop`.
+
+    Nothing is removed for its age within the first hour, and after the clock of the database has jumped: it may have
+    been set wrongly, before the start too, and an hour is time to notice that.
+    """
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self._watch = ClockWatch(_JUMP_S)
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -270,8 +285,12 @@ class Sweeper:
     def _run(self) -> None:
         while True:
             try:
-                sweep(self._context)
+                sweep(self._context, by_age=self._clock_is_steady())
             except (SQLAlchemyError, OSError, InterLocError) as error:
                 _log.warning("clean-up: %s", error)
             if self._stopping.wait(PERIOD_S):
                 return
+
+    def _clock_is_steady(self) -> bool:
+        with self._context.database.reading() as session:
+            return self._watch.look(self._context.database.clock(session)) >= _STEADY_S

@@ -14,7 +14,14 @@ from app.context import Context
 from app.drives.cleanup import tidy_drive
 from app.drives.commit import queue_commit
 from app.drives.records import drive_key, reduced_key
-from app.drives.upload import Placement, lock_counts, refuse_unless_open, register, sizes_of
+from app.drives.upload import (
+    Placement,
+    lock_counts,
+    refuse_similar_names,
+    refuse_unless_open,
+    register,
+    sizes_of,
+)
 from app.http.intake import Arrival
 from app.http.problems import Problem
 from app.paths import is_map
@@ -119,7 +126,9 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
             for arrival in arrivals:
                 # A second name: if the server dies before the end of the transaction, all of this is repeated.
                 link(scratch / UNPACKED / arrival.path, arrival.temporary)
-            known = sizes_of(session, drive.id, [arrival.path for arrival in arrivals])
+            paths = [arrival.path for arrival in arrivals]
+            known = sizes_of(session, drive.id, paths)
+            refuse_similar_names(session, drive.id, paths)
             register(context, session, lock_counts(session, drive.id), arrivals, known)
             placement.move(arrivals)
     except Problem as problem:

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Annotated, Any
 
+from fastapi import Query
 from sqlalchemy import ColumnElement, and_, or_
 
 from app.http.problems import Problem
 from app.store.models import Drive, Job
 
-_CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
+_CURSOR = r"^([0-9]{1,12}\.[0-9]{1,20})_([0-9a-f]{1,32})$"
+
+After = Annotated[
+    str | None,
+    Query(max_length=100, description="`next` of the previous page.", json_schema_extra={"pattern": _CURSOR}),
+]
+"""Where a page begins."""
 
 
 def cursor_of(row: Drive | Job) -> str:
@@ -56,7 +63,7 @@ def last_deleted_first(table: type[Drive | Job]) -> tuple[Any, Any]:
 
 
 def _after(time: Any, id_: Any, cursor: str) -> ColumnElement[bool]:  # noqa: ANN401 - columns
-    match = _CURSOR.fullmatch(cursor)
+    match = re.fullmatch(_CURSOR, cursor)
     if match is None:
         raise Problem(
             422,

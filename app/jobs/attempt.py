@@ -226,7 +226,7 @@ class Attempt:
         job_id = self.claim.job.id
         error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
         summary = None if isinstance(outcome, Problem) else outcome.summary
-        with self._context.database.writing() as session:
+        with self._context.database.writing(patient=True) as session:
             if not self._queue.finish(session, self.claim, state, error=error, summary=summary):
                 return False
             if state == JobState.SUCCESSFUL:

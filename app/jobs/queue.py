@@ -18,6 +18,7 @@ from sqlalchemy import CursorResult, case, func, or_, select, text, update
 from sqlalchemy.orm import Session, aliased
 
 from app.http.problems import Problem
+from app.jobs.leases import LeaseClock
 from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job
@@ -60,6 +61,7 @@ class JobQueue:
     def __init__(self, database: Database, lease_s: float) -> None:
         self._database = database
         self._lease_s = lease_s
+        self._clock = LeaseClock(lease_s)
         self._server = f"{socket.gethostname()[:64]}-{secrets.token_hex(4)}"
 
     def claim(self, *, urgent_only: bool = False) -> Claim | None:
@@ -78,7 +80,7 @@ class JobQueue:
         with self._database.reading() as session:  # an idle server must not take the write lock twice per second
             if session.execute(self._claimable(self._database.clock(session), urgent_only=urgent_only)).first() is None:
                 return None
-        with self._database.writing() as session:
+        with self._database.writing(patient=True) as session:
             now = self._database.clock(session)
             query = self._claimable(now, urgent_only=urgent_only)
             if not self._database.is_sqlite:
@@ -97,8 +99,7 @@ class JobQueue:
             job.version += 1
             return Claim(job, drive_name, drive_state, job.lease_owner)
 
-    @staticmethod
-    def _claimable(now: float, *, urgent_only: bool) -> Any:  # noqa: ANN401 - a Select of several columns
+    def _claimable(self, now: float, *, urgent_only: bool) -> Any:  # noqa: ANN401 - a Select of several columns
         other = aliased(Job)
         running = (
             select(func.count())
@@ -112,7 +113,7 @@ class JobQueue:
             select(Job, Drive.name, Drive.state)
             .join(Drive, Drive.id == Job.drive_id)
             .where(
-                or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & (Job.lease_until <= now)),
+                or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & self._clock.have_run_out(now)),
                 or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != DriveState.CHECKING),
             )
             .order_by(case((is_urgent, 0), else_=1), running, Job.created_at, Job.id)
@@ -123,7 +124,7 @@ class JobQueue:
     def heartbeat(self, leases: Iterable[str]) -> dict[str, Held]:
         """Renew leases; return which of them are lost and which jobs were cancelled."""
         leases = list(leases)
-        with self._database.writing() as session:
+        with self._database.writing(patient=True) as session:
             until = self._database.clock(session) + self._lease_s
             session.execute(
                 update(Job).where(Job.lease_owner.in_(leases), Job.state == JobState.RUNNING).values(lease_until=until)
@@ -147,12 +148,12 @@ class JobQueue:
 
     def progress(self, claim: Claim, **values: Any) -> bool:  # noqa: ANN401 - columns of the job
         """Write the progress of a job; False if the lease is lost."""
-        with self._database.writing() as session:
+        with self._database.writing(patient=True) as session:
             return _change(session, claim, **values)
 
     def release(self, claim: Claim) -> bool:
         """Give a job back unfinished because the server stops; the attempt does not count."""
-        with self._database.writing() as session:
+        with self._database.writing(patient=True) as session:
             return _change(
                 session,
                 claim,

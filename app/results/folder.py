@@ -118,8 +118,12 @@ class Result:
             404 where there is none.
         """
         path = self.folder / name
-        inside = "\0" not in name and path.resolve().is_relative_to(self.folder.resolve())
-        if not inside or not path.is_file():
+        try:
+            inside = "\0" not in name and path.resolve().is_relative_to(self.folder.resolve())
+            is_there = inside and path.is_file()
+        except OSError:  # no file system has names so long
+            is_there = False
+        if not is_there:
             raise Problem(404, "File not found", f"The result has no file {name!r}; {self.address}/files lists them.")
         return path
 

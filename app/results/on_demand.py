@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,9 +15,12 @@ from app.results.folder import Result
 from app.states import JobKind
 from app.work.on_demand import VIEW, draw_keyframe, write_export
 from app.work.task import Task
+from interloc.errors import DamagedResultError
 
 _MAX_DRAWING = 2  # workers that a server lends to pictures: jobs go on in the meantime
 _MAX_RUNNING = 64
+
+_log = logging.getLogger(__name__)
 
 
 class OnDemand:
@@ -33,9 +37,18 @@ class OnDemand:
         Raises
         ------
         Problem
-            503: the workers died of it.
+            500: the result is damaged. 503: the workers died of it.
         """
-        await self._once(path, lambda: self._runner.run_in_worker(write_export, result.folder, path, layer))
+        try:
+            await self._once(path, lambda: self._runner.run_in_worker(write_export, result.folder, path, layer))
+        except DamagedResultError as error:
+            _log.error("job %s: %s", result.job_id, error)
+            raise Problem(
+                500,
+                "Result damaged",
+                f"A file of the result of job {result.job_id} is damaged or missing; the log of the service has the "
+                "details. Submit the job again.",
+            ) from error
 
     async def keyframe(self, result: Result, frame: int) -> Path:
         """Return the folder of the pictures of a keyframe.

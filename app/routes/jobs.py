@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Path, Query, Response
+from fastapi import APIRouter, Header, Path, Query, Request, Response
 from sqlalchemy import select
 
 from app.context import ContextDep
 from app.drives.trash import delete_job as delete_ended_job
-from app.http.paging import cursor_of, newest_first, rows_after
+from app.http.limits import job_limit
+from app.http.paging import After, cursor_of, newest_first, rows_after
 from app.http.problems import ProblemDocument
 from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
 from app.jobs.view import find_job, is_alive, job_model
 from app.results.folder import ResultsDep
 from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
+from app.schemas.strict import ID_PATTERN
 from app.security import ClientDep
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
@@ -23,7 +25,7 @@ from interloc.config import PRESETS, DetectorConfig
 
 router = APIRouter(tags=["Jobs"])
 
-JobId = Annotated[str, Path(max_length=64, description="Id of the job, from POST /api/v1/jobs.")]
+JobId = Annotated[str, Path(pattern=ID_PATTERN, description="Id of the job, from POST /api/v1/jobs.")]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such job."}}
 
 
@@ -74,7 +76,7 @@ def create_job(
             owner=client,
             request=request,
             key=idempotency_key,
-            limit=settings.max_queued_jobs,
+            limit=job_limit(context, client),
         )
         _, drive_name = find_job(session, job.id)
         model = job_model(job, drive_name, settings.root_path, database.clock(session))
@@ -88,13 +90,13 @@ def create_job(
 def list_jobs(
     context: ContextDep,
     _client: ClientDep,
-    drive: Annotated[str | None, Query(max_length=64, description="Only those of this drive.")] = None,
+    drive: Annotated[str | None, Query(pattern=ID_PATTERN, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
         JobKind | Literal["all"],
         Query(description="Only those of this kind; commit and unpack are the checks of uploads."),
     ] = JobKind.INTERSECTIONS,
-    after: Annotated[str | None, Query(max_length=100, description="`next` of the previous page.")] = None,
+    after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
     """List jobs, the newest first."""
@@ -137,6 +139,7 @@ def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
 )
 def delete_job(
     job_id: JobId,
+    request: Request,
     response: Response,
     context: ContextDep,
     results: ResultsDep,
@@ -147,6 +150,7 @@ def delete_job(
 
     What is removed can be restored for some days (POST /api/v1/trash/jobs/{id}/restore).
     """
+    request.state.action = "remove_job" if purge else "cancel_job"
     if purge:
         delete_ended_job(context, job_id, client)
         results.forget()

@@ -5,10 +5,10 @@ from __future__ import annotations
 import secrets
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from app.states import DriveState, JobState
+from app.states import DriveState, JobState, Scope
 
 
 def new_id() -> str:
@@ -63,6 +63,18 @@ class DriveFile(Base):
     sha256: Mapped[str] = mapped_column(String(64))
     mtime_ns: Mapped[int | None]
     """When its bytes were written: another time, or size, means other bytes. None in rows of older versions."""
+    folded: Mapped[str | None] = mapped_column(String(32))
+    """See `app.paths.folded_hash`: two files must not differ in nothing but case or composition."""
+
+    __table_args__ = (
+        Index(
+            "ix_drive_files_folded",
+            "drive_id",
+            "folded",
+            sqlite_where=text("folded IS NOT NULL"),
+            postgresql_where=text("folded IS NOT NULL"),
+        ),
+    )
 
 
 class Job(Base):
@@ -120,6 +132,15 @@ class Token(Base):
     name: Mapped[str] = mapped_column(primary_key=True)
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
     created_at: Mapped[float]
+    scope: Mapped[str] = mapped_column(default=Scope.WRITE, server_default=Scope.WRITE.value)
+    """See `Scope`."""
+    expires_at: Mapped[float | None]
+    last_used_at: Mapped[float | None]
+    """To within some minutes."""
+    max_bytes: Mapped[int | None]
+    """Bytes that its drives may keep on disk."""
+    max_jobs: Mapped[int | None]
+    """Jobs of each kind that may wait or run."""
 
 
 class Installation(Base):

@@ -164,6 +164,8 @@ def _tar_members(stream: BinaryIO, count: Callable[[int], None]) -> Iterator[Mem
                 continue
             if not info.isreg() or info.issparse():
                 raise _special(info.name)
+            if info.size < 0:
+                raise ArchiveError(f"{info.name!a}: its header announces {info.size:,} bytes, which no file has.")
 
             def contents(info: tarfile.TarInfo = info) -> IO[bytes]:
                 file = archive.extractfile(info)

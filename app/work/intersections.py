@@ -20,7 +20,8 @@ from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
-from interloc.errors import DriveError, GeoreferenceError
+from interloc.drives.scans.reduced_format import MANIFEST
+from interloc.errors import DriveError, GeoreferenceError, InterLocError
 from interloc.evaluation.coverage import track_bounds
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.output.layout import result_folder
@@ -38,6 +39,12 @@ _MAP_FREE_BYTES = 64 * 1024**2  # small maps may unpack to this much, whatever t
 
 _MIN_RANGE = 40
 _CELLS = 750
+
+
+class DriveGoneError(InterLocError):
+    """A committed drive whose files were removed from outside."""
+
+    http_status = 410
 
 
 def prepare(task: Task) -> Plan:
@@ -88,9 +95,20 @@ def finish(task: Task, plan: Plan) -> Outcome:
 
 
 def open_input(task: Task) -> tuple[Drive, IntArray]:
-    """Return the drive of a task, and the positions of its keyframes."""
+    """Return the drive of a task, and the positions of its keyframes.
+
+    Raises
+    ------
+    DriveGoneError
+        Its files are not where the commit has put them.
+    """
     config = config_of(task)
     root = task.drive / REDUCED
+    if not (root / MANIFEST).is_file():
+        raise DriveGoneError(
+            f"The files of drive {task.drive_name} are no longer on the disk of the service, though it was committed. "
+            "Upload it again, and tell the operator."
+        )
     return _open_once(root, task.drive_name, _label_folder(task, root), config)
 
 

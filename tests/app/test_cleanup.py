@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives.cleanup import sweep
+from app.drives.cleanup import Sweeper, sweep
 from app.drives.finish import finish_drive
 from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
 from app.drives.trash import list_trash, restore
@@ -20,6 +20,7 @@ from app.http.intake import Arrival
 from app.jobs.queue import submit
 from app.schemas.drives import NewDrive
 from app.settings import Settings
+from app.store.clock import ClockWatch
 from app.store.incoming import LEFT_ALONE_S
 from app.store.models import Drive, Job
 from app.work.task import Outcome
@@ -216,15 +217,39 @@ def test_raw_scans_stay_where_nothing_replaces_them(context: Context, caplog: py
 
 def test_files_replaced_counted_and_listed_in_order(context: Context) -> None:
     drive = make_drive(context)
-    for path, size in (("b.txt", 5), ("B.txt", 6), ("\u00e4.txt", 7), ("b.txt", 2)):
+    for path, size in (("b.txt", 5), ("C.txt", 6), ("\u00e4.txt", 7), ("b.txt", 2)):
         temporary = context.storage.incoming() / "file"
         temporary.write_bytes(bytes(size))
         keep(context, drive, [Arrival(path, temporary, size, "0" * 64)])
     paths = [file.path for file in list_files(context, drive, None, 100).files]
-    assert paths == ["B.txt", "b.txt", "map.osm", "velodyne/000000.bin", "\u00e4.txt"]
+    assert paths == ["C.txt", "b.txt", "map.osm", "velodyne/000000.bin", "\u00e4.txt"]
     assert [file.path for file in list_files(context, drive, "b.txt", 1).files] == ["map.osm"]
     (shown,) = list_drives(context, None, 100).drives
     assert (shown.files, shown.size_bytes) == (5, 1 + 1 + 2 + 6 + 7)
     delete_file(context, drive, "b.txt")
     (shown,) = list_drives(context, None, 100).drives
     assert (shown.files, shown.size_bytes) == (4, 1 + 1 + 6 + 7)
+
+
+@pytest.mark.parametrize("jump_s", [0.0, 8 * 86400.0, -8 * 86400.0])
+def test_age_counts_only_while_the_clock_is_steady(jump_s: float) -> None:
+    server_s, database_s = 50.0, 1e9
+    watch = ClockWatch(600, lambda: server_s)
+    assert watch.look(database_s) == 0  # what was before the start is not known
+    server_s, database_s = server_s + 3600, database_s + 3601
+    assert watch.look(database_s) == 3600
+    server_s, database_s = server_s + 3600, database_s + 3600 + jump_s
+    assert watch.look(database_s) == (0 if jump_s else 7200)
+    server_s, database_s = server_s + 3600, database_s + 3600
+    assert watch.look(database_s) == (3600 if jump_s else 10800)
+
+
+def test_nothing_goes_for_its_age_while_the_clock_is_in_doubt(context: Context) -> None:
+    old = make_drive(context, age_h=3)
+    make_old(context.storage.folder("incoming/old"))
+    sweeper = Sweeper(context)
+    assert not sweeper._clock_is_steady()  # as at each start
+    report = sweep(context, by_age=sweeper._clock_is_steady())
+    assert (report.drives, report.leftovers) == ([], [])
+    assert drives(context) == {old}
+    assert sweep(context).drives == [old]
