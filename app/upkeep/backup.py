@@ -27,6 +27,7 @@ from filelock import FileLock, Timeout
 from pydantic import BaseModel, ValidationError
 from sqlalchemy import Table, select
 from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import TimeoutError as WaitedTooLong
 
 from app.context import Context
 from app.drives.records import drive_key
@@ -45,6 +46,7 @@ from app.upkeep.content import (
     find_files,
     read_content,
     read_shared,
+    reason_of,
     write_content,
     write_shared,
     writing_rows,
@@ -375,15 +377,14 @@ def _patiently(work: Callable[[], Returned]) -> Returned:
     for pause_s in _PAUSES_S:
         try:
             return work()
-        except OperationalError:
+        except (OperationalError, WaitedTooLong):
             time.sleep(pause_s)
     try:
         return work()
-    except OperationalError as error:
-        reason = " ".join(str(error.orig).split())
+    except (OperationalError, WaitedTooLong) as error:
         raise InterLocError(
-            f"the database of the service does not answer: {reason}. Make the backup again when it does; what was "
-            "brought so far is kept."
+            f"the database of the service does not answer: {reason_of(error)}. Make the backup again when it does; "
+            "what was brought so far is kept."
         ) from error
 
 

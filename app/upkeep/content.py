@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from sqlalchemy import Select, Table, delete, insert, select
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.drives.records import drive_key, files_key, reduced_key, stays_uploaded
@@ -168,10 +168,14 @@ def writing_rows(database: Database) -> Iterator[Session]:
     try:
         with database.writing() as session:
             yield session
-    except DBAPIError as error:
+    except SQLAlchemyError as error:
         shown = database.url.render_as_string(hide_password=True)
-        reason = " ".join(str(error.orig).split())
-        raise OutputError(f"rows could not be written into the database {shown}: {reason}.") from error
+        raise OutputError(f"rows could not be written into the database {shown}: {reason_of(error)}.") from error
+
+
+def reason_of(error: SQLAlchemyError) -> str:
+    """Return what a database says is wrong, in one line."""
+    return " ".join(str(error.orig if isinstance(error, DBAPIError) else error).split())
 
 
 def back_in_queue(job: Row) -> Row:

@@ -21,7 +21,7 @@ from app.context import RESTORING, Context
 from app.settings import Settings
 from app.states import DriveState
 from app.store.database import Database
-from app.store.installation import remark_folder
+from app.store.installation import id_of_database, remark_folder
 from app.store.models import Drive, Installation, Job, Token
 from app.store.storage import Storage
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, refuse_unless_empty
@@ -161,7 +161,9 @@ def _bring_all(
         shared = read_shared(session)
     with writing_rows(database) as session:
         write_shared(session, shared)
-        session.merge(Installation(id=report.record.installation, created_at=report.record.begun_at.timestamp()))
+        if id_of_database(session) is None:  # of a version without ids, or of a backup that had hardly begun
+            session.add(Installation(id=report.record.installation, created_at=report.record.begun_at.timestamp()))
+            session.flush()
         report.drives = session.scalar(select(func.count()).select_from(Drive)) or 0
         report.jobs = session.scalar(select(func.count()).select_from(Job)) or 0
     os.sync()

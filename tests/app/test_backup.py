@@ -18,15 +18,20 @@ from typing import Any, Self
 
 import httpx
 import pytest
-from sqlalchemy import select
+from alembic import command
+from alembic.config import Config
+from sqlalchemy import select, text
 
 from app.context import RESTORING, Context
 from app.drives.archive import queue_archive
 from app.drives.commit import begin_commit
+from app.drives.trash import empty_trash, list_trash
 from app.http.intake import Arrival
 from app.jobs import queue
 from app.schemas.drives import CommitRequest
 from app.settings import Settings
+from app.store import database as database_module
+from app.store.database import Database
 from app.store.models import Base, Drive, Job
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, BackupReport, back_up, open_service
 from app.upkeep.content import DRIVE_TABLES, SHARED_TABLES
@@ -107,6 +112,18 @@ def contents(folder: Path) -> dict[str, str]:
         for kind in ("drives", "jobs")
         for path in files_below(folder / kind)
     }
+
+
+def rows(data: Path) -> dict[str, list[dict[str, Any]]]:
+    """All rows, but for the times at which uploads were touched last: those begin anew with a restoration."""
+    with service(data) as context, context.database.reading() as session:
+        found = {
+            table.name: [dict(row) for row in session.execute(table.select().order_by(*table.primary_key)).mappings()]
+            for table in (*DRIVE_TABLES, *SHARED_TABLES)
+        }
+    for row in found["drives"]:
+        del row["touched_at"]
+    return found
 
 
 def answers(data: Path, **settings: Any) -> dict[str, Any]:
@@ -376,9 +393,10 @@ def test_a_killed_restoration_goes_on(data: Path, tmp_path: Path) -> None:
         make_backup(tmp_path / "elsewhere", tmp_path / "other")
     report = restore_to(restored, out)
     assert report.drives == 3
+    assert report.findings == []
     assert report.files < len(contents(out))
     assert contents(restored) == contents(out)
-    assert answers(restored) == answers(data)
+    assert rows(restored) == rows(data)
 
 
 def test_a_killed_restoration_of_another_backup_is_left_alone(data: Path, tmp_path: Path) -> None:
@@ -467,6 +485,48 @@ def test_a_data_folder_that_is_not_whole_is_backed_up_as_it_is(data: Path, used:
         f"{gone.relative_to(data).as_posix()} is not there",
         f"{cut.relative_to(data).as_posix()} has 7 bytes, not {size:,} as listed",
     }
+
+
+def test_the_backup_of_an_earlier_version_is_restored(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "backup"
+    make_backup(data, out)
+    database = Database(f"sqlite:///{out / DATABASE}")
+    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        config = Config()
+        config.set_main_option("script_location", str(Path(database_module.__file__).parent / "migrations"))
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0001")
+    database.close()
+    before = (out / DATABASE).read_bytes()
+    restored = restore_to(tmp_path / "restored", out)
+    assert (restored.drives, restored.findings) == (3, [])
+    assert contents(tmp_path / "restored") == contents(out)
+    assert (out / DATABASE).read_bytes() == before
+
+
+def test_the_backup_of_a_later_version_is_left_alone(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "backup"
+    make_backup(data, out)
+    database = Database(f"sqlite:///{out / DATABASE}")
+    with database.writing() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    database.close()
+    with pytest.raises(InterLocError, match=r"backup\.sqlite3, written by InterLoc .* made by a newer version"):
+        restore_to(tmp_path / "restored", out)
+    assert not (tmp_path / "restored").exists()
+
+
+def test_the_time_in_the_trash_begins_anew(data: Path, tmp_path: Path) -> None:
+    """A backup is often restored for the sake of what was deleted by mistake."""
+    with service(data, trash_h=1) as context:
+        with context.database.writing() as session:
+            (drive,) = session.scalars(select(Drive).where(Drive.state == "uploading"))
+            drive.deleted_at = context.database.clock(session) - timedelta(days=30).total_seconds()
+        back_up(context, tmp_path / "backup")
+    restore_to(tmp_path / "restored", tmp_path / "backup")
+    with service(tmp_path / "restored", trash_h=1) as context:
+        assert empty_trash(context, older_than_s=3600) == []
+        assert [item.id for item in list_trash(context, None, 10).items] == [drive.id]
 
 
 def test_old_uploads_do_not_expire_when_they_are_restored(data: Path, tmp_path: Path) -> None:
