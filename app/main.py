@@ -12,6 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from app.context import Context
 from app.drives.cleanup import Sweeper
 from app.drives.finish import finish_drive
+from app.http.limits import make_room_to_delete
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.http.page import PageFiles
@@ -108,7 +109,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     add_handlers(app)
     add_middleware(app, settings)
     for module in (drives, files, scans, archive, commit, jobs, events, results, keyframes, exports, compare, demo):
-        app.include_router(module.router, prefix=API, dependencies=[Depends(client_of)])
+        app.include_router(module.router, prefix=API, dependencies=[Depends(client_of), Depends(make_room_to_delete)])
     for module in (system, page):
         app.include_router(module.router)
     return app
