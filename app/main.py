@@ -14,6 +14,7 @@ from app.context import Context
 from app.drives.cleanup import Sweeper
 from app.drives.finish import finish_drive
 from app.drives.reconcile import reconcile_all
+from app.http.limits import make_room_to_delete
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.http.page import PageFiles
@@ -113,8 +114,9 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     add_middleware(app, settings)
     of_drives = (drives, files, scans, archive, commit, demo)
     of_jobs = (jobs, events, results, keyframes, exports, compare)
+    shared = [Depends(client_of), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
-        app.include_router(module.router, prefix=API, dependencies=[Depends(client_of)])
+        app.include_router(module.router, prefix=API, dependencies=shared)
     for module in (system, page):
         app.include_router(module.router)
     return app

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from app.context import Context
@@ -68,6 +69,13 @@ def check_free_space(context: Context, needed: int) -> None:
     if context.storage.free_bytes() - needed < context.settings.min_free_bytes:
         problem = disk_full()
         raise Problem(problem.status, problem.title, problem.detail, headers=CLOSE)
+
+
+async def make_room_to_delete(request: Request) -> None:
+    """Give up the reserve where the disk is full and a request is to delete something, which needs some space."""
+    if request.method == "DELETE":
+        context: Context = request.app.state.context
+        await run_in_threadpool(context.reserve.give_up_if_full)
 
 
 def check_drive(context: Context, files: int, size: int) -> None:

@@ -322,6 +322,12 @@ def test_archives_that_the_readers_do_not_expect(client: httpx.Client, home: Pat
     refuse(client, home, data, "damaged or cut short")
 
 
+def test_a_tar_header_with_a_size_below_zero(client: httpx.Client, home: Path) -> None:
+    info = tarfile.TarInfo("poses.txt")
+    info.pax_headers = {"size": "-512"}
+    refuse(client, home, tarred({}, info, format=tarfile.PAX_FORMAT), "announces -512 bytes")
+
+
 def test_archives_without_files(client: httpx.Client, home: Path) -> None:
     refuse(client, home, zipped({}), "holds no files")
     refuse(client, home, tarred({}, special(tarfile.DIRTYPE, "07")), "holds no files")

@@ -141,6 +141,8 @@ def test_every_file_is_listed_and_can_be_read(finished: Finished) -> None:
         "a%00b",
         "figures/..",
         "link",
+        "a" * 300,
+        "a/" * 200,
     ],
 )
 def test_no_way_out_of_the_result(name: str, finished: Finished) -> None:
