@@ -13,7 +13,7 @@ from app.http.problems import Problem, ProblemDocument
 from app.jobs.folders import tidy
 from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
-from app.jobs.view import find_job, job_model
+from app.jobs.view import find_job, job_models
 from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
 from app.security import ClientDep
 from app.states import FINAL, JobKind, JobState
@@ -76,7 +76,7 @@ def create_job(
             limit=settings.max_queued_jobs,
         )
         _, drive_name = find_job(session, job.id)
-        model = job_model(job, drive_name, settings.root_path, database.clock(session))
+        (model,) = job_models(session, context, [(job, drive_name)])
     context.jobs_changed.set()
     response.status_code = 202 if is_new else 200
     response.headers["Location"] = model.links["self"]
@@ -107,9 +107,8 @@ def list_jobs(
     if after is not None:
         query = query.where(rows_after(Job, after))
     with context.database.reading() as session:
-        rows = session.execute(query).all()
-        now = context.database.clock(session)
-    jobs = [job_model(job, name, context.settings.root_path, now) for job, name in rows[:limit]]
+        rows = [(job, name) for job, name in session.execute(query)]
+        jobs = job_models(session, context, rows[:limit])
     return JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
 
 
@@ -117,8 +116,8 @@ def list_jobs(
 def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     with context.database.reading() as session:
-        job, name = find_job(session, job_id)
-        return job_model(job, name, context.settings.root_path, context.database.clock(session))
+        (model,) = job_models(session, context, [find_job(session, job_id)])
+    return model
 
 
 @router.delete(
@@ -149,7 +148,7 @@ def delete_job(
             session.delete(job)
         else:
             cancel(session, database, job)
-            model = job_model(job, name, context.settings.root_path, database.clock(session))
+            (model,) = job_models(session, context, [(job, name)])
     if purge:
         tidy(context.storage, job_id, keep_result=False)
         return Response(status_code=204)
