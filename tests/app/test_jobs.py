@@ -17,6 +17,7 @@ import pytest
 from app.settings import Settings
 from app.store.database import Database
 from app.store.models import Drive
+from app.store.tokens import add_token
 from interloc.cli.main import run
 from tests.app.conftest import running_server
 from tests.app.processes import API, Gate, ended, half_way, job_of, submit, upload, wait_until
@@ -290,6 +291,27 @@ def test_a_short_job_does_not_wait_for_a_long_one(
     assert job_of(client, long)["state"] == "running"
     gate.open()
     assert ended(client, long)["state"] == "successful"
+
+
+def test_a_client_has_its_turn_while_another_holds_every_worker(serve: Serve, street: Path, tmp_path: Path) -> None:
+    own = serve(workers=1, jobs_at_once=1)
+    database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
+    ann, eve = ({"Authorization": f"Bearer {add_token(database, name)}"} for name in ("ann", "eve"))
+    database.close()
+    own.headers.update(eve)
+    held = upload(own, street)
+    gate = Gate(tmp_path / "data", held, MIDDLE)
+    many = [submit(own, held) for _ in range(3)]
+    half_way(own, many[0])
+    assert job_of(own, many[2])["message"] == "1 job is before it."
+    own.headers.update(ann)
+    job = ended(own, submit(own, upload(own, street)))
+    assert job["state"] == "successful"
+    assert own.get(f"{API}/jobs/{job['id']}/keyframes/{MIDDLE}/bev.png").status_code == 200
+    assert [job_of(own, each)["state"] for each in many] == ["running", "accepted", "accepted"]
+    gate.open()
+    for each in many:
+        assert ended(own, each)["state"] == "successful"
 
 
 def test_a_drive_without_georeference_is_mapped_but_not_scored(
