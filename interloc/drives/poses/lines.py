@@ -116,9 +116,12 @@ def rotation_complaint(rotation: FloatArray) -> str:
 
 def _read_rows(file: SourceFile) -> tuple[FloatArray, IntArray]:
     """Return the numbers of every line that is not blank, and its line number."""
+    texts = file.lines()
+    if (table := _plain_table(texts)) is not None:
+        return table, np.arange(1, len(table) + 1)
     values, lines = array("d"), array("q")  # a tenth of the memory of lists
     length = 0
-    for line, text in enumerate(file.lines(), start=1):
+    for line, text in enumerate(texts, start=1):
         fields = text.split()
         if not fields or fields[0].startswith("#"):
             continue
@@ -130,6 +133,16 @@ def _read_rows(file: SourceFile) -> tuple[FloatArray, IntArray]:
     if not lines:
         raise file.fault("holds comments only. Expected one line of 12 numbers per scan.")
     return np.frombuffer(values).reshape(-1, length), np.frombuffer(lines, dtype=np.int64)
+
+
+def _plain_table(texts: list[str]) -> FloatArray | None:
+    """Read lines of nothing but poses, five times as fast; None where a line is something else or wrong."""
+    try:
+        table = np.loadtxt(texts, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    is_plain = len(table) == len(texts) and table.shape[1] in _LENGTHS and np.isfinite(table).all()
+    return table if is_plain else None
 
 
 def _length_complaint(fields: list[str], length: int) -> str:
