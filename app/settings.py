@@ -45,8 +45,11 @@ class Settings(BaseSettings):
     dask: str | None = Field(
         None, description="Address of a Dask scheduler that does the work instead, for example tcp://host:8786."
     )
-    jobs_at_once: int | None = Field(
-        None, ge=1, le=256, description="Number of jobs worked on at the same time; two by default."
+    jobs_at_once: int = Field(
+        2,
+        ge=1,
+        le=256,
+        description="Number of jobs worked on at the same time, beside one of each further client.",
     )
     max_attempts: int = Field(
         3, ge=1, le=20, description="Number of times that a job is tried whose worker or server dies."
@@ -55,6 +58,21 @@ class Settings(BaseSettings):
         30.0,
         ge=1.0,
         description="Time in seconds after which a job is taken over from a server that gives no sign of life.",
+    )
+    job_stage_s: float = Field(
+        1800.0,
+        gt=0,
+        description="Maximum time in seconds of one stage of a job: its preparation, one part of it, or its end.",
+    )
+    job_s: float = Field(6 * 3600.0, gt=0, description="Maximum time in seconds of a job from its start.")
+    request_work_s: float = Field(
+        120.0, gt=0, description="Maximum time in seconds of the work for one request: pictures, exports, plans."
+    )
+    worker_memory_bytes: int | None = Field(
+        None,
+        ge=256 * MB,
+        description="Maximum memory of one worker process (Linux); by default an equal share of three quarters of the "
+        "memory of the machine or container, at least 1 GB.",
     )
 
     # Limits.

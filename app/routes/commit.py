@@ -31,13 +31,13 @@ _CONFLICT: dict[int | str, dict[str, Any]] = {
 
 @router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive", openapi_extra=CHANGES_NOTHING)
 async def plan_reduction(
-    drive_id: DriveId, request: PlanRequest, context: ContextDep, runner: RunnerDep, _client: ClientDep
+    drive_id: DriveId, request: PlanRequest, context: ContextDep, runner: RunnerDep, client: ClientDep
 ) -> ReductionPlanModel:
     """Return which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
 
     For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
     """
-    return await plan_upload(context, runner, drive_id, request)
+    return await plan_upload(context, runner, drive_id, request, client)
 
 
 @router.post(

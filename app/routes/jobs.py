@@ -14,7 +14,7 @@ from app.http.paging import After, cursor_of, newest_first, rows_after
 from app.http.problems import ProblemDocument
 from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
-from app.jobs.view import find_job, is_alive, job_model
+from app.jobs.view import find_job, is_alive, job_models
 from app.results.folder import ResultsDep
 from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
 from app.schemas.strict import ID_PATTERN
@@ -65,7 +65,7 @@ def create_job(
     The job waits in a queue, and survives restarts of the service. Follow its events, or ask for it from time to
     time. A job of a drive whose check still runs waits for it.
     """
-    database, settings = context.database, context.settings
+    database = context.database
     with database.writing() as session:
         request = check_request(session, context, new)
         job, is_new = submit(
@@ -79,7 +79,7 @@ def create_job(
             limit=job_limit(context, client),
         )
         _, drive_name = find_job(session, job.id)
-        model = job_model(job, drive_name, settings.root_path, database.clock(session))
+        (model,) = job_models(session, context, [(job, drive_name)])
     context.jobs_changed.set()
     response.status_code = 202 if is_new else 200
     response.headers["Location"] = model.links["self"]
@@ -111,9 +111,8 @@ def list_jobs(
     if after is not None:
         query = query.where(rows_after(Job, after))
     with context.database.reading() as session:
-        rows = session.execute(query).all()
-        now = context.database.clock(session)
-    jobs = [job_model(job, name, context.settings.root_path, now) for job, name in rows[:limit]]
+        rows = [(job, name) for job, name in session.execute(query)]
+        jobs = job_models(session, context, rows[:limit])
     return JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
 
 
@@ -121,8 +120,8 @@ def list_jobs(
 def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     with context.database.reading() as session:
-        job, name = find_job(session, job_id)
-        return job_model(job, name, context.settings.root_path, context.database.clock(session))
+        (model,) = job_models(session, context, [find_job(session, job_id)])
+    return model
 
 
 @router.delete(
@@ -159,7 +158,7 @@ def delete_job(
     with database.writing() as session:
         job, name = find_job(session, job_id)
         cancel(session, database, job)
-        model = job_model(job, name, context.settings.root_path, database.clock(session))
+        (model,) = job_models(session, context, [(job, name)])
     context.jobs_changed.set()
     response.status_code = 200 if model.state in FINAL else 202
     return model

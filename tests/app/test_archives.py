@@ -388,6 +388,25 @@ def test_too_many_files(serve: Callable[..., httpx.Client], tmp_path: Path) -> N
     assert list(listed(client, drive)) == ["poses.txt"]
 
 
+def test_a_zip_that_lists_very_many_files_is_not_looked_into(
+    serve: Callable[..., httpx.Client], tmp_path: Path
+) -> None:
+    """However few the end record names: `zipfile` goes by the size of the list."""
+    entry = struct.pack("<4s6H3L5H2L", b"PK\x01\x02", 20, 20, 0, 0, 0, 33, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0) + b"a"
+    many = entry * 10_100 + bytes(46)  # which is no entry
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 1, 1, len(many), 0, 0)
+    client = serve(max_drive_files=50)
+    refuse(client, tmp_path, b"PK\x03\x04" + many + end, "more than 50 files")
+    large = 11_000 * 1024
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 1, 1, large, 0, 0)
+    refuse(client, tmp_path, b"PK\x03\x04" + bytes(large) + end, "more than 50 files")
+
+
+def test_a_small_archive_of_very_many_empty_files(client: httpx.Client, home: Path) -> None:
+    names = tarred({f"velodyne/{n:06d}.bin": b"" for n in range(10_001)})
+    refuse(client, home, zstandard.compress(names), "more than 10,000 files")
+
+
 def test_too_large_files_and_archives(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
     client = serve(max_file_bytes=1_000_000, max_archive_bytes=200_000, max_drive_bytes=1_500_000)
     refuse(client, tmp_path, zipped({"07/poses.txt": bytes(1_000_001)}), "larger than 1 MB")

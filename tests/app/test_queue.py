@@ -109,14 +109,21 @@ def test_uploads_go_before_long_work(database: Database, drive: str) -> None:
     assert [taken(queue) for _ in range(3)] == [commit, unpack, long]
 
 
-def test_only_quick_jobs_where_there_is_no_room_for_others(database: Database, drive: str) -> None:
-    add_job(database, drive)
+def test_where_enough_jobs_run_only_quick_ones_are_taken_and_those_of_clients_that_have_none(
+    database: Database, drive: str
+) -> None:
     queue = JobQueue(database, 60)
-    assert queue.claim(urgent_only=True) is None
-    commit = add_job(database, add_drive(database, "checking"), kind="commit")
-    claim = queue.claim(urgent_only=True)
+    add_job(database, drive, "eve")
+    assert queue.claim() is not None
+    add_job(database, drive, "eve")
+    assert queue.claim(enough_long=True) is None
+    newcomer = add_job(database, drive, "ann")
+    commits = [add_job(database, add_drive(database, "checking"), "eve", kind="commit") for _ in range(2)]
+    taken_jobs = [queue.claim(enough_long=True, enough_urgent=True) for _ in range(3)]
+    assert [claim and claim.job.id for claim in taken_jobs] == [commits[0], newcomer, None]
+    claim = queue.claim(enough_long=True)
     assert claim is not None
-    assert claim.job.id == commit
+    assert claim.job.id == commits[1]
 
 
 def test_a_job_waits_for_the_check_of_its_drive(database: Database) -> None:
