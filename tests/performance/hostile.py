@@ -145,7 +145,7 @@ def hostile_jobs(client: httpx.Client, root: Path, street: Path) -> list[tuple[s
     zipped, packed = many_entries(1_000_000), many_members(250_000)
     drives = {lines: long_poses(root, street, lines) for lines in (1_000_000, 5_000_000)}
     extreme: list[dict[str, Any]] = [
-        {"bev": {"resolution_m": 0.05, "size_m": 200}, "keyframes": {"spacing_m": 0.1, "window": 500}},
+        {"bev": {"resolution_m": 0.05, "size_m": 200}, "keyframes": {"window": 500}},
         {"bev": {"resolution_m": 0.05, "size_m": 200}, "candidates": {"kind": "harris", "min_score": 0.0}},
     ]
     return [
