@@ -27,13 +27,14 @@ _MAX_SHOWN_CHARS = 80
 _CONTROLS = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 _DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9]) *(\.|$)", re.IGNORECASE)  # on Windows, with any ending
 
-_NOT = (  # what no name holds, as `_CONTROLS` and the rules below have it, for regular expressions without categories
+_NOT = (  # what no name holds by `_CONTROLS` and the rules below, for regular expressions without categories
     r"/\\\u0000-\u001f\u007f-\u009f\u00ad\u0600-\u0605\u061c\u06dd\u070f\u0890\u0891\u08e2\u180e\u200b-\u200f"
-    r"\u2028-\u202e\u2060-\u2064\u2066-\u206f\ud800-\udfff\ufeff\ufff9-\ufffb\ufffd"
+    r"\u2028-\u202e\u2060-\u2064\u2066-\u206f\ufeff\ufff9-\ufffb\ufffd"
 )
 _NAME = f"(?:[^. {_NOT}]|[^.{_NOT}][^{_NOT}]*[^. {_NOT}])"
 _DEVICES = "(?:[cC][oO][nN]|[pP][rR][nN]|[aA][uU][xX]|[nN][uU][lL]|[cC][oO][mM][0-9]|[lL][pP][tT][0-9])"
-PATH_PATTERN = rf"^(?!.:)(?!(?:.*/)?{_DEVICES} *(?:[./]|$)){_NAME}(?:/{_NAME}){{0,{MAX_DEPTH - 1}}}$"
+_TOO_LONG = f"[^/]{{{MAX_SEGMENT_BYTES + 1}}}"
+PATH_PATTERN = rf"^(?!.:)(?!(?:.*/)?(?:{_TOO_LONG}|{_DEVICES} *(?:[./]|$))){_NAME}(?:/{_NAME}){{0,{MAX_DEPTH - 1}}}$"
 """What `check_path` takes, as a regular expression for the description of the API."""
 
 

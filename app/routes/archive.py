@@ -26,7 +26,14 @@ router = APIRouter(prefix="/drives/{drive_id}/archive", tags=["Uploads"])
 
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _KINDS = ("application/octet-stream", "application/zip", "application/x-tar", "application/gzip", "application/zstd")
-_FORM = {"schema": {"type": "object", "properties": {"archive": _BINARY["schema"]}, "required": ["archive"]}}
+_FORM = {
+    "schema": {
+        "type": "object",
+        "properties": {"archive": _BINARY["schema"]},
+        "required": ["archive"],
+        "additionalProperties": False,
+    }
+}
 
 
 @router.post(

@@ -38,7 +38,16 @@ _ABOUT = {
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": {"multipart/form-data": {"schema": {"type": "object", "properties": _ABOUT}}},
+            "content": {
+                "multipart/form-data": {
+                    "schema": {
+                        "type": "object",
+                        "properties": _ABOUT,
+                        "minProperties": 1,
+                        "additionalProperties": False,
+                    }
+                }
+            },
         }
     },
     summary="Upload a batch of scans",
