@@ -68,7 +68,7 @@ class Correction:
     done: Literal["listed", "unlisted", "renewed"]
 
 
-def reconcile(context: Context, drive_id: str, *, maps_only: bool = False) -> list[Correction]:
+def reconcile(context: Context, drive_id: str, *, maps_only: bool = False, is_news: bool = True) -> list[Correction]:
     """Make the rows of a drive agree with its files.
 
     Parameters
@@ -77,6 +77,8 @@ def reconcile(context: Context, drive_id: str, *, maps_only: bool = False) -> li
     drive_id
     maps_only
         Look at the maps only: all that can change in a drive that is ready.
+    is_news
+        Whether corrections are logged; False where somebody asked for them, and is told.
 
     Raises
     ------
@@ -101,7 +103,7 @@ def reconcile(context: Context, drive_id: str, *, maps_only: bool = False) -> li
             if all(each.found is None or (each.path, each.found) in digests for each in found):
                 corrections = list(_correct(session, drive, found, digests))
                 break
-    for correction in corrections:
+    for correction in corrections if is_news else ():
         _log.warning("drive %s: %s: %s", drive_id, correction.path, _WORDS[correction.done], extra={"drive": drive_id})
     return corrections
 

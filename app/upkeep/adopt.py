@@ -124,7 +124,8 @@ def _candidates(context: Context) -> Iterator[tuple[str, str]]:
     places += sorted(path.relative_to(context.storage.root).as_posix() for path in lost.glob("*/*"))
     for kind in ("drives", "jobs"):
         for place in places:
-            if place.split("/")[-2] == kind and context.storage.folder(place).is_dir():
+            path = context.storage.folder(place)
+            if place.split("/")[-2] == kind and path.is_dir() and any(path.iterdir()):
                 yield place, kind
 
 
@@ -158,7 +159,7 @@ def _adopt_drive(context: Context, place: str, id_: str, *, dry_run: bool) -> tu
             drive.touched_at = now
             drive.created_at = min(drive.created_at or now, now)
             session.add(drive)
-        reconcile(context, id_)
+        reconcile(context, id_, is_news=False)
         with context.database.reading() as session:
             drive = session.get_one(Drive, id_)
         sidecars.write_drive(context.storage, drive)

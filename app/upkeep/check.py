@@ -170,7 +170,7 @@ class _DriveCheck:
             drive.report = report.model_copy(update={"problems": [fault, *report.problems]}).to_dict()
             drive.state = DriveState.UPLOADING
             drive.touched_at = self._context.database.clock(session)
-        reconcile(self._context, self._id)
+        reconcile(self._context, self._id, is_news=False)
 
     def _files(self) -> Iterator[Finding]:
         """Find files whose rows say something else."""
@@ -181,7 +181,7 @@ class _DriveCheck:
         repair = None
         if differing and self._may_repair(drive):
             try:
-                reconcile(self._context, self._id)
+                reconcile(self._context, self._id, is_news=False)
                 repair = "its row follows the file"
             except Problem:  # deleted meanwhile
                 return
