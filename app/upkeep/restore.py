@@ -55,10 +55,8 @@ class RestoreReport:
         Number of them that the service has now.
     files, size_bytes : int
         What was brought from the backup.
-    left_out : list of str
-        Names of the drives that the backup does not hold whole, and which therefore were not restored.
     findings : list of Finding
-        What the quick check at the end has found.
+        What the quick check at the end has found: something only where the backup is not whole.
     """
 
     record: BackupRecord
@@ -66,7 +64,6 @@ class RestoreReport:
     jobs: int = 0
     files: int = 0
     size_bytes: int = 0
-    left_out: list[str] = field(default_factory=list)
     findings: list[Finding] = field(default_factory=list)
 
 
@@ -82,7 +79,7 @@ def restore(
     backup
         Folder of the backup; it stays as it is.
     incomplete
-        Restore what there is of a backup that is not whole: drives of which something is missing are left out.
+        Restore what there is of a backup that was not made to its end, or of which something is missing.
     advance
 
     Raises
@@ -99,20 +96,16 @@ def restore(
     if not (record.complete or incomplete):
         raise ConfigError(
             f"the backup {backup} was not made to its end. Make it again with `interloc backup`, which goes on where "
-            "it stopped; or --incomplete restores the drives that it holds whole."
+            "it stopped; or --incomplete restores the drives that it holds already."
         )
     resumed = _check_folder(settings.data_dir, record)
     with _rows_of(backup, record) as rows:
-        drives, left_out = _look_through(Storage(backup), rows)
-        if left_out and not incomplete:
-            faults = [fault for faults in left_out.values() for fault in faults]
-            raise ConfigError(
-                f"the backup {backup} is damaged: {_shown(faults)}. "
-                "Make it again with `interloc backup`, which brings what is missing; or --incomplete restores the "
-                f"{len(drives)} drives that it holds whole, without {_shown(list(left_out))}."
-            )
+        with rows.reading() as session:
+            drives = list(session.scalars(select(Drive.id).order_by(Drive.created_at, Drive.id)))
+        if not incomplete:
+            _refuse_damaged(Storage(backup), rows, drives)
         with _target(settings, record, resumed=resumed, drives=drives) as database:
-            report = RestoreReport(record, left_out=list(left_out))
+            report = RestoreReport(record)
             _bring_all(Storage(backup), rows, drives, Storage(settings.data_dir), database, report, advance)
     remark_folder(settings.data_dir, record.installation)
     (settings.data_dir / RESTORING).unlink()
@@ -182,19 +175,21 @@ def _from_now_on(content: DriveContent, now: float) -> DriveContent:
     return DriveContent(drive, content.files, rows[1:])
 
 
-def _look_through(backup: Storage, rows: Database) -> tuple[list[str], dict[str, list[str]]]:
-    """Return the ids of the drives that a backup holds whole, the oldest first, and what others lack, by name."""
-    whole, left_out = [], {}
-    with rows.reading() as session:
-        for drive_id in session.scalars(select(Drive.id).order_by(Drive.created_at, Drive.id)).all():
+def _refuse_damaged(backup: Storage, rows: Database, drives: Sequence[str]) -> None:
+    """Refuse a backup that has no longer what its rows stand for, before anything is restored."""
+    faults: list[str] = []
+    for drive_id in drives:
+        with rows.reading() as session:
             content = read_content(session, drive_id)
-            assert content is not None
-            faults = find_files(backup, content).faults
-            if faults:
-                left_out[f"{content.drive['name']} ({drive_id})"] = faults
-            else:
-                whole.append(drive_id)
-    return whole, left_out
+        assert content is not None
+        faults += find_files(backup, content).faults
+    if faults:
+        shown = ", ".join(faults[:_SHOWN]) + (f" and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else "")
+        raise ConfigError(
+            f"the backup {backup.root} is not whole: {shown}. Make it again with `interloc backup`, which brings what "
+            "is missing; or --incomplete restores what there is, and `interloc check` says what is to be done about "
+            "the rest."
+        )
 
 
 def _check_folder(data_dir: Path, record: BackupRecord) -> bool:
@@ -280,7 +275,3 @@ def _refuse_unless_empty(database: Database, *, resumed: bool, drives: Sequence[
             "backup is restored into an empty one only: set INTERLOC_DATABASE_URL to a new database, or leave it out "
             "for a SQLite file in the data folder."
         )
-
-
-def _shown(items: Sequence[str]) -> str:
-    return ", ".join(items[:_SHOWN]) + (f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else "")

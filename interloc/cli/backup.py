@@ -76,7 +76,7 @@ def backup(out: Path, data_dir: Path | None, quiet: bool, as_json: bool) -> None
 @click.command(short_help="Restore a backup of the web service.")
 @click.argument("backup", type=click.Path(path_type=Path))
 @DATA_DIR
-@click.option("--incomplete", is_flag=True, help="Restore what a backup holds whole that was not made to its end.")
+@click.option("--incomplete", is_flag=True, help="Restore what there is of a backup that is not whole.")
 @options.QUIET
 @options.JSON
 def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, as_json: bool) -> None:
@@ -104,7 +104,6 @@ def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, 
             "jobs": report.jobs,
             "files": report.files,
             "size_bytes": report.size_bytes,
-            "left_out": report.left_out,
             "findings": [asdict(finding) for finding in report.findings],
         }
         console.say_json(facts)
@@ -116,11 +115,12 @@ def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, 
             ("check", "rows and files agree" if not report.findings else f"{len(report.findings)} findings"),
         ]
         console.say_facts(rows)
-    if report.left_out:
-        click.echo(f"warning: left out, because not whole in the backup: {_shown(report.left_out)}", err=True)
     if report.findings:
         found = _shown([f"{finding.place}: {finding.message}" for finding in report.findings])
-        raise InterLocError(f"the backup was restored as it is, but that is not whole: {found}")
+        raise InterLocError(
+            f"the backup was restored as it is, but that is not whole: {found} `interloc check --repair` does what is "
+            "safe."
+        )
 
 
 @contextmanager

@@ -46,7 +46,7 @@ def test_from_a_backup_to_a_service(interloc: Interloc, data: Path, tmp_path: Pa
     (file,) = (tmp_path / "restored").glob("drives/*/files/poses.txt")
     assert file.read_bytes() == b"1 0 0 0"
     again = interloc("restore", out, "--data-dir", tmp_path / "again", "--json").json
-    assert (again["drives"], again["left_out"], again["findings"]) == (1, [], [])
+    assert (again["drives"], again["findings"]) == (1, [])
 
 
 def test_a_service_that_is_not_whole_is_told(interloc: Interloc, data: Path, tmp_path: Path) -> None:
@@ -55,9 +55,10 @@ def test_a_service_that_is_not_whole_is_told(interloc: Interloc, data: Path, tmp
     outcome = interloc("backup", tmp_path / "backup", "--data-dir", data, "--quiet")
     assert (outcome.code, "poses.txt is not there" in outcome.complaint) == (1, True)
     outcome = interloc("restore", tmp_path / "backup", "--data-dir", tmp_path / "restored")
-    assert (outcome.code, "is damaged" in outcome.complaint) == (2, True)
+    assert (outcome.code, "is not whole" in outcome.complaint) == (2, True)
     outcome = interloc("restore", tmp_path / "backup", "--data-dir", tmp_path / "restored", "--incomplete")
-    assert (outcome.code, "left out" in outcome.err) == (0, True)
+    assert (outcome.code, "`interloc check --repair`" in outcome.complaint) == (1, True)
+    assert "check     1 findings" in outcome.out
 
 
 def test_refusals_say_what_to_do(interloc: Interloc, data: Path, tmp_path: Path) -> None:
