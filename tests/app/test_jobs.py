@@ -227,14 +227,14 @@ def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, data_dir
 
 
 def test_a_stage_that_takes_too_long_fails_its_job(serve: Serve, street: Path, tmp_path: Path) -> None:
-    own = serve(job_stage_s=3.0)
+    own = serve(job_stage_s=10.0)
     drive_id = upload(own, street)
     gate = Gate(tmp_path / "data", drive_id, MIDDLE)
     job = ended(own, submit(own, drive_id))
     assert (job["state"], job["attempts"]) == ("failed", 1)
     error = job["error"]
-    assert (error["title"], error["status"], error["limit"], error["bound"]) == ("Limit reached", 422, "job_stage_s", 3)
-    assert "Part 1 of 1 took longer than the 3 seconds" in error["detail"]
+    assert (error["title"], error["status"], error["limit"], error["bound"]) == ("Limit reached", 422, "job_stage_s", 10)
+    assert "Part 1 of 1 took longer than the 10 seconds" in error["detail"]
     assert "INTERLOC_JOB_STAGE_S" in error["detail"]
     gate.open()
     assert ended(own, submit(own, drive_id))["state"] == "successful"
