@@ -98,6 +98,7 @@ def delete_drive(
             job.idempotency_key = None  # a later request with the same key means another job
         drive.deleted_at = context.database.clock(session)
         drive.deleted_by = client
+    _log.info("drive %s: deleted by %s", drive_id, client or "the clean-up", extra={"drive": drive_id})
     context.jobs_changed.set()
     if at_once or context.settings.trash_h == 0:
         purge(context, "drives", drive_id)
@@ -125,6 +126,7 @@ def delete_job(context: Context, job_id: str, client: str) -> None:
         job.deleted_at = context.database.clock(session)
         job.deleted_by = client
         job.version += 1
+    _log.info("job %s: deleted by %s", job_id, client, extra={"job": job_id})
     if context.settings.trash_h == 0:
         purge(context, "jobs", job_id)
 

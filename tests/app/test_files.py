@@ -39,7 +39,7 @@ def digest(data: bytes) -> str:
 
 def stored(data: Path, drive: str) -> list[str]:
     """All files of a drive, and what is on its way into any."""
-    places = (data / "incoming", data / "drives" / drive.rpartition("/")[2])
+    places = (data / "incoming", data / "drives" / drive.rpartition("/")[2] / "files")
     return sorted(path.relative_to(data).as_posix() for place in places for path in files_below(place))
 
 

@@ -190,7 +190,7 @@ def test_rows_of_an_older_version_are_compared_by_size(context: Context) -> None
 
 @pytest.mark.parametrize("keep_raw", [False, True])
 def test_a_ready_drive_lists_what_was_reduced_but_no_map_that_is_gone(context: Context, *, keep_raw: bool) -> None:
-    drive = new_drive(context, velodyne__0=b"scan", map__osm=b"1")
+    drive = new_drive(context, velodyne__0=b"scan")
     put(context, drive, **{"map.osm": b"22", "gone.osm.gz": b"333"})
     files = files_of(context, drive)
     (files / "velodyne/0").unlink()
@@ -199,9 +199,9 @@ def test_a_ready_drive_lists_what_was_reduced_but_no_map_that_is_gone(context: C
     with context.database.writing() as session:
         session.execute(update(Drive).values(state="ready", keep_raw=keep_raw, stored_bytes=100))
     corrections = {each.path: each.done for each in reconcile(context, drive, maps_only=True)}
-    assert corrections == {"gone.osm.gz": "unlisted", "new.OSM.PBF": "listed"}
+    assert corrections == {"new.OSM.PBF": "listed"}
     found = {each.path: each.done for each in reconcile(context, drive)}
-    assert found == ({"velodyne/0": "unlisted"} if keep_raw else {})
+    assert found == {"gone.osm.gz": "unlisted"} | ({"velodyne/0": "unlisted"} if keep_raw else {})
     kept = 100 - 3 + 4 - (4 if keep_raw else 0)
     assert counted(context, drive)[2] == kept
 
