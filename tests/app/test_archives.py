@@ -83,7 +83,9 @@ def digests(files: dict[str, bytes]) -> dict[str, str]:
 
 
 def left(home: Path, below: str = "data") -> list[str]:
-    return sorted(path.relative_to(home).as_posix() for path in files_below(home / below) if "sqlite" not in path.name)
+    """All files, but the database and what it says once more beside the files of a drive."""
+    names = (path.relative_to(home).as_posix() for path in files_below(home / below))
+    return sorted(name for name in names if "sqlite" not in name and "drive.json" not in name)
 
 
 def refuse(client: httpx.Client, tmp_path: Path, data: bytes, *reasons: str, status: int = 422) -> None:

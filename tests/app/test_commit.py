@@ -444,7 +444,7 @@ def test_a_bad_plan_is_refused(client: httpx.Client, body: dict[str, Any]) -> No
 def test_a_drive_that_is_deleted_while_it_is_checked(client: httpx.Client, street: Path, home: Path) -> None:
     address = upload(client, street)
     assert client.post(f"{address}/commit", headers={"Prefer": "wait=0"}).status_code == 202
-    assert client.delete(address).status_code == 204
+    assert client.delete(f"{address}?purge=true").status_code == 204
     assert client.get(address).status_code == 404
     assert client.post(f"{address}/commit").status_code == 404
     wait_until(lambda: not files_below(home, address), "all files to go")
