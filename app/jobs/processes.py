@@ -136,6 +136,7 @@ class _Slot:
         self._executor = executor
         self._worker: tuple[Any, Connection] | None = None
         self._work: Work | None = None
+        self._is_ready = False
         self._is_killed = False
         self._lock = threading.Lock()
         self.thread = threading.Thread(target=self._serve, name=f"worker-{number}", daemon=True)
@@ -180,6 +181,9 @@ class _Slot:
         if work.is_given_up:
             raise WorkerLostError("nobody waits for it any more")
         try:
+            if not self._is_ready:
+                connection.recv_bytes()
+                self._is_ready = True
             connection.send_bytes(content)
             self._watch(work, process.pid, connection)
             good, value = pickle.loads(connection.recv_bytes())  # noqa: S301 - from our own process
@@ -212,26 +216,26 @@ class _Slot:
 
     def _usable_worker(self) -> tuple[Any, Connection]:
         """Return the worker, or a new one where it was killed, has died, or is left large by earlier work."""
-        worker = self._worker
-        if worker is None or self._is_killed or not worker[0].is_alive() or _has_hung_up(worker[1]):
-            self._end()
-            return self._start()
-        if memory_of(worker[0].pid) > self._executor.memory_bytes / 2:  # the next piece of work has done nothing for it
-            self._end()
-            return self._start()
-        return worker
+        if self._worker is not None and not self._is_killed:
+            process, connection = self._worker
+            has_hung_up = self._is_ready and connection.poll()  # as its death does; it sends nothing else unasked
+            is_large = memory_of(process.pid) > self._executor.memory_bytes / 2  # at the cost of the next piece of work
+            if process.is_alive() and not has_hung_up and not is_large:
+                return self._worker
+        self._end()
+        return self._start()
 
     def _start(self) -> tuple[Any, Connection]:
         with self._lock:
             if self._executor.is_stopping:
                 raise WorkerLostError("the service is being stopped")
             ours, theirs = _context.Pipe()
-            process = _context.Process(target=_work, args=(theirs,), daemon=True)
+            process = _context.Process(target=_work, args=(theirs, self.number >= self._executor.slots), daemon=True)
             with interrupts_held_back():
                 process.start()
             theirs.close()  # so that the end of the process is noticed here
             self._worker = process, ours
-            self._is_killed = False
+            self._is_ready = self._is_killed = False
             return self._worker
 
     def _end(self) -> None:
@@ -246,11 +250,6 @@ class _Slot:
                 process.join()
 
 
-def _has_hung_up(connection: Connection) -> bool:
-    """Return whether an idle worker has closed its end of the pipe, as its death does: it sends nothing unasked."""
-    return connection.poll()
-
-
 def _reason(code: int | None) -> str:
     if code is None or code >= 0:
         return f"ended with code {code}"
@@ -259,12 +258,14 @@ def _reason(code: int | None) -> str:
     return f"was ended by signal {-code}"
 
 
-def _work(connection: Connection) -> None:
-    """Work as a worker process: do what comes through the pipe until it is closed."""
+def _work(connection: Connection, is_extra: bool) -> None:
+    """Work as a worker process: say that it is ready, then do what comes through the pipe until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
     end_with_parent()
     _die_first()
-    _warm_up()
+    _warm_up(thoroughly=is_extra)
+    with suppress(OSError):
+        connection.send_bytes(b"")
     while True:
         try:
             content = connection.recv_bytes()
@@ -292,10 +293,13 @@ def _failure(error: BaseException) -> bytes:
     return content
 
 
-def _warm_up() -> None:
-    """Import what nearly all work needs."""
+def _warm_up(*, thoroughly: bool) -> None:
+    """Import what nearly all work needs; an extra process, which whoever waits comes to seldom, all of it."""
     with suppress(ImportError):
-        import app.work.intersections  # noqa: F401, PLC0415
+        import app.work.intersections as work  # noqa: PLC0415
+
+        if thoroughly:
+            work.import_all()
 
 
 def _die_first() -> None:
