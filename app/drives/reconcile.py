@@ -141,7 +141,8 @@ def differences(session: Session, context: Context, drive: Drive, *, maps_only: 
     return [
         Difference(path, listed.get(path), found.get(path))
         for path in sorted(listed.keys() | found.keys())
-        if not _agree(listed.get(path), found.get(path)) and (path in found or stays_uploaded(drive, path))
+        if not _agree(listed.get(path), found.get(path))
+        and (stays_uploaded(drive, path) if path in listed and path not in found else _can_be_listed(path))
     ]
 
 
@@ -171,8 +172,16 @@ def _agree(listed: Stamp | None, found: Stamp | None) -> bool:
     return listed.size_bytes == found.size_bytes and listed.mtime_ns in {None, found.mtime_ns}
 
 
+def _can_be_listed(path: str) -> bool:
+    try:
+        check_path(path)
+    except BadNameError:
+        return False
+    return True
+
+
 def _stamps(root: Path, *, maps_only: bool) -> Iterator[tuple[str, Stamp]]:
-    """Yield the files of a drive that can be listed."""
+    """Yield the files of a drive, as they are known without reading them."""
     for folder, _, names in os.walk(root):
         for name in names:
             path = os.path.join(folder, name)  # noqa: PTH118 - for tens of thousands of files
@@ -180,9 +189,8 @@ def _stamps(root: Path, *, maps_only: bool) -> Iterator[tuple[str, Stamp]]:
             if maps_only and not is_map(relative):
                 continue
             try:
-                check_path(relative)
                 found = os.lstat(path)
-            except (BadNameError, FileNotFoundError):
+            except FileNotFoundError:
                 continue
             if stat.S_ISREG(found.st_mode):
                 yield relative, Stamp(found.st_size, found.st_mtime_ns)
