@@ -32,7 +32,7 @@ from tests.app.processes import API, FINAL, ServerProcess, archive_of, files_bel
 CLIENTS = 3
 SERVERS = 2
 LEASE_S = 3.0
-PATIENCE_S = 120.0
+PATIENCE_S = 600.0  # a job may be killed many times before it comes to its end
 KEPT_DRIVES = 2  # per client; older ones are deleted, so that looking through all of them stays quick
 ANEW = {429, 500, 502, 503, 507}
 
@@ -116,6 +116,10 @@ def _free_port() -> int:
     return port
 
 
+class _StoppedError(Exception):
+    """The client was asked to stop."""
+
+
 class Client:
     """A client that lives through whatever happens to the servers: it asks again until it is answered."""
 
@@ -135,18 +139,21 @@ class Client:
 
     def live(self) -> None:
         """Do one thing after the other until it is stopped."""
-        try:
-            while not self.stopping.is_set():
+        while not self.stopping.is_set():
+            try:
                 send = self.rng.choice([self._put_files, self._put_files, self._send_archive, self._push])
                 if (drive := send()) is not None and not self.stopping.is_set():
                     self._work_on(drive)
-        except Exception as error:  # noqa: BLE001 - whatever it is belongs into the table
-            self.ledger.faults["client"].append(f"{type(error).__name__}: {error}")
+            except _StoppedError:
+                return
+            except Exception as error:  # noqa: BLE001 - whatever it is belongs into the table, and the client goes on
+                self.ledger.faults["client"].append(f"{type(error).__name__}: {str(error)[:300]}")
 
     def ask(self, method: str, path: str, **options: Any) -> httpx.Response:
         """Send a request until it is answered by something else than "not now"."""
         end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
+            self._stop_if_asked()
             with suppress(httpx.TransportError):
                 answer = self._http.request(method, f"{self.fleet.address(self.rng)}{API}{path}", **options)
                 if answer.status_code == 500:
@@ -155,6 +162,10 @@ class Client:
                     return answer
             time.sleep(0.1)
         raise AssertionError(f"{method} {path} was not answered within {PATIENCE_S:.0f} s")
+
+    def _stop_if_asked(self) -> None:
+        if self.stopping.is_set():
+            raise _StoppedError
 
     def _new_drive(self) -> str:
         drive: str = self.ask("POST", "/drives", json={"name": "street"}).raise_for_status().json()["id"]
@@ -297,7 +308,7 @@ def clients(fleet: Fleet, ledger: Ledger, street: Path, reference: dict[str, str
             if client.process is not None:
                 client.process.kill()
         for thread in threads:
-            thread.join(2 * PATIENCE_S)
+            thread.join()
 
 
 class Backups:
