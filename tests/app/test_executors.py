@@ -18,7 +18,7 @@ import pytest
 from app.jobs.executors import DaskExecutor, open_executor
 from app.jobs.hand_out import EXTRA_SLOTS
 from app.jobs.processes import ProcessExecutor, WorkerLostError
-from app.jobs.worker_limits import WorkerLimitError, machine_memory, memory_of, memory_share
+from app.jobs.worker_limits import WorkerLimitError, _cgroup_limits, machine_memory, memory_of, memory_share
 from app.settings import Settings
 from interloc.errors import ConfigError, DriveError
 from tests.app.processes import wait_until
@@ -256,6 +256,7 @@ def test_what_waits_is_given_up_and_what_has_ended_is_left_alone(tmp_path: Path)
 def test_work_that_takes_too_long_is_ended_and_its_place_goes_on(tmp_path: Path) -> None:
     executor = ProcessExecutor(1)
     try:
+        executor.submit(pid_of).result(60)
         endless = executor.submit(compute_for_ever, tmp_path / "pid", seconds=0.5)
         with pytest.raises(WorkerLimitError) as caught:
             endless.result(60)
@@ -297,6 +298,27 @@ def test_every_worker_has_its_share_of_the_memory() -> None:
     assert 2**28 < machine_memory() <= psutil.virtual_memory().total
     assert memory_share(1000) == 2**30  # no worker can do with less
     assert memory_share(1) == max(2**30, machine_memory() * 3 // 4)
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "limits"),
+    [
+        ("0::/\n", {"memory.max": "2000000\n"}, [2_000_000]),
+        ("0::/a/b\n", {"a/b/memory.max": "max\n", "a/memory.max": "3000\n"}, [3000]),
+        ("4:memory:/docker/x\n2:cpu:/\n", {"memory/memory.limit_in_bytes": "5000\n"}, [5000]),
+        ("0::/\n", {}, []),
+    ],
+)
+def test_the_limits_of_a_container_are_found(
+    tmp_path: Path, groups: str, files: dict[str, str], limits: list[int]
+) -> None:
+    (tmp_path / "self").mkdir()
+    (tmp_path / "self/cgroup").write_text(groups)
+    for name, content in files.items():
+        path = tmp_path / "groups" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+    assert list(_cgroup_limits(tmp_path, tmp_path / "groups")) == limits
 
 
 def test_no_dask_scheduler_is_told(tmp_path: Path) -> None:

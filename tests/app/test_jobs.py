@@ -226,8 +226,8 @@ def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, data_dir
     assert problem(client.get(f"{API}/jobs/{job_id}"), 404)
 
 
-def test_a_stage_that_takes_too_long_fails_its_job(serve: Serve, street: Path, tmp_path: Path) -> None:
-    own = serve(job_stage_s=10.0)
+def test_a_stage_or_a_request_that_takes_too_long_fails(serve: Serve, street: Path, tmp_path: Path) -> None:
+    own = serve(job_stage_s=10.0, request_work_s=2.0)
     drive_id = upload(own, street)
     gate = Gate(tmp_path / "data", drive_id, MIDDLE)
     job = ended(own, submit(own, drive_id))
@@ -238,7 +238,13 @@ def test_a_stage_that_takes_too_long_fails_its_job(serve: Serve, street: Path, t
     assert "Part 1 of 1 took longer than the 10 seconds" in error["detail"]
     assert "INTERLOC_JOB_STAGE_S" in error["detail"]
     gate.open()
-    assert ended(own, submit(own, drive_id))["state"] == "successful"
+    job = ended(own, submit(own, drive_id))
+    assert job["state"] == "successful"
+    gate = Gate(tmp_path / "data", drive_id, MIDDLE)  # the picture of a keyframe is bounded too
+    answer = own.get(f"{API}/jobs/{job['id']}/keyframes/{MIDDLE}/bev.png")
+    gate.open()
+    assert "The work for this request took longer than the 2 seconds" in problem(answer, 422)
+    assert answer.json()["limit"] == "request_work_s"
 
 
 def test_a_job_that_takes_too_long_fails(serve: Serve, street: Path, tmp_path: Path) -> None:
@@ -353,8 +359,8 @@ def test_a_map_that_is_a_bomb_is_not_unpacked(client: httpx.Client, drive: str) 
 
 def test_the_ending_of_a_map_may_be_in_capitals(client: httpx.Client, street: Path, drive: str) -> None:
     map_ = (street / "map.osm").read_bytes()
-    assert client.put(f"{API}/drives/{drive}/files/TOWN.OSM", content=map_).status_code in {200, 201}
-    assert ended(client, submit(client, drive, osm={"file": "TOWN.OSM"}))["state"] == "successful"
+    assert client.put(f"{API}/drives/{drive}/files/MAP.OSM", content=map_).status_code in {200, 201}
+    assert ended(client, submit(client, drive, osm={"file": "MAP.OSM"}))["state"] == "successful"
 
 
 def test_labels_that_are_not_there_are_told(client: httpx.Client, drive: str) -> None:
