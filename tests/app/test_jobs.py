@@ -359,8 +359,8 @@ def test_a_map_that_is_a_bomb_is_not_unpacked(client: httpx.Client, drive: str) 
 
 def test_the_ending_of_a_map_may_be_in_capitals(client: httpx.Client, street: Path, drive: str) -> None:
     map_ = (street / "map.osm").read_bytes()
-    assert client.put(f"{API}/drives/{drive}/files/MAP.OSM", content=map_).status_code in {200, 201}
-    assert ended(client, submit(client, drive, osm={"file": "MAP.OSM"}))["state"] == "successful"
+    assert client.put(f"{API}/drives/{drive}/files/CITY.OSM", content=map_).status_code in {200, 201}
+    assert ended(client, submit(client, drive, osm={"file": "CITY.OSM"}))["state"] == "successful"
 
 
 def test_labels_that_are_not_there_are_told(client: httpx.Client, drive: str) -> None:
