@@ -12,7 +12,7 @@ READY := $(VENV)/.ready
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
 BIOME := static/node_modules/.bin/biome
 
-.PHONY: install serve demo page-tools test test-quick compiled lint format types bench load bench-page screenshots clean
+.PHONY: install serve demo page-tools test test-quick compiled lint format types bench load torture hostile bench-page screenshots clean
 
 install: $(READY)
 
@@ -84,6 +84,14 @@ bench: $(READY)
 # What the service carries: uploads, reads, listeners, memory; needs 10 GB of disk and some minutes.
 load: $(READY)
 	$(BIN)/python -m tests.performance.load
+
+# What the service survives: kills at random moments, lost databases, backups under load; takes more than an hour.
+torture: $(READY)
+	$(BIN)/python -m tests.performance.torture
+
+# A short job of one client next to ten hostile ones of another; needs 2 GB of disk and some minutes.
+hostile: $(READY)
+	$(BIN)/python -m tests.performance.hostile
 
 # How smoothly the map moves with ten thousand detections; needs Chromium.
 bench-page: $(READY)

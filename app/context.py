@@ -1,4 +1,4 @@
-"""What all parts of the service share: settings, database, storage, tokens, metrics, and two signals."""
+"""What all parts of the service share: settings, database, storage, tokens, metrics, the reserve, and two signals."""
 
 from __future__ import annotations
 
@@ -14,9 +14,14 @@ from fastapi import Depends, Request
 from app.metrics import Metrics
 from app.settings import Settings
 from app.store.database import Database
+from app.store.installation import bind, mark_folder
+from app.store.reserve import Reserve
 from app.store.storage import Storage
 from app.store.tokens import TokenBook
-from interloc.errors import OutputError
+from interloc.errors import ConfigError, OutputError
+
+RESTORING = "restoring.json"
+"""File of a data folder into which a backup is being restored."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,8 @@ class Context:
     Attributes
     ----------
     settings, database, storage, tokens, metrics
+    reserve : Reserve
+        Disk space that is given up when there is no other.
     stopping : threading.Event
         Set when the server begins to stop: streams and waits that would go on must end.
     jobs_changed : threading.Event
@@ -37,39 +44,71 @@ class Context:
     storage: Storage
     tokens: TokenBook
     metrics: Metrics
+    reserve: Reserve
     stopping: threading.Event = field(default_factory=threading.Event)
     jobs_changed: threading.Event = field(default_factory=threading.Event)
 
     @classmethod
-    def open(cls, settings: Settings) -> Context:
+    def open(cls, settings: Settings, *, bound: bool = True) -> Context:
         """Open database and storage, as `open_database` does."""
-        database = open_database(settings)
-        storage = Storage(settings.data_dir)
-        return cls(settings, database, storage, TokenBook(database, settings), Metrics())
+        database = open_database(settings, bound=bound)
+        reserve = reserve_of(settings)
+        database.disk_is_full = reserve.give_up
+        return cls(settings, database, Storage(settings.data_dir), TokenBook(database, settings), Metrics(), reserve)
 
     def close(self) -> None:
-        """Close the database."""
+        """Close database and storage."""
         self.database.close()
+        self.storage.close()
 
 
-def open_database(settings: Settings) -> Database:
-    """Create the data folder where it is missing, and bring the database up to date.
+def open_database(settings: Settings, *, bound: bool = True) -> Database:
+    """Create the data folder where it is missing, bring the database up to date, see that the two belong together.
+
+    Parameters
+    ----------
+    settings
+    bound
+        False opens them even if they do not belong together, to bind them.
 
     Raises
     ------
+    ConfigError
+        A backup is being restored into the data folder.
     OutputError
         The data folder cannot be written.
     InterLocError
         The database does not answer, or belongs to a newer version.
+    InstallationError
+        Data folder and database do not belong together; neither was changed.
     """
+    _refuse_half_restored(settings.data_dir)
     _check_writable(settings.data_dir)
+    folder = Path(os.path.realpath(settings.data_dir))
+    reserve_of(settings).give_up_if_full()  # bringing the tables up to date needs some space
     database = Database(settings.sqlalchemy_url)
+    ids: list[str] = []
     try:
-        database.upgrade()
+        database.upgrade((lambda session: ids.append(bind(session, database, folder))) if bound else None)
+        for id_ in ids:
+            mark_folder(folder, id_)
     except BaseException:
         database.close()
         raise
     return database
+
+
+def _refuse_half_restored(folder: Path) -> None:
+    if (folder / RESTORING).exists():
+        raise ConfigError(
+            f"a backup is being restored into the data folder {folder}, and that has not ended. Run the same "
+            "`interloc restore` again: it goes on where it stopped."
+        )
+
+
+def reserve_of(settings: Settings) -> Reserve:
+    """Return the reserve of disk space that the settings ask for."""
+    return Reserve(settings.data_dir, settings.disk_reserve_bytes, settings.min_free_bytes)
 
 
 def _check_writable(folder: Path) -> None:

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+from anyio import to_thread
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
+from app.background import Background
 from app.context import Context
 from app.drives.cleanup import Sweeper
 from app.drives.finish import finish_drive
+from app.drives.reconcile import reconcile_all
+from app.http.limits import make_room_to_delete
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.http.page import PageFiles
@@ -34,12 +38,15 @@ from app.routes import (
     results,
     scans,
     system,
+    trash,
 )
 from app.security import client_of
 from app.settings import Settings
 from interloc.pipeline import versions
 
 API = "/api/v1"
+
+_THREADS = 64  # that answer requests: more than may wait for the database at the same time
 
 
 def create_app(settings: Settings | None = None, context: Context | None = None) -> FastAPI:
@@ -57,25 +64,37 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         parts = app.state
+        to_thread.current_default_thread_limiter().total_tokens = _THREADS
         try:
             opened = context or Context.open(settings)
             parts.context = opened
+            await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
+            await run_in_threadpool(reconcile_all, opened)  # before the first request: what a kill has left apart
             parts.runner = runner = Runner(opened, finish_drive)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
             parts.on_demand = OnDemand(runner)
+            parts.probe = system.Probe(opened, runner)
             runner.start()
         except Exception as error:
             parts.start_fault = error  # uvicorn reports it as text only
             raise
-        sweeper = Sweeper(opened)
-        sweeper.start()
+        helpers = (Sweeper(opened), Background(opened))
+        for helper in helpers:
+            helper.start()
         try:
             yield
         finally:
-            await run_in_threadpool(sweeper.stop)
+            for helper in helpers:
+                await run_in_threadpool(helper.stop)
             await run_in_threadpool(runner.stop)
             opened.close()
+
+    def needs_token() -> bool:
+        opened: Context | None = getattr(app.state, "context", None)
+        if opened is None:
+            return not settings.allow_anonymous and (settings.token is not None or not settings.is_loopback)
+        return opened.tokens.are_needed()
 
     app = FastAPI(
         title="InterLoc",
@@ -89,12 +108,15 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         generate_unique_id_function=operation_id,
         responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` lists where."}},
     )
-    app.openapi = Description(app)  # type: ignore[method-assign] # as FastAPI's documentation has it
+    app.openapi = Description(app, needs_token)  # type: ignore[method-assign] # as FastAPI's documentation has it
     app.state.page_files = PageFiles(settings)
     add_handlers(app)
     add_middleware(app, settings)
-    for module in (drives, files, scans, archive, commit, jobs, events, results, keyframes, exports, compare, demo):
-        app.include_router(module.router, prefix=API, dependencies=[Depends(client_of)])
+    of_drives = (drives, files, scans, archive, commit, demo)
+    of_jobs = (jobs, events, results, keyframes, exports, compare)
+    shared = [Depends(client_of), Depends(make_room_to_delete)]
+    for module in (*of_drives, *of_jobs, trash):
+        app.include_router(module.router, prefix=API, dependencies=shared)
     for module in (system, page):
         app.include_router(module.router)
     return app

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, Literal
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
-from prometheus_client.core import GaugeMetricFamily, Metric, SummaryMetricFamily
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric, SummaryMetricFamily
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
@@ -19,6 +19,13 @@ from app.store.storage import Storage
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
 _BUCKETS_S = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60, 300)
+Removal = Literal["deleted", "expired", "purged", "reduced", "incoming", "archive", "lost"]
+"""Why something was removed or set aside."""
+
+_REMOVALS = (
+    "Removed: deleted (files, by clients), purged (from the trash), reduced (raw files of ready drives), incoming (of "
+    "dead servers), archive (unpacked). Set aside: expired (uploads, to the trash), lost (unknown, to lost+found)."
+)
 _RECENT = 200  # jobs whose stages are summed up
 
 
@@ -42,6 +49,17 @@ class Metrics:
         self.worker_restarts = Counter(
             "interloc_worker_restarts", "Worker processes that died and were replaced.", registry=self.registry
         )
+        self._removals = Counter("interloc_removals", _REMOVALS, ("reason",), registry=self.registry)
+        self._removed = Counter(
+            "interloc_removed_bytes", "Bytes of what was removed or set aside.", ("reason",), registry=self.registry
+        )
+
+        self.refused_tokens = Counter(
+            "interloc_refused_tokens",
+            "Requests refused for their token: unknown, too many, expired, read only.",
+            ("reason",),
+            registry=self.registry,
+        )
 
     def count_request(
         self, method: str, route: str, status: int, *, seconds: float | None, received_bytes: int
@@ -52,6 +70,11 @@ class Metrics:
         if seconds is not None:
             self._seconds.labels(known, route).observe(seconds)
         self._received.inc(received_bytes)
+
+    def count_removal(self, reason: Removal, size_bytes: int, count: int = 1) -> None:
+        """Count what was removed or set aside."""
+        self._removals.labels(reason).inc(count)
+        self._removed.labels(reason).inc(size_bytes)
 
     def render(self, database: Database, storage: Storage) -> bytes:
         """Return all of it in the text format of Prometheus."""
@@ -69,6 +92,7 @@ class _StateRegistry(CollectorRegistry):
     def collect(self) -> Iterable[Metric]:
         """Read it."""
         yield _gauge("interloc_free_bytes", "Space left where drives are kept.", self._storage.free_bytes())
+        yield from _writers(self._database)
         with self._database.reading() as session:
             now = self._database.clock(session)
             yield from _drives(session)
@@ -80,15 +104,28 @@ def _gauge(name: str, help_: str, value: float) -> Metric:
     return GaugeMetricFamily(name, help_, value)
 
 
+def _writers(database: Database) -> Iterator[Metric]:
+    waits = database.waits
+    taken = SummaryMetricFamily("interloc_database_write_wait_seconds", "Time that writers waited for their turn.")
+    taken.add_metric([], count_value=waits.count, sum_value=waits.seconds)
+    yield taken
+    given_up = CounterMetricFamily("interloc_database_busy", "Writers that did not get their turn in time.")
+    given_up.add_metric([], waits.given_up)
+    yield given_up
+
+
 def _drives(session: Session) -> Iterator[Metric]:
     drives = GaugeMetricFamily("interloc_drives", "Drives by state.", labels=["state"])
     stored = GaugeMetricFamily("interloc_stored_bytes", "Bytes kept on disk of drives, by state.", labels=["state"])
     query = select(Drive.state, func.count(), func.coalesce(func.sum(Drive.stored_bytes), 0)).group_by(Drive.state)
+    query = query.where(Drive.deleted_at.is_(None))
     for state, count, size in session.execute(query):
         drives.add_metric([state], count)
         stored.add_metric([state], float(size))
     yield drives
     yield stored
+    trash = session.scalar(select(func.coalesce(func.sum(Drive.stored_bytes), 0)).where(Drive.deleted_at.is_not(None)))
+    yield _gauge("interloc_trash_bytes", "Bytes kept on disk of drives in the trash.", float(trash or 0))
 
 
 def _jobs(session: Session, now: float) -> Iterator[Metric]:

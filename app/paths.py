@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
 import unicodedata
 from pathlib import Path
 
@@ -22,7 +24,18 @@ ARCHIVE_ENDINGS = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst")
 """Endings of archives, for those who choose one; the service itself looks at the first bytes."""
 
 _MAX_SHOWN_CHARS = 80
-_CONTROLS = {"Cc", "Cs", "Zl", "Zp"}
+_CONTROLS = {"Cc", "Cf", "Cs", "Zl", "Zp"}
+_DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9]) *(\.|$)", re.IGNORECASE)  # on Windows, with any ending
+
+_NOT = (  # what no name holds by `_CONTROLS` and the rules below, for regular expressions without categories
+    r"/\\\u0000-\u001f\u007f-\u009f\u00ad\u0600-\u0605\u061c\u06dd\u070f\u0890\u0891\u08e2\u180e\u200b-\u200f"
+    r"\u2028-\u202e\u2060-\u2064\u2066-\u206f\ufeff\ufff9-\ufffb\ufffd"
+)
+_NAME = f"(?:[^. {_NOT}]|[^.{_NOT}][^{_NOT}]*[^. {_NOT}])"
+_DEVICES = "(?:[cC][oO][nN]|[pP][rR][nN]|[aA][uU][xX]|[nN][uU][lL]|[cC][oO][mM][0-9]|[lL][pP][tT][0-9])"
+_TOO_LONG = f"[^/]{{{MAX_SEGMENT_BYTES + 1}}}"
+PATH_PATTERN = rf"^(?!.:)(?!(?:.*/)?(?:{_TOO_LONG}|{_DEVICES} *(?:[./]|$))){_NAME}(?:/{_NAME}){{0,{MAX_DEPTH - 1}}}$"
+"""What `check_path` takes, as a regular expression for the description of the API."""
 
 
 class BadNameError(InterLocError):
@@ -37,8 +50,8 @@ def check_path(path: str) -> str:
     Raises
     ------
     BadNameError
-        It is empty, absolute, leads upwards, is hidden, too long or too deep, or holds a backslash, a control
-        character, or bytes that are not UTF-8.
+        It is empty, absolute, leads upwards, is hidden, too long or too deep, has a name that Windows cannot store, or
+        holds a backslash, a control or format character, or bytes that are not UTF-8.
     """
     complaint = _complaint(path)
     if complaint:
@@ -48,6 +61,23 @@ def check_path(path: str) -> str:
             "for example velodyne/000000.bin."
         )
     return path
+
+
+def folded(path: str) -> str | None:
+    """Return what stands for a path on file systems that ignore case and composition; None where that is the path."""
+    plain = unicodedata.normalize("NFC", unicodedata.normalize("NFC", path).casefold())
+    return None if plain == path else plain
+
+
+def folded_hash(path: str) -> str | None:
+    """Return a hash of `folded`."""
+    plain = folded(path)
+    return None if plain is None else hash_of(plain)
+
+
+def hash_of(path: str) -> str:
+    """Return a hash of a path, shorter than a long path."""
+    return hashlib.sha256(path.encode()).hexdigest()[:32]
 
 
 def is_map(path: str) -> bool:
@@ -67,7 +97,7 @@ def _complaint(path: str) -> str | None:
         (not path, "is empty"),
         (
             any(unicodedata.category(character) in _CONTROLS for character in path) or "\ufffd" in path,
-            "holds a control character, or bytes that are not UTF-8",
+            "holds a control character, another one that is not shown, or bytes that are not UTF-8",
         ),
         ("\\" in path, "holds a backslash"),
         (path.startswith("/") or path[1:2] == ":", "is an absolute path"),
@@ -82,6 +112,11 @@ def _complaint(path: str) -> str | None:
         (
             any(segment.startswith(".") for segment in segments),
             "is hidden (a name that starts with a dot), which no file of a drive is; leave it out",
+        ),
+        (any(segment.endswith((".", " ")) for segment in segments), "holds a name that ends with a dot or a blank"),
+        (
+            any(_DEVICE.match(segment) for segment in segments),
+            "holds the name of a device of Windows (con, nul, com1, ...), under which nothing can be stored there",
         ),
     )
     return next((complaint for applies, complaint in rules if applies), None)

@@ -11,20 +11,42 @@ from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from app.context import Context
-from app.store.tokens import ANONYMOUS
+from app.http.openapi import changes_something
+from app.http.problems import Problem
+from app.states import Scope
+from app.store.tokens import Holder
 from interloc.errors import ConfigError
 
 _bearer = HTTPBearer(
     scheme_name="token",
-    description="A token of `interloc token add NAME`; not needed where the service runs for one machine only.",
+    description="A token of `interloc token add`; not needed where the service runs for one machine only.",
     auto_error=False,
 )
 
 
 async def client_of(request: Request, _: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
-    """Return the name of the client, which the gate has determined; the whole API depends on it."""
-    client: str = request.state.client
-    return client
+    """Return the name of the client, which the gate has determined; the whole API depends on it.
+
+    Raises
+    ------
+    Problem
+        403: the request would change something, and its token may only read.
+    """
+    holder: Holder = request.state.holder
+    route = request.scope["route"]
+    if changes_something(request.method, route.openapi_extra):
+        if holder.scope != Scope.WRITE:
+            context: Context = request.app.state.context
+            context.metrics.refused_tokens.labels("read only").inc()
+            raise Problem(
+                403,
+                "Token may only read",
+                f"The token of {holder.name} has the scope {holder.scope}, and {request.method} {request.url.path} "
+                "changes something. The operator makes one that may with `interloc token add NAME`.",
+                headers={"WWW-Authenticate": 'Bearer realm="interloc", error="insufficient_scope", scope="write"'},
+            )
+        request.state.action = route.name
+    return holder.name
 
 
 ClientDep = Annotated[str, Depends(client_of)]
@@ -46,6 +68,3 @@ def check_exposure(context: Context) -> None:
         f"--host {settings.host} lets other machines in, and there is no token. Make one with `interloc token add "
         "NAME` or set INTERLOC_TOKEN; --allow-anonymous serves everybody who can connect."
     )
-
-
-__all__ = ["ANONYMOUS", "ClientDep", "check_exposure", "client_of"]

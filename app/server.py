@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import logging
 import os
 import socket
+import time
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI
@@ -20,8 +24,11 @@ from app.settings import Settings
 from interloc.errors import ConfigError, InterLocError
 
 _BACKLOG = 2048
+_ACCEPTED_AT_ONCE = 100
 _KEEP_ALIVE_S = 75  # longer than the 60 s of common reverse proxies: they must be the ones that close
 _CONNECTIONS = 4000  # 503 beyond
+_SPARE_FILES = 256  # descriptors that are not for connections, if there are so many
+_COMPLAIN_S = 60.0
 _GRACE_S = 4  # for uploads that are under way; `docker stop` kills after ten seconds
 
 _log = logging.getLogger(__name__)
@@ -53,7 +60,7 @@ class Server(uvicorn.Server):
             server_header=False,
             proxy_headers=True,
             forwarded_allow_ips=settings.trusted_proxies,
-            backlog=_BACKLOG,
+            backlog=_ACCEPTED_AT_ONCE,  # asyncio takes so many in a row, and fails as often where it cannot
             limit_concurrency=_CONNECTIONS,
             timeout_keep_alive=_KEEP_ALIVE_S,
             timeout_graceful_shutdown=_GRACE_S,
@@ -70,6 +77,7 @@ class Server(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Open the service, then listen."""
+        asyncio.get_running_loop().set_exception_handler(FewFiles().handle)
         notes = logging.getLogger("uvicorn.error")
         level = notes.level
         notes.setLevel(logging.CRITICAL)  # why a start failed is reported once, by `serve`
@@ -79,6 +87,8 @@ class Server(uvicorn.Server):
             raise getattr(self._app.state, "start_fault", error) from None
         finally:
             notes.setLevel(level)
+        for listener in sockets or ():
+            listener.listen(_BACKLOG)
         if self.started and self._report_started is not None:
             self._report_started(self.port)
 
@@ -86,6 +96,21 @@ class Server(uvicorn.Server):
         """End the streams that would never end by themselves, wait for the rest, close the service."""
         self._app.state.context.stopping.set()
         await super().shutdown(sockets)
+
+
+class FewFiles:
+    """Logs once per minute that no connection can be taken for lack of descriptors, not thousands of times."""
+
+    def __init__(self) -> None:
+        self._silent_until = float("-inf")
+
+    def handle(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Take what the event loop complains of."""
+        if "out of system resource" not in context.get("message", ""):
+            loop.default_exception_handler(context)
+        elif time.monotonic() >= self._silent_until:
+            self._silent_until = time.monotonic() + _COMPLAIN_S
+            _log.error("no connection can be taken: %s; raise the limit of open files", context.get("exception"))
 
 
 def serve(settings: Settings, started: Callable[[int], None] | None = None) -> None:
@@ -108,7 +133,7 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
     except BaseException:
         context.close()
         raise
-    _allow_open_files(2 * _CONNECTIONS)
+    Protocol.max_connections = _room_for_connections(_allow_open_files(2 * _CONNECTIONS))
     server = Server(create_app(settings, context), settings, started)
     with listener:
         try:
@@ -119,17 +144,28 @@ def serve(settings: Settings, started: Callable[[int], None] | None = None) -> N
     _log.info("stopped")
 
 
-def _allow_open_files(wanted: int) -> None:
-    """Raise the limit of open files, 1024 on many systems, as far as the system allows."""
+def _allow_open_files(wanted: int) -> int | None:
+    """Raise the limit of open files, 1024 on many systems, as far as the system allows; return it if there is one."""
     try:
         import resource  # noqa: PLC0415 - Unix only
     except ImportError:
-        return
+        return None
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY:
         wanted = min(wanted, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+        soft = wanted
+    return None if soft == resource.RLIM_INFINITY else soft
+
+
+def _room_for_connections(limit: int | None) -> int:
+    """Return how many connections there may be, so that descriptors are left for everything else."""
+    if limit is None:
+        return _CONNECTIONS
+    folder = Path("/proc/self/fd")
+    used = len(list(folder.iterdir())) if folder.is_dir() else 0
+    return max(8, min(_CONNECTIONS, limit - used - min(_SPARE_FILES, limit // 2)))
 
 
 def listen(host: str, port: int) -> socket.socket:

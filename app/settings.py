@@ -45,8 +45,11 @@ class Settings(BaseSettings):
     dask: str | None = Field(
         None, description="Address of a Dask scheduler that does the work instead, for example tcp://host:8786."
     )
-    jobs_at_once: int | None = Field(
-        None, ge=1, le=256, description="Number of jobs worked on at the same time; two by default."
+    jobs_at_once: int = Field(
+        2,
+        ge=1,
+        le=256,
+        description="Number of jobs worked on at the same time, beside one of each further client.",
     )
     max_attempts: int = Field(
         3, ge=1, le=20, description="Number of times that a job is tried whose worker or server dies."
@@ -55,6 +58,21 @@ class Settings(BaseSettings):
         30.0,
         ge=1.0,
         description="Time in seconds after which a job is taken over from a server that gives no sign of life.",
+    )
+    job_stage_s: float = Field(
+        1800.0,
+        gt=0,
+        description="Maximum time in seconds of one stage of a job: its preparation, one part of it, or its end.",
+    )
+    job_s: float = Field(6 * 3600.0, gt=0, description="Maximum time in seconds of a job from its start.")
+    request_work_s: float = Field(
+        120.0, gt=0, description="Maximum time in seconds of the work for one request: pictures, exports, plans."
+    )
+    worker_memory_bytes: int | None = Field(
+        None,
+        ge=256 * MB,
+        description="Maximum memory of one worker process (Linux); by default an equal share of three quarters of the "
+        "memory of the machine or container, at least 1 GB.",
     )
 
     # Limits.
@@ -71,9 +89,26 @@ class Settings(BaseSettings):
     idle_timeout_s: float = Field(
         60.0, gt=0, description="Time in seconds after which a request is given up whose body does not go on."
     )
+    min_body_rate: float = Field(
+        1024.0,
+        ge=0,
+        description="Bytes per second that a body must reach on the average once it takes longer than that; "
+        "0 for any rate.",
+    )
+    disk_reserve_bytes: int = Field(
+        16 * MB,
+        ge=0,
+        description="Size of a file that is given up when the disk is full, so that deleting still works; 0 for none.",
+    )
     max_queued_jobs: int = Field(100, ge=1, description="Maximum number of jobs of one client that wait or run.")
     upload_expires_h: float = Field(
-        7 * 24.0, gt=0, description="Time in hours after which an upload is removed that nobody has touched."
+        7 * 24.0, gt=0, description="Time in hours after which an upload expires that nobody has touched."
+    )
+    trash_h: float = Field(
+        72.0,
+        ge=0,
+        le=24 * 365,
+        description="Time in hours for which deleted drives and jobs can be restored; 0: they are gone at once.",
     )
 
     # What the page may show and fetch.

@@ -1,4 +1,4 @@
-"""The states of drives and jobs, and the kinds of jobs: their values are those of the database and of REST."""
+"""The states of drives and jobs, the kinds of jobs, the scopes of tokens: values of the database and of REST."""
 
 from __future__ import annotations
 
@@ -38,3 +38,11 @@ class JobKind(StrEnum):
     COMMIT = "commit"
     UNPACK = "unpack"
     DEMO = "demo"
+
+
+class Scope(StrEnum):
+    """What the holder of a token may do."""
+
+    READ = "read"
+    """Look at everything, change nothing."""
+    WRITE = "write"

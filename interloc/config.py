@@ -445,8 +445,14 @@ def _json_or_text(text: str) -> Any:  # noqa: ANN401 - any JSON
         return text
 
 
-def parse_config(values: object) -> DetectorConfig:
+def parse_config(values: object, *, strict: bool = False) -> DetectorConfig:
     """Build a configuration from plain values (JSON).
+
+    Parameters
+    ----------
+    values
+    strict
+        Refuse numbers and truth values that come as text, and one for the other.
 
     Raises
     ------
@@ -454,7 +460,7 @@ def parse_config(values: object) -> DetectorConfig:
         Names each field that is unknown or refused, and why.
     """
     try:
-        return DetectorConfig.model_validate(values)
+        return DetectorConfig.model_validate(values, strict=strict)
     except ValidationError as error:
         lines = []
         for item in error.errors():

@@ -48,13 +48,14 @@ def image(figure: Figure, kind: ImageFormat, *, dpi: int = 150) -> bytes:
     from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: PLC0415
 
     buffer = io.BytesIO()
+    canvas: Any = FigureCanvasSVG(figure) if kind == "svg" else FigureCanvasAgg(figure)  # it has no types
     figure.set_dpi(dpi)
-    # The canvases themselves draw once; `savefig` would draw twice, as it prepares for boxes that nobody asks for.
+    # The canvas itself draws once; `savefig` would draw twice, as it prepares for boxes that nobody asks for.
     with mpl.rc_context({"svg.hashsalt": "interloc"}):  # else the ids within an SVG are random
         if kind == "svg":
-            FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
+            canvas.print_svg(buffer, metadata={"Date": None})
         else:
-            FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+            canvas.print_png(buffer, metadata={"Software": None})
     figure.set_layout_engine("none")  # it stays as it was laid out: a second format takes half the time
     return buffer.getvalue()
 

@@ -56,6 +56,12 @@ class OutputError(InterLocError):
     http_status = 507
 
 
+class DamagedResultError(OutputError):
+    """A result that was written, and is no longer what it was."""
+
+    http_status = 500
+
+
 def is_interruption(error: BaseException) -> bool:
     """Tell whether Ctrl-C is behind an error.
 

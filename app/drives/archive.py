@@ -8,6 +8,7 @@ from app.context import Context
 from app.drives.records import drive_key, lock_drive
 from app.drives.upload import refuse_unless_open
 from app.http.intake import Arrival
+from app.http.limits import check_quota, job_limit
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
@@ -40,7 +41,7 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
     Raises
     ------
     Problem
-        404, 409: there is no such drive, or it takes no files now.
+        404, 409: there is no such drive, or it takes no files now. 413, 429: a limit of the client.
     """
     name = f"archives/{secrets.token_hex(8)}"
     place = context.storage.folder(f"{drive_key(drive_id)}/{name}")
@@ -48,6 +49,7 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
         with context.database.writing() as session:
             drive = lock_drive(session, drive_id)
             refuse_unless_open(drive, ["archive"])
+            check_quota(context, session, drive.owner, arrival.size_bytes)
             job, _ = submit(
                 session,
                 context.database,
@@ -55,6 +57,7 @@ def queue_archive(context: Context, drive_id: str, owner: str, arrival: Arrival)
                 drive_id=drive_id,
                 owner=owner,
                 request={"archive": name},
+                limit=job_limit(context, owner),
             )
             drive.touched_at = job.created_at
             place.parent.mkdir(parents=True, exist_ok=True)

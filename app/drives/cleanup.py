@@ -1,64 +1,76 @@
-"""Clean-up of abandoned uploads, and of what servers left behind that were killed."""
+"""Clean-up: what has expired goes to the trash, what is known to be nobody's is removed, what is unknown is set aside.
+
+Nothing is removed but what is known to be of no use: drives and jobs whose time in the trash is over, what dead servers
+were receiving, archives that are unpacked, raw scans that are reduced. A folder of a drive or a job without a row may
+be somebody's only copy, whatever became of the row: it goes to ``lost+found/``, and `interloc adopt` takes it back.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
 import threading
-import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
-from sqlalchemy import Exists, exists, select
+from sqlalchemy import ColumnElement, and_, exists, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.records import delete_drive, drive_key, files_key, reduced_key
-from app.http.intake import INCOMING
+from app.drives.records import drive_key, files_key, reduced_key
+from app.drives.trash import delete_drive, empty_trash, finish_purges
 from app.http.problems import Problem
+from app.metrics import Removal
 from app.paths import is_map
-from app.states import FINAL, DriveState, JobKind
-from app.store.models import Base, Drive, Job
+from app.states import FINAL, DriveState, JobKind, JobState
+from app.store import sidecars
+from app.store.clock import ClockWatch
+from app.store.incoming import is_old, remove_dead, size_of
+from app.store.installation import id_of_database, id_of_folder
+from app.store.models import Drive, Job
+from app.store.storage import INCOMING
+from interloc.errors import InterLocError
 
 PERIOD_S = 3600.0
-LEFT_ALONE_S = 24 * 3600.0
-"""Age from which a file or folder without a row in the database is a leftover: no upload takes so long."""
+_STEADY_S = 3500.0  # one period, for which the clock must not have jumped before anything goes for its age
+_JUMP_S = 600.0
 
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class SweepReport:
-    """What was removed.
+def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
+    """Do all of it; several servers may do so at the same time.
 
-    Attributes
+    Parameters
     ----------
-    drives : list of str
-        Ids of uploads that were abandoned.
-    leftovers : list of str
-        Keys of files and folders that have no row in the database.
+    context
+    by_age
+        Also what is old: not where the clock may be wrong.
+
+    Returns
+    -------
+    Counter
+        Number of what was removed or set aside, by reason.
     """
-
-    drives: list[str]
-    leftovers: list[str]
-
-
-def sweep(context: Context) -> SweepReport:
-    """Remove what is no longer needed; several servers may do this at the same time."""
-    report = SweepReport(_remove_expired(context), [])
-    for key in _leftovers(context):
-        context.storage.delete(key)
-        report.leftovers.append(key)
-    with context.database.reading() as session:
-        ready = session.execute(select(Drive.id, Drive.keep_raw).where(Drive.state == DriveState.READY)).all()
-    for drive_id, keep_raw in ready:
-        tidy_drive(context, drive_id, keep_raw=keep_raw)
-    if report.drives or report.leftovers:
-        _log.info("clean-up: %d expired uploads, %d leftovers", len(report.drives), len(report.leftovers))
-    return report
+    swept: Counter[Removal] = Counter()
+    if not _is_bound(context):
+        return swept
+    finish_purges(context)
+    if by_age:
+        swept["expired"] = _expire(context)
+        swept["purged"] = len(empty_trash(context, older_than_s=3600 * context.settings.trash_h))
+        swept["lost"] = len(set_unknown_aside(context))
+        swept["archive"] = _remove_archives(context)
+    swept["incoming"] = remove_incoming(context)
+    _tidy_drives(context)
+    _write_sidecars(context)
+    if swept.total():
+        text = ", ".join(f"{count} {reason}" for reason, count in swept.items() if count)
+        _log.info("clean-up: %s", text)
+    return swept
 
 
 def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
@@ -80,6 +92,9 @@ def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
     ]
     if raw:
         os.sync()  # what replaces them, and the row in the database, must survive a power failure
+        size = sum(size_of(path) for path in raw)
+        _log.info("drive %s: %d raw files are reduced, %d bytes removed", drive_id, len(raw), size)
+        context.metrics.count_removal("reduced", size, len(raw))
     for path in raw:
         with suppress(OSError):
             path.unlink()
@@ -89,71 +104,170 @@ def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
                 Path(folder, name).rmdir()
 
 
-def _remove_expired(context: Context) -> list[str]:
-    """Remove uploads that were abandoned."""
+def unknown_folders(context: Context) -> Iterator[str]:
+    """Find the folders of drives and jobs that have no row, by their keys."""
+    for kind, table in (("drives", Drive), ("jobs", Job)):
+        root = context.storage.folder(kind)
+        paths = sorted(root.iterdir()) if root.is_dir() else []
+        with context.database.reading() as session:  # after the folders, which are made after their rows
+            known = set(session.scalars(select(table.id)))
+        for path in paths:
+            if path.name not in known and path.exists():  # not purged in between
+                yield f"{kind}/{path.name}"
+
+
+def set_unknown_aside(context: Context, *, only: str | None = None) -> list[tuple[str, str]]:
+    """Move folders of drives and jobs that have no row to ``lost+found/``.
+
+    Parameters
+    ----------
+    context
+    only
+        Key of one folder; by default all that are older than any upload that goes on.
+
+    Returns
+    -------
+    list of (str, str)
+        Their keys before and after.
+    """
+    moved = []
+    for key in unknown_folders(context):
+        path = context.storage.folder(key)
+        if key != only if only is not None else not is_old(path):
+            continue
+        size, age_h = size_of(path), (_now(context) - path.stat().st_mtime) / 3600
+        place = context.storage.set_aside(key)
+        if place is not None:
+            text = "%s: no row knows it (%d bytes, %.0f h old): moved to %s; `interloc adopt` makes a row for it"
+            _log.warning(text, key, size, age_h, place)
+            context.metrics.count_removal("lost", size)
+            moved.append((key, place))
+    return moved
+
+
+def remove_incoming(context: Context) -> int:
+    """Remove what servers were receiving that are dead; return the number of folders and files."""
+    removed = remove_dead(context.storage.folder(INCOMING))
+    for name, size in removed:
+        _log.info("%s/%s: its server is dead, %d bytes removed", INCOMING, name, size)
+        context.metrics.count_removal("incoming", size)
+    return len(removed)
+
+
+def _is_bound(context: Context) -> bool:
+    """Return whether the data folder is still that of the database: a volume may have gone, or another one come."""
     with context.database.reading() as session:
-        oldest = context.database.clock(session) - 3600 * context.settings.upload_expires_h
-        found = session.scalars(
-            select(Drive.id).where(Drive.state == DriveState.UPLOADING, Drive.touched_at < oldest, ~_is_worked_on())
-        ).all()
+        expected = id_of_database(session)
+    found = id_of_folder(context.storage.root)
+    if found == expected:
+        return True
+    _log.error(
+        "no clean-up: the data folder %s holds the id of installation %s, the database that of %s. Usual cause: its "
+        "volume was unmounted, or another one was mounted there",
+        context.storage.root,
+        found,
+        expected,
+    )
+    return False
+
+
+def _now(context: Context) -> float:
+    with context.database.reading() as session:
+        return context.database.clock(session)
+
+
+def _expire(context: Context) -> int:
+    """Move uploads that were abandoned to the trash."""
+    oldest = _now(context) - 3600 * context.settings.upload_expires_h
 
     def is_expired(session: Session, drive: Drive) -> bool:
-        worked_on = session.scalar(select(_is_worked_on()).where(Drive.id == drive.id))
-        return drive.state == DriveState.UPLOADING and drive.touched_at < oldest and not worked_on
+        return session.scalar(select(Drive.id).where(Drive.id == drive.id, _is_abandoned(oldest))) is not None
 
-    removed = []
-    for drive_id in found:
+    with context.database.reading() as session:
+        found = session.execute(select(Drive.id, Drive.stored_bytes).where(_is_abandoned(oldest))).all()
+    expired = 0
+    for drive_id, size in found:
         with suppress(Problem):  # deleted meanwhile
-            if delete_drive(context, drive_id, only_if=is_expired):
-                removed.append(drive_id)
+            if delete_drive(context, drive_id, None, only_if=is_expired):
+                _log.info("drive %s: its upload was left alone and has expired, %d bytes to the trash", drive_id, size)
+                context.metrics.count_removal("expired", size)
+                expired += 1
+    return expired
+
+
+def _is_abandoned(oldest: float) -> ColumnElement[bool]:
+    """Return the condition that nobody has touched an upload since a time, and no job works on it or has a result."""
+    of_drive = exists().where(Job.drive_id == Drive.id).correlate(Drive)
+    return and_(
+        Drive.state == DriveState.UPLOADING,
+        Drive.touched_at < oldest,
+        Drive.deleted_at.is_(None),
+        ~of_drive.where(Job.state.not_in(FINAL)),
+        ~of_drive.where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL),
+    )
+
+
+def _remove_archives(context: Context) -> int:
+    """Remove archives that no job will unpack: their files are in the drive, or were refused."""
+    root = context.storage.folder("drives")
+    removed = 0
+    for archive in root.glob("*/archives/*") if root.is_dir() else ():
+        drive_id = archive.parent.parent.name
+        if is_old(archive) and _is_done(context, drive_id, archive.name):
+            size = size_of(archive)
+            context.storage.delete(f"{drive_key(drive_id)}/archives/{archive.name}")
+            _log.info("drive %s: archive %s is not needed any more, %d bytes removed", drive_id, archive.name, size)
+            context.metrics.count_removal("archive", size)
+            removed += 1
     return removed
 
 
-def _is_worked_on() -> Exists:
-    return exists().where(Job.drive_id == Drive.id, Job.state.not_in(FINAL)).correlate(Drive)
-
-
-def _leftovers(context: Context) -> Iterator[str]:
-    """Find what is old and belongs to no drive and no job."""
-    yield from (f"{INCOMING}/{path.name}" for path in _old(context.storage.folder(INCOMING)))
-    tables: dict[str, type[Base]] = {"drives": Drive, "jobs": Job}
-    for folder, table in tables.items():
-        for path in _old(context.storage.folder(folder)):
-            with context.database.reading() as session:
-                is_known = session.get(table, path.name) is not None
-            if not is_known:
-                yield f"{folder}/{path.name}"
-    drives = context.storage.folder("drives")
-    for archive in drives.glob("*/archives/*") if drives.is_dir() else ():
-        drive_id = archive.parent.parent.name
-        if _is_old(archive) and not _is_waited_for(context, drive_id, archive.name):
-            yield f"{drive_key(drive_id)}/archives/{archive.name}"
-
-
-def _is_waited_for(context: Context, drive_id: str, archive: str) -> bool:
+def _is_done(context: Context, drive_id: str, archive: str) -> bool:
     with context.database.reading() as session:
         jobs = session.scalars(
             select(Job).where(Job.drive_id == drive_id, Job.kind == JobKind.UNPACK, Job.state.not_in(FINAL))
         )
-        return any(job.request.get("archive") == f"archives/{archive}" for job in jobs)
+        is_waited_for = any(job.request.get("archive") == f"archives/{archive}" for job in jobs)
+        return not is_waited_for and session.get(Drive, drive_id) is not None
 
 
-def _old(folder: Path) -> list[Path]:
-    return [path for path in folder.iterdir() if _is_old(path)] if folder.is_dir() else []
+def _tidy_drives(context: Context) -> None:
+    ready = select(Drive.id, Drive.keep_raw).where(Drive.state == DriveState.READY, Drive.deleted_at.is_(None))
+    with context.database.reading() as session:
+        found = session.execute(ready).all()
+    for drive_id, keep_raw in found:
+        tidy_drive(context, drive_id, keep_raw=keep_raw)
 
 
-def _is_old(path: Path) -> bool:
-    try:
-        return time.time() - path.stat().st_mtime > LEFT_ALONE_S
-    except OSError:  # gone meanwhile
-        return False
+def _write_sidecars(context: Context) -> None:
+    """Write the rows beside the files where that is missing: of older versions, and of servers that were killed."""
+    with context.database.reading() as session:
+        drives = session.scalars(select(Drive.id)).all()
+        jobs = session.scalars(
+            select(Job.id).where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
+        ).all()
+        for drive_id in drives:
+            folder = context.storage.folder(drive_key(drive_id))
+            is_missing = folder.is_dir() and not (folder / sidecars.DRIVE_FILE).exists()
+            if is_missing and (drive := session.get(Drive, drive_id)) is not None:
+                sidecars.write_drive(context.storage, drive)
+        for job_id in jobs:
+            folder = context.storage.folder(f"jobs/{job_id}")
+            is_missing = folder.is_dir() and not (folder / sidecars.JOB_FILE).exists()
+            if is_missing and (job := session.get(Job, job_id)) is not None:
+                sidecars.write_job(context.storage, job)
 
 
 class Sweeper:
-    """Cleans up once per hour, from `start` to `stop`."""
+    """Cleans up once per hour, from `start` to `stop`.
+
+    Nothing is removed for its age within the first hour, and after the clock of the database has jumped: it may have
+    been set wrongly, before the start too, and an hour is time to notice that.
+    """
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self._watch = ClockWatch(_JUMP_S)
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -171,8 +285,12 @@ class Sweeper:
     def _run(self) -> None:
         while True:
             try:
-                sweep(self._context)
-            except (SQLAlchemyError, OSError) as error:
+                sweep(self._context, by_age=self._clock_is_steady())
+            except (SQLAlchemyError, OSError, InterLocError) as error:
                 _log.warning("clean-up: %s", error)
             if self._stopping.wait(PERIOD_S):
                 return
+
+    def _clock_is_steady(self) -> bool:
+        with self._context.database.reading() as session:
+            return self._watch.look(self._context.database.clock(session)) >= _STEADY_S

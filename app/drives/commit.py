@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
+from app.drives.reconcile import reconcile
 from app.drives.records import drive_model, find_drive, lock_drive
-from app.http.limits import check_free_space
+from app.http.limits import check_free_space, job_limit
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
-from app.jobs.queue import submit
+from app.jobs.queue import active_job, submit
 from app.schemas.drives import CommitRequest, DriveModel, DriveOptionsModel
-from app.states import ACTIVE, DriveState, JobKind, JobState
+from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
 from interloc.drives.inspect import DriveReport
 
@@ -30,9 +30,11 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     Raises
     ------
     Problem
-        404: no such drive. 409: an archive is still being unpacked. 507: the disk is full.
+        404: no such drive. 409: an archive is still being unpacked. 429: too many checks of this client wait.
+        507: the disk is full.
     """
     check_free_space(context, 0)
+    reconcile(context, drive_id)  # what is checked is what is listed, also after a server was killed
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
         if drive.state == DriveState.READY:
@@ -55,15 +57,32 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
             drive.options = {**DriveOptionsModel.model_validate(drive.options).model_dump(mode="json"), **given}
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
-        job = queue_commit(session, context, drive, owner, check_only=request.check_only)
+        limit = job_limit(context, owner)
+        job = queue_commit(session, context, drive, owner, check_only=request.check_only, limit=limit)
     context.jobs_changed.set()
     return job
 
 
-def queue_commit(session: Session, context: Context, drive: Drive, owner: str, *, check_only: bool = False) -> Job:
+def queue_commit(
+    session: Session,
+    context: Context,
+    drive: Drive,
+    owner: str,
+    *,
+    check_only: bool = False,
+    limit: int | None = None,
+) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
     work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
-    job, _ = submit(session, context.database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work)
+    job, _ = submit(
+        session,
+        context.database,
+        kind=JobKind.COMMIT,
+        drive_id=drive.id,
+        owner=owner,
+        request=work,
+        limit=limit,
+    )
     drive.state = DriveState.CHECKING
     drive.touched_at = job.created_at
     return job
@@ -99,13 +118,3 @@ def not_sound(drive: Drive) -> Problem:
         problems=report.problems,
         report=report.to_dict(),
     )
-
-
-def active_job(session: Session, drive_id: str, kind: JobKind) -> Job | None:
-    """Return the job of a kind that waits or runs for a drive."""
-    return session.scalars(
-        select(Job)
-        .where(Job.drive_id == drive_id, Job.kind == kind, Job.state.in_(ACTIVE))
-        .order_by(Job.created_at)
-        .limit(1)
-    ).first()

@@ -7,10 +7,11 @@ from contextlib import suppress
 from sqlalchemy import select, text
 
 from app.context import Context
-from app.drives.records import delete_drive
+from app.drives.trash import delete_drive
 from app.http.limits import check_free_space
 from app.http.problems import Problem
 from app.jobs.queue import submit
+from app.jobs.view import is_alive
 from app.schemas.drives import DriveOptionsModel
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
@@ -32,8 +33,12 @@ def begin_demo(context: Context, owner: str) -> Job:
             session.execute(text("SELECT pg_advisory_xact_lock(hashtext(:owner))"), {"owner": f"demo {owner}"})
         job = session.scalars(
             select(Job)
+            .join(Drive, Drive.id == Job.drive_id)
             .where(
-                Job.kind == JobKind.DEMO, Job.owner == owner, Job.state.not_in([JobState.FAILED, JobState.DISMISSED])
+                Job.kind == JobKind.DEMO,
+                Job.owner == owner,
+                Job.state.not_in([JobState.FAILED, JobState.DISMISSED]),
+                is_alive(),
             )
             .order_by(Job.created_at.desc())
             .limit(1)
@@ -44,7 +49,11 @@ def begin_demo(context: Context, owner: str) -> Job:
             select(Drive.id)
             .join(Job, Job.drive_id == Drive.id)
             .where(
-                Job.kind == JobKind.DEMO, Job.owner == owner, Drive.state == DriveState.UPLOADING, Drive.file_count == 0
+                Job.kind == JobKind.DEMO,
+                Job.owner == owner,
+                Drive.state == DriveState.UPLOADING,
+                Drive.file_count == 0,
+                Drive.deleted_at.is_(None),
             )
         ).all()
         check_free_space(context, _NEEDED_BYTES)
@@ -56,6 +65,6 @@ def begin_demo(context: Context, owner: str) -> Job:
         job, _ = submit(session, context.database, kind=JobKind.DEMO, drive_id=drive.id, owner=owner, request={})
     for drive_id in dead:  # of demos that failed or were cancelled
         with suppress(Problem):
-            delete_drive(context, drive_id)
+            delete_drive(context, drive_id, None, at_once=True)
     context.jobs_changed.set()
     return job

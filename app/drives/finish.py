@@ -14,11 +14,19 @@ from app.context import Context
 from app.drives.cleanup import tidy_drive
 from app.drives.commit import queue_commit
 from app.drives.records import drive_key, reduced_key
-from app.drives.upload import Placement, lock_counts, refuse_unless_open, register, sizes_of
-from app.http.intake import INCOMING, Arrival
+from app.drives.upload import (
+    Placement,
+    lock_counts,
+    refuse_similar_names,
+    refuse_unless_open,
+    register,
+    sizes_of,
+)
+from app.http.intake import Arrival
 from app.http.problems import Problem
 from app.paths import is_map
 from app.states import DriveState, JobKind, JobState
+from app.store import sidecars
 from app.store.models import Drive, DriveFile, Job
 from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
 from app.work.task import Outcome
@@ -53,6 +61,8 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
         _finish_unpack(session, context, job, drive, outcome)
         if job.kind == JobKind.DEMO and job.state == JobState.SUCCESSFUL:  # its client may be gone
             queue_commit(session, context, drive, job.owner)
+    session.flush()
+    session.refresh(drive)  # the counts of an unpacking were written past it
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
     archive = job.request.get("archive")
 
@@ -63,6 +73,7 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
                 context.storage.delete(f"{drive_key(drive_id)}/{archive}")
             if state == DriveState.READY:
                 tidy_drive(context, drive_id, keep_raw=keep_raw)
+            sidecars.write_drive(context.storage, drive)
         except OSError:  # the clean-up tries again
             _log.exception("drive %s: not all could be tidied up", drive_id)
 
@@ -105,8 +116,7 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
         return
     scratch = context.storage.folder(f"jobs/{job.id}/scratch")
     listing = json.loads((scratch / LISTING).read_text())
-    incoming = context.storage.folder(INCOMING)
-    incoming.mkdir(parents=True, exist_ok=True)
+    incoming = context.storage.incoming()
     arrivals = [
         Arrival(file["path"], incoming / secrets.token_hex(12), file["size_bytes"], file["sha256"]) for file in listing
     ]
@@ -116,7 +126,9 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
             for arrival in arrivals:
                 # A second name: if the server dies before the end of the transaction, all of this is repeated.
                 link(scratch / UNPACKED / arrival.path, arrival.temporary)
-            known = sizes_of(session, drive.id, [arrival.path for arrival in arrivals])
+            paths = [arrival.path for arrival in arrivals]
+            known = sizes_of(session, drive.id, paths)
+            refuse_similar_names(session, drive.id, paths)
             register(context, session, lock_counts(session, drive.id), arrivals, known)
             placement.move(arrivals)
     except Problem as problem:

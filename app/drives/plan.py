@@ -21,13 +21,15 @@ from interloc.drives.options import LabelFolder
 from interloc.reduction.plan import ReductionPlan
 
 
-async def plan_upload(context: Context, runner: Runner, drive_id: str, request: PlanRequest) -> ReductionPlanModel:
+async def plan_upload(
+    context: Context, runner: Runner, drive_id: str, request: PlanRequest, client: str
+) -> ReductionPlanModel:
     """Plan the reduction from the small files that were uploaded so far.
 
     Raises
     ------
     Problem
-        404: no such drive.
+        404: no such drive; or as of `Runner.run_in_worker`.
     """
     name, root, given = await run_in_threadpool(_look_up, context, drive_id, request)
     made, judged = await runner.run_in_worker(
@@ -41,6 +43,7 @@ async def plan_upload(context: Context, runner: Runner, drive_id: str, request: 
             "scan_folder": request.scan_folder,
         },
         request.label_counts,
+        client=client,
     )
     return _shown(made, judged, root, name)
 

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from sqlalchemy import delete, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
+from app.paths import is_map
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.settings import Settings
 from app.states import DriveState
+from app.store import sidecars
 from app.store.database import moment
-from app.store.models import Drive, DriveFile, Job
+from app.store.models import Drive, DriveFile
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
 
@@ -51,7 +52,9 @@ def create_drive(context: Context, owner: str, new: NewDrive) -> DriveModel:
         )
         session.add(drive)
         session.flush()
-        return drive_model(drive, context.settings)
+        model = drive_model(drive, context.settings)
+    sidecars.write_drive(context.storage, drive)
+    return model
 
 
 def find_drive(session: Session, drive_id: str) -> Drive:
@@ -63,7 +66,7 @@ def find_drive(session: Session, drive_id: str) -> Drive:
         404.
     """
     drive = session.get(Drive, drive_id)
-    if drive is None:
+    if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
     return drive
 
@@ -77,14 +80,14 @@ def lock_drive(session: Session, drive_id: str) -> Drive:
         404.
     """
     drive = session.get(Drive, drive_id, with_for_update=True, populate_existing=True)
-    if drive is None:
+    if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
     return drive
 
 
 def list_drives(context: Context, after: str | None, limit: int) -> DriveList:
     """Return a page of drives, the newest first, without their reports."""
-    query = select(Drive).options(defer(Drive.report)).order_by(*newest_first(Drive))
+    query = select(Drive).options(defer(Drive.report)).where(Drive.deleted_at.is_(None)).order_by(*newest_first(Drive))
     if after is not None:
         query = query.where(rows_after(Drive, after))
     with context.database.reading() as session:
@@ -118,7 +121,7 @@ def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, Uploade
         404: there is no such file. 410: it is not kept any more.
     """
     with context.database.reading() as session:
-        find_drive(session, drive_id)
+        drive = find_drive(session, drive_id)
         row = session.get(DriveFile, (drive_id, path))
     if row is None:
         raise Problem(
@@ -126,6 +129,13 @@ def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, Uploade
         )
     folders = (context.storage.folder(key(drive_id)) for key in (files_key, reduced_key))
     file = next((folder / path for folder in folders if (folder / path).is_file()), None)
+    if file is None and stays_uploaded(drive, path):
+        raise Problem(
+            410,
+            "File missing",
+            f"{path} is listed, but it is no longer on the disk of the service. Send it again if the drive still takes "
+            "files; the operator finds what else is missing with `interloc check`.",
+        )
     if file is None:
         raise Problem(
             410,
@@ -134,6 +144,11 @@ def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, Uploade
             "Make the drive with keep_raw to keep its scans as they come.",
         )
     return file, file_model(row)
+
+
+def stays_uploaded(drive: Drive, path: str) -> bool:
+    """Return whether an uploaded file stays as it is: a commit reduces the scans of a drive, but never its maps."""
+    return drive.state != DriveState.READY or drive.keep_raw or is_map(path)
 
 
 def find_trajectory(context: Context, drive_id: str) -> Path:
@@ -185,6 +200,7 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
         root = context.storage.folder(files_key(drive_id))
         (root / path).unlink(missing_ok=True)
         remove_empty((root / path).parent, root)
+    context.metrics.count_removal("deleted", row.size_bytes)
 
 
 def remove_empty(folder: Path, root: Path) -> None:
@@ -193,38 +209,6 @@ def remove_empty(folder: Path, root: Path) -> None:
         with suppress(OSError):
             folder.rmdir()
         folder = folder.parent
-
-
-def delete_drive(context: Context, drive_id: str, *, only_if: Callable[[Session, Drive], bool] | None = None) -> bool:
-    """Remove a drive with its files, jobs and results; jobs that run end when they find their rows gone.
-
-    Parameters
-    ----------
-    context
-    drive_id
-    only_if
-        Condition, evaluated in the transaction that removes the drive.
-
-    Returns
-    -------
-    bool
-        Whether the drive was removed.
-
-    Raises
-    ------
-    Problem
-        404.
-    """
-    with context.database.writing() as session:
-        drive = lock_drive(session, drive_id)
-        if only_if is not None and not only_if(session, drive):
-            return False
-        jobs = session.scalars(select(Job.id).where(Job.drive_id == drive_id)).all()
-        session.execute(delete(Drive).where(Drive.id == drive_id))
-    for job in jobs:
-        context.storage.delete(f"jobs/{job}")
-    context.storage.delete(drive_key(drive_id))
-    return True
 
 
 def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> DriveModel:

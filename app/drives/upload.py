@@ -16,18 +16,22 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.records import files_key, find_drive, remove_empty
-from app.http.intake import INCOMING, Arrival
-from app.http.limits import check_drive, check_free_space
+from app.http.intake import Arrival
+from app.http.limits import check_drive, check_free_space, check_quota
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
-from app.paths import is_map
+from app.paths import folded, folded_hash, hash_of, is_map
 from app.states import DriveState
 from app.store.models import Drive, DriveFile
 
 _AT_ONCE = 500  # paths in one query
 
 _drives, _files = (cast("Table", table.__table__) for table in (Drive, DriveFile))
-_COUNTS = select(_drives.c.id, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes).with_for_update()
+_COUNTS = (
+    select(_drives.c.id, _drives.c.owner, _drives.c.state, _drives.c.file_count, _drives.c.size_bytes)
+    .where(_drives.c.deleted_at.is_(None))
+    .with_for_update()
+)
 _SIZES = select(_files.c.path, _files.c.size_bytes)
 _REPLACE = delete(_files).where(_files.c.drive_id == bindparam("of"), _files.c.path == bindparam("at"))
 _INSERT = insert(_files)
@@ -61,13 +65,14 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
     Raises
     ------
     Problem
-        404: there is no such drive. 409: it takes no files now, or a name is that of a folder. 413: it would become
-        too large. Nothing was changed.
+        404: there is no such drive. 409: it takes no files now, or a name is that of a folder or too similar to another
+        one. 413: it would become too large. Nothing was changed.
     """
     with Placement(context, drive_id) as placement, context.database.writing() as session:
         counts = lock_counts(session, drive_id)
         refuse_unless_open(counts, [arrival.path for arrival in arrivals])
         known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
+        refuse_similar_names(session, drive_id, [arrival.path for arrival in arrivals])
         register(context, session, counts, arrivals, known)
         placement.move(arrivals)
     return not known
@@ -75,9 +80,10 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
 
 @dataclass(frozen=True)
 class DriveCounts:
-    """The four columns of a drive that an upload needs; read without the ORM because this runs once per file."""
+    """The columns of a drive that an upload needs; read without the ORM because this runs once per file."""
 
     id: str
+    owner: str
     state: str
     file_count: int
     size_bytes: int
@@ -132,8 +138,9 @@ def check_upload(context: Context, drive_id: str, path: str, length: int) -> Non
     """
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
-    refuse_unless_open(drive, [path])
-    check_drive(context, drive.file_count, drive.size_bytes + length)
+        refuse_unless_open(drive, [path])
+        check_drive(context, drive.file_count, drive.size_bytes + length)
+        check_quota(context, session, drive.owner, length)
     check_free_space(context, length)
 
 
@@ -148,6 +155,42 @@ def sizes_of(session: Session, drive_id: str, paths: Sequence[str]) -> dict[str,
     return known
 
 
+def refuse_similar_names(session: Session, drive_id: str, paths: Sequence[str]) -> None:
+    """Refuse paths that other file systems take for one: of two files that differ in case only, one would be lost.
+
+    Raises
+    ------
+    Problem
+        409: with the two paths.
+    """
+    plain = {path: folded(path) or path for path in paths}
+    first: dict[str, str] = {}
+    for path, key in plain.items():
+        if (other := first.setdefault(key, path)) != path:
+            raise _too_similar(path, other)
+    for start in range(0, len(paths), _AT_ONCE):
+        some = [(path, plain[path]) for path in paths[start : start + _AT_ONCE]]
+        hashes = {hash_of(key): path for path, key in some}
+        rows = session.execute(
+            select(_files.c.path, _files.c.folded).where(_files.c.drive_id == drive_id, _files.c.folded.in_(hashes))
+        )
+        for other, hashed in rows:
+            if other != hashes[hashed]:
+                raise _too_similar(hashes[hashed], other)
+        keys = {key: path for path, key in some if key != path}
+        for other in sizes_of(session, drive_id, list(keys)) if keys else ():
+            raise _too_similar(keys[other], other)
+
+
+def _too_similar(path: str, other: str) -> Problem:
+    return Problem(
+        409,
+        "Names in conflict",
+        f"{path} and {other} differ only in upper and lower case or in the way their letters are composed; many file "
+        "systems take them for one file. Nothing of this request was kept; rename one of them, or DELETE it first.",
+    )
+
+
 def register(
     context: Context, session: Session, drive: DriveCounts, arrivals: Sequence[Arrival], known: dict[str, int]
 ) -> None:
@@ -156,13 +199,21 @@ def register(
     Raises
     ------
     Problem
-        413: the drive would become too large.
+        413: the drive would become too large, or its owner may not store so much.
     """
     more = sum(arrival.size_bytes for arrival in arrivals) - sum(known.values())
     fresh = len(arrivals) - len(known)
     check_drive(context, drive.file_count + fresh, drive.size_bytes + more)
+    check_quota(context, session, drive.owner, more)
     rows: list[dict[str, Any]] = [
-        {"drive_id": drive.id, "path": each.path, "size_bytes": each.size_bytes, "sha256": each.sha256}
+        {
+            "drive_id": drive.id,
+            "path": each.path,
+            "size_bytes": each.size_bytes,
+            "sha256": each.sha256,
+            "mtime_ns": each.temporary.stat().st_mtime_ns,  # stays the same when it is renamed
+            "folded": folded_hash(each.path),
+        }
         for each in arrivals
     ]
     connection = session.connection()
@@ -180,7 +231,7 @@ class Placement:
     """Moves files to their places; if the block or its transaction fails, the old files are restored."""
 
     def __init__(self, context: Context, drive_id: str) -> None:
-        self._incoming = context.storage.folder(INCOMING)
+        self._incoming = context.storage.incoming
         self._files = context.storage.folder(files_key(drive_id))
         self._moved: list[tuple[Path, Path | None]] = []
 
@@ -240,7 +291,7 @@ class Placement:
 
     def _save(self, target: Path) -> Path | None:
         """Keep the file that is about to be replaced; until then readers find it under its name."""
-        old = self._incoming / secrets.token_hex(12)
+        old = self._incoming() / secrets.token_hex(12)
         try:
             os.link(target, old)
         except FileNotFoundError:

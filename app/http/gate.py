@@ -20,7 +20,7 @@ import time
 from collections import OrderedDict
 from urllib.parse import urlsplit
 
-from starlette.concurrency import run_in_threadpool
+from anyio import CapacityLimiter, to_thread
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -28,13 +28,15 @@ from app import logs
 from app.context import Context
 from app.http.problems import Problem, respond
 from app.settings import Settings
-from app.store.tokens import ANONYMOUS
+from app.store.database import moment
+from app.store.tokens import ANONYMOUS, Holder, TokenBook
 
 _SAFE = {"GET", "HEAD", "OPTIONS"}
 _PROBES = {"/healthz", "/readyz"}
 _MAX_HEADERS = 100
 _MAX_TOKEN = 512  # characters
 _FAILURES_PER_MINUTE = 20
+_FAILURES_OF_ALL = 300  # of all addresses together: whoever is believed to be a proxy can make them up
 _ADDRESSES = 4096
 
 _log = logging.getLogger(__name__)
@@ -48,13 +50,15 @@ def path_of(scope: Scope) -> str:
 
 
 class Gate:
-    """Refuses by host, origin and token; leaves the name of the client in ``request.state.client``."""
+    """Refuses by host, origin and token; leaves who sends a request in ``request.state.holder``."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
         self._failures = _Failures()
         self._hosts = {name.strip().lower() for name in settings.allowed_hosts.split(",") if name.strip()}
         self._checks_hosts = bool(self._hosts) or settings.is_loopback
+        # One thread of its own: tokens are read even where all others wait for the database.
+        self._reader = CapacityLimiter(1)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Go on, or refuse."""
@@ -71,14 +75,18 @@ class Gate:
         if len(scope["headers"]) > _MAX_HEADERS:
             return Problem(431, "Too many headers", f"A request may have {_MAX_HEADERS} headers.")
         path = path_of(scope)
-        scope.setdefault("state", {})["client"] = ANONYMOUS
+        scope.setdefault("state", {})["holder"] = Holder(ANONYMOUS)
         if path in _PROBES:
             return None
-        context: Context = scope["app"].state.context
         headers = Headers(scope=scope)
-        needed = context.tokens.are_needed() if context.tokens.need_is_known else None
-        if needed is None:
-            needed = await run_in_threadpool(context.tokens.are_needed)
+        hosts = headers.getlist("host")
+        if len(hosts) > 1 or (not hosts and scope["http_version"] == "1.1"):
+            found = "Its headers name no Host." if not hosts else f"Its headers name {len(hosts)} of them."
+            return Problem(400, "Host not clear", f"{found} A request names one Host (RFC 9112, section 3.2).")
+        context: Context = scope["app"].state.context
+        if not context.tokens.need_is_known:
+            await self._read(context.tokens, time.monotonic())
+        needed = context.tokens.are_needed()
         problem = None if needed else self._foreign(scope, headers)
         if problem is None and (path.startswith("/api/") or path == "/metrics"):
             problem = await self._identify(scope, headers, context, needed=needed)
@@ -106,7 +114,7 @@ class Gate:
         return Problem(403, "Request of another site", "Pages of other sites may not change anything here.")
 
     async def _identify(self, scope: Scope, headers: Headers, context: Context, *, needed: bool) -> Problem | None:
-        """Find out whose token it is."""
+        """Find out whose token it is. One that is known is never refused, whatever else comes from its address."""
         given = headers.get("authorization")
         if given is None:
             return _unauthorized("This service needs an API token.") if needed else None
@@ -114,29 +122,45 @@ class Gate:
         token = token.strip()
         if scheme.lower() != "bearer" or not token or len(token) > _MAX_TOKEN:
             return _unauthorized("The Authorization header holds no token: `Bearer TOKEN` is expected.")
-        client = context.tokens.recall(token)
-        if client is None:
+        asked = time.monotonic()
+        if not context.tokens.is_fresh:
+            await self._read(context.tokens, asked)
+        holder = context.tokens.recall(token)
+        if holder is None:
             address = scope["client"][0] if scope.get("client") else ""
             wait_s = self._failures.wait_s(address)
             if wait_s > 0:
+                context.metrics.refused_tokens.labels("too many").inc()
                 return Problem(
                     429,
                     "Too many wrong tokens",
-                    f"From this address came {_FAILURES_PER_MINUTE} wrong tokens within a minute; "
-                    "no further token is checked now.",
+                    "This token is not known, and too many such came within a minute. Valid ones are answered "
+                    "meanwhile; one that was made just now is within seconds.",
                     headers={"Retry-After": str(int(wait_s) + 1)},
                 )
-            client = await run_in_threadpool(context.tokens.client_of, token)
-            if client is None:
+            await self._read(context.tokens, asked)  # it may have been made just now
+            holder = context.tokens.recall(token)
+            if holder is None:
                 self._failures.count(address)
+                context.metrics.refused_tokens.labels("unknown").inc()
                 _log.warning("wrong token", extra={"address": address})
                 return _unauthorized(
                     "There is no such token, or it was revoked. The operator makes one with `interloc token add NAME`.",
                     'error="invalid_token"',
                 )
-        scope["state"]["client"] = client
-        logs.bind(client=client)
+        logs.bind(client=holder.name)
+        if holder.has_expired:
+            context.metrics.refused_tokens.labels("expired").inc()
+            return _unauthorized(
+                f"The token of {holder.name} expired on {moment(holder.expires_at or 0):%Y-%m-%d %H:%M} UTC. The "
+                "operator makes another one with `interloc token add NAME`.",
+                'error="invalid_token"',
+            )
+        scope["state"]["holder"] = holder
         return None
+
+    async def _read(self, tokens: TokenBook, asked: float) -> None:
+        await to_thread.run_sync(tokens.read, asked, limiter=self._reader)
 
 
 def _unauthorized(found: str, parameter: str = "") -> Problem:
@@ -146,24 +170,33 @@ def _unauthorized(found: str, parameter: str = "") -> Problem:
 
 
 class _Failures:
-    """Counts wrong tokens by address, within a minute. Tokens that are known keep working in the meantime."""
+    """Counts wrong tokens within a minute, by address and all together."""
 
     def __init__(self) -> None:
         self._seen: OrderedDict[str, tuple[int, float]] = OrderedDict()
+        self._all = (0, 0.0)
 
     def count(self, address: str) -> None:
-        number, since = self._seen.pop(address, (0, time.monotonic()))
+        now = time.monotonic()
+        number, since = self._seen.pop(address, (0, now))
         self._seen[address] = (number + 1, since)
         while len(self._seen) > _ADDRESSES:
             self._seen.popitem(last=False)
+        number, since = self._all
+        self._all = (number + 1, since) if now < since + 60 else (1, now)
 
     def wait_s(self, address: str) -> float:
-        """Return the seconds until a token from there is checked again."""
+        """Return the seconds until an unknown token from there is looked for again."""
+        now = time.monotonic()
         number, since = self._seen.get(address, (0, 0.0))
-        left = since + 60 - time.monotonic()
+        left = since + 60 - now
         if left <= 0:
             self._seen.pop(address, None)
-        return left if number >= _FAILURES_PER_MINUTE else 0.0
+        number_of_all, since_of_all = self._all
+        return max(
+            left if number >= _FAILURES_PER_MINUTE else 0.0,
+            since_of_all + 60 - now if number_of_all >= _FAILURES_OF_ALL else 0.0,
+        )
 
 
 def _name_of(host: str) -> str:

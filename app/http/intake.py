@@ -22,8 +22,6 @@ from app.http.problems import Problem
 PIECE_BYTES = 1 << 20
 """Bodies are handed to the thread pool in pieces of about this size: a hop for every network packet costs more."""
 
-INCOMING = "incoming"
-
 Kept = TypeVar("Kept")
 
 
@@ -65,7 +63,8 @@ class Intake:
         self.size_bytes = 0
         self._limit = limit
         self._hash = hashlib.sha256()
-        self._temporary = context.storage.folder(INCOMING) / secrets.token_hex(12)
+        self._incoming = context.storage.incoming
+        self._temporary = Path()
         self._file: FileIO | None = None
 
     def write(self, data: bytes | memoryview) -> None:
@@ -123,7 +122,7 @@ class Intake:
     def _open(self) -> FileIO:
         """Return the file, made when the first bytes arrive: in a thread, so that the server can answer others."""
         if self._file is None:
-            self._temporary.parent.mkdir(parents=True, exist_ok=True)
+            self._temporary = self._incoming() / secrets.token_hex(12)
             self._file = self._temporary.open("xb", buffering=0)
         return self._file
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from app.context import Context
 from app.http.problems import Problem, disk_full
 from app.settings import MB
+from app.store.models import Drive, Token
 
 CLOSE = {"Connection": "close"}
 """Sent when a body is refused before it is read: the rest of it would be taken for the next request."""
@@ -67,6 +71,13 @@ def check_free_space(context: Context, needed: int) -> None:
         raise Problem(problem.status, problem.title, problem.detail, headers=CLOSE)
 
 
+async def make_room_to_delete(request: Request) -> None:
+    """Give up the reserve where the disk is full and a request is to delete something, which needs some space."""
+    if request.method == "DELETE":
+        context: Context = request.app.state.context
+        await run_in_threadpool(context.reserve.give_up_if_full)
+
+
 def check_drive(context: Context, files: int, size: int) -> None:
     """Refuse what makes a drive too large.
 
@@ -92,3 +103,43 @@ def check_drive(context: Context, files: int, size: int) -> None:
             "(images), or cut the drive.",
             headers=CLOSE,
         )
+
+
+def check_quota(context: Context, session: Session, owner: str, more: int) -> None:
+    """Refuse what a client may not store any more by its token.
+
+    Parameters
+    ----------
+    context
+    session
+        The transaction that stores it: those of one client come here one after the other.
+    owner
+        The client to which the drive belongs.
+    more
+        Bytes that come in addition.
+
+    Raises
+    ------
+    Problem
+        413.
+    """
+    allowed = context.tokens.named(owner).max_bytes
+    if allowed is None or more <= 0:
+        return
+    session.execute(select(Token.name).where(Token.name == owner).with_for_update())
+    kept = int(session.scalar(select(func.sum(Drive.stored_bytes)).where(Drive.owner == owner)) or 0)
+    if kept + more > allowed:
+        raise Problem(
+            413,
+            "Quota used up",
+            f"The drives of {owner} keep {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more they would exceed the "
+            f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer needed.",
+            headers=CLOSE,
+        )
+
+
+def job_limit(context: Context, owner: str) -> int:
+    """Return how many jobs of one kind a client may have that wait or run."""
+    allowed = context.tokens.named(owner).max_jobs
+    limit = context.settings.max_queued_jobs
+    return limit if allowed is None else min(limit, allowed)

@@ -29,6 +29,7 @@ _API = "/api/v1"
 _GIVEN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _ABOUT = re.compile(r"/api/v1/(drive|job)s/([0-9a-f]{16})(?=/|$)")
 _QUIET = {"/healthz", "/readyz", "/metrics"}
+_FREQUENT = {"put_file", "post_scans"}
 _GONE = 499  # nginx's status for a client that did not wait for the answer
 _HSTS_S = 180 * 24 * 3600
 
@@ -36,11 +37,12 @@ _HSTS_S = 180 * 24 * 3600
 _STREAMS = re.compile(r"/api/v1/drives/[^/]+/(files/.+|scans|archive)")
 
 _log = logging.getLogger("app.access")
+_audit = logging.getLogger("app.audit")
 
 
 def add_middleware(app: FastAPI, settings: Settings) -> None:
     """Put all of it around the application; the last that is added is the outermost."""
-    app.add_middleware(Bodies, idle_s=settings.idle_timeout_s)
+    app.add_middleware(Bodies, idle_s=settings.idle_timeout_s, bytes_per_s=settings.min_body_rate)
     app.add_middleware(Gate, settings=settings)
     app.add_middleware(Faults)
     app.add_middleware(SecurityHeaders, settings=settings)
@@ -69,7 +71,7 @@ class RequestLog:
             return
         scope["root_path"] = self._root_path
         started = time.perf_counter()
-        status, received_bytes, is_stream = _GONE, 0, False
+        status, received_bytes, is_stream, location = _GONE, 0, False, ""
         path = path_of(scope)
         given = Headers(scope=scope).get("x-request-id", "")
         request_id = given if _GIVEN_ID.fullmatch(given) else secrets.token_hex(8)
@@ -84,12 +86,13 @@ class RequestLog:
             return message
 
         async def send_and_note(message: Message) -> None:
-            nonlocal status, is_stream
+            nonlocal status, is_stream, location
             if message["type"] == "http.response.start":
                 status = message["status"]
                 headers = MutableHeaders(scope=message)
                 headers["x-request-id"] = request_id
                 is_stream = headers.get("content-type", "").startswith("text/event-stream")
+                location = headers.get("location", "")
             await send(message)
 
         try:
@@ -114,7 +117,21 @@ class RequestLog:
                 "duration_ms": round(seconds * 1000, 1),
                 "received_bytes": received_bytes or None,
             }
+            if status < 400:
+                _note_change(scope, location)
             _log.log(level, "%s %s %d", scope["method"], path, status, extra=fields)
+
+
+def _note_change(scope: Scope, location: str) -> None:
+    """Log who changed what. Files are left out: the request log has them, thousands for each drive."""
+    state = scope.get("state", {})
+    action = state.get("action")
+    if action is None or action in _FREQUENT:
+        return
+    made = _ABOUT.search(location)
+    about = {made[1]: made[2]} if made else {}
+    name = state["holder"].name
+    _audit.info("%s: %s", name, action, extra={"client": name, "action": action, **about})
 
 
 def _route(scope: Scope, path: str) -> str:
@@ -199,7 +216,7 @@ class Faults:
 
 
 class Bodies:
-    """Limits what a client sends: small JSON, read before its endpoint runs, and no body that pauses for ever.
+    """Limits what a client sends: small JSON, read before its endpoint runs, and no body that comes for ever.
 
     Parameters
     ----------
@@ -207,11 +224,14 @@ class Bodies:
         What is inside.
     idle_s
         A body that pauses for so long is given up; those of uploads too.
+    bytes_per_s
+        So is one that has kept the server waiting for longer than that, and was slower on the average.
     """
 
-    def __init__(self, app: ASGIApp, idle_s: float) -> None:
+    def __init__(self, app: ASGIApp, idle_s: float, bytes_per_s: float) -> None:
         self._app = app
         self._idle_s = idle_s
+        self._bytes_per_s = bytes_per_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Read or limit the body, then go on."""
@@ -230,21 +250,33 @@ class Bodies:
 
     def _with_time_limit(self, receive: Receive) -> Receive:
         more = True
+        waited_s, received_bytes = 0.0, 0  # what the server itself needs to store a piece does not count
 
         async def receive_in_time() -> Message:
-            nonlocal more
+            nonlocal more, waited_s, received_bytes
             if not more:  # waiting for the client to go away, as a stream of events does
                 return await receive()
+            begun = time.monotonic()
             try:
                 async with asyncio.timeout(self._idle_s):
                     message = await receive()
             except TimeoutError as error:
-                detail = f"Nothing more of the body came for {self._idle_s:g} seconds."
-                raise HTTPException(408, detail, headers={"Connection": "close"}) from error
+                raise _too_slow(f"Nothing more of the body came for {self._idle_s:g} seconds.") from error
+            waited_s += time.monotonic() - begun
+            received_bytes += len(message.get("body", b""))
             more = message["type"] == "http.request" and message.get("more_body", False)
+            if more and waited_s > self._idle_s and received_bytes < self._bytes_per_s * waited_s:
+                raise _too_slow(
+                    f"{received_bytes:,} bytes of the body came in {waited_s:.0f} seconds; expected "
+                    f"{self._bytes_per_s:,.0f} per second on the average."
+                )
             return message
 
         return receive_in_time
+
+
+def _too_slow(detail: str) -> HTTPException:
+    return HTTPException(408, detail, headers={"Connection": "close"})
 
 
 async def _read(scope: Scope, receive: Receive) -> Receive:

@@ -16,7 +16,6 @@ from app.settings import Settings
 
 INDEX = "index.html"
 _PACKAGES = "node_modules"
-_PRIVATE = frozenset({"package.json", "package-lock.json"})
 
 SWAGGER = "node_modules/swagger-ui-dist/swagger-ui-bundle.js"
 
@@ -110,14 +109,18 @@ class PageFiles:
     def find(self, name: str) -> Path | None:
         """Return a file that may be served, by its path below the root."""
         parts = name.split("/")
-        if "\0" in name or name in _PRIVATE or any(not part or part.startswith(".") for part in parts):
+        if "\0" in name or any(not part or part.startswith(".") for part in parts):
+            return None
+        if name.endswith(".json") and parts[0] != _PACKAGES:  # settings of tools; the page itself has none
             return None
         if parts[0] == _PACKAGES and self.packages.isdisjoint(parts[1:2]):
             return None
         path = self.root.joinpath(*parts)
-        if path.suffix not in MEDIA_TYPES or not path.is_file() or not path.resolve().is_relative_to(self.root):
-            return None
-        return path
+        try:
+            is_there = path.suffix in MEDIA_TYPES and path.is_file() and path.resolve().is_relative_to(self.root)
+        except OSError:  # no file system has names so long
+            is_there = False
+        return path if is_there else None
 
 
 def list_addresses(openapi: dict[str, Any]) -> str:

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Annotated, Any
 
+from fastapi import Query
 from sqlalchemy import ColumnElement, and_, or_
 
 from app.http.problems import Problem
 from app.store.models import Drive, Job
 
-_CURSOR = re.compile(r"(\d{1,12}\.\d{1,20})_([0-9a-f]{1,32})")
+_CURSOR = r"^([0-9]{1,12}\.[0-9]{1,20})_([0-9a-f]{1,32})$"
+
+After = Annotated[
+    str | None,
+    Query(max_length=100, description="`next` of the previous page.", json_schema_extra={"pattern": _CURSOR}),
+]
+"""Where a page begins."""
 
 
 def cursor_of(row: Drive | Job) -> str:
     """Return the cursor of a page that ends with this row."""
     return f"{row.created_at!r}_{row.id}"
+
+
+def deletion_cursor_of(row: Drive | Job) -> str:
+    """Return the cursor of a page of deleted rows that ends with this one."""
+    return f"{row.deleted_at!r}_{row.id}"
 
 
 def rows_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
@@ -26,17 +38,37 @@ def rows_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
     Problem
         422: it is not a cursor.
     """
-    match = _CURSOR.fullmatch(cursor)
+    return _after(table.created_at, table.id, cursor)
+
+
+def deleted_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
+    """Return the condition that a row comes after a cursor, in the order of `last_deleted_first`.
+
+    Raises
+    ------
+    Problem
+        422: it is not a cursor.
+    """
+    return _after(table.deleted_at, table.id, cursor)
+
+
+def newest_first(table: type[Drive | Job]) -> tuple[Any, Any]:
+    """Return what rows are ordered by."""
+    return table.created_at.desc(), table.id.desc()
+
+
+def last_deleted_first(table: type[Drive | Job]) -> tuple[Any, Any]:
+    """Return what deleted rows are ordered by."""
+    return table.deleted_at.desc(), table.id.desc()
+
+
+def _after(time: Any, id_: Any, cursor: str) -> ColumnElement[bool]:  # noqa: ANN401 - columns
+    match = re.fullmatch(_CURSOR, cursor)
     if match is None:
         raise Problem(
             422,
             "Request not valid",
             f"after={cursor[:80]!r} is not the `next` of a list. Leave it out to begin with the first page.",
         )
-    created_at, id_ = float(match[1]), match[2]
-    return or_(table.created_at < created_at, and_(table.created_at == created_at, table.id < id_))
-
-
-def newest_first(table: type[Drive | Job]) -> tuple[Any, Any]:
-    """Return what rows are ordered by."""
-    return table.created_at.desc(), table.id.desc()
+    last_time, last_id = float(match[1]), match[2]
+    return or_(time < last_time, and_(time == last_time, id_ < last_id))

@@ -17,7 +17,9 @@ from sqlalchemy.exc import DataError, OperationalError, SQLAlchemyError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.routing import Match
 
+from app.store.database import is_disk_full
 from interloc.errors import InterLocError
 
 MEDIA_TYPE = "application/problem+json"
@@ -97,6 +99,7 @@ def from_error(error: InterLocError) -> Problem:
         "DriveFileError": "Drive not usable",
         "ConfigError": "Bad setting",
         "BadNameError": "Bad file name",
+        "DriveGoneError": "Drive not whole",
     }
     return Problem(error.http_status, titles.get(type(error).__name__, "Not possible"), str(error))
 
@@ -106,8 +109,9 @@ def disk_full() -> Problem:
     return Problem(
         507,
         "Disk full",
-        "The service has no disk space left. Nothing of this request was kept; delete drives that are no longer needed "
-        "(DELETE /api/v1/drives/{id}) or ask its operator, then send it again.",
+        "The service has no disk space left. Nothing of this request was kept; empty the trash (DELETE /api/v1/trash), "
+        "delete drives that are no longer needed for good (DELETE /api/v1/drives/{id}?purge=true) or ask its operator, "
+        "then send it again.",
     )
 
 
@@ -132,7 +136,21 @@ def respond(problem: Problem, path: str) -> JSONResponse:
 
 
 async def _handle(request: Request, error: Exception) -> JSONResponse:
-    return respond(problem_of(error), request.url.path)
+    problem = problem_of(error)
+    if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names the methods of the first route only
+        problem.headers = {"Allow": ", ".join(_methods_at(request))}
+    return respond(problem, request.url.path)
+
+
+def _methods_at(request: Request) -> list[str]:
+    routes = request.app.router.routes
+    # Not the scope of this request: routing has noted there what it found.
+    plain = {name: request.scope[name] for name in ("type", "path", "root_path", "headers")}
+
+    def is_there(method: str) -> bool:
+        return any(route.matches({**plain, "method": method})[0] is Match.FULL for route in routes)
+
+    return [method for method in ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE") if is_there(method)]
 
 
 _DETAILS_OF_FRAMEWORK = {
@@ -170,9 +188,9 @@ def _of_disconnect(_: ClientDisconnect) -> Problem:
 
 
 def _of_database_error(error: SQLAlchemyError) -> Problem:
-    if "disk is full" in str(error) or "No space left" in str(error):
+    if is_disk_full(error):
         return disk_full()
-    _log.error("database: %s", error)
+    _log.warning("database: %s", error)
     detail = "The database did not answer in time. Send the request again in a moment."
     return Problem(503, "Database busy", detail, headers={"Retry-After": "5"})
 

@@ -1,9 +1,10 @@
-"""How a request is received: uvicorn's protocol, with limits for the head, which it does not have itself."""
+"""How a request is received: uvicorn's protocol, with limits of the head and of connections that it does not have."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+from urllib.parse import urlsplit
 
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
@@ -13,10 +14,18 @@ MAX_HEAD_BYTES = 64 * 1024
 HEAD_S = 20.0
 
 
+class _RefusedError(Exception):
+    """A head that is not to be answered; the parser passes it on as its own error."""
+
+
 class Protocol(HttpToolsProtocol):
-    """Closes connections whose request line and headers do not arrive, or do not end."""
+    """Closes connections whose request line and headers do not arrive, or do not end; and those that are too many."""
 
     head_s = HEAD_S
+    max_connections = 4000
+    """Those beyond are closed at once: descriptors must be left for files, the database and the workers."""
+
+    _complaint = ""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # like the base class
         """Begin to wait for a request."""
@@ -24,6 +33,8 @@ class Protocol(HttpToolsProtocol):
         self._in_head = False
         self._head_bytes = 0
         self._head_timer: asyncio.TimerHandle | None = self._start_timer()
+        if len(self.connections) > self.max_connections:
+            self._answer(Problem(503, "Too many connections", "Try again in a moment."))
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Wait no longer."""
@@ -40,6 +51,7 @@ class Protocol(HttpToolsProtocol):
         """Count no longer: what follows is the body."""
         self._in_head = False
         self._stop_timer()
+        self._check_target()
         super().on_headers_complete()
 
     def data_received(self, data: bytes) -> None:
@@ -55,7 +67,21 @@ class Protocol(HttpToolsProtocol):
 
     def send_400_response(self, msg: str) -> None:
         """Refuse what is not HTTP, by a problem document as everywhere else."""
-        self._answer(Problem(400, "Request malformed", f"{msg.rstrip('.')}: it does not keep to HTTP/1.1."))
+        what = self._complaint or f"{msg.rstrip('.')}: it does not keep to HTTP/1.1."
+        self._answer(Problem(400, "Request malformed", what))
+
+    def _check_target(self) -> None:
+        """Refuse a target that names another host than the header Host: which one is meant is not clear."""
+        if self.url.startswith((b"/", b"*")):
+            return
+        try:
+            target = urlsplit(self.url.decode("ascii"))
+        except ValueError:
+            target = urlsplit("")
+        hosts = [value.decode("latin-1").lower() for name, value in self.headers if name == b"host"]
+        if target.scheme not in {"http", "https"} or hosts != [target.netloc.lower()]:
+            self._complaint = "The target of the request names another host than its header Host, or none."
+            raise _RefusedError
 
     def _start_timer(self) -> asyncio.TimerHandle:
         return self.loop.call_later(self.head_s, self.transport.close)

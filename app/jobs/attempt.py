@@ -20,7 +20,9 @@ from app.jobs.executors import WorkExecutor
 from app.jobs.folders import place_result, task_of, tidy, without_paths
 from app.jobs.processes import WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
+from app.jobs.worker_limits import WorkerLimitError
 from app.states import DriveState, JobState
+from app.store import sidecars
 from app.store.models import Drive, Job
 from app.work import kinds
 from app.work.progress import ProgressFiles
@@ -31,8 +33,8 @@ FinishDrive = Callable[[Session, Context, Job, Outcome | Problem], None]
 
 Stop = Literal["cancelled", "lost", "shutdown"]
 
-_LOOK_S = 0.5  # interval at which progress is read and a stop is noticed
-_QUIET_END_S = 30.0  # time for work to end by itself once it was asked to
+_LOOK_S = 0.5  # interval at which progress is read
+_GRACE_S = 1.5  # time for work to end by itself once it was asked to, and to tidy up; then its process is killed
 _log = logging.getLogger(__name__)
 
 
@@ -63,6 +65,9 @@ class Attempt:
         self._task = task_of(context, claim, executor.slots)
         self._progress = ProgressFiles(self._task)
         self._stop: Stop | None = None
+        self._stopped: Future[None] = Future()  # ends with the stop, so that whoever waits for work wakes up
+        self._at_work: set[Future[Any]] = set()
+        self._began = time.monotonic()
         self._stage = self._kind.stages[0]
         self._done: dict[int, int] = {}  # units of the parts that have ended
         self._total: int | None = None
@@ -74,6 +79,7 @@ class Attempt:
         if self._stop is None:
             self._stop = reason
             self._progress.stop()
+            self._stopped.set_result(None)
 
     def run(self) -> None:
         """Work on the job until it has ended, well or not."""
@@ -108,17 +114,20 @@ class Attempt:
         if not self._kind.changes_drive and self.claim.drive_state == DriveState.UPLOADING:
             raise not_ready(Drive(id=job.drive_id, name=self.claim.drive_name))
         self._progress.open()
-        plan: Plan = self._call("the preparation", kinds.prepare, self._task)
-        self._total = plan.total
-        self._enter(1)
-        self._do_parts(plan)
-        self._enter(2)
-        outcome: Outcome = self._call("the result", kinds.finish, self._task, plan)
+        try:
+            plan: Plan = self._call("the preparation", kinds.prepare, self._task)
+            self._total = plan.total
+            self._enter(1)
+            self._do_parts(plan)
+            self._enter(2)
+            outcome: Outcome = self._call("the result", kinds.finish, self._task, plan)
+        finally:
+            self._give_up_rest()
         return outcome
 
     def _call(self, what: str, function: Callable[..., Any], *args: Any) -> Any:  # noqa: ANN401
         while True:
-            future = self._executor.submit(function, *args)
+            future = self._begin(function, *args)
             self._wait({future})
             try:
                 return future.result()
@@ -132,7 +141,7 @@ class Attempt:
         while waiting or running:
             while waiting and len(running) <= self._executor.slots:
                 part = waiting.popleft()
-                running[self._executor.submit(kinds.run, self._task, part)] = part
+                running[self._begin(kinds.run, self._task, part)] = part
             for future in self._wait(set(running)):
                 part = running.pop(future)
                 try:
@@ -143,18 +152,41 @@ class Attempt:
                 else:
                     self._done[part.number] = part.stop - part.start
 
+    def _begin(self, function: Callable[..., Any], *args: Any) -> Future[Any]:  # noqa: ANN401
+        future = self._executor.submit(
+            function,
+            *args,
+            client=self.claim.job.owner,
+            seconds=self._context.settings.job_stage_s,
+            urgent=self._kind.urgent,
+        )
+        self._at_work.add(future)
+        return future
+
     def _wait(self, futures: set[Future[Any]]) -> set[Future[Any]]:
         """Return those that have ended, reporting meanwhile how far they are."""
         while True:
-            ended, _ = wait(futures, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+            ended, _ = wait({*futures, self._stopped}, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
             if self._stop is not None:
-                at_work = {future for future in futures if not future.cancel()}
-                if self._stop != "lost":
-                    wait(at_work, timeout=_QUIET_END_S)
                 raise _StoppedError
+            seconds, most = time.monotonic() - self._began, self._context.settings.job_s
+            if seconds > most:
+                raise failures.limit_reached(WorkerLimitError("time", most, seconds), "the job", "job_s")
             self._report()
+            self._at_work -= ended
             if ended:
                 return ended
+
+    def _give_up_rest(self) -> None:
+        """End what is still at work when the job ends, well or not; a worker that does not listen is killed."""
+        if not self._at_work:
+            return
+        self._progress.stop()
+        begun = {future for future in self._at_work if not future.cancel()}
+        wait(begun, timeout=_GRACE_S)
+        for future in begun:
+            self._executor.kill(future)
+        wait(begun, timeout=_GRACE_S)  # until the process is dead: its files are removed next
 
     def _count_failure(self, error: Exception, what: str) -> None:
         """Return when the work is to be tried again; otherwise raise the problem of the job."""
@@ -216,13 +248,16 @@ class Attempt:
                     return "left to its lease"  # whoever takes it over finds all parts done
                 time.sleep(wait_s)
         tidy(storage, job_id, keep_result=state == JobState.SUCCESSFUL)
+        if state == JobState.SUCCESSFUL and not self._kind.changes_drive:
+            with suppress(SQLAlchemyError):  # the clean-up writes what is missing
+                self._write_sidecar()
         return state
 
     def _finish(self, state: JobState, outcome: Outcome | Problem) -> bool:
         job_id = self.claim.job.id
         error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
         summary = None if isinstance(outcome, Problem) else outcome.summary
-        with self._context.database.writing() as session:
+        with self._context.database.writing(patient=True) as session:
             if not self._queue.finish(session, self.claim, state, error=error, summary=summary):
                 return False
             if state == JobState.SUCCESSFUL:
@@ -232,6 +267,12 @@ class Attempt:
                 assert job is not None
                 self._finish_drive(session, self._context, job, outcome)
         return True
+
+    def _write_sidecar(self) -> None:
+        with self._context.database.reading() as session:
+            job = session.get(Job, self.claim.job.id)
+        if job is not None:
+            sidecars.write_job(self._context.storage, job)
 
     def _leave(self) -> str:
         """Leave a job that another server has taken over, or that was deleted with its drive."""

@@ -21,14 +21,40 @@ Result = TypeVar("Result")
 
 
 class WorkExecutor(Protocol):
-    """What the service needs of an executor; both hand work out in the order of submission."""
+    """What the service needs of an executor."""
 
-    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401
-        """Do a piece of work; its future raises `WorkerLostError` when its worker dies."""
+    def submit(
+        self,
+        fn: Callable[..., Result],
+        /,
+        *args: Any,  # noqa: ANN401 - whatever can be pickled
+        client: str = "",
+        seconds: float = float("inf"),
+        urgent: bool = False,
+    ) -> Future[Result]:
+        """Do a piece of work.
+
+        Parameters
+        ----------
+        fn, *args
+            A function of a module and its arguments.
+        client
+            For whom: no client waits because of what another one has at work.
+        seconds
+            How long it may take.
+        urgent
+            Somebody waits for it: it goes before all work that has not begun.
+
+        Returns
+        -------
+        Future
+            Raises `WorkerLostError` when its worker dies, `WorkerLimitError` when it takes more time or memory than it
+            may, and whatever the function raises.
+        """
         ...
 
-    def submit_urgent(self, fn: Callable[..., Result], /, *args: Any) -> Future[Result]:  # noqa: ANN401
-        """Do a short piece of work that somebody waits for, before all work that has not begun."""
+    def kill(self, future: Future[Any]) -> None:
+        """End a piece of work that nobody waits for any more, begun or not."""
         ...
 
     def stop(self) -> None:
@@ -62,11 +88,17 @@ def open_executor(settings: Settings, count_loss: Callable[[], None]) -> WorkExe
     """
     if settings.dask is not None:
         return DaskExecutor(settings.dask, count_loss)
-    return ProcessExecutor(settings.workers or cores(), count_loss)
+    return ProcessExecutor(settings.workers or cores(), count_loss, settings.worker_memory_bytes)
 
 
 class DaskExecutor:
     """Work on the workers of a Dask cluster, which see the data folder at the same place.
+
+    The cluster hands the work out by itself, so less holds than for processes of this machine: work that has begun
+    cannot be killed, only asked to end (it looks a few times per second, but not within a long step such as the reading
+    of a map); a piece of work has no limit of time, only the job as a whole; `dask worker --memory-limit` bounds the
+    memory of a worker (`WorkerLostError` then, after some tries); and clients are not kept apart, but urgent work does
+    go first.
 
     Parameters
     ----------
@@ -110,14 +142,22 @@ class DaskExecutor:
             self._known_slots = time.monotonic() + _ASK_AGAIN_S, slots
         return slots
 
-    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401, D102
-        return self._translated(self._executor.submit(fn, *args, **kwargs))
-
-    def submit_urgent(self, fn: Callable[..., Result], /, *args: Any) -> Future[Result]:  # noqa: ANN401, D102
+    def submit(  # noqa: D102 - see WorkExecutor
+        self,
+        fn: Callable[..., Result],
+        /,
+        *args: Any,  # noqa: ANN401
+        client: str = "",  # noqa: ARG002
+        seconds: float = float("inf"),  # noqa: ARG002
+        urgent: bool = False,
+    ) -> Future[Result]:
         from dask.base import annotate  # noqa: PLC0415 - an extra
 
-        with annotate(priority=1):
+        with annotate(priority=int(urgent)):
             return self._translated(self._executor.submit(fn, *args))
+
+    def kill(self, future: Future[Any]) -> None:  # noqa: D102 - see WorkExecutor
+        future.cancel()
 
     def _translated(self, theirs: Future[Result]) -> Future[Result]:
         """Return a future that fails as those of `WorkExecutor` do."""

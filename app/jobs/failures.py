@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 
 from app.http.problems import Problem, disk_full, from_error
+from app.jobs.worker_limits import WorkerLimitError
 from app.states import JobState
 from app.store.models import Job
 from interloc.errors import InterLocError
@@ -13,8 +14,10 @@ _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def is_final(error: BaseException) -> bool:
-    """Return whether another try would fail the same way: the input is at fault, or the disk is full."""
-    return isinstance(error, InterLocError | Problem) or (isinstance(error, OSError) and error.errno in _DISK)
+    """Return whether another try would fail the same way: bad input, a limit that was reached, a full disk."""
+    return isinstance(error, InterLocError | Problem | WorkerLimitError) or (
+        isinstance(error, OSError) and error.errno in _DISK
+    )
 
 
 def problem_of(error: BaseException, what: str, tries: int) -> Problem:
@@ -32,6 +35,8 @@ def problem_of(error: BaseException, what: str, tries: int) -> Problem:
         return error
     if isinstance(error, InterLocError):
         return from_error(error)
+    if isinstance(error, WorkerLimitError):
+        return limit_reached(error, what, "job_stage_s")
     if isinstance(error, OSError) and error.errno in _DISK:
         return disk_full()
     return Problem(
@@ -39,6 +44,40 @@ def problem_of(error: BaseException, what: str, tries: int) -> Problem:
         "Fault of the service",
         f"The service failed at {what}, {_times(tries)}. This is a fault of the service, and its log has the details; "
         "please report it.",
+    )
+
+
+_MEANINGS = {
+    "job_stage_s": "one stage of a job may take",
+    "job_s": "a job may take",
+    "request_work_s": "the work for a request may take",
+    "worker_memory_bytes": "a worker process may have",
+}
+
+
+def limit_reached(error: WorkerLimitError, what: str, time_setting: str) -> Problem:
+    """Return the problem of work that was ended because it used more than it may.
+
+    Parameters
+    ----------
+    error
+    what
+        Which work: "part 3 of 7".
+    time_setting
+        Setting that a limit of time is.
+    """
+    setting = time_setting if error.limit == "time" else "worker_memory_bytes"
+    amount = _duration if error.limit == "time" else _size
+    verb = "took longer than the" if error.limit == "time" else f"needed {_size(error.used)} of memory, more than the"
+    return Problem(
+        422,
+        "Limit reached",
+        f"{what[0].upper()}{what[1:]} {verb} {amount(error.bound)} that {_MEANINGS[setting]}, so it was ended. "
+        "Usual cause: a file that is far larger than the drive needs, such as the map of a country; cut it to the area "
+        f"of the drive. Who runs the service can raise the limit: INTERLOC_{setting.upper()}, now {error.bound:.0f}.",
+        limit=setting,
+        bound=error.bound,
+        used=round(error.used, 1),
     )
 
 
@@ -75,6 +114,18 @@ def raise_failure(job: Job) -> None:
         for name in ("type", "instance"):
             document.pop(name, None)
         raise Problem(status, title, detail, **document)
+
+
+def _duration(seconds: float) -> str:
+    """Return a time as people read it: "30 minutes"."""
+    for unit, name in ((3600, "hours"), (60, "minutes")):
+        if seconds >= 2 * unit:
+            return f"{seconds / unit:.3g} {name}"
+    return f"{seconds:.3g} seconds"
+
+
+def _size(size_bytes: float) -> str:
+    return f"{size_bytes / 1024**3:.1f} GB"
 
 
 def _times(count: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import suppress
 from typing import Any
 
 from app.context import Context
@@ -64,6 +65,8 @@ def tidy(storage: Storage, job_id: str, *, keep_result: bool) -> None:
     for entry in list(folder.iterdir()) if folder.is_dir() else []:
         if entry.name.startswith((_ATTEMPT, f".{_ATTEMPT}")):
             shutil.rmtree(entry, ignore_errors=True)
+    with suppress(OSError):  # not empty: it has a result
+        folder.rmdir()
 
 
 def jobs_with_scratch(storage: Storage) -> list[str]:

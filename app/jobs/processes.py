@@ -1,24 +1,28 @@
-"""Worker processes of this machine, one per slot: a process that dies loses nothing but its own work."""
+"""Worker processes of this machine: one that dies, or uses too much, loses nothing but its own piece of work."""
 
 from __future__ import annotations
 
 import logging
 import pickle
+import queue
 import signal
 import threading
+import time
 import traceback
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, field
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
+from app.jobs.hand_out import EXTRA_SLOTS, HandOut, Work
+from app.jobs.worker_limits import WorkerLimitError, memory_of, memory_share
 from interloc.processes import end_with_parent, interrupts_held_back
 
+_LOOK_S = 0.2  # interval at which time and memory of a piece of work are looked at
 _log = logging.getLogger(__name__)
 _context = get_context("spawn")  # a worker inherits none of the threads, locks and connections of the server
 
@@ -29,45 +33,57 @@ class WorkerLostError(Exception):
     """The worker that did a piece of work died, and the work is lost; it can be tried again."""
 
 
-@dataclass
-class _Work:
-    call: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
-    future: Future[Any] = field(default_factory=Future)
-
-
 class ProcessExecutor:
-    """Worker processes that take pieces of work in the order of submission.
+    """Worker processes that do pieces of work, each within limits of time and memory.
 
     Parameters
     ----------
     slots
-        Number of processes. They start in the background; one that dies is replaced.
+        Number of pieces of work that are done at a time. There are `EXTRA_SLOTS` more processes; `HandOut` says what
+        for. All start in the background; one that dies or is killed is replaced.
     count_loss
         Called when a process died.
+    memory_bytes
+        Resident memory that a process may use; by default an equal share of that of the machine. Known on Linux only.
     """
 
-    def __init__(self, slots: int, count_loss: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, slots: int, count_loss: Callable[[], None] = lambda: None, memory_bytes: int | None = None
+    ) -> None:
         self.slots = slots
         self.count_loss = count_loss
-        self._waiting: deque[_Work] = deque()
-        self._change = threading.Condition()
+        self.memory_bytes = memory_bytes or memory_share(slots + EXTRA_SLOTS)
+        self._lock = threading.Lock()
+        self._hand_out = HandOut(slots)
         self._stopping = False
-        self._slots = [_Slot(self, number) for number in range(slots)]
+        self._slots = [_Slot(self, number) for number in range(slots + EXTRA_SLOTS)]
+        self._idle = list(self._slots)
+        for slot in self._slots:
+            slot.thread.start()
 
-    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:  # noqa: ANN401, D102
-        return self._take(_Work((fn, args, kwargs)), self._waiting.append)
-
-    def submit_urgent(self, fn: Callable[..., Result], /, *args: Any) -> Future[Result]:  # noqa: ANN401
-        """Do a short piece of work before all work that waits."""
-        return self._take(_Work((fn, args, {})), self._waiting.appendleft)
-
-    def _take(self, work: _Work, enqueue: Callable[[_Work], None]) -> Future[Any]:
-        with self._change:
+    def submit(
+        self,
+        fn: Callable[..., Result],
+        /,
+        *args: Any,  # noqa: ANN401 - whatever can be pickled
+        client: str = "",
+        seconds: float = float("inf"),
+        urgent: bool = False,
+    ) -> Future[Result]:
+        """Do a piece of work; see `WorkExecutor.submit`."""
+        work = Work((fn, args), client, seconds, urgent)
+        with self._lock:
             if self._stopping:
                 raise RuntimeError("the executor was stopped")
-            enqueue(work)
-            self._change.notify()
+            self._hand_out.add(work)
+            self._begin_what_may()
         return work.future
+
+    def kill(self, future: Future[Any]) -> None:
+        """End a piece of work at once, and its process with it; one that waits is never begun."""
+        if not future.cancel():
+            for slot in self._slots:
+                slot.kill(future)
 
     @property
     def alive(self) -> int:
@@ -81,30 +97,29 @@ class ProcessExecutor:
 
     def stop(self) -> None:
         """End all workers at once; running work is lost, waiting work is cancelled."""
-        with self._change:
+        with self._lock:
             self._stopping = True
-            waiting = list(self._waiting)
-            self._waiting.clear()
-            self._change.notify_all()
-        for work in waiting:
-            work.future.cancel()
-            work.future.set_running_or_notify_cancel()  # otherwise whoever waits for it would wait for ever
+            self._hand_out.clear()
         for slot in self._slots:
+            slot.inbox.put(None)
             slot.kill()
         for slot in self._slots:
             slot.thread.join(10)
 
-    def next_work(self) -> _Work | None:
-        """Wait for the next piece of work for a slot and return it; None when the executor was stopped."""
-        with self._change:
-            while True:
-                while not self._waiting and not self._stopping:
-                    self._change.wait()
-                if self._stopping:
-                    return None
-                work = self._waiting.popleft()
-                if work.future.set_running_or_notify_cancel():
-                    return work
+    def done(self, slot: _Slot, work: Work) -> None:
+        """Note that a slot has ended a piece of work, and can take another one."""
+        with self._lock:
+            self._hand_out.done(work)
+            self._idle.append(slot)
+            self._begin_what_may()
+
+    def _begin_what_may(self) -> None:
+        if self._stopping:
+            return
+        while self._idle and (work := self._hand_out.take()) is not None:
+            slot = min(self._idle, key=lambda slot: slot.number)  # the first ones have their drives open already
+            self._idle.remove(slot)
+            slot.inbox.put(work)
 
     @property
     def is_stopping(self) -> bool:
@@ -113,80 +128,115 @@ class ProcessExecutor:
 
 
 class _Slot:
-    """A thread that hands work to one worker process, and replaces the process when it dies."""
+    """A thread that hands work to one worker process, watches it, and replaces it where it is of no use any more."""
 
     def __init__(self, executor: ProcessExecutor, number: int) -> None:
+        self.number = number
+        self.inbox: queue.SimpleQueue[Work | None] = queue.SimpleQueue()
         self._executor = executor
         self._worker: tuple[Any, Connection] | None = None
+        self._work: Work | None = None
+        self._is_ready = False
+        self._is_killed = False
         self._lock = threading.Lock()
         self.thread = threading.Thread(target=self._serve, name=f"worker-{number}", daemon=True)
-        self.thread.start()
-
-    @property
-    def is_alive(self) -> bool:
-        worker = self._worker
-        return worker is not None and worker[0].is_alive()
-
-    @property
-    def _has_hung_up(self) -> bool:
-        """Whether an idle worker has closed its end of the pipe, as its death does: it sends nothing else unasked."""
-        return self._worker is not None and self._worker[1].poll()
 
     @property
     def pid(self) -> int | None:
         worker = self._worker
         return None if worker is None else worker[0].pid
 
-    def kill(self) -> None:
+    def kill(self, future: Future[Any] | None = None) -> None:
+        """Kill the process, where it works for this future or none is named."""
         with self._lock:
+            if future is not None:
+                if self._work is None or self._work.future is not future:
+                    return
+                self._work.is_given_up = True
             if self._worker is not None:
+                self._is_killed = True
                 self._worker[0].kill()
 
     def _serve(self) -> None:
-        with suppress(OSError):
+        with suppress(OSError, WorkerLostError):
             self._start()  # ahead of the first work: importing the compiler takes a second
-        while (work := self._executor.next_work()) is not None:
+        while (work := self.inbox.get()) is not None:
+            with self._lock:
+                self._work = work
             try:
-                self._do(work)
+                result = self._do(work)
             except BaseException as error:  # noqa: BLE001 - no piece of work may end a slot
-                if not work.future.done():
-                    work.future.set_exception(error)
+                outcome: Callable[[], None] = partial(work.future.set_exception, error)
+            else:
+                outcome = partial(work.future.set_result, result)
+            with self._lock:
+                self._work = None
+            self._executor.done(self, work)
+            outcome()
         self._end()
 
-    def _do(self, work: _Work) -> None:
+    def _do(self, work: Work) -> Any:  # noqa: ANN401 - whatever the work returns
+        content = pickle.dumps(work.call)
+        process, connection = self._usable_worker()
+        if work.is_given_up:
+            raise WorkerLostError("nobody waits for it any more")
         try:
-            content = pickle.dumps(work.call)
-        except Exception as error:  # noqa: BLE001 - whatever an argument raises
-            work.future.set_exception(error)
-            return
-        if not self.is_alive or self._has_hung_up:
-            self._end()
-            self._start()
-        assert self._worker is not None
-        process, connection = self._worker
-        try:
+            if not self._is_ready:
+                connection.recv_bytes()
+                self._is_ready = True
             connection.send_bytes(content)
+            self._watch(work, process.pid, connection)
             good, value = pickle.loads(connection.recv_bytes())  # noqa: S301 - from our own process
-        except (EOFError, OSError):
+        except (EOFError, OSError) as error:
             self._end()
-            code = process.exitcode
-            if not self._executor.is_stopping:
+            reason = _reason(process.exitcode)
+            if not (work.is_given_up or self._executor.is_stopping):
                 self._executor.count_loss()
-                _log.warning("a worker process (%s) died: %s", process.pid, _reason(code))
-            work.future.set_exception(WorkerLostError(f"its worker process {_reason(code)}"))
-            return
-        work.future.set_result(value) if good else work.future.set_exception(value)
+                _log.warning("a worker process (%s) died: %s", process.pid, reason)
+            raise WorkerLostError(f"its worker process {reason}") from error
+        except WorkerLimitError as error:
+            self.kill()
+            self._end()
+            _log.warning("a worker process (%s) was ended: %s", process.pid, error)
+            raise
+        if good:
+            return value
+        raise value
 
-    def _start(self) -> None:
+    def _watch(self, work: Work, pid: int, connection: Connection) -> None:
+        """Wait for the answer of the worker or its death, and see meanwhile that it keeps to its limits."""
+        began = time.monotonic()
+        while not connection.poll(_LOOK_S):
+            seconds = time.monotonic() - began
+            if seconds > work.seconds:
+                raise WorkerLimitError("time", work.seconds, seconds)
+            memory = memory_of(pid)
+            if memory > self._executor.memory_bytes:
+                raise WorkerLimitError("memory", self._executor.memory_bytes, memory)
+
+    def _usable_worker(self) -> tuple[Any, Connection]:
+        """Return the worker, or a new one where it was killed, has died, or is left large by earlier work."""
+        if self._worker is not None and not self._is_killed:
+            process, connection = self._worker
+            has_hung_up = self._is_ready and connection.poll()  # as its death does; it sends nothing else unasked
+            is_large = memory_of(process.pid) > self._executor.memory_bytes / 2  # at the cost of the next piece of work
+            if process.is_alive() and not has_hung_up and not is_large:
+                return self._worker
+        self._end()
+        return self._start()
+
+    def _start(self) -> tuple[Any, Connection]:
         with self._lock:
             if self._executor.is_stopping:
                 raise WorkerLostError("the service is being stopped")
             ours, theirs = _context.Pipe()
-            process = _context.Process(target=_work, args=(theirs,), daemon=True)
+            process = _context.Process(target=_work, args=(theirs, self.number >= self._executor.slots), daemon=True)
             with interrupts_held_back():
                 process.start()
             theirs.close()  # so that the end of the process is noticed here
             self._worker = process, ours
+            self._is_ready = self._is_killed = False
+            return self._worker
 
     def _end(self) -> None:
         with self._lock:
@@ -208,11 +258,14 @@ def _reason(code: int | None) -> str:
     return f"was ended by signal {-code}"
 
 
-def _work(connection: Connection) -> None:
-    """Work as a worker process: do what comes through the pipe until it is closed."""
+def _work(connection: Connection, is_extra: bool) -> None:
+    """Work as a worker process: say that it is ready, then do what comes through the pipe until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
     end_with_parent()
-    _warm_up()
+    _die_first()
+    _warm_up(thoroughly=is_extra)
+    with suppress(OSError):
+        connection.send_bytes(b"")
     while True:
         try:
             content = connection.recv_bytes()
@@ -220,8 +273,8 @@ def _work(connection: Connection) -> None:
             return
         _forget_peak_memory()
         try:
-            function, args, kwargs = pickle.loads(content)  # noqa: S301 - from our own server
-            answer = pickle.dumps((True, function(*args, **kwargs)))
+            function, args = pickle.loads(content)  # noqa: S301 - from our own server
+            answer = pickle.dumps((True, function(*args)))
         except BaseException as error:  # noqa: BLE001 - every error is passed to the server
             answer = _failure(error)
         with suppress(OSError):  # the server closed the pipe: the next receive ends this process
@@ -240,10 +293,19 @@ def _failure(error: BaseException) -> bytes:
     return content
 
 
-def _warm_up() -> None:
-    """Import what nearly all work needs."""
+def _warm_up(*, thoroughly: bool) -> None:
+    """Import what nearly all work needs; an extra process, which whoever waits comes to seldom, all of it."""
     with suppress(ImportError):
-        import app.work.intersections  # noqa: F401, PLC0415
+        import app.work.intersections as work  # noqa: PLC0415
+
+        if thoroughly:
+            work.import_all()
+
+
+def _die_first() -> None:
+    """Let the system end a worker before the server or others where the memory of the machine runs out; Linux only."""
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("500")
 
 
 def _forget_peak_memory() -> None:

@@ -18,12 +18,16 @@ from sqlalchemy import CursorResult, case, func, or_, select, text, update
 from sqlalchemy.orm import Session, aliased
 
 from app.http.problems import Problem
-from app.states import ACTIVE, FINAL, DriveState, JobState
+from app.jobs.leases import LeaseClock
+from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.work.kinds import DRIVE_CHANGING, URGENT
 
 Held = Literal["held", "lost", "cancelled"]
+
+URGENT_AT_ONCE = 4
+"""Number of jobs that a server works on beside the others because somebody waits for them."""
 
 _WAITS_FOR_CHECK = "Waiting for the check of its drive."
 
@@ -60,15 +64,17 @@ class JobQueue:
     def __init__(self, database: Database, lease_s: float) -> None:
         self._database = database
         self._lease_s = lease_s
+        self._clock = LeaseClock(lease_s)
         self._server = f"{socket.gethostname()[:64]}-{secrets.token_hex(4)}"
 
-    def claim(self, *, urgent_only: bool = False) -> Claim | None:
+    def claim(self, *, enough_urgent: bool = False, enough_long: bool = False) -> Claim | None:
         """Take the job that is next: one that somebody waits for, else one of the client with the fewest running.
 
         Parameters
         ----------
-        urgent_only
-            Take only jobs that somebody waits for.
+        enough_urgent, enough_long
+            Whether enough jobs run that somebody waits for, and enough others. Of that class only a job of a client is
+            taken that has none running: whoever has many keeps only himself waiting.
 
         Notes
         -----
@@ -76,11 +82,14 @@ class JobQueue:
         another attempt.
         """
         with self._database.reading() as session:  # an idle server must not take the write lock twice per second
-            if session.execute(self._claimable(self._database.clock(session), urgent_only=urgent_only)).first() is None:
+            if (
+                session.execute(self._claimable(self._database.clock(session), enough_urgent, enough_long)).first()
+                is None
+            ):
                 return None
-        with self._database.writing() as session:
+        with self._database.writing(patient=True) as session:
             now = self._database.clock(session)
-            query = self._claimable(now, urgent_only=urgent_only)
+            query = self._claimable(now, enough_urgent, enough_long)
             if not self._database.is_sqlite:
                 query = query.with_for_update(skip_locked=True, of=Job)
             found = session.execute(query).first()
@@ -97,33 +106,38 @@ class JobQueue:
             job.version += 1
             return Claim(job, drive_name, drive_state, job.lease_owner)
 
-    @staticmethod
-    def _claimable(now: float, *, urgent_only: bool) -> Any:  # noqa: ANN401 - a Select of several columns
+    def _claimable(self, now: float, enough_urgent: bool, enough_long: bool) -> Any:  # noqa: ANN401 - a Select
         other = aliased(Job)
-        running = (
+        is_urgent = Job.kind.in_(URGENT)
+        running = (  # jobs of the same client and class
             select(func.count())
             .select_from(other)
-            .where(other.owner == Job.owner, other.state == JobState.RUNNING, other.lease_until > now)
+            .where(
+                other.owner == Job.owner,
+                other.state == JobState.RUNNING,
+                other.lease_until > now,
+                other.kind.in_(URGENT) == is_urgent,
+            )
             .correlate(Job)
             .scalar_subquery()
         )
-        is_urgent = Job.kind.in_(URGENT)
-        query = (
+        full = [is_class for is_class, enough in ((is_urgent, enough_urgent), (~is_urgent, enough_long)) if enough]
+        return (
             select(Job, Drive.name, Drive.state)
             .join(Drive, Drive.id == Job.drive_id)
             .where(
-                or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & (Job.lease_until <= now)),
+                or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & self._clock.have_run_out(now)),
                 or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != DriveState.CHECKING),
+                *(or_(~is_class, running == 0) for is_class in full),
             )
             .order_by(case((is_urgent, 0), else_=1), running, Job.created_at, Job.id)
             .limit(1)
         )
-        return query.where(is_urgent) if urgent_only else query
 
     def heartbeat(self, leases: Iterable[str]) -> dict[str, Held]:
         """Renew leases; return which of them are lost and which jobs were cancelled."""
         leases = list(leases)
-        with self._database.writing() as session:
+        with self._database.writing(patient=True) as session:
             until = self._database.clock(session) + self._lease_s
             session.execute(
                 update(Job).where(Job.lease_owner.in_(leases), Job.state == JobState.RUNNING).values(lease_until=until)
@@ -147,12 +161,12 @@ class JobQueue:
 
     def progress(self, claim: Claim, **values: Any) -> bool:  # noqa: ANN401 - columns of the job
         """Write the progress of a job; False if the lease is lost."""
-        with self._database.writing() as session:
+        with self._database.writing(patient=True) as session:
             return _change(session, claim, **values)
 
     def release(self, claim: Claim) -> bool:
         """Give a job back unfinished because the server stops; the attempt does not count."""
-        with self._database.writing() as session:
+        with self._database.writing(patient=True) as session:
             return _change(
                 session,
                 claim,
@@ -242,7 +256,7 @@ def submit(
         if earlier is not None:
             return _same(earlier, kind, drive_id, request, key), False
     drive = session.get(Drive, drive_id)
-    if drive is None:
+    if drive is None or drive.deleted_at is not None:
         raise no_drive(drive_id)
     if kind not in DRIVE_CHANGING and drive.state == DriveState.UPLOADING:
         raise not_ready(drive)
@@ -262,13 +276,23 @@ def submit(
     return job, True
 
 
+def active_job(session: Session, drive_id: str, kind: JobKind) -> Job | None:
+    """Return the job of a kind that waits or runs for a drive."""
+    return session.scalars(
+        select(Job)
+        .where(Job.drive_id == drive_id, Job.kind == kind, Job.state.in_(ACTIVE))
+        .order_by(Job.created_at)
+        .limit(1)
+    ).first()
+
+
 def no_drive(drive_id: str) -> Problem:
     """Return the problem of a drive that does not exist."""
     return Problem(
         404,
         "Drive not found",
         f"There is no drive {drive_id[:64]}; it may have been deleted, or an upload that was left alone has expired. "
-        "GET /api/v1/drives lists them.",
+        "GET /api/v1/drives lists those that there are, GET /api/v1/trash those that can be restored.",
     )
 
 

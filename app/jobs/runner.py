@@ -16,16 +16,16 @@ from app.context import Context, part_of_app
 from app.http.problems import Problem
 from app.jobs.attempt import Attempt, FinishDrive
 from app.jobs.executors import WorkExecutor, open_executor
+from app.jobs.failures import limit_reached
 from app.jobs.folders import jobs_with_scratch, tidy
 from app.jobs.processes import WorkerLostError
-from app.jobs.queue import JobQueue
+from app.jobs.queue import URGENT_AT_ONCE, JobQueue
+from app.jobs.worker_limits import WorkerLimitError
 from app.states import FINAL, JobState
 from app.store.models import Job
 from app.work.kinds import URGENT
 
 _POLL_S = 0.5
-_JOBS_AT_ONCE = 2
-_URGENT_AT_ONCE = 4  # in addition, so that no upload waits for a long job
 _log = logging.getLogger(__name__)
 
 Returned = TypeVar("Returned")
@@ -71,20 +71,25 @@ class Runner:
             thread.start()
             self._threads.append(thread)
 
-    async def run_in_worker(self, function: Callable[..., Returned], *args: Any) -> Returned:  # noqa: ANN401
+    async def run_in_worker(self, function: Callable[..., Returned], *args: Any, client: str) -> Returned:  # noqa: ANN401
         """Call a function in a worker process, before all that waits; once more where the worker dies.
 
-        For short work that a request waits for: the server itself stays quick.
+        For short work that a request of a client waits for: the server itself stays quick.
 
         Raises
         ------
         Problem
-            503 where two workers died of it.
+            422 where the work takes more time or memory than it may; 503 where two workers died of it.
         """
         assert self._executor is not None, "the runner has not been started"
+        seconds = self._context.settings.request_work_s
         for attempt in (1, 2):
             try:
-                return await asyncio.wrap_future(self._executor.submit_urgent(function, *args))
+                return await asyncio.wrap_future(
+                    self._executor.submit(function, *args, client=client, seconds=seconds, urgent=True)
+                )
+            except WorkerLimitError as error:
+                raise limit_reached(error, "the work for this request", "request_work_s") from error
             except WorkerLostError as error:
                 if attempt == 2:
                     detail = f"The work for this request could not be done: {error}. Usual cause: too little memory."
@@ -121,10 +126,10 @@ class Runner:
         with self._lock:
             kinds = [attempt.claim.job.kind for attempt, _ in self._attempts.values()]
         urgent = sum(kind in URGENT for kind in kinds)
-        room = len(kinds) - urgent < (self._context.settings.jobs_at_once or _JOBS_AT_ONCE)
-        if not room and urgent >= _URGENT_AT_ONCE:
-            return False
-        claim = self._queue.claim(urgent_only=not room)
+        claim = self._queue.claim(
+            enough_urgent=urgent >= URGENT_AT_ONCE,
+            enough_long=len(kinds) - urgent >= self._context.settings.jobs_at_once,
+        )
         if claim is None:
             return False
         assert self._executor is not None

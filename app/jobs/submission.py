@@ -51,7 +51,7 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
 
 def _config_of(new: NewJob) -> DetectorConfig:
     base = preset(new.preset).model_dump(mode="json")
-    return parse_config(_merged(base, new.config or {}))
+    return parse_config(_merged(base, new.config or {}), strict=True)
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

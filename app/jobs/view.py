@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from sqlalchemy import select
+from collections.abc import Iterable
+
+from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
+from app.context import Context
 from app.http.problems import Problem, ProblemDocument
+from app.jobs.outlook import outlook
 from app.schemas.jobs import JobModel, Progress
 from app.states import JobKind, JobState
 from app.store.database import moment
@@ -25,25 +29,39 @@ def find_job(session: Session, job_id: str) -> tuple[Job, str]:
         404 there is no such job.
     """
     found = session.execute(
-        select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id == job_id)
+        select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id == job_id, is_alive())
     ).one_or_none()
     if found is None:
-        raise Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
+        raise no_job(job_id)
     return found[0], found[1]
 
 
-def job_model(job: Job, drive_name: str, root_path: str, now: float) -> JobModel:
-    """Return a job as clients see it.
+def is_alive() -> ColumnElement[bool]:
+    """Return the condition that neither a job nor its drive, joined, is in the trash."""
+    return and_(Job.deleted_at.is_(None), Drive.deleted_at.is_(None))
 
-    Parameters
-    ----------
-    job
-    drive_name
-    root_path
-        Path under which the service is reached.
-    now
-        Time by the clock of the database.
-    """
+
+def no_job(job_id: str) -> Problem:
+    """Return the problem of a job that does not exist."""
+    return Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
+
+
+def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str]]) -> list[JobModel]:
+    """Return jobs as clients see them, given with the names of their drives."""
+    rows = list(rows)
+    now = context.database.clock(session)
+    told = (
+        outlook(session, now, context.settings.jobs_at_once) if any(_waits_for_its_turn(job) for job, _ in rows) else {}
+    )
+    root_path = context.settings.root_path
+    return [_job_model(job, name, root_path, now, job.message or told.get(job.id)) for job, name in rows]
+
+
+def _waits_for_its_turn(job: Job) -> bool:
+    return job.state == JobState.ACCEPTED and job.message is None
+
+
+def _job_model(job: Job, drive_name: str, root_path: str, now: float, message: str | None) -> JobModel:
     return JobModel(
         id=job.id,
         kind=job.kind,
@@ -52,7 +70,7 @@ def job_model(job: Job, drive_name: str, root_path: str, now: float) -> JobModel
         owner=job.owner,
         state=job.state,
         stage=job.stage,
-        message=job.message,
+        message=message,
         progress=_progress(job, now),
         request=job.request,
         created_at=moment(job.created_at),

@@ -1,4 +1,4 @@
-"""Changes of jobs for all listeners of this server: two queries per second, however many listeners there are."""
+"""Changes of jobs for all listeners of this server: a few queries per second, however many listeners there are."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
 
 from app.context import Context, part_of_app
-from app.jobs.view import find_job, job_model
+from app.jobs.view import find_job, is_alive, job_models
 from app.schemas.jobs import JobModel
-from app.states import FINAL
+from app.states import FINAL, JobState
 from app.store.models import Drive, Job
 
 _POLL_S = 0.5
@@ -31,6 +31,8 @@ class Change:
     Attributes
     ----------
     version : int
+    message : str or None
+        What it is waiting for; while it waits for its turn, this changes without the job itself.
     is_final : bool
         Whether no further change can follow.
     data : str
@@ -38,13 +40,18 @@ class Change:
     """
 
     version: int
+    message: str | None
     is_final: bool
     data: str
 
     @classmethod
     def of(cls, job: JobModel) -> Change:
         """Return the change that led to this job."""
-        return cls(job.version, job.state in FINAL, job.model_dump_json())
+        return cls(job.version, job.message, job.state in FINAL, job.model_dump_json())
+
+    def is_news_after(self, last: Change) -> bool:
+        """Return whether a listener who knows the last change should hear this one."""
+        return self.version > last.version or (self.version == last.version and self.message != last.message)
 
 
 class JobWatcher:
@@ -53,27 +60,27 @@ class JobWatcher:
     def __init__(self, context: Context) -> None:
         self._context = context
         self._listeners: dict[str, set[asyncio.Queue[Change | None]]] = {}
-        self._versions: dict[str, int] = {}
+        self._known: dict[str, Change | None] = {}
         self._polling: asyncio.Task[None] | None = None
 
-    async def follow(self, job_id: str, version: int) -> AsyncIterator[Change]:
-        """Yield the changes of a job after a version, until it has ended, is deleted, or the server stops."""
+    async def follow(self, job_id: str, last: Change) -> AsyncIterator[Change]:
+        """Yield what comes after a change of a job, until the job has ended, is deleted, or the server stops."""
         queue: asyncio.Queue[Change | None] = asyncio.Queue()
         self._listeners.setdefault(job_id, set()).add(queue)
-        self._versions[job_id] = min(version, self._versions.get(job_id, version))
+        self._known[job_id] = None  # the next look passes on what it finds
         if self._polling is None or self._polling.done():
             self._polling = asyncio.create_task(self._poll())
         try:
             while (change := await queue.get()) is not None:
-                if change.version > version:
-                    version = change.version
+                if change.is_news_after(last):
+                    last = change
                     yield change
                 if change.is_final:
                     return
         finally:
             self._listeners[job_id].discard(queue)
             if not self._listeners[job_id]:
-                del self._listeners[job_id], self._versions[job_id]
+                del self._listeners[job_id], self._known[job_id]
 
     async def _poll(self) -> None:
         try:
@@ -87,34 +94,44 @@ class JobWatcher:
 
     async def _pass_on_changes(self) -> None:
         while self._listeners and not self._context.stopping.is_set():
-            known = dict(self._versions)
+            known = dict(self._known)
             try:
                 changes = await run_in_threadpool(_changes, self._context, known)
             except OperationalError as error:
                 _log.warning("changes of jobs could not be read: %s", error)
                 changes = {}  # the next look finds them all
             for job_id, change in changes.items():
-                if change is not None and job_id in self._versions:
-                    self._versions[job_id] = change.version
+                if job_id in self._known:
+                    self._known[job_id] = change
                 for queue in self._listeners.get(job_id, ()):
                     queue.put_nowait(change)
             await asyncio.sleep(_POLL_S)
 
 
-def _changes(context: Context, known: dict[str, int]) -> dict[str, Change | None]:
-    """Return the jobs whose version is not the known one; None for those that were removed."""
+def _changes(context: Context, known: dict[str, Change | None]) -> dict[str, Change | None]:
+    """Return the jobs that are not as they are known; None for those that were removed.
+
+    A job that waits may be told something else without having changed itself: it is always looked at.
+    """
     with context.database.reading() as session:
-        rows = session.execute(select(Job.id, Job.version).where(Job.id.in_(list(known))))
-        versions = {row.id: row.version for row in rows}
-        changed = [job_id for job_id, version in versions.items() if version != known[job_id]]
-        gone: dict[str, Change | None] = dict.fromkeys(known.keys() - versions.keys())
+        alive = select(Job.id, Job.version, Job.state).join(Drive, Drive.id == Job.drive_id).where(is_alive())
+        rows = session.execute(alive.where(Job.id.in_(list(known)))).all()
+        changed = [
+            row.id
+            for row in rows
+            if (last := known[row.id]) is None or row.version != last.version or row.state == JobState.ACCEPTED
+        ]
+        gone: dict[str, Change | None] = dict.fromkeys(known.keys() - {row.id for row in rows})
         if not changed:
             return gone
         query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(Job.id.in_(changed))
-        found = session.execute(query).all()
-        now = context.database.clock(session)
-    root_path = context.settings.root_path
-    return gone | {job.id: Change.of(job_model(job, name, root_path, now)) for job, name in found}
+        models = job_models(session, context, ((job, name) for job, name in session.execute(query)))
+    found = {model.id: Change.of(model) for model in models}
+    return gone | {
+        job_id: change
+        for job_id, change in found.items()
+        if (last := known[job_id]) is None or change.is_news_after(last)
+    }
 
 
 WatcherDep = Annotated[JobWatcher, part_of_app("watcher")]

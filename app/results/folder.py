@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,6 +15,7 @@ from app.states import JobKind, JobState
 from interloc.output.layout import RUN_FILE, TABLES, file_names
 
 _MAX_KNOWN = 1000
+_BELIEVED_S = 1.0
 
 _STATES = {
     JobState.ACCEPTED: "It waits for its turn; follow GET {job}/events.",
@@ -116,8 +118,12 @@ class Result:
             404 where there is none.
         """
         path = self.folder / name
-        inside = "\0" not in name and path.resolve().is_relative_to(self.folder.resolve())
-        if not inside or not path.is_file():
+        try:
+            inside = "\0" not in name and path.resolve().is_relative_to(self.folder.resolve())
+            is_there = inside and path.is_file()
+        except OSError:  # no file system has names so long
+            is_there = False
+        if not is_there:
             raise Problem(404, "File not found", f"The result has no file {name!r}; {self.address}/files lists them.")
         return path
 
@@ -129,13 +135,17 @@ class Result:
 class Results:
     """The results of all jobs.
 
-    Those opened before are kept at hand: a job that was successful stays so until it is removed, and then its folder
-    is removed too.
+    Those opened before are kept at hand for a second: a job that was successful stays so until it is deleted. What
+    this server deletes is forgotten at once.
     """
 
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._known: dict[str, Result] = {}
+        self._known: dict[str, tuple[Result, float]] = {}
+
+    def forget(self) -> None:
+        """Look up every result anew: something was deleted."""
+        self._known.clear()
 
     def open(self, job_id: str) -> Result:
         """Find the result of a job.
@@ -145,12 +155,12 @@ class Results:
         Problem
             404: no such job, or one without results; 409: not successful (yet); 410: no longer on disk.
         """
-        known = self._known.get(job_id)
-        if known is None or not (known.folder / RUN_FILE).exists():
+        known, until = self._known.get(job_id, (None, 0.0))
+        if known is None or time.monotonic() >= until or not (known.folder / RUN_FILE).exists():
             known = self._look_up(job_id)
             if len(self._known) >= _MAX_KNOWN:
                 self._known.clear()
-            self._known[job_id] = known
+            self._known[job_id] = known, time.monotonic() + _BELIEVED_S
         return known
 
     def _look_up(self, job_id: str) -> Result:

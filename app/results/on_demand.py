@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable, Coroutine
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,9 +16,12 @@ from app.results.folder import Result
 from app.states import JobKind
 from app.work.on_demand import VIEW, draw_keyframe, write_export
 from app.work.task import Task
+from interloc.errors import DamagedResultError
 
 _MAX_DRAWING = 2  # workers that a server lends to pictures: jobs go on in the meantime
 _MAX_RUNNING = 64
+
+_log = logging.getLogger(__name__)
 
 
 class OnDemand:
@@ -27,30 +32,40 @@ class OnDemand:
         self._running: dict[Path, asyncio.Task[Any]] = {}
         self._drawing = asyncio.Semaphore(_MAX_DRAWING)
 
-    async def export(self, result: Result, path: Path, layer: str | None) -> None:
+    async def export(self, result: Result, path: Path, layer: str | None, client: str) -> None:
         """Write a layer of a result, or all of them, as a file for other programs.
 
         Raises
         ------
         Problem
-            503: the workers died of it.
+            500: the result is damaged. Otherwise as of `Runner.run_in_worker`.
         """
-        await self._once(path, lambda: self._runner.run_in_worker(write_export, result.folder, path, layer))
+        write = partial(self._runner.run_in_worker, write_export, result.folder, path, layer, client=client)
+        try:
+            await self._once(path, write)
+        except DamagedResultError as error:
+            _log.error("job %s: %s", result.job_id, error)
+            raise Problem(
+                500,
+                "Result damaged",
+                f"A file of the result of job {result.job_id} is damaged or missing; the log of the service has the "
+                "details. Submit the job again.",
+            ) from error
 
-    async def keyframe(self, result: Result, frame: int) -> Path:
+    async def keyframe(self, result: Result, frame: int, client: str) -> Path:
         """Return the folder of the pictures of a keyframe.
 
         Raises
         ------
         Problem
-            404: no such keyframe; 503: too many wait for pictures, or the workers died of it.
+            404: no such keyframe; 503: too many wait for pictures; or as of `Runner.run_in_worker`.
         """
         folder = result.cache / "bev" / str(frame)
         if (folder / VIEW).exists():
             return folder
         if folder not in self._running and len(self._running) >= _MAX_RUNNING:
             raise Problem(503, "Busy", "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
-        nearest = await self._once(folder, lambda: self._draw(_task_of(result), frame, folder))
+        nearest = await self._once(folder, lambda: self._draw(_task_of(result), frame, folder, client))
         if nearest != frame:
             raise Problem(
                 404,
@@ -61,9 +76,9 @@ class OnDemand:
             )
         return folder
 
-    async def _draw(self, task: Task, frame: int, folder: Path) -> int:
+    async def _draw(self, task: Task, frame: int, folder: Path, client: str) -> int:
         async with self._drawing:
-            return await self._runner.run_in_worker(draw_keyframe, task, frame, folder)
+            return await self._runner.run_in_worker(draw_keyframe, task, frame, folder, client=client)
 
     async def _once(self, path: Path, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:  # noqa: ANN401
         """Wait for the work on a file, begun here or by another request; a request that goes away does not end it."""

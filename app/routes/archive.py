@@ -15,6 +15,7 @@ from app.http.intake import Arrival, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.multipart import BatchReader, boundary_of
 from app.jobs.watcher import wait_for_job
+from app.routes.drives import DriveId
 from app.routes.files import UPLOAD
 from app.schemas.drives import UnpackedArchive
 from app.security import ClientDep
@@ -25,7 +26,14 @@ router = APIRouter(prefix="/drives/{drive_id}/archive", tags=["Uploads"])
 
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _KINDS = ("application/octet-stream", "application/zip", "application/x-tar", "application/gzip", "application/zstd")
-_FORM = {"schema": {"type": "object", "properties": {"archive": _BINARY["schema"]}, "required": ["archive"]}}
+_FORM = {
+    "schema": {
+        "type": "object",
+        "properties": {"archive": _BINARY["schema"]},
+        "required": ["archive"],
+        "additionalProperties": False,
+    }
+}
 
 
 @router.post(
@@ -41,7 +49,7 @@ _FORM = {"schema": {"type": "object", "properties": {"archive": _BINARY["schema"
     summary="Upload an archive",
 )
 async def post_archive(
-    drive_id: str,
+    drive_id: DriveId,
     request: Request,
     response: Response,
     context: ContextDep,

@@ -13,10 +13,11 @@ from app.drives.plan import plan_upload
 from app.drives.records import find_trajectory
 from app.http.delivery import WholeFile
 from app.http.headers import WaitSeconds
+from app.http.openapi import CHANGES_NOTHING
 from app.http.problems import ProblemDocument
 from app.jobs.runner import RunnerDep
 from app.jobs.watcher import wait_for_job
-from app.routes.drives import NOT_FOUND
+from app.routes.drives import NOT_FOUND, DriveId
 from app.schemas.drives import CommitRequest, DriveModel, PlanRequest, ReductionPlanModel
 from app.security import ClientDep
 from app.states import DriveState
@@ -28,15 +29,15 @@ _CONFLICT: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive")
+@router.post("/plan", responses=NOT_FOUND, summary="Plan the upload of a reduced drive", openapi_extra=CHANGES_NOTHING)
 async def plan_reduction(
-    drive_id: str, request: PlanRequest, context: ContextDep, runner: RunnerDep, _client: ClientDep
+    drive_id: DriveId, request: PlanRequest, context: ContextDep, runner: RunnerDep, client: ClientDep
 ) -> ReductionPlanModel:
     """Return which scans are needed, from the small files (poses, calibration, times, georeference) uploaded so far.
 
     For clients that reduce scans themselves: they send `ground/...` of these scans and `reduced.json` instead of all.
     """
-    return await plan_upload(context, runner, drive_id, request)
+    return await plan_upload(context, runner, drive_id, request, client)
 
 
 @router.post(
@@ -54,7 +55,7 @@ async def plan_reduction(
     summary="Commit a drive",
 )
 async def commit_drive(
-    drive_id: str,
+    drive_id: DriveId,
     response: Response,
     context: ContextDep,
     client: ClientDep,
@@ -83,12 +84,15 @@ async def commit_drive(
     response_class=WholeFile,
     responses={
         200: {"content": {"application/geo+json": {}}, "description": "A FeatureCollection with one LineString."},
+        206: {"content": {"application/geo+json": {}}, "description": "The range that was asked for."},
         **NOT_FOUND,
         **_CONFLICT,
+        410: {"model": ProblemDocument, "description": "The trajectory is no longer on disk."},
+        416: {"model": ProblemDocument, "description": "There is no such range."},
     },
     summary="Show the trajectory of a drive",
 )
-def show_trajectory(drive_id: str, context: ContextDep, _client: ClientDep) -> WholeFile:
+def show_trajectory(drive_id: DriveId, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return the trajectory of a ready drive: longitude and latitude, or metres with `"local": true`."""
     file = find_trajectory(context, drive_id)
     return WholeFile(file, media_type="application/geo+json", headers={"Cache-Control": "private, no-cache"})

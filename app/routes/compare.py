@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query
@@ -14,6 +15,7 @@ from app.results.folder import ResultsDep
 from app.routes.results import PROBLEMS
 
 _MAX_JOBS = 8
+_JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{_MAX_JOBS - 1}}}$"
 
 router = APIRouter(tags=["Results"])
 
@@ -70,14 +72,19 @@ def compare_jobs(
     results: ResultsDep,
     jobs: Annotated[
         str,
-        Query(description="Ids of two to eight jobs, with commas between.", max_length=1000, examples=["9b1e,44f0"]),
+        Query(
+            description="Ids of two to eight jobs, with commas between.",
+            max_length=1000,
+            examples=["9b1e,44f0"],
+            json_schema_extra={"pattern": _JOBS},
+        ),
     ],
 ) -> dict[str, Any]:
     """Show which settings differ, the figures at D = 5 m, and which intersections only one of the jobs found."""
     from interloc.evaluation.compare import compare_reports  # noqa: PLC0415 - numpy and more
 
-    ids = [each.strip() for each in jobs.split(",") if each.strip()]
-    if not 2 <= len(set(ids)) == len(ids) <= _MAX_JOBS:
+    ids = [each.strip() for each in jobs.split(",")]
+    if re.fullmatch(_JOBS, jobs) is None or len(set(ids)) < len(ids):
         raise Problem(422, "Request not valid", f"jobs: {jobs!r}. Expected two to {_MAX_JOBS} different job ids: a,b")
     opened = [results.open(job_id) for job_id in ids]
     drives = dict.fromkeys(result.drive_id for result in opened)

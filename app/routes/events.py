@@ -36,7 +36,7 @@ async def follow_job(
             yield _event(current)
         if current.is_final:
             return
-        async for change in watcher.follow(job.id, current.version):
+        async for change in watcher.follow(job.id, current):
             yield _event(change)
 
 

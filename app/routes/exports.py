@@ -91,6 +91,6 @@ async def _deliver(
             result.require_georeference(f"Its files are in {result.address}/files")
         else:
             result.layer(layer)
-        await on_demand.export(result, path, layer)
+        await on_demand.export(result, path, layer, request.state.holder.name)
     file_name = f"{result.slug}{suffix}" if layer is None else f"{result.slug}-{name}{suffix}"
     return await run_in_threadpool(deliver, request, path, name=file_name, download=True)

@@ -15,7 +15,8 @@ from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.problems import ProblemDocument
-from app.paths import check_path
+from app.paths import MAX_PATH, PATH_PATTERN, check_path
+from app.routes.drives import DriveId
 from app.schemas.drives import FileList, UploadedFile
 from app.security import ClientDep
 
@@ -23,7 +24,11 @@ router = APIRouter(prefix="/drives/{drive_id}/files", tags=["Uploads"])
 
 FilePath = Annotated[
     str,
-    Path(description="Path in the folder of the drive.", openapi_examples={"scan": {"value": "velodyne/000000.bin"}}),
+    Path(
+        description="Path in the folder of the drive.",
+        openapi_examples={"scan": {"value": "velodyne/000000.bin"}},
+        json_schema_extra={"pattern": PATH_PATTERN, "maxLength": MAX_PATH},
+    ),
 ]
 
 NOT_FOUND: dict[int | str, dict[str, Any]] = {
@@ -47,10 +52,12 @@ UPLOAD: dict[int | str, dict[str, Any]] = {
 
 @router.get("", responses=NOT_FOUND, summary="List the files of a drive")
 def list_files(
-    drive_id: str,
+    drive_id: DriveId,
     context: ContextDep,
     _client: ClientDep,
-    after: Annotated[str | None, Query(max_length=512, description="`next` of the previous page.")] = None,
+    after: Annotated[
+        str | None, Query(max_length=MAX_PATH, pattern=r"^[^\x00]*$", description="`next` of the previous page.")
+    ] = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
 ) -> FileList:
     """List what was uploaded, in the order of the paths. To resume an upload, send what is missing or differs."""
@@ -72,7 +79,7 @@ def list_files(
                 "name": "Content-Digest",
                 "required": False,
                 "description": "SHA-256 of the body (RFC 9530); a body that differs is refused.",
-                "schema": {"type": "string"},
+                "schema": {"type": "string", "pattern": "^sha-256=:[A-Za-z0-9+/]{42}[AEIMQUYcgkosw048]=:$"},
                 "example": "sha-256=:RK/0qy18MlBSVnWgjwz6lZEWjP/lF5HF9bvEF8FabDg=:",
             }
         ],
@@ -80,7 +87,7 @@ def list_files(
     summary="Upload a file",
 )
 async def put_file(
-    drive_id: str, path: FilePath, request: Request, response: Response, context: ContextDep, _client: ClientDep
+    drive_id: DriveId, path: FilePath, request: Request, response: Response, context: ContextDep, _client: ClientDep
 ) -> UploadedFile:
     """Upload one file as it is: 201 if it is new, 200 if it replaced a file of the same name.
 
@@ -113,13 +120,14 @@ async def put_file(
     response_class=WholeFile,
     responses={
         200: {"content": {"application/octet-stream": {}}, "description": "The bytes."},
+        206: {"content": {"application/octet-stream": {}}, "description": "The range that was asked for."},
         **NOT_FOUND,
         410: {"model": ProblemDocument, "description": "It was reduced to what the method needs."},
         416: {"model": ProblemDocument, "description": "There is no such range."},
     },
     summary="Download a file",
 )
-def get_file(drive_id: str, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
+def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> WholeFile:
     """Return an uploaded file, as long as it is kept."""
     file, about = records.find_file(context, drive_id, check_path(path))
     headers = {"ETag": f'"{about.sha256}"', "X-Content-Type-Options": "nosniff"}
@@ -127,6 +135,6 @@ def get_file(drive_id: str, path: FilePath, context: ContextDep, _client: Client
 
 
 @router.delete("/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
-def delete_file(drive_id: str, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
+def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
     """Remove a file of a drive that is not committed yet."""
     records.delete_file(context, drive_id, check_path(path))

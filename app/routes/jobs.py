@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Path, Query, Response
+from fastapi import APIRouter, Header, Path, Query, Request, Response
 from sqlalchemy import select
 
 from app.context import ContextDep
-from app.http.paging import cursor_of, newest_first, rows_after
-from app.http.problems import Problem, ProblemDocument
-from app.jobs.folders import tidy
+from app.drives.trash import delete_job as delete_ended_job
+from app.http.limits import job_limit
+from app.http.paging import After, cursor_of, newest_first, rows_after
+from app.http.problems import ProblemDocument
 from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
-from app.jobs.view import find_job, job_model
+from app.jobs.view import find_job, is_alive, job_models
+from app.results.folder import ResultsDep
 from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
+from app.schemas.strict import ID_PATTERN
 from app.security import ClientDep
 from app.states import FINAL, JobKind, JobState
 from app.store.models import Drive, Job
@@ -22,7 +25,7 @@ from interloc.config import PRESETS, DetectorConfig
 
 router = APIRouter(tags=["Jobs"])
 
-JobId = Annotated[str, Path(max_length=64, description="Id of the job, from POST /api/v1/jobs.")]
+JobId = Annotated[str, Path(pattern=ID_PATTERN, description="Id of the job, from POST /api/v1/jobs.")]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such job."}}
 
 
@@ -62,7 +65,7 @@ def create_job(
     The job waits in a queue, and survives restarts of the service. Follow its events, or ask for it from time to
     time. A job of a drive whose check still runs waits for it.
     """
-    database, settings = context.database, context.settings
+    database = context.database
     with database.writing() as session:
         request = check_request(session, context, new)
         job, is_new = submit(
@@ -73,10 +76,10 @@ def create_job(
             owner=client,
             request=request,
             key=idempotency_key,
-            limit=settings.max_queued_jobs,
+            limit=job_limit(context, client),
         )
         _, drive_name = find_job(session, job.id)
-        model = job_model(job, drive_name, settings.root_path, database.clock(session))
+        (model,) = job_models(session, context, [(job, drive_name)])
     context.jobs_changed.set()
     response.status_code = 202 if is_new else 200
     response.headers["Location"] = model.links["self"]
@@ -87,17 +90,18 @@ def create_job(
 def list_jobs(
     context: ContextDep,
     _client: ClientDep,
-    drive: Annotated[str | None, Query(max_length=64, description="Only those of this drive.")] = None,
+    drive: Annotated[str | None, Query(pattern=ID_PATTERN, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
         JobKind | Literal["all"],
         Query(description="Only those of this kind; commit and unpack are the checks of uploads."),
     ] = JobKind.INTERSECTIONS,
-    after: Annotated[str | None, Query(max_length=100, description="`next` of the previous page.")] = None,
+    after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
     """List jobs, the newest first."""
-    query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).order_by(*newest_first(Job)).limit(limit + 1)
+    query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
+    query = query.order_by(*newest_first(Job)).limit(limit + 1)
     if kind != "all":
         query = query.where(Job.kind == kind)
     if drive is not None:
@@ -107,9 +111,8 @@ def list_jobs(
     if after is not None:
         query = query.where(rows_after(Job, after))
     with context.database.reading() as session:
-        rows = session.execute(query).all()
-        now = context.database.clock(session)
-    jobs = [job_model(job, name, context.settings.root_path, now) for job, name in rows[:limit]]
+        rows = [(job, name) for job, name in session.execute(query)]
+        jobs = job_models(session, context, rows[:limit])
     return JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
 
 
@@ -117,8 +120,8 @@ def list_jobs(
 def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     with context.database.reading() as session:
-        job, name = find_job(session, job_id)
-        return job_model(job, name, context.settings.root_path, context.database.clock(session))
+        (model,) = job_models(session, context, [find_job(session, job_id)])
+    return model
 
 
 @router.delete(
@@ -129,42 +132,36 @@ def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
         **NOT_FOUND,
         200: {"description": "It has ended, by this request or earlier."},
         202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
-        204: {"description": "The job and its results are removed."},
+        204: {"description": "The job and its results are in the trash."},
         409: _problem("It has not ended, so it cannot be removed."),
     },
 )
 def delete_job(
     job_id: JobId,
+    request: Request,
     response: Response,
     context: ContextDep,
-    _client: ClientDep,
-    purge: Annotated[bool, Query(description="Remove a job that has ended, with its results.")] = False,
+    results: ResultsDep,
+    client: ClientDep,
+    purge: Annotated[bool, Query(description="Move a job that has ended to the trash, with its results.")] = False,
 ) -> JobModel | Response:
-    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed."""
+    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed.
+
+    What is removed can be restored for some days (POST /api/v1/trash/jobs/{id}/restore).
+    """
+    request.state.action = "remove_job" if purge else "cancel_job"
+    if purge:
+        delete_ended_job(context, job_id, client)
+        results.forget()
+        return Response(status_code=204)
     database = context.database
     with database.writing() as session:
         job, name = find_job(session, job_id)
-        if purge:
-            _require_ended(job)
-            session.delete(job)
-        else:
-            cancel(session, database, job)
-            model = job_model(job, name, context.settings.root_path, database.clock(session))
-    if purge:
-        tidy(context.storage, job_id, keep_result=False)
-        return Response(status_code=204)
+        cancel(session, database, job)
+        (model,) = job_models(session, context, [(job, name)])
     context.jobs_changed.set()
     response.status_code = 200 if model.state in FINAL else 202
     return model
-
-
-def _require_ended(job: Job) -> None:
-    if job.state not in FINAL:
-        raise Problem(
-            409,
-            "Job not ended",
-            f"Job {job.id} is {job.state}. Cancel it first (DELETE without purge), then remove it.",
-        )
 
 
 @router.get("/presets", summary="List presets")

@@ -86,7 +86,7 @@ async def _deliver(
 ) -> Response:
     for attempt in (1, 2):
         result = await run_in_threadpool(results.open, job_id)
-        folder = await on_demand.keyframe(result, frame)
+        folder = await on_demand.keyframe(result, frame, request.state.holder.name)
         try:
             return await run_in_threadpool(
                 deliver, request, folder / file, name=f"{result.slug}-{frame}-{file}", cache_control=_KEEP

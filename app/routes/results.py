@@ -15,9 +15,10 @@ from app.http.openapi import get_and_head
 from app.http.problems import ProblemDocument
 from app.results.folder import ResultsDep
 from app.schemas.results import ResultFile, ResultFileList
+from app.schemas.strict import ID_PATTERN
 from interloc.output.layers import LAYERS, Layer
 
-JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", max_length=64)]
+JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID_PATTERN)]
 
 PROBLEMS: dict[int | str, dict[str, Any]] = {
     404: {"model": ProblemDocument, "description": "No such job; or its result has no such part, and why."},

@@ -10,6 +10,7 @@ from app.drives.upload import check_upload, keep
 from app.http.intake import receive
 from app.http.limits import check_free_space, declared_length
 from app.http.multipart import FIELDS, BatchReader, boundary_of
+from app.routes.drives import DriveId
 from app.routes.files import UPLOAD
 from app.schemas.drives import UploadedBatch, UploadedFile
 from app.security import ClientDep
@@ -37,12 +38,21 @@ _ABOUT = {
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": {"multipart/form-data": {"schema": {"type": "object", "properties": _ABOUT}}},
+            "content": {
+                "multipart/form-data": {
+                    "schema": {
+                        "type": "object",
+                        "properties": _ABOUT,
+                        "minProperties": 1,
+                        "additionalProperties": False,
+                    }
+                }
+            },
         }
     },
     summary="Upload a batch of scans",
 )
-async def post_scans(drive_id: str, request: Request, context: ContextDep, _client: ClientDep) -> UploadedBatch:
+async def post_scans(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> UploadedBatch:
     """Upload several files at once, all or none of them. A repeated request replaces files of the same names."""
     limits = context.settings
     length = declared_length(request, limits.max_batch_bytes, "A request with several files")

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import time
+from typing import Annotated, Literal
 
+from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Response
 from pydantic import BaseModel, Field
-from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
-from app.context import Context, ContextDep
+from app.context import Context, ContextDep, part_of_app
 from app.http.problems import ProblemDocument
-from app.jobs.runner import Runner, RunnerDep
+from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
 from app.security import ClientDep
-from app.store.models import Drive
+
+_BELIEVED_S = 1.0  # a probe cannot be used to load the database
 
 router = APIRouter(tags=["System"])
 
@@ -35,6 +37,57 @@ class Readiness(BaseModel):
     )
 
 
+class Probe:
+    """Finds out whether the service can work; many who ask at the same time are answered by one look.
+
+    It has a thread of its own, so that it answers where all others wait for the database.
+    """
+
+    def __init__(self, context: Context, runner: Runner) -> None:
+        self._context = context
+        self._runner = runner
+        self._thread = CapacityLimiter(1)
+        self._found: dict[str, str] = {}
+        self._looked_at = float("-inf")
+
+    async def reasons(self) -> dict[str, str]:
+        """Return why the service cannot work, by part; empty if it can."""
+        if self._context.stopping.is_set():
+            return {"server": "it is being stopped"}
+        await to_thread.run_sync(self._look, limiter=self._thread)
+        return self._found
+
+    def _look(self) -> None:
+        if time.monotonic() < self._looked_at + _BELIEVED_S:
+            return
+        ailments = {
+            "database": self._ailment_of_database(),
+            "disk": self._ailment_of_disk(),
+            "workers": self._runner.ailment(),
+        }
+        self._found = {part: reason for part, reason in ailments.items() if reason is not None}
+        self._looked_at = time.monotonic()
+
+    def _ailment_of_database(self) -> str | None:
+        try:
+            self._context.database.check_writable()
+        except SQLAlchemyError as error:
+            cause = getattr(error, "orig", None) or error
+            # What PostgreSQL says may name its host; this answer is open to everybody.
+            return f"nothing can be written ({cause if self._context.database.is_sqlite else type(cause).__name__})"
+        return None
+
+    def _ailment_of_disk(self) -> str | None:
+        floor = self._context.settings.min_free_bytes
+        try:
+            free = self._context.storage.free_bytes()
+        except OSError as error:
+            return f"the data folder cannot be reached ({error.strerror})"
+        if free >= floor:
+            return None
+        return f"{free / 1e9:.1f} GB free, {floor / 1e9:.1f} GB must stay free (INTERLOC_MIN_FREE_BYTES)"
+
+
 @router.get("/healthz", summary="Show that the process runs")
 async def show_health() -> Health:
     """Answer without any check. For the probe that restarts a container that hangs."""
@@ -46,9 +99,9 @@ async def show_health() -> Health:
     summary="Show whether the service can work",
     responses={503: {"model": Readiness, "description": "It cannot; `reasons` lists why."}},
 )
-def show_readiness(context: ContextDep, runner: RunnerDep, response: Response) -> Readiness:
-    """Check the database, the disk and the workers. For load balancers: they send no requests while this is 503."""
-    reasons = {part: reason for part, reason in _ailments(context, runner).items() if reason is not None}
+async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response: Response) -> Readiness:
+    """Check the database by a write, the disk and the workers. For load balancers: while this is 503, none is sent."""
+    reasons = await probe.reasons()
     if reasons:
         response.status_code = 503
     return Readiness(ready=not reasons, reasons=reasons)
@@ -66,32 +119,3 @@ def show_readiness(context: ContextDep, runner: RunnerDep, response: Response) -
 def show_metrics(context: ContextDep, _client: ClientDep) -> Response:
     """Show requests, uploads, jobs by state, queue wait, time of the stages, worker restarts, free disk."""
     return Response(context.metrics.render(context.database, context.storage), media_type=CONTENT_TYPE)
-
-
-def _ailments(context: Context, runner: Runner) -> dict[str, str | None]:
-    return {
-        "server": "it is being stopped" if context.stopping.is_set() else None,
-        "database": _ailment_of_database(context),
-        "disk": _ailment_of_disk(context),
-        "workers": runner.ailment(),
-    }
-
-
-def _ailment_of_database(context: Context) -> str | None:
-    try:
-        with context.database.reading() as session:
-            session.execute(select(Drive.id).limit(1))
-    except SQLAlchemyError as error:
-        return f"it does not answer ({type(error).__name__})"
-    return None
-
-
-def _ailment_of_disk(context: Context) -> str | None:
-    floor = context.settings.min_free_bytes
-    try:
-        free = context.storage.free_bytes()
-    except OSError as error:
-        return f"the data folder cannot be reached ({error.strerror})"
-    if free >= floor:
-        return None
-    return f"{free / 1e9:.1f} GB free, {floor / 1e9:.1f} GB must stay free (INTERLOC_MIN_FREE_BYTES)"

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
 from app.http.problems import FileProblem
-from app.paths import BadNameError, check_path
+from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
+from app.schemas.strict import Flag, Whole, strictly
 from app.states import DriveState
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
@@ -17,11 +18,18 @@ from interloc.drives.layouts import ScanFolder
 from interloc.drives.options import LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced_format import MAX_SCANS
 
+_PRINTED = r"[^\x00-\x1f\x7f]*"
 Name = Annotated[
-    str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")
+    str,
+    StringConstraints(
+        strip_whitespace=True,
+        min_length=1,
+        max_length=200,
+        pattern=rf"^{_PRINTED}[^\s\x00-\x1f\x7f]{_PRINTED}$",  # not only blanks
+    ),
 ]
 LabelCounts = Annotated[
-    dict[Annotated[int, Field(ge=0, le=65535)], Annotated[int, Field(ge=1, le=2**62)]], Field(max_length=65536)
+    dict[Annotated[int, Field(ge=0, le=65535)], Annotated[Whole, Field(ge=1, le=2**62)]], Field(max_length=65536)
 ]
 """Label id -> number of points that carry it."""
 
@@ -33,6 +41,7 @@ class DriveOptionsModel(ReadingOptions):
         None,
         description="Georeference among the files: a file of OXTS rows, a geo.csv, the folder of a KITTI raw drive.",
         examples=["07.txt.gz"],
+        json_schema_extra={"pattern": PATH_PATTERN, "maxLength": MAX_PATH},
     )
 
     @field_validator("oxts", mode="before")
@@ -50,7 +59,7 @@ class NewDrive(BaseModel):
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"name": "2011_09_30_drive_0027"}]})
 
     name: Name = Field(description="Name shown in lists and results.")
-    keep_raw: bool = Field(
+    keep_raw: Flag = Field(
         False, description="Keep the scans as uploaded, in addition to what the method needs of them."
     )
     options: DriveOptionsModel = Field(default_factory=DriveOptionsModel)
@@ -71,7 +80,7 @@ class DriveModel(BaseModel):
     size_bytes: int = Field(description="Size of the files as uploaded.")
     stored_bytes: int = Field(description="Size of what is kept of them.")
     created_at: datetime
-    expires_at: datetime | None = Field(None, description="When the upload is removed if it is left alone.")
+    expires_at: datetime | None = Field(None, description="When the upload goes to the trash if it is left alone.")
     report: DriveReport | None = Field(
         None, description="What the last commit found, in the form of `interloc info --json`."
     )
@@ -105,8 +114,8 @@ class CommitRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     options: DriveOptionsModel | None = None
-    keep_raw: bool | None = None
-    check_only: bool = Field(False, description="Check and report, but leave the drive open for more files.")
+    keep_raw: Flag | None = None
+    check_only: Flag = Field(False, description="Check and report, but leave the drive open for more files.")
 
 
 class ScanRange(BaseModel):
@@ -114,8 +123,8 @@ class ScanRange(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    first: int = Field(ge=0, le=10**15)
-    last: int = Field(ge=0, le=10**15)
+    first: Whole = Field(ge=0, le=10**15)
+    last: Whole = Field(ge=0, le=10**15)
 
 
 class PlanRequest(BaseModel):
@@ -126,7 +135,7 @@ class PlanRequest(BaseModel):
         json_schema_extra={"examples": [{"scans": {"first": 0, "last": 1100}, "label_folders": ["labels"]}]},
     )
 
-    scans: ScanRange | Annotated[list[Annotated[int, Field(ge=0, le=10**15)]], Field(max_length=MAX_SCANS)] = Field(
+    scans: ScanRange | Annotated[list[Annotated[Whole, Field(ge=0, le=10**15)]], Field(max_length=MAX_SCANS)] = Field(
         description="Numbers of all scans of the drive."
     )
     label_folders: list[LabelFolder] = Field(["labels"], min_length=1, max_length=2)
@@ -141,7 +150,7 @@ class PlanRequest(BaseModel):
     options: DriveOptionsModel | None = Field(
         None, description="How the files are read; the options of the drive by default."
     )
-    keyframes: KeyframeConfig | None = Field(
+    keyframes: Annotated[KeyframeConfig | None, strictly(KeyframeConfig)] = Field(
         default_factory=KeyframeConfig,
         description="Scans to send: the keyframes by these settings, those of the default preset if left out; "
         "null: every scan.",

@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.problems import ProblemDocument
+from app.paths import MAX_PATH
+from app.schemas.strict import ID_PATTERN, Number, Yes
 from app.states import JobKind, JobState
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
@@ -18,14 +20,14 @@ class OsmFile(BaseModel):
     """A map among the files of the drive."""
 
     model_config = ConfigDict(extra="forbid")
-    file: str = Field(max_length=512, examples=["map.osm.gz"])
+    file: str = Field(max_length=MAX_PATH, pattern=r"^[^\x00]*$", examples=["map.osm.gz"])
 
 
 class OsmOverpass(BaseModel):
     """The current map from a public Overpass server."""
 
     model_config = ConfigDict(extra="forbid")
-    overpass: Literal[True]
+    overpass: Yes
 
 
 class NewJob(BaseModel):
@@ -38,7 +40,7 @@ class NewJob(BaseModel):
         },
     )
 
-    drive_id: str = Field(max_length=64)
+    drive_id: str = Field(pattern=ID_PATTERN)
     preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
     config: dict[str, Any] | None = Field(
         None,
@@ -48,8 +50,8 @@ class NewJob(BaseModel):
     labels: LabelFolder | None = Field(None, description="Folder of the labels; by default the one that exists.")
     osm: Annotated[OsmFile | OsmOverpass | None, Field(description="Map to score against; null: detect only.")] = None
     policy: Policy = Field("drive", description=POLICY_HELP)
-    tolerance_m: float = Field(15.0, gt=0, le=100, description=TOLERANCE_HELP)
-    name: str | None = Field(None, max_length=200, description="Name shown in lists.")
+    tolerance_m: Number = Field(15.0, gt=0, le=100, description=TOLERANCE_HELP)
+    name: str | None = Field(None, max_length=200, pattern=r"^[^\x00]*$", description="Name shown in lists.")
 
 
 class Progress(BaseModel):

@@ -24,6 +24,7 @@ _LIMITS = (
     "max_drive_files",
     "max_queued_jobs",
     "upload_expires_h",
+    "trash_h",
 )
 
 

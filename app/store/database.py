@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,17 +14,41 @@ from typing import Any
 from alembic import command
 from alembic.config import Config
 from alembic.util.exc import CommandError
-from sqlalchemy import URL, Connection, create_engine, event, make_url, text
-from sqlalchemy.exc import ArgumentError, DBAPIError
+from sqlalchemy import URL, Connection, ExceptionContext, create_engine, event, make_url, text
+from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError
+from sqlalchemy.exc import TimeoutError as WaitedTooLong
 from sqlalchemy.orm import Session, sessionmaker
 
 from interloc.errors import ConfigError, InterLocError
 
 _MIGRATIONS = Path(__file__).parent / "migrations"
 _UPGRADE_LOCK = 0x1E7E210C  # any number: PostgreSQL's advisory lock of servers that start together
-_BUSY_TIMEOUT_S = 30
+_UPGRADE_PATIENCE_S = 60  # of a server that starts while another one still brings the tables up to date
 _CONNECT_TIMEOUT_S = 10
+
+PATIENCE_S = 5.0
+"""Time that a request waits for the database at most, all queues together."""
+
+_LONG_PATIENCE_S = 20.0  # of work that nobody waits for
+_PROBE_S = 2.0
+_STUCK_S = 1.0  # without any progress of the writers, no more than a few may wait
+_MAX_STUCK = 16
+_LOOK_S = 0.1
+
 _SQLITE_NOW = "SELECT round((julianday('now') - 2440587.5) * 86400.0, 3)"  # unixepoch('subsec') needs SQLite 3.42
+
+
+class DatabaseBusyError(WaitedTooLong):
+    """The turn to write did not come in time."""
+
+
+@dataclass
+class Waits:
+    """Statistics of the writers of a server."""
+
+    count: int = 0
+    seconds: float = 0.0
+    given_up: int = 0
 
 
 class Database:
@@ -43,20 +69,28 @@ class Database:
         self.url = _parse(url)
         self.is_sqlite = self.url.get_backend_name() == "sqlite"
         if self.is_sqlite:
-            options: dict[str, Any] = {"timeout": _BUSY_TIMEOUT_S, "check_same_thread": False}
+            options: dict[str, Any] = {"timeout": PATIENCE_S, "check_same_thread": False}
         else:
-            waits = f"-c lock_timeout={_BUSY_TIMEOUT_S}s -c idle_in_transaction_session_timeout={2 * _BUSY_TIMEOUT_S}s"
+            waits = f"-c lock_timeout={PATIENCE_S:g}s -c idle_in_transaction_session_timeout=60s"
             options = {"connect_timeout": _CONNECT_TIMEOUT_S, "options": waits}
         # Enough connections for all threads that answer requests and work on jobs; more of them wait.
         self.engine = create_engine(
-            self.url, connect_args=options, pool_pre_ping=not self.is_sqlite, pool_size=10, max_overflow=50
+            self.url,
+            connect_args=options,
+            pool_pre_ping=not self.is_sqlite,
+            pool_size=10,
+            max_overflow=60,
+            pool_timeout=PATIENCE_S,
         )
         if self.is_sqlite:
             event.listen(self.engine, "connect", _set_up_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
         self._sessions = sessionmaker(self.engine, expire_on_commit=False)
-        # SQLite has one writer; threads of this process that queue here do not starve each other.
-        self._write_lock = threading.Lock()
+        self.waits = Waits()
+        self._turns = _Turns(self.waits)
+        self.disk_is_full: Callable[[], None] = lambda: None
+        """Called when nothing could be written for lack of space, before the error goes on its way."""
+        event.listen(self.engine, "handle_error", self._look_at_error)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -65,24 +99,59 @@ class Database:
             yield session
 
     @contextmanager
-    def writing(self) -> Iterator[Session]:
-        """Open a transaction that is committed when the block ends without error."""
-        if not self.is_sqlite:
-            with self._sessions.begin() as session:
-                yield session
-            return
-        with self._write_lock, self._sessions() as session:
-            session.connection(execution_options={"writes": True})
+    def writing(self, *, patient: bool = False) -> Iterator[Session]:
+        """Open a transaction that is committed when the block ends without error.
+
+        Parameters
+        ----------
+        patient
+            Wait longer for the turn to write: for work in the background.
+
+        Raises
+        ------
+        DatabaseBusyError
+            The turn did not come in time; or many wait already, and none gets on.
+        OperationalError
+            Another process holds the lock for too long.
+        """
+        deadline = time.monotonic() + (_LONG_PATIENCE_S if patient else PATIENCE_S)
+        with self._turns.one(deadline, alone=self.is_sqlite, patient=patient) as begun, self._sessions() as session:
+            left_s = max(0.0, deadline - time.monotonic())
+            if self.is_sqlite:
+                session.connection(execution_options={"writes": True, "patience_s": left_s})
+            elif patient:
+                session.execute(text(f"SET LOCAL lock_timeout = {round(1000 * left_s) or 1}"))
+            begun()
             yield session
             session.commit()
+
+    def check_writable(self) -> None:
+        """Write something that changes nothing, and take it back.
+
+        Raises
+        ------
+        SQLAlchemyError
+            That was not possible within a short time.
+        """
+        options = {"writes": True, "patience_s": _PROBE_S}
+        with self.engine.connect().execution_options(**options) as connection, connection.begin() as transaction:
+            if not self.is_sqlite:
+                connection.execute(text(f"SET LOCAL lock_timeout = {round(1000 * _PROBE_S)}"))
+            connection.execute(text("UPDATE drives SET name = name WHERE id = ''"))
+            transaction.rollback()
 
     def clock(self, session: Session) -> float:
         """Return the time by the clock of the database, seconds since 1970: one clock for all servers."""
         now = _SQLITE_NOW if self.is_sqlite else "SELECT extract(epoch FROM clock_timestamp())"
         return float(session.execute(text(now)).scalar_one())
 
-    def upgrade(self) -> None:
+    def upgrade(self, then: Callable[[Session], None] | None = None) -> None:
         """Bring the tables up to date (Alembic); servers that start together do it one after the other.
+
+        Parameters
+        ----------
+        then
+            Called at the end of the same transaction: where it raises, nothing has changed.
 
         Raises
         ------
@@ -91,7 +160,7 @@ class Database:
         """
         shown = self.url.render_as_string(hide_password=True)
         try:
-            self._upgrade()
+            self._upgrade(then)
         except CommandError as error:
             raise InterLocError(
                 f"the database {shown} was made by a newer version of InterLoc ({error}); "
@@ -101,18 +170,108 @@ class Database:
             reason = " ".join(str(error.orig).split())
             raise InterLocError(f"the database {shown} cannot be reached or brought up to date: {reason}") from error
 
-    def _upgrade(self) -> None:
+    def _upgrade(self, then: Callable[[Session], None] | None) -> None:
         with self.engine.connect().execution_options(writes=True) as connection, connection.begin():
             if not self.is_sqlite:
+                connection.execute(text(f"SET LOCAL lock_timeout = '{_UPGRADE_PATIENCE_S}s'"))
                 connection.execute(text(f"SELECT pg_advisory_xact_lock({_UPGRADE_LOCK})"))
             config = Config()
             config.set_main_option("script_location", str(_MIGRATIONS))
             config.attributes["connection"] = connection
             command.upgrade(config, "head")
+            if then is not None:
+                with Session(connection) as session:
+                    then(session)
+                    session.flush()
 
     def close(self) -> None:
         """Close the connections."""
         self.engine.dispose()
+
+    def _look_at_error(self, context: ExceptionContext) -> None:
+        if is_disk_full(context.original_exception):
+            self.disk_is_full()
+
+
+class _Writer:
+    """A writer that waits, or writes."""
+
+    def __init__(self) -> None:
+        self.arrived = time.monotonic()
+        self.has_begun = False
+
+
+class _Turns:
+    """Writers take turns, so that those of this process do not starve each other, and none waits without end.
+
+    SQLite has one writer, PostgreSQL has many; where it or another process holds them all up, more and more requests
+    would wait, until no thread is left that could answer anything else. So only a few may wait once nothing moves.
+    """
+
+    def __init__(self, waits: Waits) -> None:
+        self._waits = waits
+        self._lock = threading.Lock()
+        self._turn = threading.Lock()
+        self._writers: dict[_Writer, None] = {}  # in the order of their arrival
+        self._moved = float("-inf")
+
+    @contextmanager
+    def one(self, deadline: float, *, alone: bool, patient: bool) -> Iterator[Callable[[], None]]:
+        """Wait for a turn; yields what is to be called when the database has begun the transaction too."""
+        writer = _Writer()
+        with self._lock:
+            self._writers[writer] = None
+        try:
+            with self._take(writer, deadline, patient=patient) if alone else nullcontext():
+                if not patient:
+                    self._refuse_if_stuck(writer)
+                yield lambda: self._begin(writer, alone=alone)
+        except (WaitedTooLong, OperationalError):
+            if not (alone and writer.has_begun):
+                with self._lock:
+                    self._waits.given_up += 1
+            raise
+        except BaseException:
+            self._moved = time.monotonic()
+            raise
+        else:
+            self._moved = time.monotonic()
+        finally:
+            with self._lock:
+                del self._writers[writer]
+
+    @contextmanager
+    def _take(self, writer: _Writer, deadline: float, *, patient: bool) -> Iterator[None]:
+        while not self._turn.acquire(timeout=max(0.0, min(_LOOK_S, deadline - time.monotonic()))):
+            if time.monotonic() >= deadline:
+                raise DatabaseBusyError("others wrote to the database all the time")
+            if not patient:
+                self._refuse_if_stuck(writer)
+        try:
+            yield
+        finally:
+            self._turn.release()
+
+    def _begin(self, writer: _Writer, *, alone: bool) -> None:
+        writer.has_begun = True
+        now = time.monotonic()
+        with self._lock:
+            self._waits.count += 1
+            self._waits.seconds += now - writer.arrived
+        if alone:
+            self._moved = now
+
+    def _refuse_if_stuck(self, writer: _Writer) -> None:
+        with self._lock:
+            writers = list(self._writers)
+        is_stuck = time.monotonic() - max(writers[0].arrived, self._moved) > _STUCK_S
+        if is_stuck and writers.index(writer) >= _MAX_STUCK:
+            raise DatabaseBusyError(f"{len(writers)} writers wait for the database, and none gets on")
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Tell whether a database could not write for lack of space."""
+    return "disk is full" in str(error) or "No space left" in str(error)
 
 
 def moment(seconds: float) -> datetime:
@@ -144,5 +303,9 @@ def _set_up_sqlite(connection: Any, _record: object) -> None:  # noqa: ANN401 - 
 
 def _begin_sqlite(connection: Connection) -> None:
     """Take the write lock at once where writing is meant: upgrading a read transaction can fail, waiting cannot."""
-    writes = connection.get_execution_options().get("writes", False)
+    options = connection.get_execution_options()
+    writes = options.get("writes", False)
+    patience_s = options.get("patience_s", _LONG_PATIENCE_S if writes else PATIENCE_S)
+    driver: Any = connection.connection.dbapi_connection
+    driver.execute(f"PRAGMA busy_timeout = {round(1000 * patience_s)}")
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -1,14 +1,14 @@
-"""The tables: drives, their files, jobs, tokens."""
+"""The tables: drives, their files, jobs, tokens, and the id of the installation."""
 
 from __future__ import annotations
 
 import secrets
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from app.states import DriveState, JobState
+from app.states import DriveState, JobState, Scope
 
 
 def new_id() -> str:
@@ -44,6 +44,10 @@ class Drive(Base):
     """Size of what is kept of them."""
     created_at: Mapped[float]
     touched_at: Mapped[float]
+    deleted_at: Mapped[float | None]
+    """Since when it lies in the trash; everything but the trash treats it as absent then."""
+    deleted_by: Mapped[str | None]
+    """The client that deleted it; None for an upload that expired."""
 
     __table_args__ = (Index("ix_drives_state_touched", "state", "touched_at"),)
 
@@ -57,6 +61,20 @@ class DriveFile(Base):
     path: Mapped[str] = mapped_column(String(512), primary_key=True)
     size_bytes: Mapped[int]
     sha256: Mapped[str] = mapped_column(String(64))
+    mtime_ns: Mapped[int | None]
+    """When its bytes were written: another time, or size, means other bytes. None in rows of older versions."""
+    folded: Mapped[str | None] = mapped_column(String(32))
+    """See `app.paths.folded_hash`: two files must not differ in nothing but case or composition."""
+
+    __table_args__ = (
+        Index(
+            "ix_drive_files_folded",
+            "drive_id",
+            "folded",
+            sqlite_where=text("folded IS NOT NULL"),
+            postgresql_where=text("folded IS NOT NULL"),
+        ),
+    )
 
 
 class Job(Base):
@@ -90,6 +108,9 @@ class Job(Base):
     created_at: Mapped[float]
     started_at: Mapped[float | None]
     finished_at: Mapped[float | None]
+    deleted_at: Mapped[float | None]
+    """Since when it lies in the trash; that its drive does is not written here."""
+    deleted_by: Mapped[str | None]
 
     attempts: Mapped[int] = mapped_column(Integer, default=0)
     lease_owner: Mapped[str | None]
@@ -110,4 +131,22 @@ class Token(Base):
 
     name: Mapped[str] = mapped_column(primary_key=True)
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    created_at: Mapped[float]
+    scope: Mapped[str] = mapped_column(default=Scope.WRITE, server_default=Scope.WRITE.value)
+    """See `Scope`."""
+    expires_at: Mapped[float | None]
+    last_used_at: Mapped[float | None]
+    """To within some minutes."""
+    max_bytes: Mapped[int | None]
+    """Bytes that its drives may keep on disk."""
+    max_jobs: Mapped[int | None]
+    """Jobs of each kind that may wait or run."""
+
+
+class Installation(Base):
+    """The id that this database shares with its data folder, in one row: see `app.store.installation`."""
+
+    __tablename__ = "installation"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
     created_at: Mapped[float]

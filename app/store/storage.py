@@ -1,8 +1,10 @@
 """Where the bytes are kept: a folder behind a small interface, so that a storage of objects can follow.
 
 Keys are paths below one root: ``drives/<id>/files/...`` (as uploaded), ``drives/<id>/reduced/...`` (what jobs read),
-``jobs/<id>/scratch/...`` (checkpoints, progress), ``jobs/<id>/result/...``. The library reads and writes folders, so a
-storage can show a key as one (`Storage.folder`); a storage of objects would do so by a local copy.
+``jobs/<id>/scratch/...`` (checkpoints, progress), ``jobs/<id>/result/...``, ``incoming/<process>/...`` (what is being
+received), ``trash/...`` (what is being deleted for good), ``lost+found/...`` (folders that no row knows). The library
+reads and writes folders, so a storage can show a key as one (`Storage.folder`); a storage of objects would do so by a
+local copy.
 """
 
 from __future__ import annotations
@@ -13,7 +15,12 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
+from app.store.incoming import Incoming, remove
 from interloc.errors import InterLocError
+
+INCOMING = "incoming"
+LOST = "lost+found"
+TRASH = "trash"
 
 
 class Storage:
@@ -21,6 +28,15 @@ class Storage:
 
     def __init__(self, root: Path) -> None:
         self.root = Path(os.path.realpath(root))
+        self._incoming = Incoming(self.root / INCOMING)
+
+    def close(self) -> None:
+        """Remove what this process was receiving."""
+        self._incoming.close()
+
+    def incoming(self) -> Path:
+        """Return the folder where this process receives files before they take their places."""
+        return self._incoming.folder()
 
     def folder(self, key: str) -> Path:
         """Return the folder of a key, for code that works on folders; it need not exist."""
@@ -34,13 +50,27 @@ class Storage:
         path = self.folder(key)
         if path.is_dir() and not path.is_symlink():
             # Renamed first: what is half deleted must not be found under its name.
-            doomed = self.root / "incoming" / secrets.token_hex(12)
-            doomed.parent.mkdir(parents=True, exist_ok=True)
+            doomed = self.incoming() / secrets.token_hex(12)
             with suppress(FileNotFoundError):
                 path.replace(doomed)
-                shutil.rmtree(doomed, ignore_errors=True)
+                remove(doomed)
         else:
             path.unlink(missing_ok=True)
+
+    def set_aside(self, key: str) -> str | None:
+        """Move what no row knows to ``lost+found/``, whole; return its new key, or None if it is gone."""
+        source = self.folder(key)
+        for number in range(1, 1000):
+            place = f"{LOST}/{key}" if number == 1 else f"{LOST}/{key}-{number}"
+            target = self.folder(place)
+            if not target.exists():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    source.rename(target)
+                except FileNotFoundError:
+                    return None
+                return place
+        raise InterLocError(f"{self.root / LOST}: holds a thousand folders of the name {key}; clear it up")
 
     def free_bytes(self) -> int:
         """Return the space that is left."""

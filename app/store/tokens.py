@@ -1,15 +1,23 @@
-"""API tokens: made and shown once, kept as their SHA-256, looked up by it."""
+"""API tokens: made and shown once, kept as their SHA-256, looked up by it in a copy of the table.
+
+The table of a team is small, so a server keeps a copy of it. Looking up a token, valid or not, costs a hash and a
+dictionary; however many wrong ones come, the table is read a few times per second at most.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
 import secrets
+import threading
 import time
+from dataclasses import dataclass
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, or_, select, update
 
 from app.settings import Settings
+from app.states import Scope
 from app.store.database import Database
 from app.store.models import Token
 from interloc.errors import ConfigError
@@ -21,11 +29,34 @@ OPERATOR = "operator"
 """Client of the token in the settings."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
-_BELIEVED_S = 5.0  # a new token is taken, and a revoked one refused, after this time at the latest
+_BELIEVED_S = 5.0  # a token that was revoked or has expired is refused after this time at the latest
+_PAUSE_S = 0.05  # between two readings of the table
+_NEVER = float("-inf")
+
+_audit = logging.getLogger("app.audit")
 
 
-def add_token(database: Database, name: str) -> str:
+def add_token(
+    database: Database,
+    name: str,
+    *,
+    scope: Scope = Scope.WRITE,
+    expires_at: float | None = None,
+    max_bytes: int | None = None,
+    max_jobs: int | None = None,
+) -> str:
     """Make a token for a client.
+
+    Parameters
+    ----------
+    database
+    name
+        Of the client.
+    scope
+    expires_at
+        Seconds since 1970; None: never.
+    max_bytes, max_jobs
+        See `Token`; None: no other limits than those of the service.
 
     Returns
     -------
@@ -35,7 +66,7 @@ def add_token(database: Database, name: str) -> str:
     Raises
     ------
     ConfigError
-        The name is not one, or is taken.
+        The name is not one, or is taken; or the token would have expired already.
     """
     if not _NAME.fullmatch(name) or name in {ANONYMOUS, OPERATOR}:
         raise ConfigError(
@@ -44,9 +75,22 @@ def add_token(database: Database, name: str) -> str:
         )
     token = f"interloc_{secrets.token_urlsafe(32)}"
     with database.writing() as session:
+        now = database.clock(session)
+        if expires_at is not None and expires_at <= now:
+            raise ConfigError(f"the token of {name} would have expired already; expected a date to come, or 30d")
         if session.get(Token, name) is not None:
             raise ConfigError(f"there is a token {name} already; `interloc token revoke {name}` takes it away")
-        session.add(Token(name=name, sha256=_sha256(token), created_at=database.clock(session)))
+        session.add(
+            Token(
+                name=name,
+                sha256=_sha256(token),
+                created_at=now,
+                scope=scope,
+                expires_at=expires_at,
+                max_bytes=max_bytes,
+                max_jobs=max_jobs,
+            )
+        )
     return token
 
 
@@ -70,8 +114,32 @@ def revoke_token(database: Database, name: str) -> None:
         raise ConfigError(f"there is no token {name}; `interloc token list` shows those that there are")
 
 
+@dataclass(frozen=True)
+class Holder:
+    """Who sends a request, and what is allowed to it.
+
+    Attributes
+    ----------
+    name : str
+        Name of the token.
+    scope : Scope
+    max_bytes, max_jobs : int or None
+        See `Token`.
+    expires_at : float or None
+    has_expired : bool
+        When the table was last read.
+    """
+
+    name: str
+    scope: Scope = Scope.WRITE
+    max_bytes: int | None = None
+    max_jobs: int | None = None
+    expires_at: float | None = None
+    has_expired: bool = False
+
+
 class TokenBook:
-    """The clients of tokens; answers of the database are kept for some seconds.
+    """A copy of the table of tokens that is read again every few seconds.
 
     A token is looked up by its hash, so the time of the look-up does not reveal how close a guess was.
     """
@@ -81,41 +149,66 @@ class TokenBook:
         self._own = _sha256(settings.token.get_secret_value()) if settings.token is not None else None
         self._anonymous = settings.allow_anonymous
         self._exposed = not settings.is_loopback
-        self._clients: dict[str, tuple[str, float]] = {}
-        self._exist: tuple[bool, float] = (False, float("-inf"))
+        self._holders: dict[str, Holder] = {}
+        self._read_at = _NEVER
+        self._reading = threading.Lock()
+        self._used: dict[str, float] = {}
 
-    def recall(self, token: str) -> str | None:
-        """Return the client of a token without asking the database; None if it must be asked."""
+    @property
+    def is_fresh(self) -> bool:
+        """Whether the copy was made within the last seconds."""
+        return time.monotonic() < self._read_at + _BELIEVED_S
+
+    def recall(self, token: str) -> Holder | None:
+        """Return the holder of a token by the copy; None if it is not in it."""
         digest = _sha256(token)
         if digest == self._own:
-            return OPERATOR
-        client, until = self._clients.get(digest, ("", float("-inf")))
-        return client if time.monotonic() < until else None
+            return Holder(OPERATOR)
+        holder = self._holders.get(digest)
+        if holder is not None and not holder.has_expired:
+            self._used[holder.name] = time.monotonic()
+        return holder
 
-    def client_of(self, token: str) -> str | None:
-        """Return the client of a token; None if the token is unknown."""
-        client = self.recall(token)
-        if client is not None:
-            return client
-        digest = _sha256(token)
-        with self._database.reading() as session:
-            client = session.scalar(select(Token.name).where(Token.sha256 == digest))
-        if client is None:
-            self._clients.pop(digest, None)
-        else:
-            self._clients[digest] = (client, time.monotonic() + _BELIEVED_S)
-        return client
+    def read(self, since: float) -> None:
+        """Copy the table, unless that was begun after a moment of `time.monotonic`: one copy serves all who wait."""
+        with self._reading:
+            if self._read_at > since:
+                return
+            time.sleep(max(0.0, min(_PAUSE_S, self._read_at + _PAUSE_S - time.monotonic())))
+            begun = time.monotonic()
+            with self._database.reading() as session:
+                now = self._database.clock(session)
+                rows = session.scalars(select(Token)).all()
+            holders = {row.sha256: _holder(row, now) for row in rows}
+            if self._read_at != _NEVER:
+                _report_changes(self._holders, holders)
+            self._holders = holders
+            self._read_at = begun
+
+    def holder_of(self, token: str) -> Holder | None:
+        """Return the holder of a token; None if it is unknown."""
+        asked = time.monotonic()
+        if not self.is_fresh:
+            self.read(asked)
+        holder = self.recall(token)
+        if holder is None:
+            self.read(asked)
+            holder = self.recall(token)
+        return holder
+
+    def named(self, name: str) -> Holder:
+        """Return the holder of this name, without limits of its own where there is none: its drives outlive a token."""
+        if not self.is_fresh:
+            self.read(time.monotonic())
+        return next((holder for holder in self._holders.values() if holder.name == name), Holder(name))
 
     def exist(self) -> bool:
-        """Return whether there is any token."""
+        """Return whether there is any token, expired ones included: a service does not open by itself."""
         if self._own is not None:
             return True
-        known, until = self._exist
-        if time.monotonic() >= until:
-            with self._database.reading() as session:
-                known = session.scalar(select(Token.name).limit(1)) is not None
-            self._exist = (known, time.monotonic() + _BELIEVED_S)
-        return known
+        if not self.is_fresh:
+            self.read(time.monotonic())
+        return bool(self._holders)
 
     def are_needed(self) -> bool:
         """Return whether clients need a token: also after the last one was revoked, if other machines can connect."""
@@ -124,7 +217,38 @@ class TokenBook:
     @property
     def need_is_known(self) -> bool:
         """Whether `are_needed` answers without asking the database."""
-        return self._anonymous or self._exposed or self._own is not None or time.monotonic() < self._exist[1]
+        return self._anonymous or self._exposed or self._own is not None or self.is_fresh
+
+    def write_uses(self) -> None:
+        """Write when tokens were last used; called now and then, never for a request."""
+        used, self._used = self._used, {}
+        if not used:
+            return
+        with self._database.writing(patient=True) as session:
+            now = self._database.clock(session)
+            for name, moment in used.items():
+                at = now - (time.monotonic() - moment)
+                older = or_(Token.last_used_at.is_(None), Token.last_used_at < at)
+                session.execute(update(Token).where(Token.name == name, older).values(last_used_at=at))
+
+
+def _holder(row: Token, now: float) -> Holder:
+    return Holder(
+        name=row.name,
+        scope=Scope(row.scope),
+        max_bytes=row.max_bytes,
+        max_jobs=row.max_jobs,
+        expires_at=row.expires_at,
+        has_expired=row.expires_at is not None and row.expires_at <= now,
+    )
+
+
+def _report_changes(before: dict[str, Holder], after: dict[str, Holder]) -> None:
+    """Log which tokens came and went: they are made by the command line, which keeps no log."""
+    for action, some, others in (("add_token", after, before), ("revoke_token", before, after)):
+        for digest in some.keys() - others.keys():
+            fields = {"client": "command line", "action": action, "token": some[digest].name}
+            _audit.info("%s %s", action, some[digest].name, extra=fields)
 
 
 def _sha256(token: str) -> str:

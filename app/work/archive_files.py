@@ -28,6 +28,9 @@ MAGIC_BYTES = 262
 
 _MAX_HEADER_BYTES = 1 << 20  # of a long name or extended header of a tar file, which are read into memory
 _MAX_WINDOW_BYTES = 1 << 27  # of zstandard: the limit of its own tools unless an option raises it
+_MAX_FOLDERS = 10_000  # which a zip file may list beside its files
+_MAX_ENTRY_BYTES = 1024  # of the list in a zip file, on average: 46 and the name
+_ENTRY = b"PK\x01\x02"
 _BLOCK = 512
 _HEADERS = (
     tarfile.XHDTYPE,
@@ -75,7 +78,7 @@ def archive_kind(head: bytes) -> ArchiveKind | None:
 
 
 @contextmanager
-def members(path: Path, count: Callable[[int], None]) -> Iterator[Iterator[Member]]:
+def members(path: Path, count: Callable[[int], None], max_files: int) -> Iterator[Iterator[Member]]:
     """Open an archive.
 
     Parameters
@@ -83,6 +86,8 @@ def members(path: Path, count: Callable[[int], None]) -> Iterator[Iterator[Membe
     path
     count
         Called with the bytes that come out of its decompressor beside the contents of members: what is skipped counts.
+    max_files
+        Of a zip file that lists many more, the list is not even looked into.
 
     Yields
     ------
@@ -100,7 +105,9 @@ def members(path: Path, count: Callable[[int], None]) -> Iterator[Iterator[Membe
         file.seek(0)
         try:
             if kind == "zip":
-                with zipfile.ZipFile(file) as archive:
+                bounded = _BoundedZip(file, max_files)
+                with zipfile.ZipFile(bounded) as archive:
+                    bounded.is_listed = True
                     yield _zip_members(archive)
             elif kind is not None:
                 yield _tar_members(_decompressed(file, kind), count)
@@ -125,6 +132,40 @@ def members(path: Path, count: Callable[[int], None]) -> Iterator[Iterator[Membe
             raise ArchiveError(
                 f"the archive is damaged or cut short ({error}). Usual cause: a transfer that did not finish."
             ) from error
+
+
+def too_many_files(max_files: int) -> ArchiveError:
+    """Return the error that an archive holds too many files."""
+    return ArchiveError(f"the archive holds more than {max_files:,} files.")
+
+
+class _BoundedZip(io.RawIOBase):
+    """A zip file that does not hand out a list of too many files: `zipfile` would make an object of each."""
+
+    def __init__(self, file: BinaryIO, max_files: int) -> None:
+        self._file = file
+        self._max_files = max_files
+        self.is_listed = False
+
+    def read(self, size: int = -1, /) -> bytes:
+        if self.is_listed:
+            return self._file.read(size)
+        most = self._max_files + _MAX_FOLDERS
+        if size > most * _MAX_ENTRY_BYTES:
+            raise too_many_files(self._max_files)
+        data = self._file.read(size)
+        if data.count(_ENTRY) > most:
+            raise too_many_files(self._max_files)
+        return data
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def seekable(self) -> bool:
+        return True
 
 
 def _zip_members(archive: zipfile.ZipFile) -> Iterator[Member]:
@@ -164,6 +205,8 @@ def _tar_members(stream: BinaryIO, count: Callable[[int], None]) -> Iterator[Mem
                 continue
             if not info.isreg() or info.issparse():
                 raise _special(info.name)
+            if info.size < 0:
+                raise ArchiveError(f"{info.name!a}: its header announces {info.size:,} bytes, which no file has.")
 
             def contents(info: tarfile.TarInfo = info) -> IO[bytes]:
                 file = archive.extractfile(info)

@@ -14,15 +14,16 @@ from app.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work.places import REDUCED
 from app.work.progress import ProgressFiles
 from app.work.task import Outcome, Part, Plan, Report, Task
-from interloc.arrays import IntArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
-from interloc.errors import DriveError, GeoreferenceError
-from interloc.evaluation.coverage import track_bounds
-from interloc.osm.graph import Bounds, RoadGraph
+from interloc.drives.scans.reduced_format import MANIFEST
+from interloc.errors import DriveError, GeoreferenceError, InterLocError
+from interloc.evaluation.coverage import map_bounds, track_bounds
+from interloc.osm.graph import RoadGraph
 from interloc.output.layout import result_folder
 from interloc.output.write import write_results
 from interloc.pipeline import RangeResult, assemble, detect_range
@@ -38,6 +39,12 @@ _MAP_FREE_BYTES = 64 * 1024**2  # small maps may unpack to this much, whatever t
 
 _MIN_RANGE = 40
 _CELLS = 750
+
+
+class DriveGoneError(InterLocError):
+    """A committed drive whose files were removed from outside."""
+
+    http_status = 410
 
 
 def prepare(task: Task) -> Plan:
@@ -87,10 +94,33 @@ def finish(task: Task, plan: Plan) -> Outcome:
     return Outcome(_summary(result, report))
 
 
+def import_all() -> None:
+    """Import what is imported late, so that the first job need not wait for it: some seconds where cores are busy."""
+    import osmium  # noqa: F401, PLC0415
+    import shapely  # noqa: F401, PLC0415
+
+    import interloc.evaluation.evaluate  # noqa: PLC0415
+    import interloc.evaluation.figures  # noqa: PLC0415
+    import interloc.evaluation.report  # noqa: PLC0415
+    import interloc.osm.reader  # noqa: PLC0415
+    import interloc.output.osm_roads  # noqa: F401, PLC0415
+
+
 def open_input(task: Task) -> tuple[Drive, IntArray]:
-    """Return the drive of a task, and the positions of its keyframes."""
+    """Return the drive of a task, and the positions of its keyframes.
+
+    Raises
+    ------
+    DriveGoneError
+        Its files are not where the commit has put them.
+    """
     config = config_of(task)
     root = task.drive / REDUCED
+    if not (root / MANIFEST).is_file():
+        raise DriveGoneError(
+            f"The files of drive {task.drive_name} are no longer on the disk of the service, though it was committed. "
+            "Upload it again, and tell the operator."
+        )
     return _open_once(root, task.drive_name, _label_folder(task, root), config)
 
 
@@ -143,10 +173,11 @@ def _require_georeference(task: Task, drive: Drive) -> None:
         )
 
 
-def _bounds(drive: Drive, keyframes: IntArray) -> Bounds:
+def _places(drive: Drive, keyframes: IntArray) -> FloatArray:
+    """Return longitude, latitude of the keyframes."""
     assert drive.georeference is not None
     fixes = drive.georeference
-    return track_bounds(np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1))
+    return np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1)
 
 
 def _read_map(task: Task, drive: Drive, keyframes: IntArray) -> RoadGraph:
@@ -158,14 +189,15 @@ def _read_map(task: Task, drive: Drive, keyframes: IntArray) -> RoadGraph:
     if "file" in osm:
         path = task.drive / "files" / osm["file"]
         max_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
-        return read_osm(path, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
+        bounds = map_bounds(_places(drive, keyframes))
+        return read_osm(path, bounds, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
     progress = ProgressFiles(task)
 
     def wait(reason: str, seconds: float) -> None:
         progress.report_stage("waiting for the map", f"{reason} ({seconds:.0f} s)")
 
     return download_roads(
-        _bounds(drive, keyframes),
+        track_bounds(_places(drive, keyframes)),
         cache_dir=Path(task.limits["cache"]) / "overpass",
         on_wait=wait,
         url=task.limits["overpass_url"],
@@ -182,7 +214,7 @@ def _evaluate(task: Task, drive: Drive, keyframes: IntArray, result: DriveResult
         result, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
     )
     write_report(evaluation, result, folder)
-    write_roads(graph, _bounds(drive, keyframes), folder)
+    write_roads(graph, track_bounds(_places(drive, keyframes)), folder)
     return report_record(evaluation)
 
 

@@ -7,12 +7,13 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Collection
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, BinaryIO
 
 from app.paths import BadNameError, check_path, is_map
-from app.work.archive_files import ArchiveError, Member, members
+from app.work.archive_files import ArchiveError, Member, members, too_many_files
 from app.work.places import LISTING, place_unpacked
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.errors import OutputError
@@ -21,6 +22,8 @@ _PIECE = 1 << 20
 _MB = 1 << 20
 _LOOK_BYTES = 64 * _MB
 _FREE_RATIO_BYTES = 64 * _MB  # small archives may unpack to this much, whatever their ratio
+_FREE_FILES = 10_000  # small archives may hold as many files, whatever their size
+_BYTES_PER_FILE = 32  # each further file takes at least this much of an archive, however well it is packed
 
 _SIGNS = re.compile(
     r"(?P<root>(?:.*/)?)"
@@ -46,7 +49,7 @@ def run(task: Task, part: Part, report: Report) -> None:
     folder.mkdir(parents=True)
     try:
         unpacking = _Unpacking(task, folder, lambda: report(0))
-        with members(_archive(task), unpacking.count) as found:
+        with members(_archive(task), unpacking.count, task.limits["max_drive_files"]) as found:
             for member in found:
                 unpacking.take(member)
         place_unpacked(folder / "drive", unpacking.sort(), task.scratch)
@@ -85,10 +88,12 @@ class _Unpacking:
     def __init__(self, task: Task, folder: Path, look_up: Callable[[], None]) -> None:
         self._folder = folder
         self._limits = task.limits
+        packed_bytes = _archive(task).stat().st_size
         self._max_bytes = min(
             int(self._limits["max_drive_bytes"]),
-            max(_FREE_RATIO_BYTES, int(_archive(task).stat().st_size * self._limits["max_archive_ratio"])),
+            max(_FREE_RATIO_BYTES, int(packed_bytes * self._limits["max_archive_ratio"])),
         )
+        self._max_files = min(int(self._limits["max_drive_files"]), max(_FREE_FILES, packed_bytes // _BYTES_PER_FILE))
         self._look_up = look_up
         self._files: dict[str, _File] = {}
         self._unpacked = 0
@@ -110,8 +115,8 @@ class _Unpacking:
             Its name is not valid or comes twice, or there is too much.
         """
         self._members += 1
-        if self._members > self._limits["max_drive_files"]:
-            raise ArchiveError(f"the archive holds more than {self._limits['max_drive_files']:,} files.")
+        if self._members > self._max_files:
+            raise too_many_files(self._max_files)
         name = member.name.removeprefix("./")
         if _is_litter(name):
             return
@@ -124,12 +129,14 @@ class _Unpacking:
         place = self._folder / str(len(self._files))
         digest = hashlib.sha256()
         size = 0
-        with member.open() as source, place.open("xb") as target:
+        with member.open() as source, ExitStack() as stack:
+            target: BinaryIO | None = None  # of an empty file nothing is made before the whole archive is known
             while piece := source.read(_PIECE):
                 size += len(piece)
                 self._unpacked += len(piece)
                 self._check_file(name, size)
                 self._check_size(self._unpacked, name)
+                target = target or stack.enter_context(place.open("xb"))
                 target.write(piece)
                 digest.update(piece)
         if size != member.size_bytes:
@@ -152,7 +159,10 @@ class _Unpacking:
             target = self._folder / "drive" / path
             try:
                 target.parent.mkdir(parents=True, exist_ok=True)
-                file.place.rename(target)
+                if file.size_bytes:
+                    file.place.rename(target)
+                else:
+                    target.touch(exist_ok=False)
             except OSError as error:
                 raise ArchiveError(f"{name}: is a file and a folder in the archive. Pack it anew.") from error
             listing.append({"path": path, "size_bytes": file.size_bytes, "sha256": file.sha256})

@@ -36,7 +36,7 @@ def command(
     options.check_map_choice(osm, overpass=overpass)
     console.set_up_log(quiet=quiet)
     result = read_results(out)
-    graph = options.read_map(osm)
+    graph = options.read_map(osm, result.keyframes.lonlat)
     if graph is None:
         graph = options.fetch_map(result, quiet=quiet)
     evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)

@@ -12,6 +12,7 @@ from interloc.cli import console
 from interloc.osm.policies import POLICIES, POLICY_HELP, TOLERANCE_HELP
 
 if TYPE_CHECKING:
+    from interloc.arrays import FloatArray
     from interloc.config import DetectorConfig
     from interloc.drive import Drive
     from interloc.osm.graph import RoadGraph
@@ -180,9 +181,22 @@ def open_for_evaluation(
     console.set_up_log(quiet=quiet)
     config = configure(preset, settings)
     source = open_drive(drive, reading)
-    if needs_georeference:
-        require_georeference(source)
-    return source, config, read_map(osm)
+    if not needs_georeference:  # where on the map it was is not known yet
+        return source, config, read_map(osm)
+    require_georeference(source)
+    return source, config, read_map(osm, _keyframe_places(source, config))
+
+
+def _keyframe_places(drive: Drive, config: DetectorConfig) -> FloatArray:
+    """Return longitude, latitude of the keyframes, as they will be in the result."""
+    import numpy as np
+
+    from interloc.detection.keyframes import select_keyframes
+
+    assert drive.georeference is not None
+    rows = select_keyframes(drive.T_world_lidar, config.keyframes)
+    fixes = drive.georeference
+    return np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1)
 
 
 def check_map_choice(osm: Path | None, *, overpass: bool) -> None:
@@ -203,11 +217,21 @@ def require_georeference(drive: Drive) -> None:
         )
 
 
-def read_map(osm: Path | None) -> RoadGraph | None:
-    """Read the map given as a file, before any long work starts; None when it will come from Overpass."""
+def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | None:
+    """Read the map given as a file, before any long work starts; None when it will come from Overpass.
+
+    Parameters
+    ----------
+    osm
+    lonlat : (K, 2) float64 or None
+        Longitude, latitude of the keyframes: only what lies around them is read.
+    """
+    from interloc.evaluation.coverage import map_bounds
     from interloc.osm.reader import read_osm
 
-    return None if osm is None else read_osm(osm)
+    if osm is None:
+        return None
+    return read_osm(osm, None if lonlat is None or not len(lonlat) else map_bounds(lonlat))
 
 
 def fetch_map(result: DriveResult, *, quiet: bool) -> RoadGraph:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from app.settings import Settings
     from app.store.database import Database
 
-_DATA_DIR = click.option(
+DATA_DIR = click.option(
     "--data-dir", type=click.Path(path_type=Path), help="Folder of drives and results.  [default: ./interloc-data]"
 )
 
@@ -24,7 +26,7 @@ _DATA_DIR = click.option(
 @click.command(short_help="Run the web service and its page.")
 @click.option("--host", help="Address to listen on.  [default: 127.0.0.1]")
 @click.option("--port", type=click.IntRange(0, 65535), help="Port to listen on; 0: any free one.  [default: 8000]")
-@_DATA_DIR
+@DATA_DIR
 @click.option("--workers", type=click.IntRange(1, 256), help="Number of worker processes.  [default: one per core]")
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler that does the work instead, as tcp://host:8786.")
 @click.option("--allow-anonymous", is_flag=True, default=None, help="Serve other machines without any token.")
@@ -45,7 +47,7 @@ def serve(**given: Any) -> None:
       interloc serve                                        for this machine only
       interloc token add alice && interloc serve --host 0.0.0.0
     """
-    settings = _read_settings(given)
+    settings = read_settings(given)
     from app.server import serve as run_server
     from interloc.pipeline import versions
 
@@ -63,41 +65,99 @@ def token() -> None:
     """Manage who may use the web service. A running server applies the change within seconds.
 
     \b
-    Example:
+    Examples:
       interloc token add alice
+      interloc token add visitor --read-only --expires 30d
+      interloc token add robot --max-bytes 200GB --max-jobs 5
     """
+
+
+_UNITS = ("B", "kB", "MB", "GB", "TB")
+
+
+def _moment(text: str) -> float:
+    """Return the seconds since 1970 of 30d, 12h or a date."""
+    span = re.fullmatch(r"(\d{1,5})([dh])", text)
+    if span is not None:
+        return time.time() + int(span[1]) * {"d": 86400, "h": 3600}[span[2]]
+    try:
+        return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+    except (ValueError, OverflowError):
+        raise click.BadParameter(f"{text!r}: expected 30d, 12h or a date such as 2030-12-31 (UTC).") from None
+
+
+def _size(text: str) -> int:
+    """Return a number of bytes; units are powers of 1024, as in the settings."""
+    found = re.fullmatch(r"(\d{1,15}(?:\.\d{1,6})?) ?([kMGT]?B)?", text)
+    if found is None:
+        raise click.BadParameter(f"{text!r}: expected a number with kB, MB, GB or TB, for example 200GB.")
+    return int(float(found[1]) * 1024 ** _UNITS.index(found[2] or "B"))
 
 
 @token.command()
 @click.argument("name")
-@_DATA_DIR
-def add(name: str, data_dir: Path | None) -> None:
+@click.option("--read-only", is_flag=True, help="It may look at everything, and change nothing.")
+@click.option(
+    "--expires", type=_moment, metavar="WHEN", help="When it ends: 30d, 12h or a date (UTC).  [default: never]"
+)
+@click.option("--max-bytes", type=_size, metavar="SIZE", help="What its drives may keep on disk, for example 200GB.")
+@click.option("--max-jobs", type=click.IntRange(1), help="How many jobs of each kind may wait or run.")
+@DATA_DIR
+def add(
+    name: str,
+    read_only: bool,
+    expires: float | None,
+    max_bytes: int | None,
+    max_jobs: int | None,
+    data_dir: Path | None,
+) -> None:
     """Make a token for NAME and print it: only its hash is kept, so it cannot be shown again."""
+    from app.states import Scope
     from app.store.tokens import add_token
 
     with _database(data_dir) as database:
-        text = add_token(database, name)
+        text = add_token(
+            database,
+            name,
+            scope=Scope.READ if read_only else Scope.WRITE,
+            expires_at=expires,
+            max_bytes=max_bytes,
+            max_jobs=max_jobs,
+        )
     click.echo(text)
     click.echo("Clients send it as `Authorization: Bearer TOKEN`; it is not shown again.", err=True)
 
 
 @token.command("list")
-@_DATA_DIR
+@DATA_DIR
 def list_(data_dir: Path | None) -> None:
-    """List who has a token, and since when."""
+    """List who has a token, what it allows, and when it was last used."""
     from app.store.tokens import list_tokens
 
     with _database(data_dir) as database:
         tokens = list_tokens(database)
     for each in tokens:
-        click.echo(f"{each.name:<24} since {datetime.fromtimestamp(each.created_at, UTC):%Y-%m-%d %H:%M} UTC")
+        used = "never used" if each.last_used_at is None else f"used {_shown(each.last_used_at)}"
+        parts = [f"{each.scope:<5} since {_shown(each.created_at)} UTC", used]
+        if each.expires_at is not None:
+            is_past = each.expires_at <= time.time()
+            parts.append(f"{'expired' if is_past else 'expires'} {_shown(each.expires_at)}")
+        if each.max_bytes is not None:
+            parts.append(f"{each.max_bytes / 1024**3:,.3g} GB")
+        if each.max_jobs is not None:
+            parts.append(f"{each.max_jobs} jobs")
+        click.echo(f"{each.name:<24} {', '.join(parts)}")
     if not tokens:
         click.echo("no tokens", err=True)
 
 
+def _shown(moment: float) -> str:
+    return f"{datetime.fromtimestamp(moment, UTC):%Y-%m-%d %H:%M}"
+
+
 @token.command()
 @click.argument("name")
-@_DATA_DIR
+@DATA_DIR
 def revoke(name: str, data_dir: Path | None) -> None:
     """Refuse the token of NAME from now on."""
     from app.store.tokens import revoke_token
@@ -109,7 +169,7 @@ def revoke(name: str, data_dir: Path | None) -> None:
 
 @contextmanager
 def _database(data_dir: Path | None) -> Iterator[Database]:
-    settings = _read_settings({"data_dir": data_dir})
+    settings = read_settings({"data_dir": data_dir})
     from app.context import open_database
 
     database = open_database(settings)
@@ -119,7 +179,7 @@ def _database(data_dir: Path | None) -> Iterator[Database]:
         database.close()
 
 
-def _read_settings(given: dict[str, Any]) -> Settings:
+def read_settings(given: dict[str, Any]) -> Settings:
     """Read the settings from the environment and from the options that were given, which take precedence.
 
     Raises

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import gzip
+import math
 import os
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,8 +17,16 @@ from interloc.arrays import IntArray
 from interloc.drives.findings import DriveFileError, GeoreferenceFileError
 from interloc.errors import InterLocError
 
+MAX_ROWS = 1_000_000
+"""Lines of a file with one per frame: more than a day of driving. Nothing longer is looked into."""
+
 MAX_TEXT_BYTES = 512 * 1024 * 1024
-"""More than a million pose lines; also the limit of what a .gz may unpack to."""
+"""Of such a file; also the limit of what a .gz may unpack to."""
+
+MAX_SMALL_BYTES = 1024 * 1024
+"""Of a calibration, or of the fix of one frame."""
+
+MAX_LINE_CHARS = 10_000
 
 MAX_NUMBER = 1e7
 """No coordinate of a drive is larger (metres)."""
@@ -58,26 +67,63 @@ class SourceFile:
         return self.fault(f"cannot be read: {os_reason(error)}.")
 
     def text(self) -> str:
-        """Read a text file (or its .gz) whole.
+        """Read a small text file (or its .gz) whole.
 
         Raises
         ------
         DriveError
             It is missing, a folder, empty, unreadable, not text, or larger than any such file can be.
         """
+        return self._decoded(self._read(MAX_SMALL_BYTES))
+
+    def lines(self) -> list[str]:
+        """Read the lines of a text file, or of its .gz, with one per frame.
+
+        Raises
+        ------
+        DriveError
+            As `text`; or it has more lines than any drive has frames, or one that is too long for any.
+        """
+        text = self._decoded(self._read(MAX_TEXT_BYTES, MAX_ROWS))
+        if "\r" in text:
+            text = text.replace("\r\n", "\n").replace("\r", "\n")
+        lines = text.removesuffix("\n").split("\n")
+        longest = max(range(len(lines)), key=lambda row: len(lines[row]))
+        if len(lines[longest]) > MAX_LINE_CHARS:
+            raise self.fault(
+                f"{len(lines[longest]):,} characters in one line; expected at most {MAX_LINE_CHARS:,}. "
+                "Usual cause: a file without line breaks.",
+                longest + 1,
+            )
+        return lines
+
+    def _read(self, max_bytes: int, max_rows: int | None = None) -> bytes:
+        """Read to the end, or refuse what is too large before anything is made of it."""
+        pieces, size, rows = [], 0, 0
         try:
             if self.path.is_dir():
                 raise self.fault("is a folder; a text file was expected.")
             if self.path.exists() and not self.path.is_file():
                 raise self.fault("is a pipe or device; a text file was expected.")
             with gzip.open(self.path) if self.path.suffix == ".gz" else self.path.open("rb") as file:
-                data = _read_limited(file)
+                while piece := file.read(1 << 20):
+                    size += len(piece)
+                    rows += max(piece.count(b"\n"), piece.count(b"\r"))
+                    if size > max_bytes:
+                        raise self.fault(f"is larger than {max_bytes // 1024**2} MB, which no such file is.")
+                    if max_rows is not None and rows > max_rows:
+                        raise self.fault(
+                            f"holds more than {max_rows:,} lines; expected one per frame of a drive. "
+                            "Usual cause: the file of a whole data set, or one that was appended to again and again."
+                        )
+                    pieces.append(piece)
         except (gzip.BadGzipFile, EOFError, zlib.error) as error:
             raise self.fault(f"is not a complete gzip file ({error}). Usual cause: a download cut short.") from error
         except OSError as error:
             raise self.unreadable(error) from error
-        if len(data) > MAX_TEXT_BYTES:
-            raise self.fault(f"is larger than {MAX_TEXT_BYTES // 1024**2} MB, which no such file is.")
+        return b"".join(pieces)
+
+    def _decoded(self, data: bytes) -> str:
         try:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError as error:
@@ -86,13 +132,9 @@ class SourceFile:
             ) from error
         if "\0" in text:
             raise self.fault("is not a text file (it holds zero bytes). Usual cause: a binary or UTF-16 file.")
-        if not text.strip():
+        if not text or text.isspace():
             raise self.fault("is empty. Usual cause: a copy or download that did not finish.")
         return text
-
-    def lines(self) -> list[str]:
-        """Read the lines of a text file; raises as `text`."""
-        return self.text().splitlines()
 
     def numbers(self, fields: list[str], line: int) -> list[float]:
         """Turn the fields of a line into finite numbers.
@@ -109,7 +151,7 @@ class SourceFile:
             raise self.fault(
                 f"{bad[:_HEAD]!r} is not a number. Numbers separated by spaces were expected.", line
             ) from None
-        if not np.isfinite(values).all():
+        if not math.isfinite(sum(values)) and not all(map(math.isfinite, values)):  # the sum is quick
             raise self.fault(
                 "holds a value that is not finite (NaN or infinity). "
                 "Usual cause: an odometry that lost track; cut the drive before it.",
@@ -122,15 +164,6 @@ class GeoreferenceFile(SourceFile):
     """A file or folder of a georeference: what is wrong with it is a `GeoreferenceError`."""
 
     _error = GeoreferenceFileError
-
-
-def _read_limited(file: BinaryIO | gzip.GzipFile) -> bytes:
-    """Read to the end, or a little beyond the limit."""
-    pieces, size = [], 0
-    while size <= MAX_TEXT_BYTES and (piece := file.read(1 << 20)):
-        pieces.append(piece)
-        size += len(piece)
-    return b"".join(pieces)
 
 
 def os_reason(error: OSError) -> str:

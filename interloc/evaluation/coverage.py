@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ logger = logging.getLogger(__name__)
 
 TRACK_OFF_ROAD_M = 5.0
 """A larger median distance of the track from the roads is suspicious: on KITTI it is 0.4 to 1.1 m."""
+
+_SURROUNDINGS_M = 3000.0  # more than the 0.02 degrees around the track within which roads are looked for
 
 
 def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
@@ -36,6 +39,29 @@ def track_bounds(lonlat: FloatArray, *, margin_m: float = 200.0) -> Bounds:
     west, south = west_south - margin
     east, north = east_north + margin
     return float(west), float(south), float(east), float(north)
+
+
+def map_bounds(lonlat: FloatArray) -> Bounds:
+    """Return what of a map file can matter to a drive: the bounds of its keyframes and some kilometres.
+
+    Parameters
+    ----------
+    lonlat : (K, 2) float64
+        Longitude, latitude of the keyframes.
+
+    Returns
+    -------
+    Bounds
+        Rounded outwards to thousandths of a degree, so that it is the same for coordinates from a result file. All
+        roads that `track_to_road` looks at lie within.
+    """
+    west, south, east, north = track_bounds(lonlat, margin_m=_SURROUNDINGS_M)
+    return (
+        math.floor(west * 1000) / 1000,
+        math.floor(south * 1000) / 1000,
+        math.ceil(east * 1000) / 1000,
+        math.ceil(north * 1000) / 1000,
+    )
 
 
 def track_to_road(track_lonlat: FloatArray, graph: RoadGraph) -> FloatArray:

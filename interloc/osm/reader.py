@@ -1,24 +1,33 @@
-"""Reading the highways of an OSM file, in two streaming passes: ways first, then the nodes that they need."""
+"""Reading the highways of an OSM file, in streaming passes: the nodes, then the ways, then the nodes beyond the bounds.
+
+Of a map that is larger than the drive, only what lies around the drive is kept; the rest passes by.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from array import array
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import MapError
 from interloc.osm.container import MAX_UNPACKED_BYTES, read_prolog
-from interloc.osm.graph import Bounds, RoadGraph, Ways
+from interloc.osm.graph import Bounds, RoadGraph, Ways, within
 
 logger = logging.getLogger(__name__)
 
+MAX_NODES, MAX_WAYS = 10_000_000, 500_000
+"""Of a map within bounds: several times a large city with all of its houses."""
+
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_BATCH = 50_000
 
 
 def read_osm(
@@ -31,46 +40,46 @@ def read_osm(
     path
         `.osm`, `.osm.gz`, `.osm.bz2` or `.osm.pbf`; the content decides, not the name.
     bounds
-        West, south, east, north, degrees. Only ways with a node in them are kept, and only junctions in them count;
-        give them to cut a drive out of the map of a country. Without, what the file declares.
+        West, south, east, north, degrees. Only ways with a node in them are kept; give them to cut the surroundings of
+        a drive out of the map of a country. Without, all.
     max_unpacked_bytes
         Largest size that a compressed file may unpack to.
 
     Returns
     -------
     RoadGraph
-        A way that refers to nodes which the file does not hold is cut into the pieces that exist.
+        A way that refers to nodes which the file does not hold is cut into the pieces that exist. Its bounds are those
+        that the file declares; where ways were left out, what of them lies within `bounds`.
 
     Raises
     ------
     MapError
-        The file is missing, damaged, not OSM, declares a DOCTYPE, or holds no highway (within the bounds).
+        The file is missing, damaged, not OSM, declares a DOCTYPE, holds no highway (within the bounds), or more within
+        the bounds than any place on Earth.
 
     Notes
     -----
-    Memory grows with the highways kept, not with the file. Nodes may stand before or after the ways.
+    Memory grows with the highways kept, and with the nodes within the bounds, not with the file. Nodes may stand before
+    or after the ways. Of ways with the same id the first counts, of nodes the last.
     """
     path = Path(path)
     prolog = read_prolog(path, max_unpacked_bytes=max_unpacked_bytes)
     stream = _OsmStream(path, prolog.container)
-    inside = None if bounds is None else stream.node_ids_within(bounds)
-    found = _collect_ways(stream, inside)
-    if not found.id:
-        where = (
-            ""
-            if bounds is None
-            else f" within lon {bounds[0]:.5f}..{bounds[2]:.5f}, lat {bounds[1]:.5f}..{bounds[3]:.5f}"
-        )
-        raise MapError(
-            f"{path}: holds no highways{where}. Expected ways with a tag highway=*. "
-            "Usual cause: an extract of another area, or of buildings or points only."
-        )
-    refs = np.concatenate(found.refs)
-    node_id, lonlat = stream.nodes(np.unique(refs))
-    edges, edge_way, clipped = _edges(found.refs, refs, node_id)
+    nodes = stream.nodes(None if bounds is None else lambda _, lonlat: within(bounds, lonlat))
+    found, left_out = _collect_ways(stream, None if bounds is None else nodes.id)
+    if not found:
+        raise MapError(_no_highways(path, bounds, nodes))
+    refs = np.fromiter(chain.from_iterable(way.refs for way in found), np.int64)
+    wanted = np.unique(refs)
+    if nodes.beyond:
+        missing = wanted[~_is_in(wanted, nodes.id)]
+        nodes = nodes.with_others(stream.nodes(lambda ids, _: _is_in(ids, missing)))
+    used = _is_in(nodes.id, wanted)
+    node_id, lonlat = nodes.id[used], nodes.lonlat[used]
+    edges, edge_way, clipped = _edges([len(way.refs) for way in found], refs, node_id)
     if len(edges) == 0:
         raise MapError(
-            f"{path}: holds {len(found.id)} highways but none of their nodes. Usual cause: a query without the nodes "
+            f"{path}: holds {len(found)} highways but none of their nodes. Usual cause: a query without the nodes "
             "of the ways; in Overpass QL add (._;>;); before out."
         )
     if clipped:
@@ -81,26 +90,84 @@ def read_osm(
         edges=edges,
         edge_way=edge_way,
         ways=Ways(
-            id=np.array(found.id, dtype=np.int64),
-            highway=tuple(found.highway),
-            name=tuple(found.name),
-            is_area=np.array(found.is_area, dtype=np.bool_),
+            id=np.array([way.id for way in found], dtype=np.int64),
+            highway=tuple(way.highway for way in found),
+            name=tuple(way.name for way in found),
+            is_area=np.array([way.is_area for way in found], dtype=np.bool_),
         ),
         source=path.name,
-        date=prolog.date or found.latest_edit,
-        bounds=bounds if bounds is not None else prolog.bounds,
+        date=prolog.date or _latest_edit(found),
+        bounds=_common(prolog.bounds, bounds) if left_out else prolog.bounds,
         clipped_ways=clipped,
     )
 
 
-@dataclass
-class _FoundWays:
-    id: list[int] = field(default_factory=list)
-    highway: list[str] = field(default_factory=list)
-    name: list[str] = field(default_factory=list)
-    is_area: list[bool] = field(default_factory=list)
-    refs: list[IntArray] = field(default_factory=list)
-    latest_edit: str | None = None
+def _no_highways(path: Path, bounds: Bounds | None, nodes: _Nodes) -> str:
+    text = f"{path}: holds no highways"
+    if bounds is not None:
+        text += f" within {_area(bounds)}"
+        if nodes.extent is not None:
+            text += f"; it covers {_area(nodes.extent)}"
+    return (
+        f"{text}. Expected ways with a tag highway=*. Usual cause: an extract of another area, or of buildings or "
+        "points only, or longitude and latitude swapped in geo.csv."
+    )
+
+
+def _area(bounds: Bounds) -> str:
+    west, south, east, north = bounds
+    return f"lon {west:.5f}..{east:.5f}, lat {south:.5f}..{north:.5f}"
+
+
+def _common(declared: Bounds | None, bounds: Bounds | None) -> Bounds | None:
+    """Return what lies in both of two bounds."""
+    if declared is None or bounds is None:
+        return declared or bounds
+    west, south = max(declared[0], bounds[0]), max(declared[1], bounds[1])
+    east, north = min(declared[2], bounds[2]), min(declared[3], bounds[3])
+    return (west, south, east, north) if west < east and south < north else declared
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Nodes of a file.
+
+    Attributes
+    ----------
+    id : (N,) int64
+        Ascending.
+    lonlat : (N, 2) float64
+    beyond : int
+        How many others the file holds.
+    extent : Bounds or None
+        Of all nodes of the file.
+    """
+
+    id: IntArray
+    lonlat: FloatArray
+    beyond: int
+    extent: Bounds | None
+
+    @classmethod
+    def of(cls, ids: IntArray, lonlat: FloatArray, beyond: int, extent: Bounds | None) -> _Nodes:
+        """Sort nodes; the last of those with the same id counts."""
+        unique, last = np.unique(ids[::-1], return_index=True)
+        return cls(unique, lonlat[::-1][last], beyond, extent)
+
+    def with_others(self, others: _Nodes) -> _Nodes:
+        """Return these and others."""
+        ids = np.concatenate([self.id, others.id])
+        return _Nodes.of(ids, np.concatenate([self.lonlat, others.lonlat]), self.beyond, self.extent)
+
+
+@dataclass(frozen=True)
+class _Way:
+    id: int
+    highway: str
+    name: str
+    is_area: bool
+    refs: array[int]
+    edited: datetime
 
 
 @dataclass(frozen=True)
@@ -124,58 +191,94 @@ class _OsmStream:
                 f"{self.path}: is damaged ({error}). Usual cause: a download or copy that was cut off; fetch it again."
             ) from error
 
-    def highways(self) -> Iterator[Any]:
+    def highways(self) -> Iterator[_Way]:
         import osmium  # noqa: PLC0415
 
-        return self.objects("WAY", osmium.filter.KeyFilter("highway"))
+        for way in self.objects("WAY", osmium.filter.KeyFilter("highway")):
+            refs = array("q", [node.ref for node in way.nodes])
+            if len(refs) >= 2 and not way.deleted:
+                tags = way.tags
+                name = tags.get("name") or tags.get("ref") or ""
+                yield _Way(way.id, tags["highway"], name, tags.get("area") == "yes", refs, way.timestamp)
 
-    def node_ids_within(self, bounds: Bounds) -> set[int]:
-        west, south, east, north = bounds
-        return {
-            node.id
-            for node in self.objects("NODE")
-            if node.location.valid() and west <= node.location.lon <= east and south <= node.location.lat <= north
-        }
+    def nodes(self, keep: Callable[[IntArray, FloatArray], BoolArray] | None) -> _Nodes:
+        """Return the nodes that are to be kept, judged by ids, longitudes and latitudes."""
+        # Not by osmium's filter of ids: it takes 1.5 GB where ids are as high as today, however few they are.
+        kept: list[tuple[IntArray, FloatArray]] = [(np.empty(0, dtype=np.int64), np.empty((0, 2)))]
+        count, total = 0, 0
+        corners: list[FloatArray] = []
+        places = ((node.id, node.location) for node in self.objects("NODE"))
+        for batch in _batches((id_, place) for id_, place in places if place.valid()):
+            ids = np.fromiter((id_ for id_, _ in batch), np.int64, len(batch))
+            lonlat = np.array([(place.lon, place.lat) for _, place in batch])
+            corners += [lonlat.min(axis=0), lonlat.max(axis=0)]
+            total += len(ids)
+            if keep is not None:
+                mask = keep(ids, lonlat)
+                ids, lonlat = ids[mask], lonlat[mask]
+            kept.append((ids, lonlat))
+            count += len(ids)
+            if keep is not None and count > MAX_NODES:
+                raise MapError(_too_many(self.path, "nodes", MAX_NODES))
+        extent = None
+        if corners:
+            (west, south), (east, north) = np.min(corners, axis=0).tolist(), np.max(corners, axis=0).tolist()
+            extent = (west, south, east, north)
+        ids, lonlat = (np.concatenate(each) for each in zip(*kept, strict=True))
+        return _Nodes.of(ids, lonlat, total - count, extent)
 
-    def nodes(self, wanted: IntArray) -> tuple[IntArray, FloatArray]:
-        """Return ids, ascending, and lon/lat of those of the wanted nodes that the file holds."""
-        import osmium  # noqa: PLC0415
 
-        # The id filter is fast but knows no negative ids, which editors give to what was never uploaded.
-        filters = (osmium.filter.IdFilter(wanted.tolist()),) if wanted[0] >= 0 else ()
-        ids = frozenset(wanted.tolist())
-        place: dict[int, tuple[float, float]] = {}
-        for node in self.objects("NODE", *filters):
-            if node.id in ids and node.location.valid():
-                place[node.id] = (node.location.lon, node.location.lat)
-        node_id = np.array(sorted(place), dtype=np.int64)
-        lonlat = np.array([place[i] for i in node_id.tolist()], dtype=np.float64).reshape(-1, 2)
-        return node_id, lonlat
+def _too_many(path: Path, what: str, most: int) -> str:
+    return (
+        f"{path}: holds more than {most:,} {what} around the drive, which no place on Earth has. "
+        "Usual cause: several maps in one file, or a file that was made by a program."
+    )
 
 
-def _collect_ways(stream: _OsmStream, inside: set[int] | None) -> _FoundWays:
-    found = _FoundWays()
-    latest = _EPOCH
-    for way in stream.highways():
-        refs = [node.ref for node in way.nodes]
-        if len(refs) < 2 or way.deleted or (inside is not None and inside.isdisjoint(refs)):
-            continue
-        found.id.append(way.id)
-        found.highway.append(way.tags["highway"])
-        found.name.append(way.tags.get("name") or way.tags.get("ref") or "")
-        found.is_area.append(way.tags.get("area") == "yes")
-        found.refs.append(np.array(refs, dtype=np.int64))
-        latest = max(latest, way.timestamp)
-    if latest > _EPOCH:
-        found.latest_edit = latest.strftime("%Y-%m-%dT%H:%M:%SZ")
+def _batches(objects: Iterable[Any]) -> Iterator[list[Any]]:
+    iterator = iter(objects)
+    while batch := list(islice(iterator, _BATCH)):
+        yield batch
+
+
+def _collect_ways(stream: _OsmStream, inside: IntArray | None) -> tuple[list[_Way], int]:
+    """Return the highways with a node among the ids inside, and how many others there are."""
+    found: dict[int, _Way] = {}
+    left_out = 0
+    for batch in _batches(stream.highways()):
+        near = batch
+        if inside is not None:
+            refs = np.fromiter(chain.from_iterable(way.refs for way in batch), np.int64)
+            first = np.cumsum([0, *(len(way.refs) for way in batch[:-1])])
+            is_near = np.logical_or.reduceat(_is_in(refs, inside), first)
+            near = [way for way, keep in zip(batch, is_near.tolist(), strict=True) if keep]
+        left_out += len(batch) - len(near)
+        for way in near:
+            found.setdefault(way.id, way)
+        if inside is not None and len(found) > MAX_WAYS:
+            raise MapError(_too_many(stream.path, "highways", MAX_WAYS))
+    return list(found.values()), left_out
+
+
+def _latest_edit(ways: list[_Way]) -> str | None:
+    latest = max(way.edited for way in ways)
+    return latest.strftime("%Y-%m-%dT%H:%M:%SZ") if latest > _EPOCH else None
+
+
+def _is_in(ids: IntArray, ascending: IntArray) -> BoolArray:
+    """Return which ids are among others, which ascend."""
+    if len(ascending) == 0:
+        return np.zeros(len(ids), dtype=np.bool_)
+    row = np.minimum(np.searchsorted(ascending, ids), len(ascending) - 1)
+    found: BoolArray = ascending[row] == ids
     return found
 
 
-def _edges(refs: list[IntArray], flat: IntArray, node_id: IntArray) -> tuple[IntArray, IntArray, int]:
+def _edges(counts: list[int], flat: IntArray, node_id: IntArray) -> tuple[IntArray, IntArray, int]:
     """Link consecutive nodes of each way where both exist; also count the ways that miss some."""
     if len(node_id) == 0:
-        return np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), len(refs)
-    way = np.repeat(np.arange(len(refs)), [len(r) for r in refs])
+        return np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), len(counts)
+    way = np.repeat(np.arange(len(counts)), counts)
     row = np.searchsorted(node_id, flat)
     row[row == len(node_id)] = 0
     exists = node_id[row] == flat

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.errors import OutputError
+from interloc.errors import DamagedResultError
 from interloc.files import atomic_write, reason_of
 
 DEGREE_DECIMALS = 9  # 0.1 mm
@@ -93,9 +93,9 @@ def _bbox(features: Sequence[dict[str, Any]]) -> list[float] | None:
     return box
 
 
-def damaged(path: Path, what: str) -> OutputError:
+def damaged(path: Path, what: str) -> DamagedResultError:
     """Return the error about a damaged file of a result."""
-    return OutputError(f"{path} is damaged: {what}. {RUN_AGAIN}")
+    return DamagedResultError(f"{path} is damaged: {what}. {RUN_AGAIN}")
 
 
 def read_file(path: Path) -> bytes:
@@ -103,15 +103,15 @@ def read_file(path: Path) -> bytes:
 
     Raises
     ------
-    OutputError
+    DamagedResultError
         The file is missing or unreadable.
     """
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
-        raise OutputError(f"{path} is missing, so the result is not complete. {RUN_AGAIN}") from error
+        raise DamagedResultError(f"{path} is missing, so the result is not complete. {RUN_AGAIN}") from error
     except OSError as error:
-        raise OutputError(f"{path} could not be read: {reason_of(error)}.") from error
+        raise DamagedResultError(f"{path} could not be read: {reason_of(error)}.") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:

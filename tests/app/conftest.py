@@ -28,7 +28,13 @@ app.jobs.processes._context = forks.context
 def running_server(data_dir: Path, **settings: Any) -> Iterator[str]:
     """Serve from a thread of this process; yields the address."""
     forks.ready()
-    options: dict[str, Any] = {"min_free_bytes": 0, "workers": 1, "log_level": "warning", **settings}
+    options: dict[str, Any] = {
+        "min_free_bytes": 0,
+        "disk_reserve_bytes": 0,
+        "workers": 1,
+        "log_level": "warning",
+        **settings,
+    }
     settings_ = Settings(data_dir=data_dir, port=0, **options)
     server = Server(create_app(settings_), settings_)
     thread = threading.Thread(target=server.run, daemon=True)
@@ -62,7 +68,8 @@ def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[...
     with ExitStack() as stack:
 
         def start(**settings: Any) -> httpx.Client:
-            address = stack.enter_context(running_server(tmp_path_factory.mktemp("shared"), **settings))
+            data_dir = settings.pop("data_dir", None) or tmp_path_factory.mktemp("shared")
+            address = stack.enter_context(running_server(data_dir, **settings))
             return stack.enter_context(httpx.Client(base_url=address, timeout=120))
 
         yield start

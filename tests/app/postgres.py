@@ -12,6 +12,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -71,12 +72,22 @@ def _server() -> str:
     raise AssertionError("PostgreSQL did not start: " + (folder / "log").read_text())
 
 
-@pytest.fixture
-def postgres_url() -> Iterator[str]:
-    """Address of an empty database."""
+@contextmanager
+def new_database() -> Iterator[str]:
+    """Address of an empty database, which goes with the block."""
     server = _server()
     name = f"test_{secrets.token_hex(6)}"
     with psycopg.connect(f"{server}/postgres", autocommit=True) as connection:
         connection.execute(f"CREATE DATABASE {name}")
+    try:
         yield f"{server.replace('postgresql', 'postgresql+psycopg', 1)}/{name}"
-        connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+    finally:
+        with psycopg.connect(f"{server}/postgres", autocommit=True) as connection:
+            connection.execute(f"DROP DATABASE {name} WITH (FORCE)")
+
+
+@pytest.fixture
+def postgres_url() -> Iterator[str]:
+    """Address of an empty database."""
+    with new_database() as address:
+        yield address

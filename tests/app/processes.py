@@ -38,8 +38,8 @@ def wait_until(
 
 
 def files_below(folder: Path) -> list[Path]:
-    """All files below a folder that a server works in: what goes meanwhile is passed over."""
-    return [Path(root) / name for root, _, names in os.walk(folder) for name in names]
+    """All files below a folder that a server works in, but its lock: what goes meanwhile is passed over."""
+    return [Path(root) / name for root, _, names in os.walk(folder) for name in names if name != "lock"]
 
 
 class ServerProcess:
@@ -49,7 +49,12 @@ class ServerProcess:
         self.log = log
         variables = {f"INTERLOC_{name.upper()}": str(value) for name, value in settings.items()}
         clean = {name: value for name, value in os.environ.items() if not name.startswith("INTERLOC_")}
-        base = {"INTERLOC_MIN_FREE_BYTES": "0", "INTERLOC_LEASE_S": "5", "INTERLOC_DATA_DIR": str(data_dir)}
+        base = {
+            "INTERLOC_MIN_FREE_BYTES": "0",
+            "INTERLOC_DISK_RESERVE_BYTES": "0",
+            "INTERLOC_LEASE_S": "5",
+            "INTERLOC_DATA_DIR": str(data_dir),
+        }
         out = log.with_name(f"{log.name}.out")
         out.write_bytes(b"")
         self.process = Command(["serve", "--port", port], {**clean, **base, **variables}, out, log)

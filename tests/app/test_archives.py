@@ -83,7 +83,9 @@ def digests(files: dict[str, bytes]) -> dict[str, str]:
 
 
 def left(home: Path, below: str = "data") -> list[str]:
-    return sorted(path.relative_to(home).as_posix() for path in files_below(home / below) if "sqlite" not in path.name)
+    """All files, but the database and what it says once more beside the files of a drive."""
+    names = (path.relative_to(home).as_posix() for path in files_below(home / below))
+    return sorted(name for name in names if "sqlite" not in name and "drive.json" not in name)
 
 
 def refuse(client: httpx.Client, tmp_path: Path, data: bytes, *reasons: str, status: int = 422) -> None:
@@ -321,6 +323,12 @@ def test_archives_that_the_readers_do_not_expect(client: httpx.Client, home: Pat
     refuse(client, home, data, "damaged or cut short")
 
 
+def test_a_tar_header_with_a_size_below_zero(client: httpx.Client, home: Path) -> None:
+    info = tarfile.TarInfo("poses.txt")
+    info.pax_headers = {"size": "-512"}
+    refuse(client, home, tarred({}, info, format=tarfile.PAX_FORMAT), "announces -512 bytes")
+
+
 def test_archives_without_files(client: httpx.Client, home: Path) -> None:
     refuse(client, home, zipped({}), "holds no files")
     refuse(client, home, tarred({}, special(tarfile.DIRTYPE, "07")), "holds no files")
@@ -379,6 +387,25 @@ def test_too_many_files(serve: Callable[..., httpx.Client], tmp_path: Path) -> N
     answer = client.post(f"{drive}/archive", content=zipped(names))
     assert (answer.status_code, answer.json()["title"]) == (413, "Too many files")
     assert list(listed(client, drive)) == ["poses.txt"]
+
+
+def test_a_zip_that_lists_very_many_files_is_not_looked_into(
+    serve: Callable[..., httpx.Client], tmp_path: Path
+) -> None:
+    """However few the end record names: `zipfile` goes by the size of the list."""
+    entry = struct.pack("<4s6H3L5H2L", b"PK\x01\x02", 20, 20, 0, 0, 0, 33, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0) + b"a"
+    many = entry * 10_100 + bytes(46)  # which is no entry
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 1, 1, len(many), 0, 0)
+    client = serve(max_drive_files=50)
+    refuse(client, tmp_path, b"PK\x03\x04" + many + end, "more than 50 files")
+    large = 11_000 * 1024
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 1, 1, large, 0, 0)
+    refuse(client, tmp_path, b"PK\x03\x04" + bytes(large) + end, "more than 50 files")
+
+
+def test_a_small_archive_of_very_many_empty_files(client: httpx.Client, home: Path) -> None:
+    names = tarred({f"velodyne/{n:06d}.bin": b"" for n in range(10_001)})
+    refuse(client, home, zstandard.compress(names), "more than 10,000 files")
 
 
 def test_too_large_files_and_archives(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:

@@ -11,15 +11,18 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives.cleanup import LEFT_ALONE_S, sweep
+from app.drives.cleanup import Sweeper, sweep
 from app.drives.finish import finish_drive
 from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
+from app.drives.trash import list_trash, restore
 from app.drives.upload import keep
 from app.http.intake import Arrival
 from app.jobs.queue import submit
 from app.schemas.drives import NewDrive
 from app.settings import Settings
-from app.store.models import Drive
+from app.store.clock import ClockWatch
+from app.store.incoming import LEFT_ALONE_S
+from app.store.models import Drive, Job
 from app.work.task import Outcome
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
@@ -40,8 +43,7 @@ def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]
 def make_drive(context: Context, *, age_h: float = 0, state: str = "uploading", keep_raw: bool = False) -> str:
     """Make a drive of one scan and a map that was touched some hours ago."""
     drive = create_drive(context, "somebody", NewDrive(name="town", keep_raw=keep_raw))
-    incoming = context.storage.folder("incoming")
-    incoming.mkdir(exist_ok=True)
+    incoming = context.storage.incoming()
     arrivals = []
     for path in ("velodyne/000000.bin", "map.osm"):
         (incoming / path.replace("/", "-")).write_bytes(b"1")
@@ -66,16 +68,24 @@ def make_old(path: Path, *, folder: bool = False) -> Path:
     return path
 
 
+def metric(context: Context, name: str, reason: str) -> float | None:
+    return context.metrics.registry.get_sample_value(name, {"reason": reason})
+
+
 def drives(context: Context) -> set[str]:
     return {drive.id for drive in list_drives(context, None, 100).drives}
 
 
 def test_uploads_that_were_left_alone_expire(context: Context) -> None:
     fresh, old = make_drive(context, age_h=1.9), make_drive(context, age_h=2.1)
-    report = sweep(context)
-    assert report.drives == [old]
+    assert sweep(context)["expired"] == 1
     assert drives(context) == {fresh}
-    assert not context.storage.folder(f"drives/{old}").exists()
+    (item,) = list_trash(context, None, 10).items
+    assert (item.id, item.deleted_by) == (old, None)
+    assert context.storage.folder(f"drives/{old}/files/velodyne/000000.bin").is_file()
+    restore(context, "drives", old)
+    assert sweep(context)["expired"] == 0  # its time begins anew
+    assert drives(context) == {fresh, old}
     assert context.storage.folder(f"drives/{fresh}/files/velodyne/000000.bin").is_file()
 
 
@@ -91,29 +101,43 @@ def test_drives_in_use_do_not_expire(context: Context) -> None:
             owner="somebody",
             request={"archive": "archives/1"},
         )
-    assert sweep(context).drives == []
-    assert drives(context) == {ready, checking, unpacking}
+    with_result = make_drive(context, age_h=99)
+    with context.database.writing() as session:
+        common = {"drive_id": with_result, "owner": "somebody", "request": {}, "kind": "intersections"}
+        session.add(Job(**common, state="successful", created_at=1.0))
+    assert sweep(context)["expired"] == 0
+    assert drives(context) == {ready, checking, unpacking, with_result}
 
 
 def test_stale_pieces_of_uploads_go(context: Context) -> None:
+    """As older versions left them, without a lock."""
     incoming = context.storage.folder("incoming")
     old, trash = make_old(incoming / "old"), make_old(incoming / "trash", folder=True)
     (incoming / "new").write_bytes(b"1")
-    assert sorted(sweep(context).leftovers) == ["incoming/old", "incoming/trash"]
+    assert sweep(context)["incoming"] == 2
     assert not old.exists()
     assert not trash.exists()
     assert [path.name for path in incoming.iterdir()] == ["new"]
 
 
-def test_folders_that_no_row_knows_go(context: Context) -> None:
+def test_folders_that_no_row_knows_are_set_aside(context: Context, caplog: pytest.LogCaptureFixture) -> None:
     known = make_drive(context)
     folder = context.storage.folder(f"drives/{known}")
     os.utime(folder, (0, 0))
     make_old(context.storage.folder("drives/0123456789abcdef"), folder=True)
     make_old(context.storage.folder("jobs/0123456789abcdef"), folder=True)
     context.storage.folder("drives/fedcba9876543210").mkdir()  # of an upload that just begins
-    assert sorted(sweep(context).leftovers) == ["drives/0123456789abcdef", "jobs/0123456789abcdef"]
+    assert sweep(context)["lost"] == 2
     assert {path.name for path in folder.parent.iterdir()} == {known, "fedcba9876543210"}
+    lost = context.storage.folder("lost+found")
+    for kind in ("drives", "jobs"):
+        assert (lost / kind / "0123456789abcdef/file").read_bytes() == b"1"
+        assert f"{kind}/0123456789abcdef: no row knows it (1 bytes, 24 h old)" in caplog.text
+    make_old(context.storage.folder("drives/0123456789abcdef"), folder=True)
+    assert sweep(context)["lost"] == 1
+    assert (lost / "drives/0123456789abcdef-2/file").is_file()
+    assert metric(context, "interloc_removals_total", "lost") == 3
+    assert metric(context, "interloc_removed_bytes_total", "lost") == 3
 
 
 def test_archives_that_nobody_unpacks_go(context: Context) -> None:
@@ -131,7 +155,7 @@ def test_archives_that_nobody_unpacks_go(context: Context) -> None:
     make_old(archives / "waits")
     make_old(archives / "forgotten")
     (archives / "new").write_bytes(b"1")
-    assert sweep(context).leftovers == [f"drives/{drive}/archives/forgotten"]
+    assert sweep(context)["archive"] == 1
     assert sorted(path.name for path in archives.iterdir()) == ["new", "waits"]
 
 
@@ -193,15 +217,38 @@ def test_raw_scans_stay_where_nothing_replaces_them(context: Context, caplog: py
 
 def test_files_replaced_counted_and_listed_in_order(context: Context) -> None:
     drive = make_drive(context)
-    for path, size in (("b.txt", 5), ("B.txt", 6), ("\u00e4.txt", 7), ("b.txt", 2)):
-        temporary = context.storage.folder("incoming") / "file"
+    for path, size in (("b.txt", 5), ("C.txt", 6), ("\u00e4.txt", 7), ("b.txt", 2)):
+        temporary = context.storage.incoming() / "file"
         temporary.write_bytes(bytes(size))
         keep(context, drive, [Arrival(path, temporary, size, "0" * 64)])
     paths = [file.path for file in list_files(context, drive, None, 100).files]
-    assert paths == ["B.txt", "b.txt", "map.osm", "velodyne/000000.bin", "\u00e4.txt"]
+    assert paths == ["C.txt", "b.txt", "map.osm", "velodyne/000000.bin", "\u00e4.txt"]
     assert [file.path for file in list_files(context, drive, "b.txt", 1).files] == ["map.osm"]
     (shown,) = list_drives(context, None, 100).drives
     assert (shown.files, shown.size_bytes) == (5, 1 + 1 + 2 + 6 + 7)
     delete_file(context, drive, "b.txt")
     (shown,) = list_drives(context, None, 100).drives
     assert (shown.files, shown.size_bytes) == (4, 1 + 1 + 6 + 7)
+
+
+@pytest.mark.parametrize("jump_s", [0.0, 8 * 86400.0, -8 * 86400.0])
+def test_age_counts_only_while_the_clock_is_steady(jump_s: float) -> None:
+    server_s, database_s = 50.0, 1e9
+    watch = ClockWatch(600, lambda: server_s)
+    assert watch.look(database_s) == 0  # what was before the start is not known
+    server_s, database_s = server_s + 3600, database_s + 3601
+    assert watch.look(database_s) == 3600
+    server_s, database_s = server_s + 3600, database_s + 3600 + jump_s
+    assert watch.look(database_s) == (0 if jump_s else 7200)
+    server_s, database_s = server_s + 3600, database_s + 3600
+    assert watch.look(database_s) == (3600 if jump_s else 10800)
+
+
+def test_nothing_goes_for_its_age_while_the_clock_is_in_doubt(context: Context) -> None:
+    old = make_drive(context, age_h=3)
+    sweeper = Sweeper(context)
+    assert not sweeper._clock_is_steady()  # as at each start
+    assert not sweep(context, by_age=sweeper._clock_is_steady())["expired"]
+    assert drives(context) == {old}
+    assert sweep(context)["expired"] == 1
+    assert not drives(context)

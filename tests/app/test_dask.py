@@ -88,6 +88,6 @@ def test_work_that_kills_its_worker_is_lost_and_the_cluster_goes_on(cluster: str
         with pytest.raises(WorkerLostError, match="died"):
             executor.submit(die).result(120)
         assert lost == [1]
-        assert executor.submit_urgent(os.getpid).result(60) != os.getpid()
+        assert executor.submit(os.getpid, urgent=True).result(60) != os.getpid()
     finally:
         executor.stop()

@@ -57,7 +57,7 @@ def test_drives_are_listed_newest_first_in_pages(serve: Callable[..., httpx.Clie
 def test_a_deleted_drive_leaves_nothing(client: httpx.Client, shared_data: Path) -> None:
     drive = client.post("/api/v1/drives", json={"name": "town"}).json()["id"]
     assert client.put(f"/api/v1/drives/{drive}/files/velodyne/000000.bin", content=b"0" * 16).status_code == 201
-    assert client.delete(f"/api/v1/drives/{drive}").status_code == 204
+    assert client.delete(f"/api/v1/drives/{drive}?purge=true").status_code == 204
     for answer in (
         client.get(f"/api/v1/drives/{drive}"),
         client.delete(f"/api/v1/drives/{drive}"),

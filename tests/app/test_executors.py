@@ -1,4 +1,4 @@
-"""Workers: a killed one takes only its own work with it, and is replaced."""
+"""Workers: one that dies or uses too much takes only its own work with it, and is replaced."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numba
 import psutil
 import pytest
 
 from app.jobs.executors import DaskExecutor, open_executor
+from app.jobs.hand_out import EXTRA_SLOTS
 from app.jobs.processes import ProcessExecutor, WorkerLostError
+from app.jobs.worker_limits import WorkerLimitError, _cgroup_limits, machine_memory, memory_of, memory_share
 from app.settings import Settings
 from interloc.errors import ConfigError, DriveError
 from tests.app.processes import wait_until
@@ -56,6 +59,34 @@ def sleep_for_ever(path: Path) -> None:
     time.sleep(3600)
 
 
+@numba.njit
+def compiled_loop() -> int:
+    """A loop that no signal and no thread of Python interrupts."""
+    number = 1
+    while number:
+        number = (number * 3 + 1) % 1_000_003 or 1
+    return number
+
+
+def compute_for_ever(path: Path) -> None:
+    path.write_text(str(os.getpid()))
+    compiled_loop()
+
+
+def fill_memory(size: int) -> None:
+    """Take memory, a little at a time, and keep it."""
+    kept = []
+    for _ in range(size // 2**20):
+        kept.append(bytearray(os.urandom(16)) * 2**16)
+        time.sleep(0.001)
+
+
+def keep_memory(size: int) -> int:
+    """Leave a worker large."""
+    globals()["_kept"] = bytearray(b"1") * size
+    return os.getpid()
+
+
 @pytest.fixture
 def executor() -> Iterator[ProcessExecutor]:
     executor = ProcessExecutor(2)
@@ -92,14 +123,14 @@ def test_a_killed_worker_takes_only_its_own_work_with_it(tmp_path: Path) -> None
         second.touch()
         assert other.result(60) == begun(second)[0]
         assert lost == [1]
-        assert executor.alive == 2
+        assert executor.alive == 2 + EXTRA_SLOTS
     finally:
         executor.stop()
 
 
 def test_an_idle_worker_that_was_killed_is_replaced(executor: ProcessExecutor) -> None:
     executor.submit(pid_of).result(60)
-    before = wait_until(lambda: len(executor.pids) == 2 and executor.pids, "both workers to run")
+    before = wait_until(lambda: len(executor.pids) == executor.alive and executor.pids, "all workers to run")
     for pid in before:
         os.kill(pid, signal.SIGKILL)
     wait_until(lambda: all(map(is_gone, before)), "the workers to be gone", 10)
@@ -125,7 +156,7 @@ def test_urgent_work_goes_before_what_waits(tmp_path: Path) -> None:
         gate, patient = tmp_path / "gate", tmp_path / "patient"
         running = executor.submit(wait_for_file, gate)
         waiting = executor.submit(wait_for_file, patient)
-        urgent = executor.submit_urgent(begun, patient)
+        urgent = executor.submit(begun, patient, urgent=True)
         gate.touch()
         running.result(60)
         assert not urgent.result(60)
@@ -184,6 +215,110 @@ def test_workers_end_with_their_server(tmp_path: Path) -> None:
         server.kill()
         server.wait()
     wait_until(lambda: is_gone(pid), "the worker to be gone", 20)
+
+
+def pid_in(path: Path) -> int:
+    """Wait until a piece of work has written the id of its process."""
+    return int(wait_until(lambda: path.exists() and path.read_text(), "the work to begin"))
+
+
+def test_work_in_a_compiled_loop_is_killed_and_its_place_goes_on(tmp_path: Path) -> None:
+    lost: list[int] = []
+    executor = ProcessExecutor(1, lambda: lost.append(1))
+    try:
+        endless = executor.submit(compute_for_ever, tmp_path / "pid")
+        pid = pid_in(tmp_path / "pid")
+        executor.kill(endless)
+        assert isinstance(endless.exception(10), WorkerLostError)
+        assert is_gone(pid)
+        assert executor.submit(pid_of).result(60) != pid
+        assert lost == []  # nobody has lost anything
+    finally:
+        executor.stop()
+
+
+def test_what_waits_is_given_up_and_what_has_ended_is_left_alone(tmp_path: Path) -> None:
+    executor = ProcessExecutor(1)
+    try:
+        done = executor.submit(pid_of)
+        pid = done.result(60)
+        running = executor.submit(wait_for_file, tmp_path / "gate")
+        waiting = executor.submit(wait_for_file, tmp_path / "never")
+        executor.kill(done)
+        executor.kill(waiting)
+        (tmp_path / "gate").touch()
+        assert running.result(60) == pid
+        assert waiting.cancelled()
+    finally:
+        executor.stop()
+
+
+def test_work_that_takes_too_long_is_ended_and_its_place_goes_on(tmp_path: Path) -> None:
+    executor = ProcessExecutor(1)
+    try:
+        executor.submit(pid_of).result(60)
+        endless = executor.submit(compute_for_ever, tmp_path / "pid", seconds=0.5)
+        with pytest.raises(WorkerLimitError) as caught:
+            endless.result(60)
+        assert (caught.value.limit, caught.value.bound) == ("time", 0.5)
+        assert caught.value.used > 0.5
+        assert executor.submit(pid_of).result(60) != int((tmp_path / "pid").read_text())
+    finally:
+        executor.stop()
+
+
+@pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
+def test_work_that_fills_the_memory_is_ended_and_its_place_goes_on() -> None:
+    bound = memory_of(os.getpid()) + 300 * 2**20  # a forked worker shares what this process has
+    executor = ProcessExecutor(1, memory_bytes=bound)
+    try:
+        with pytest.raises(WorkerLimitError) as caught:
+            executor.submit(fill_memory, 8 * 2**30).result(60)
+        assert (caught.value.limit, caught.value.bound) == ("memory", bound)
+        assert bound < caught.value.used < 2 * bound
+        assert executor.submit(pid_of).result(60)
+    finally:
+        executor.stop()
+
+
+@pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
+def test_a_worker_that_is_left_large_is_replaced() -> None:
+    executor = ProcessExecutor(1, memory_bytes=4 * memory_of(os.getpid()))
+    try:
+        small = executor.submit(pid_of).result(60)
+        assert executor.submit(pid_of).result(60) == small
+        large = executor.submit(keep_memory, 3 * memory_of(os.getpid())).result(60)
+        assert large == small
+        assert executor.submit(pid_of).result(60) != large
+    finally:
+        executor.stop()
+
+
+def test_every_worker_has_its_share_of_the_memory() -> None:
+    assert 2**28 < machine_memory() <= psutil.virtual_memory().total
+    assert memory_share(1000) == 2**30  # no worker can do with less
+    assert memory_share(1) == max(2**30, machine_memory() * 3 // 4)
+
+
+@pytest.mark.parametrize(
+    ("groups", "files", "limits"),
+    [
+        ("0::/\n", {"memory.max": "2000000\n"}, [2_000_000]),
+        ("0::/a/b\n", {"a/b/memory.max": "max\n", "a/memory.max": "3000\n"}, [3000]),
+        ("4:memory:/docker/x\n2:cpu:/\n", {"memory/memory.limit_in_bytes": "5000\n"}, [5000]),
+        ("0::/\n", {}, []),
+    ],
+)
+def test_the_limits_of_a_container_are_found(
+    tmp_path: Path, groups: str, files: dict[str, str], limits: list[int]
+) -> None:
+    (tmp_path / "self").mkdir()
+    (tmp_path / "self/cgroup").write_text(groups)
+    for name, content in files.items():
+        path = tmp_path / "groups" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+    assert list(_cgroup_limits(tmp_path, tmp_path / "groups")) == limits
 
 
 def test_no_dask_scheduler_is_told(tmp_path: Path) -> None:

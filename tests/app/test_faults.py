@@ -160,10 +160,11 @@ def test_an_upload_goes_on_after_the_server_was_killed(start: Start, tmp_path: P
         head = f"PUT {API}/drives/{drive}/files/velodyne/000001.bin HTTP/1.1\r\nHost: {address.netloc}\r\n"
         connection.sendall(f"{head}Content-Length: {size}\r\n\r\n".encode() + bytes(size // 2))
         incoming = tmp_path / "data" / "incoming"
-        wait_until(lambda: any(incoming.iterdir()), "the beginning of the file")
+        wait_until(lambda: files_below(incoming), "the beginning of the file")
         server.kill()
 
     again = start()
+    wait_until(lambda: not files_below(incoming), "what the dead server was receiving to go")
     listed = again.client.get(f"{API}/drives/{drive}/files").json()["files"]
     assert sorted(file["path"] for file in listed) == sorted(names)
     answer = again.client.post(
@@ -252,7 +253,7 @@ def test_a_full_disk_refuses_uploads_and_keeps_what_is_there(start: Start, small
     assert "disk" in answers[stored].json()["detail"]
     listed = server.client.get(address).json()["files"]
     assert len(listed) == codes.count(201)  # nothing of the refused ones is listed
-    assert not list((small_disk / "incoming").iterdir())
+    assert not files_below(small_disk / "incoming")
     kept = server.client.get(f"{address}/velodyne/000000.bin")
     assert kept.content == piece
     for number in range(codes.count(201)):
@@ -272,3 +273,27 @@ def test_a_job_on_a_full_disk_fails_in_words(start: Start, drive: Drive, small_d
     assert "space" in end["error"]["detail"]
     filler.unlink()
     assert ended(server.client, submit(server.client, drive_id))["state"] == "successful"
+
+
+def test_deleting_works_on_a_disk_that_is_full_to_the_last_byte(start: Start, small_disk: Path) -> None:
+    def fill() -> None:
+        subprocess.run(["dd", "if=/dev/zero", f"of={small_disk / 'filler'}", "bs=4k"], check=False, capture_output=True)
+
+    reserve, size = small_disk / "reserve", 8 * 1024**2
+    server = start(data_dir=small_disk, workers=1, disk_reserve_bytes=size)
+    drives = [server.client.post(f"{API}/drives", json={"name": name}).json()["id"] for name in ("first", "second")]
+    for drive in drives:
+        assert server.client.put(f"{API}/drives/{drive}/files/a.bin", content=bytes(1024**2)).status_code == 201
+    wait_until(reserve.is_file, "the reserve")
+    assert reserve.stat().st_blocks * 512 >= size
+    fill()
+    assert server.client.delete(f"{API}/drives/{drives[0]}").status_code == 204
+    assert [drive["id"] for drive in server.client.get(f"{API}/drives").json()["drives"]] == [drives[1]]
+    assert not reserve.exists()
+    (small_disk / "filler").unlink()
+    assert server.stop() == 0
+    assert reserve.is_file()  # made again as soon as there is room
+
+    fill()
+    again = start(data_dir=small_disk, workers=1, disk_reserve_bytes=size)  # its database needs space too
+    assert again.client.delete(f"{API}/drives/{drives[1]}").status_code == 204

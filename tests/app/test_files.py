@@ -5,17 +5,19 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+import re
 import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from urllib.parse import quote
 
 import httpx
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from app.paths import BadNameError, check_path
+from app.paths import PATH_PATTERN, BadNameError, check_path
 from tests.app.processes import files_below, wait_until
 
 BIG = os.urandom(3 * 1024 * 1024 + 17)  # more than a piece
@@ -39,7 +41,7 @@ def digest(data: bytes) -> str:
 
 def stored(data: Path, drive: str) -> list[str]:
     """All files of a drive, and what is on its way into any."""
-    places = (data / "incoming", data / "drives" / drive.rpartition("/")[2])
+    places = (data / "incoming", data / "drives" / drive.rpartition("/")[2] / "files")
     return sorted(path.relative_to(data).as_posix() for place in places for path in files_below(place))
 
 
@@ -109,6 +111,14 @@ def test_files_are_listed_in_order_page_by_page(client: httpx.Client, drive: str
         ("a%1Fb", "control character"),
         ("a%7Fb", "control character"),
         ("a%C2%85b", "control character"),
+        ("a%E2%80%AEb", "not shown"),
+        ("a%E2%80%8Bb", "not shown"),
+        ("CON", "device of Windows"),
+        ("a/nul.bin", "device of Windows"),
+        ("com1.tar.gz/b", "device of Windows"),
+        ("Lpt9%20.x", "device of Windows"),
+        ("a.", "ends with a dot or a blank"),
+        ("a%20/b", "ends with a dot or a blank"),
         ("a%FFb", "not UTF-8"),
         ("%ED%A0%80", "not UTF-8"),
         (".DS_Store", "hidden"),
@@ -171,10 +181,24 @@ def test_names_in_conflict(client: httpx.Client, drive: str) -> None:
     assert client.get(drive).json()["files"] == 1
 
 
-def test_names_that_differ_in_case_are_different_files(client: httpx.Client, drive: str) -> None:
-    for name in ("a.txt", "A.txt"):
-        assert client.put(f"{drive}/files/{name}", content=name.encode()).status_code == 201
-    assert client.get(f"{drive}/files/a.txt").content == b"a.txt"
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("a.txt", "A.txt"), ("A.txt", "a.txt"), ("Aa.txt", "aA.txt"), ("caf\u00e9/x", "cafe\u0301/x"), ("ß", "SS")],
+)
+def test_names_that_other_file_systems_take_for_one_are_refused(
+    client: httpx.Client, drive: str, first: str, second: str
+) -> None:
+    assert client.put(f"{drive}/files/{quote(first)}", content=b"first").status_code == 201
+    answer = client.put(f"{drive}/files/{quote(second)}", content=b"second")
+    assert (answer.status_code, answer.json()["title"]) == (409, "Names in conflict")
+    assert first in answer.json()["detail"]
+    assert client.put(f"{drive}/files/{quote(first)}", content=b"again").status_code == 200
+    assert client.get(f"{drive}/files/{quote(first)}").content == b"again"
+    files = [("files", (name, b"1")) for name in (f"b/{first}", f"b/{second}")]
+    assert client.post(f"{drive}/scans", files=files).status_code == 409
+    assert [file["path"] for file in client.get(f"{drive}/files").json()["files"]] == [first]
+    assert client.delete(f"{drive}/files/{quote(first)}").status_code == 204
+    assert client.put(f"{drive}/files/{quote(second)}", content=b"second").status_code == 201
 
 
 @pytest.mark.parametrize(
@@ -278,7 +302,7 @@ def test_a_client_that_vanishes_leaves_nothing(client: httpx.Client, drive: str,
             link.sendall(f"{sent:x}\r\n".encode() if "chunked" in head and sent else b"")
             link.sendall(bytes(sent))
             if sent > 1_000_000:
-                wait_until(lambda: any((shared_data / "incoming").iterdir()), "its beginning")
+                wait_until(lambda: files_below(shared_data / "incoming"), "its beginning")
     wait_until(lambda: not stored(shared_data, drive), "it to go")
     assert client.get(f"{drive}/files").json()["files"] == []
 
@@ -342,3 +366,60 @@ def test_a_drive_that_is_deleted_during_a_put(client: httpx.Client, drive: str, 
     assert status == 404
     assert "Drive not found" in answer
     assert stored(shared_data, drive) == []
+
+
+def is_sound(path: str) -> bool:
+    try:
+        check_path(path)
+    except BadNameError:
+        return False
+    return True
+
+
+def test_the_pattern_in_the_description_says_what_is_taken() -> None:
+    names = [f"a{chr(code)}b" for code in range(0x10000) if not 0xD800 <= code < 0xE000]  # no text holds surrogates
+    names += [
+        "a",
+        "a/b",
+        "a b",
+        "a.b",
+        "x" * 255,
+        "x" * 256,
+        "y/" + "x" * 256,
+        "conx",
+        "con",
+        "CON.x",
+        "x/nul",
+        "x/aux.d/b",
+        "nulx/com0",
+        "com10",
+    ]
+    names += [".", "..", ".a", "a/.a", "a.", "a ", " a", "a /b", "/a", "a/", "a//b", "C:/a", "a:b", "ab:c", "", "con a"]
+    names += ["/".join(["a"] * 16), "/".join(["a"] * 17)]
+    differ = [name for name in names if (re.search(PATH_PATTERN, name) is not None) != is_sound(name)]
+    assert differ == []
+
+
+@pytest.mark.parametrize(
+    ("address", "body"),
+    [
+        ("/api/v1/drives", {"name": "a", "keep_raw": 0}),
+        ("/api/v1/drives", {"name": "a", "keep_raw": "true"}),
+        ("/api/v1/drives", {"name": " "}),
+        ("{drive}/commit", {"check_only": 1}),
+        ("{drive}/plan", {"scans": ["1"]}),
+        ("{drive}/plan", {"scans": [True]}),
+        ("{drive}/plan", {"scans": {"first": "0", "last": 3}}),
+        ("{drive}/plan", {"scans": [1], "keyframes": {"window": "3"}}),
+        ("{drive}/plan", {"scans": [1], "label_counts": {"labels": {"40": "1"}}}),
+        ("/api/v1/jobs", {"drive_id": "x", "tolerance_m": "15"}),
+        ("/api/v1/jobs", {"drive_id": "x", "config": {"bev": {"resolution_m": "0.2"}}}),
+        ("/api/v1/jobs", {"drive_id": "x", "config": {"bev": {"adaptive": 0}}}),
+        ("/api/v1/jobs", {"drive_id": "x", "osm": {"overpass": 1}}),
+    ],
+)
+def test_numbers_are_no_text_and_zero_is_not_false(
+    client: httpx.Client, drive: str, address: str, body: dict[str, object]
+) -> None:
+    answer = client.post(address.format(drive=drive), json=body)
+    assert answer.status_code == 422, answer.text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +17,7 @@ import pytest
 from app.settings import Settings
 from app.store.database import Database
 from app.store.models import Drive
+from app.store.tokens import add_token
 from interloc.cli.main import run
 from tests.app.conftest import running_server
 from tests.app.processes import API, Gate, ended, half_way, job_of, submit, upload, wait_until
@@ -212,14 +214,57 @@ def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, data_dir
     job_id = submit(client, drive)
     half_way(client, job_id)
     answer = client.delete(f"{API}/jobs/{job_id}")
-    gate.open()
     assert answer.status_code == 202
-    job = ended(client, job_id)
+    job = ended(client, job_id)  # though its worker hears nothing
     assert (job["state"], job["error"]["title"]) == ("dismissed", "Cancelled")
+    assert not (data_dir / "jobs" / job_id).exists()
+    gate.open()
+    assert ended(client, submit(client, drive))["state"] == "successful"
     assert client.delete(f"{API}/jobs/{job_id}").status_code == 200
     assert problem(client.get(f"{API}/jobs/{job_id}/intersections"), 409)
     assert client.delete(f"{API}/jobs/{job_id}?purge=true").status_code == 204
     assert problem(client.get(f"{API}/jobs/{job_id}"), 404)
+
+
+def test_a_stage_or_a_request_that_takes_too_long_fails(serve: Serve, street: Path, tmp_path: Path) -> None:
+    own = serve(job_stage_s=10.0, request_work_s=2.0)
+    drive_id = upload(own, street)
+    gate = Gate(tmp_path / "data", drive_id, MIDDLE)
+    job = ended(own, submit(own, drive_id))
+    assert (job["state"], job["attempts"]) == ("failed", 1)
+    error = job["error"]
+    assert (error["title"], error["status"]) == ("Limit reached", 422)
+    assert (error["limit"], error["bound"]) == ("job_stage_s", 10)
+    assert "Part 1 of 1 took longer than the 10 seconds" in error["detail"]
+    assert "INTERLOC_JOB_STAGE_S" in error["detail"]
+    gate.open()
+    job = ended(own, submit(own, drive_id))
+    assert job["state"] == "successful"
+    gate = Gate(tmp_path / "data", drive_id, MIDDLE)  # the picture of a keyframe is bounded too
+    answer = own.get(f"{API}/jobs/{job['id']}/keyframes/{MIDDLE}/bev.png")
+    gate.open()
+    assert "The work for this request took longer than the 2 seconds" in problem(answer, 422)
+    assert answer.json()["limit"] == "request_work_s"
+
+
+def test_a_job_that_takes_too_long_fails(serve: Serve, street: Path, tmp_path: Path) -> None:
+    own = serve(job_s=4.0)
+    drive_id = upload(own, street)
+    gate = Gate(tmp_path / "data", drive_id, MIDDLE)
+    job = ended(own, submit(own, drive_id))
+    gate.open()
+    assert (job["state"], job["error"]["limit"]) == ("failed", "job_s")
+    assert "The job took longer than the 4 seconds that a job may take" in job["error"]["detail"]
+
+
+def test_a_job_that_needs_too_much_memory_fails(serve: Serve, street: Path) -> None:
+    own = serve(worker_memory_bytes=256 * 2**20)
+    drive_id = upload(own, street)
+    config = {"bev": {"resolution_m": 0.05, "size_m": 200}}  # images of 4000 x 4000 cells
+    job = ended(own, submit(own, drive_id, config=config))
+    assert (job["state"], job["attempts"], job["error"]["limit"]) == ("failed", 1, "worker_memory_bytes")
+    assert re.search(r"needed 0\.\d GB of memory, more than the 0\.\d GB that a worker", job["error"]["detail"])
+    assert ended(own, submit(own, drive_id))["state"] == "successful"
 
 
 def test_a_job_that_waits_is_cancelled_at_once(client: httpx.Client, drive: str, data_dir: Path) -> None:
@@ -253,6 +298,27 @@ def test_a_short_job_does_not_wait_for_a_long_one(
     assert job_of(client, long)["state"] == "running"
     gate.open()
     assert ended(client, long)["state"] == "successful"
+
+
+def test_a_client_has_its_turn_while_another_holds_every_worker(serve: Serve, street: Path, tmp_path: Path) -> None:
+    own = serve(workers=1, jobs_at_once=1)
+    database = Database(Settings(data_dir=tmp_path / "data").sqlalchemy_url)
+    ann, eve = ({"Authorization": f"Bearer {add_token(database, name)}"} for name in ("ann", "eve"))
+    database.close()
+    own.headers.update(eve)
+    held = upload(own, street)
+    gate = Gate(tmp_path / "data", held, MIDDLE)
+    many = [submit(own, held) for _ in range(3)]
+    half_way(own, many[0])
+    assert job_of(own, many[2])["message"] == "1 job is before it."
+    own.headers.update(ann)
+    job = ended(own, submit(own, upload(own, street)))
+    assert job["state"] == "successful"
+    assert own.get(f"{API}/jobs/{job['id']}/keyframes/{MIDDLE}/bev.png").status_code == 200
+    assert [job_of(own, each)["state"] for each in many] == ["running", "accepted", "accepted"]
+    gate.open()
+    for each in many:
+        assert ended(own, each)["state"] == "successful"
 
 
 def test_a_drive_without_georeference_is_mapped_but_not_scored(
@@ -293,8 +359,8 @@ def test_a_map_that_is_a_bomb_is_not_unpacked(client: httpx.Client, drive: str) 
 
 def test_the_ending_of_a_map_may_be_in_capitals(client: httpx.Client, street: Path, drive: str) -> None:
     map_ = (street / "map.osm").read_bytes()
-    assert client.put(f"{API}/drives/{drive}/files/MAP.OSM", content=map_).status_code in {200, 201}
-    assert ended(client, submit(client, drive, osm={"file": "MAP.OSM"}))["state"] == "successful"
+    assert client.put(f"{API}/drives/{drive}/files/CITY.OSM", content=map_).status_code in {200, 201}
+    assert ended(client, submit(client, drive, osm={"file": "CITY.OSM"}))["state"] == "successful"
 
 
 def test_labels_that_are_not_there_are_told(client: httpx.Client, drive: str) -> None:

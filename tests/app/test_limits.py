@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 import time
@@ -12,6 +13,7 @@ import httpx
 import pytest
 
 from app.http.protocol import MAX_HEAD_BYTES, Protocol
+from app.server import FewFiles
 
 Serve = Callable[..., httpx.Client]
 MB = 1024**2
@@ -87,6 +89,27 @@ def test_a_body_that_stops_half_way_is_given_up(serve: Serve) -> None:
     assert client.get(f"/api/v1/drives/{drive}/files").json()["files"] == []
 
 
+def test_a_body_that_trickles_in_is_given_up(serve: Serve) -> None:
+    """It never pauses, so only its rate tells."""
+    client = serve(idle_timeout_s=0.3, min_body_rate=1000)
+    drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
+    with connection(client) as link:
+        head = (
+            f"PUT /api/v1/drives/{drive}/files/poses.txt HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n"
+        )
+        link.sendall(head.encode())
+        try:
+            for _ in range(300):
+                link.sendall(b"x")
+                time.sleep(0.02)
+        except (BrokenPipeError, ConnectionResetError):
+            pass
+        answer = read_all(link)
+    assert answer.startswith(b"HTTP/1.1 408 ") or answer == b""
+    assert client.get(f"/api/v1/drives/{drive}/files").json()["files"] == []
+    assert client.put(f"/api/v1/drives/{drive}/files/poses.txt", content=bytes(10_000)).status_code == 201
+
+
 def test_a_head_without_end_is_refused(client: httpx.Client) -> None:
     with connection(client) as link:
         link.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\nX-Long: ")
@@ -156,3 +179,61 @@ def test_two_lengths_of_one_body_are_refused(client: httpx.Client) -> None:
         with connection(client) as link:
             link.sendall(f"POST /api/v1/drives HTTP/1.1\r\nHost: localhost\r\n{head}\r\n\r\n0\r\n\r\n".encode())
             assert read_all(link).startswith(b"HTTP/1.1 400 ")
+
+
+@pytest.mark.parametrize(
+    ("head", "status"),
+    [
+        ("GET /config.json HTTP/1.1\r\nHost: localhost", 200),
+        ("GET /config.json HTTP/1.1\r\nHost: localhost\r\nHost: localhost", 400),
+        ("GET /config.json HTTP/1.1\r\nHost: localhost\r\nhost: evil.example", 400),
+        ("GET /config.json HTTP/1.1", 400),
+        ("GET http://localhost/config.json HTTP/1.1\r\nHost: localhost", 200),
+        ("GET http://LOCALHOST:80/config.json HTTP/1.1\r\nHost: localhost:80", 200),
+        ("GET http://evil.example/config.json HTTP/1.1\r\nHost: localhost", 400),
+        ("GET http://localhost:81/config.json HTTP/1.1\r\nHost: localhost", 400),
+        ("GET ftp://localhost/config.json HTTP/1.1\r\nHost: localhost", 400),
+        ("CONNECT localhost:80 HTTP/1.1\r\nHost: localhost:80", 400),
+    ],
+)
+def test_a_request_names_one_host(client: httpx.Client, head: str, status: int) -> None:
+    with connection(client) as link:
+        link.sendall(f"{head}\r\nConnection: close\r\n\r\n".encode())
+        answer = read_all(link)
+    assert answer.startswith(f"HTTP/1.1 {status} ".encode())
+    assert status == 200 or b"application/problem+json" in answer
+
+
+def test_connections_that_are_too_many_are_closed(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert client.get("/healthz").status_code == 200
+    monkeypatch.setattr(Protocol, "max_connections", 3)
+    with connection(client) as first, connection(client), connection(client) as last:
+        assert read_all(last).startswith(b"HTTP/1.1 503 ")
+        first.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        assert read_all(first).startswith(b"HTTP/1.1 200 ")
+
+
+def test_a_server_without_descriptors_says_so_once(caplog: pytest.LogCaptureFixture) -> None:
+    """What asyncio reports of each of the connections that wait."""
+    loop = asyncio.new_event_loop()
+    loop.set_exception_handler(FewFiles().handle)
+    for _ in range(100):
+        loop.call_exception_handler(
+            {"message": "socket.accept() out of system resource", "exception": OSError(24, "Too many open files")}
+        )
+    loop.close()
+    assert caplog.text.count("no connection can be taken: [Errno 24] Too many open files") == 1
+
+
+def test_the_methods_of_an_address_are_all_named(client: httpx.Client) -> None:
+    for path, allowed in (
+        ("/api/v1/drives", "GET, POST"),
+        ("/api/v1/drives/x/files/y", "GET, PUT, DELETE"),
+        ("/api/v1/jobs/x", "GET, DELETE"),
+        ("/api/v1/jobs/x/run", "GET, HEAD"),
+        ("/api/v1/demo", "POST"),
+        ("/healthz", "GET"),
+    ):
+        for method in ("OPTIONS", "PATCH"):
+            answer = client.request(method, path)
+            assert (answer.status_code, answer.headers["allow"]) == (405, allowed)

@@ -16,7 +16,9 @@ import httpx
 import pytest
 
 from app import logs
+from app.context import open_database
 from app.settings import Settings
+from app.store.tokens import TokenBook, add_token, revoke_token
 
 Serve = Callable[..., httpx.Client]
 Lines = Callable[..., list[dict[str, Any]]]
@@ -73,6 +75,36 @@ def test_a_request_is_one_line(serve: Serve, lines: Lines) -> None:
         "client": "operator",
         "drive": drive,
     }
+
+
+def test_who_changed_what_is_logged(serve: Serve, lines: Lines, tmp_path: Path) -> None:
+    client = serve(tmp_path / "data", token=OWN)
+    client.headers["Authorization"] = f"Bearer {OWN}"
+    address = client.post("/api/v1/drives", json={"name": "a"}).headers["location"]
+    drive = address.rpartition("/")[2]
+    client.put(f"{address}/files/a.txt", content=b"1")
+    client.post("/api/v1/drives/labels", json={"label_counts": {}})
+    client.delete(f"{address}/files/a.txt")
+    client.delete(f"{address}/files/a.txt")  # there is none: nothing changed
+    client.delete(address)
+    found = [line for line in lines(6) if line["logger"] == "app.audit"]
+    assert [(line["client"], line["action"], line["drive"]) for line in found] == [
+        ("operator", action, drive) for action in ("create_drive", "delete_file", "delete_drive")
+    ]
+
+
+def test_tokens_that_come_and_go_are_logged(tmp_path: Path, lines: Lines) -> None:
+    settings = Settings(data_dir=tmp_path)
+    database = open_database(settings)
+    add_token(database, "alice")
+    book = TokenBook(database, settings)
+    book.holder_of("nonsense")
+    add_token(database, "bob")
+    revoke_token(database, "alice")
+    book.holder_of("nonsense")
+    database.close()
+    found = [line for line in lines() if line["logger"] == "app.audit"]
+    assert [(line["action"], line["token"]) for line in found] == [("add_token", "bob"), ("revoke_token", "alice")]
 
 
 def test_no_secret_is_logged(serve: Serve, lines: Lines) -> None:

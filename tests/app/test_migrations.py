@@ -16,7 +16,7 @@ from sqlalchemy import inspect, text
 
 from app.store import database as module
 from app.store.database import Database
-from app.store.models import Base, Drive
+from app.store.models import Base, Drive, DriveFile, Token
 from interloc.errors import ConfigError, InterLocError
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
@@ -92,9 +92,14 @@ def test_the_first_version_is_brought_up_to_date_with_its_content(url: str) -> N
         old.attributes["connection"] = connection
         command.upgrade(old, FIRST)
         connection.execute(text(OLD_DRIVE))
+        connection.execute(text("INSERT INTO drive_files VALUES ('d', 'A.txt', 1, 'abc')"))
+        connection.execute(text("INSERT INTO tokens VALUES ('alice', 'abc', 1.5)"))
     database.upgrade()
     with database.reading() as session:
         drive = session.get_one(Drive, "d")
+        token = session.get_one(Token, "alice")
+        assert session.get_one(DriveFile, ("d", "A.txt")).folded is None
+    assert (token.scope, token.expires_at, token.max_bytes, token.max_jobs) == ("write", None, None, None)
     assert (drive.name, drive.created_at) == ("old", 1.5)
     database.close()
 

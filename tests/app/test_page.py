@@ -27,6 +27,7 @@ def write_page(folder: Path) -> Path:
         "js/main.js": "export const answer = 42;\n" * 200,
         "js/upload/main.js": "export const other = 43;\n" * 200,
         "css/style.css": "body { margin: 0 }",
+        "tsconfig.json": '"secret"',
         "icon.svg": "<svg xmlns='http://www.w3.org/2000/svg'/>",
         "notes.py": "secret",
         ".env": "secret",
@@ -100,6 +101,7 @@ def test_a_changed_file_is_sent_anew(page: httpx.Client, page_files: Path) -> No
     "path",
     [
         "/static/package.json",
+        "/static/tsconfig.json",
         "/static/notes.py",
         "/static/.env",
         "/static/js/.hidden.js",
@@ -116,6 +118,7 @@ def test_a_changed_file_is_sent_anew(page: httpx.Client, page_files: Path) -> No
         "/static/node_modules/tool/dist/tool.js",
         "/static/node_modules/.package-lock.json",
         "/static/node_modules",
+        f"/static/{'a' * 300}.js",
     ],
 )
 def test_nothing_else_is_served(path: str, page: httpx.Client) -> None:

@@ -39,7 +39,7 @@ def listed(client: httpx.Client, drive: str) -> list[str]:
 
 def left(data: Path, drive: str) -> list[str]:
     """Names of all files of a drive, and of what is on its way into any."""
-    places = (data / "incoming", data / "drives" / drive.rpartition("/")[2])
+    places = (data / "incoming", data / "drives" / drive.rpartition("/")[2] / "files")
     return [path.name for place in places for path in files_below(place)]
 
 

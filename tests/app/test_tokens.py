@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
 
 from app.context import open_database
+from app.main import create_app
 from app.settings import Settings
+from app.states import Scope
 from app.store.database import Database
-from app.store.tokens import TokenBook, add_token, list_tokens, revoke_token
+from app.store.models import Token
+from app.store.tokens import Holder, TokenBook, add_token, list_tokens, revoke_token
 from interloc.errors import ConfigError
 
 OWN = "the-token-of-the-operator"
@@ -54,10 +59,10 @@ def test_tokens_come_and_go(database: Database) -> None:
     first, second = add_token(database, "bob"), add_token(database, "alice")
     assert [token.name for token in list_tokens(database)] == ["alice", "bob"]
     book = TokenBook(database, Settings())
-    assert (book.client_of(first), book.client_of(second), book.client_of("nonsense")) == ("bob", "alice", None)
+    assert [book.holder_of(token) for token in (first, second, "nonsense")] == [Holder("bob"), Holder("alice"), None]
     revoke_token(database, "bob")
     assert [token.name for token in list_tokens(database)] == ["alice"]
-    assert TokenBook(database, Settings()).client_of(first) is None
+    assert TokenBook(database, Settings()).holder_of(first) is None
 
 
 @pytest.mark.parametrize("name", ["", "a b", "ä", "-x", "anonymous", "operator", "x" * 65, "a\n"])
@@ -147,13 +152,139 @@ def test_an_exposed_server_stays_closed_when_the_last_token_goes(tmp_path: Path)
     database.close()
 
 
-def test_guessing_is_slowed_down_but_not_for_others(serve: Serve) -> None:
-    client = serve(token=OWN)
+def test_wrong_tokens_never_stop_a_valid_one(serve: Serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = tmp_path / "data"
+    database = open_database(Settings(data_dir=data))
+    token = add_token(database, "alice")
+    client = serve(data)
     statuses = [client.get("/metrics", headers=bearer(f"guess-{n:010d}")).status_code for n in range(25)]
     assert statuses == [401] * 20 + [429] * 5
     answer = client.get("/api/v1/drives", headers=bearer("another-guess-of-mine"))
     assert 1 <= int(answer.headers["retry-after"]) <= 61
-    assert client.get("/api/v1/drives", headers=bearer(OWN)).status_code == 200
+    late = add_token(database, "bob")
+    database.close()
+    monkeypatch.setattr("app.store.tokens._BELIEVED_S", 0.0)  # whatever was believed is forgotten
+    for each in (token, late):
+        assert client.get("/api/v1/drives", headers=bearer(each)).status_code == 200
+    assert 'interloc_refused_tokens_total{reason="unknown"} 20.0' in client.get("/metrics", headers=bearer(token)).text
+
+
+def test_wrong_tokens_are_counted_whatever_address_they_claim(
+    closed: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The client is a trusted proxy here, whose X-Forwarded-For is believed."""
+    monkeypatch.setattr("app.http.gate._FAILURES_OF_ALL", 30)
+    statuses = [
+        closed.get("/metrics", headers={**bearer(f"guess-{n:010d}"), "X-Forwarded-For": f"198.51.100.{n}"}).status_code
+        for n in range(35)
+    ]
+    assert statuses[-1] == 429
+    assert set(statuses) == {401, 429}
+    assert closed.get("/metrics", headers=bearer(OWN)).status_code == 200
+
+
+def changing_routes() -> list[tuple[str, str]]:
+    """Method and address of every operation whose method is not a safe one."""
+    document = create_app(Settings()).openapi()
+    return [
+        (method.upper(), re.sub(r"\{\w+\}", "x", path))
+        for path, operations in document["paths"].items()
+        for method in operations
+        if method not in {"get", "head", "options"}
+    ]
+
+
+@pytest.fixture(scope="module")
+def guarded(serve_all: Serve, tmp_path_factory: pytest.TempPathFactory) -> tuple[httpx.Client, dict[str, str]]:
+    """A server, and tokens of several kinds by name."""
+    data = tmp_path_factory.mktemp("guarded")
+    database = open_database(Settings(data_dir=data))
+    kinds: dict[str, dict[str, Any]] = {
+        "reader": {"scope": Scope.READ},
+        "writer": {},
+        "poor": {"max_bytes": 1000, "max_jobs": 1},
+    }
+    tokens = {name: add_token(database, name, **kind) for name, kind in kinds.items()}
+    database.close()
+    return serve_all(data_dir=data), tokens
+
+
+def test_a_token_that_may_only_read_changes_nothing(guarded: tuple[httpx.Client, dict[str, str]]) -> None:
+    client, tokens = guarded
+    drive = client.post("/api/v1/drives", json={"name": "a"}, headers=bearer(tokens["writer"])).json()["id"]
+    routes = changing_routes()
+    answers = {
+        (method, path): client.request(
+            method,
+            path,
+            headers={**bearer(tokens["reader"]), "Content-Type": "application/json"},
+            content=b'{"name": "a", "drive_id": "x", "scans": [], "label_counts": {}}',
+        )
+        for method, path in routes
+    }
+    refused = {route for route, answer in answers.items() if answer.json().get("title") == "Token may only read"}
+    assert set(routes) - refused == {("POST", "/api/v1/drives/labels"), ("POST", "/api/v1/drives/x/plan")}
+    answer = client.delete(f"/api/v1/drives/{drive}", headers=bearer(tokens["reader"]))
+    assert answer.status_code == 403
+    assert "reader" in answer.json()["detail"]
+    assert 'error="insufficient_scope"' in answer.headers["www-authenticate"]
+    assert client.get(f"/api/v1/drives/{drive}", headers=bearer(tokens["reader"])).status_code == 200
+    judged = client.post(
+        "/api/v1/drives/labels", json={"label_counts": {"labels": {"40": 9}}}, headers=bearer(tokens["reader"])
+    )
+    assert judged.status_code == 200
+    planned = client.post(f"/api/v1/drives/{drive}/plan", json={"scans": [1]}, headers=bearer(tokens["reader"]))
+    assert planned.status_code == 200
+
+
+def test_a_token_ends_when_it_expires(database: Database, serve: Serve, tmp_path: Path) -> None:
+    with database.reading() as session:
+        now = database.clock(session)
+    with pytest.raises(ConfigError, match="would have expired already"):
+        add_token(database, "late", expires_at=now - 1)
+    token = add_token(database, "guest", expires_at=now + 3600)
+    client = serve(tmp_path / "data")
+    assert client.get("/api/v1/drives", headers=bearer(token)).status_code == 200
+    with database.writing() as session:
+        session.get_one(Token, "guest").expires_at = now - 60
+    book = TokenBook(database, Settings())
+    holder = book.holder_of(token)
+    assert holder is not None
+    assert holder.has_expired
+    assert book.are_needed()  # the service does not open by itself
+    answer = serve(tmp_path / "data").get("/api/v1/drives", headers=bearer(token))  # one that has not believed it yet
+    assert answer.status_code == 401
+    assert "The token of guest expired on 20" in answer.json()["detail"]
+
+
+def test_when_a_token_was_last_used_is_written_later(database: Database) -> None:
+    token = add_token(database, "alice")
+    add_token(database, "bob")
+    book = TokenBook(database, Settings())
+    assert book.holder_of(token) is not None
+    assert [each.last_used_at for each in list_tokens(database)] == [None, None]
+    book.write_uses()
+    alice, bob = list_tokens(database)
+    assert alice.last_used_at == pytest.approx(alice.created_at, abs=60)
+    assert bob.last_used_at is None
+
+
+def test_a_client_keeps_no_more_than_its_token_allows(guarded: tuple[httpx.Client, dict[str, str]]) -> None:
+    client, tokens = guarded
+    mine = bearer(tokens["poor"])
+    first, second = (
+        client.post("/api/v1/drives", json={"name": name}, headers=mine).headers["location"] for name in "ab"
+    )
+    assert client.put(f"{first}/files/poses.txt", content=bytes(600), headers=mine).status_code == 201
+    answer = client.put(f"{second}/files/poses.txt", content=bytes(600), headers=mine)
+    assert (answer.status_code, answer.json()["title"]) == (413, "Quota used up")
+    assert client.get(f"{second}/files", headers=mine).json()["files"] == []
+    # Whoever sends it, the drive is that of the client; a file that replaces another counts by what it adds.
+    others = bearer(tokens["writer"])
+    assert client.put(f"{second}/files/poses.txt", content=bytes(600), headers=others).status_code == 413
+    assert client.put(f"{first}/files/poses.txt", content=bytes(900), headers=mine).status_code == 200
+    assert client.delete(f"{first}/files/poses.txt", headers=mine).status_code == 204
+    assert client.put(f"{second}/files/poses.txt", content=bytes(600), headers=mine).status_code == 201
 
 
 @pytest.mark.parametrize("token", ["", "short", "fifteen-letters", "sixteen-lettersé", "sixteen\nletters.."])

@@ -208,6 +208,33 @@ def test_tokens_are_shown_once(interloc: Interloc, tmp_path: Path) -> None:
     assert interloc("token", "revoke", "alice", *data).code == 2
 
 
+def test_tokens_tell_what_they_allow(interloc: Interloc, tmp_path: Path) -> None:
+    data = ("--data-dir", tmp_path)
+    limits = ("--expires", "30d", "--max-bytes", "1.5GB", "--max-jobs", "5")
+    assert interloc("token", "add", "alice", "--read-only", *limits, *data).code == 0
+    assert interloc("token", "add", "bob", "--expires", "2999-12-31", *data).code == 0
+    alice, bob = interloc("token", "list", *data).out.splitlines()
+    assert re.fullmatch(r"alice +read  since .* UTC, never used, expires 2\d{3}-\d\d-\d\d .*, 1\.5 GB, 5 jobs", alice)
+    assert re.fullmatch(r"bob +write since .* UTC, never used, expires 2999-12-31 00:00", bob)
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        (("--expires", "soon"), "expected 30d, 12h or a date"),
+        (("--expires", "2001-01-01"), "would have expired already"),
+        (("--max-bytes", "much"), "expected a number with kB, MB, GB or TB"),
+        (("--max-jobs", "0"), "x>=1"),
+    ],
+)
+def test_limits_of_a_token_that_make_no_sense(
+    interloc: Interloc, tmp_path: Path, option: tuple[str, str], says: str
+) -> None:
+    outcome = interloc("token", "add", "alice", *option, "--data-dir", tmp_path)
+    assert outcome.code == 2
+    assert says in outcome.err
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_data_folder_that_cannot_be_written(interloc: Interloc, tmp_path: Path) -> None:
     tmp_path.chmod(0o500)

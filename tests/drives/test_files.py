@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from interloc.drives.files import SourceFile, list_numbered, listed
+from interloc.drives.files import MAX_ROWS, SourceFile, list_numbered, listed
 from interloc.errors import DriveError
 
 
@@ -65,11 +65,32 @@ def test_damaged_gzip(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
 
 
 def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("interloc.drives.files.MAX_TEXT_BYTES", 1000)
+    monkeypatch.setattr("interloc.drives.files.MAX_SMALL_BYTES", 1000)
     path = tmp_path / "07.txt.gz"
     path.write_bytes(gzip.compress(b"0" * 100_000))
     with pytest.raises(DriveError, match="larger than"):
         SourceFile(path, tmp_path).text()
+
+
+@pytest.mark.parametrize("ending", [b"\n", b"\r\n", b"\r"])
+def test_more_lines_than_any_drive_has_frames_are_not_looked_into(tmp_path: Path, ending: bytes) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_bytes((b"no number" + ending) * (MAX_ROWS + 1))
+    with pytest.raises(DriveError, match=r"poses\.txt: holds more than 1,000,000 lines; expected one per frame"):
+        SourceFile(path, tmp_path).lines()
+
+
+def test_a_line_without_end_is_not_looked_into(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_bytes(b"1 0 0\n" + b"0 " * 6000)
+    with pytest.raises(DriveError, match=r"line 2: 12,000 characters in one line; expected at most 10,000"):
+        SourceFile(path, tmp_path).lines()
+
+
+def test_lines_end_as_on_any_system(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_bytes(b"1\r\n2\n\n3\r4\x0b5")
+    assert SourceFile(path, tmp_path).lines() == ["1", "2", "", "3", "4\x0b5"]
 
 
 def test_numbered_files_are_sorted_by_number(tmp_path: Path) -> None:

@@ -127,6 +127,44 @@ def test_a_drive_can_be_cut_out_of_a_large_map(tmp_path: Path, crossing: str) ->
         read_osm(path, (1.0, 1.0, 2.0, 2.0))
 
 
+def test_a_map_that_reaches_no_further_than_the_bounds_is_as_without_them(tmp_path: Path, crossing: str) -> None:
+    head = '<bounds minlat="48.9" minlon="8.3" maxlat="49.1" maxlon="8.5"/>'
+    path = tmp_path / "map.osm"
+    path.write_text(crossing.replace('generator="hand">', f'generator="hand">{head}'))
+    whole, around = read_osm(path), read_osm(path, (8.0, 48.0, 9.0, 50.0))
+    assert around.bounds == whole.bounds == (8.3, 48.9, 8.5, 49.1)
+    assert around.node_id.tolist() == whole.node_id.tolist()
+    assert around.edges.tolist() == whole.edges.tolist()
+    cut = read_osm(path, (8.0, 48.9995, 8.4005, 49.0005))
+    assert cut.bounds == (8.3, 48.9995, 8.4005, 49.0005)  # what the file declares, within the bounds
+
+
+def test_a_map_of_another_place_is_named_by_what_it_covers(tmp_path: Path, crossing: str) -> None:
+    path = tmp_path / "map.osm"
+    path.write_text(crossing)
+    with pytest.raises(MapError, match=r"no highways within lon 1\.0.* it covers lon 8\.3.*swapped in geo\.csv"):
+        read_osm(path, (1.0, 1.0, 2.0, 2.0))
+
+
+def test_what_comes_twice_counts_once(tmp_path: Path, crossing: str) -> None:
+    start, end = crossing.index("<node"), crossing.rindex("</osm>")
+    once, twice = read(tmp_path, crossing), read(tmp_path, crossing[:end] + crossing[start:])
+    assert twice.ways.id.tolist() == once.ways.id.tolist()
+    assert twice.edges.tolist() == once.edges.tolist()
+
+
+@pytest.mark.parametrize(("what", "most"), [("MAX_NODES", 3), ("MAX_WAYS", 1)])
+def test_more_than_any_place_has_is_refused(
+    tmp_path: Path, crossing: str, monkeypatch: pytest.MonkeyPatch, what: str, most: int
+) -> None:
+    monkeypatch.setattr(f"interloc.osm.reader.{what}", most)
+    path = tmp_path / "map.osm"
+    path.write_text(crossing)
+    with pytest.raises(MapError, match=f"holds more than {most} (nodes|highways) around the drive"):
+        read_osm(path, (8.0, 48.0, 9.0, 50.0))
+    assert len(read_osm(path).ways) == 2  # who gives no bounds wants all
+
+
 BAD = {
     "no_xml": (b"this is not a map", "is not an OSM file"),
     "binary": (bytes(range(256)), "is not an OSM file"),

@@ -132,6 +132,15 @@ def see_question(page: Any, done: Done) -> None:
     page.wait_for_selector("dialog[open]")
 
 
+def see_trash(page: Any, done: Done) -> None:
+    drive = done.server.client.post(f"{API}/drives", json={"name": "unfinished"}).json()["id"]
+    done.server.client.delete(f"{API}/drives/{drive}").raise_for_status()
+    page.goto("about:blank")
+    page.goto(f"{done.server.address}/#panel=drives")
+    page.locator(".trash summary").click()
+    page.get_by_role("button", name="Empty the trash").wait_for()
+
+
 STATES = [
     see_start,
     see_drive,
@@ -147,6 +156,7 @@ STATES = [
     see_layers,
     see_run_dialog,
     see_question,
+    see_trash,
 ]
 
 

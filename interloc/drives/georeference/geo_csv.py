@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from pathlib import Path
 
 import numpy as np
@@ -30,17 +31,17 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
     if missing_columns:
         raise file.fault(f"no column {', '.join(missing_columns)}. Expected the header {','.join(GEO_COLUMNS)}.", 1)
     columns = [header.index(column) for column in GEO_COLUMNS]
-    rows = []
+    rows = array("d")
     for number, text in enumerate(lines[1:], start=2):
         if not text.strip():
             continue
         fields = text.split(",")
         if len(fields) != len(header):
             raise file.fault(f"{len(fields)} fields; expected {len(header)} as in the header.", number)
-        rows.append(file.numbers([fields[column] for column in columns], number))
+        rows.extend(file.numbers([fields[column] for column in columns], number))
     if not rows:
         raise file.fault("holds a header only. Expected one row per scan.")
-    values = np.array(rows)
+    values = np.frombuffer(rows).reshape(-1, len(columns))
     numbers, first = np.unique(values[:, 0].astype(np.int64), return_index=True)
     missing = missing_numbers(numbers, frames)
     if len(missing):

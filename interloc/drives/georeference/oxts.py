@@ -108,7 +108,9 @@ def read_oxts_rows(file: GeoreferenceFile, frames: IntArray) -> FloatArray:
     GeoreferenceError
         It has fewer rows than the drive has frames, or a row is damaged.
     """
-    lines = file.text().rstrip().splitlines()
+    lines = file.lines()
+    while not lines[-1].strip():
+        lines.pop()
     wanted = rows_by_frame(frames, len(lines))
     if wanted is None:
         raise file.fault(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +46,7 @@ def read_poses(file: SourceFile) -> PoseLines:
             "is missing. Expected one line of 12 numbers per scan: the pose of the camera (KITTI) or of the LiDAR "
             "(kiss-icp and others). For KITTI odometry it comes with the labels of SemanticKITTI."
         )
-    rows, lines = _read_rows(file)
-    values = np.array(rows, dtype=np.float64)
+    values, lines = _read_rows(file)
     frames = None
     if values.shape[1] in INDEXED_LENGTHS:
         frames, values = _split_frames(values, lines, file), values[:, 1:]
@@ -114,39 +114,53 @@ def rotation_complaint(rotation: FloatArray) -> str:
     )
 
 
-def _read_rows(file: SourceFile) -> tuple[list[list[float]], list[int]]:
+def _read_rows(file: SourceFile) -> tuple[FloatArray, IntArray]:
     """Return the numbers of every line that is not blank, and its line number."""
-    rows: list[list[float]] = []
-    lines: list[int] = []
-    for line, text in enumerate(file.lines(), start=1):
+    texts = file.lines()
+    if (table := _plain_table(texts)) is not None:
+        return table, np.arange(1, len(table) + 1)
+    values, lines = array("d"), array("q")  # a tenth of the memory of lists
+    length = 0
+    for line, text in enumerate(texts, start=1):
         fields = text.split()
         if not fields or fields[0].startswith("#"):
             continue
-        if len(fields) not in _LENGTHS or (rows and len(fields) != len(rows[0])):
-            raise file.fault(_length_complaint(fields, rows), line)
-        rows.append(file.numbers(fields, line))
+        if len(fields) not in _LENGTHS or (length and len(fields) != length):
+            raise file.fault(_length_complaint(fields, length), line)
+        length = len(fields)
+        values.extend(file.numbers(fields, line))
         lines.append(line)
-    if not rows:
+    if not lines:
         raise file.fault("holds comments only. Expected one line of 12 numbers per scan.")
-    return rows, lines
+    return np.frombuffer(values).reshape(-1, length), np.frombuffer(lines, dtype=np.int64)
 
 
-def _length_complaint(fields: list[str], rows: list[list[float]]) -> str:
+def _plain_table(texts: list[str]) -> FloatArray | None:
+    """Read lines of nothing but poses, five times as fast; None where a line is something else or wrong."""
+    try:
+        table = np.loadtxt(texts, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    is_plain = len(table) == len(texts) and table.shape[1] in _LENGTHS and np.isfinite(table).all()
+    return table if is_plain else None
+
+
+def _length_complaint(fields: list[str], length: int) -> str:
     """Return what is wrong with the count of numbers in a line."""
     if any("," in field for field in fields):
         return "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
     expected = (
-        f"{len(rows[0])} as in the lines above" if rows else "12 (3x4 matrix), 16 (4x4), 13 or 17 (frame number first)"
+        f"{length} as in the lines above" if length else "12 (3x4 matrix), 16 (4x4), 13 or 17 (frame number first)"
     )
     usual = "a file cut off while it was written or copied, or a line edited by hand"
     if len(fields) == 8:
         usual = "TUM format (time, position, quaternion); export the poses in KITTI format"
-    elif len(fields) == 4 and not rows:
+    elif len(fields) == 4 and not length:
         usual = "4x4 matrices written over four lines; write one matrix per line"
     return f"{len(fields)} numbers; expected {expected}. Usual cause: {usual}."
 
 
-def _split_frames(values: FloatArray, lines: list[int], file: SourceFile) -> IntArray:
+def _split_frames(values: FloatArray, lines: IntArray, file: SourceFile) -> IntArray:
     """Return the frame numbers in front of the lines."""
     first = values[:, 0]
     wrong = (first != np.floor(first)) | (first < 0) | (first > _MAX_FRAME)

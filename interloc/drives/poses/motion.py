@@ -13,6 +13,7 @@ TURNED_RAD = 0.15
 """Turning over a drive that is worth mentioning."""
 
 _STEP_M = 3.0
+_JUDGED = 100_000  # poses at the beginning of a file; hours of driving tell enough
 _AXES = "xyz"
 
 
@@ -67,13 +68,14 @@ def body_motion(poses: FloatArray) -> Motion | None:
     Parameters
     ----------
     poses : (P, 4, 4) float64
-        T_world_body.
+        T_world_body; of very many only the first are looked at.
 
     Returns
     -------
     Motion or None
         None where it moves less than a metre.
     """
+    poses = poses[:_JUDGED]
     position = poses[:, :3, 3]
     extent = float(np.linalg.norm(position - position[0], axis=1).max())
     if extent < MIN_MOTION_M:

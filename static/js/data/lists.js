@@ -1,11 +1,14 @@
 /**
- * The drives, jobs and presets of the server, as last received: shared by header and panels.
+ * The drives, jobs, trash and presets of the server, as last received: shared by header and panels.
  * @module data/lists
  */
 import { getJson } from "../api.js";
 
-/** @type {{drives: any[], jobs: any[], presets: {name: string, description: string, config: any}[], isLoaded: boolean}} */
-export const lists = { drives: [], jobs: [], presets: [], isLoaded: false };
+/**
+ * @type {{drives: any[], jobs: any[], trash: any[], presets: {name: string, description: string, config: any}[],
+ *   isLoaded: boolean}}
+ */
+export const lists = { drives: [], jobs: [], trash: [], presets: [], isLoaded: false };
 
 const MAX_ROWS = 500;
 
@@ -19,8 +22,12 @@ export function onListsChange(call) {
 
 /** Ask the server again. */
 export async function refreshLists() {
-  const [drives, jobs] = await Promise.all([readPages("drives", "drives"), readPages("jobs", "jobs")]);
-  Object.assign(lists, { drives, jobs, isLoaded: true });
+  const [drives, jobs, trash] = await Promise.all([
+    readPages("drives", "drives"),
+    readPages("jobs", "jobs"),
+    readPages("trash", "items"),
+  ]);
+  Object.assign(lists, { drives, jobs, trash, isLoaded: true });
   notify();
 }
 

@@ -7,9 +7,10 @@ import { iconButton } from "../controls.js";
 import { lists, onListsChange, refreshLists, rememberDrive, rememberJob } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
 import { openRunDialog } from "../job/run_dialog.js";
-import { jobTitle, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
+import { afterDeletion, jobTitle, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
+import { trashSection } from "./trash.js";
 
 /** @type {Map<string, any>} What the check of a drive found; lists leave it out. */
 const reports = new Map();
@@ -21,7 +22,10 @@ export function mount(container) {
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
   const body = el("div", { class: "stack-s" });
-  fill(container, el("div", { class: "stack" }, el("div", { class: "row" }, upload, demo), trouble, body));
+  fill(
+    container,
+    el("div", { class: "stack" }, el("div", { class: "row" }, upload, demo), trouble, body, trashSection()),
+  );
 
   const tryDemo = async () => {
     demo.disabled = true;
@@ -128,7 +132,7 @@ function jobRow(job) {
 
 /** @param {any} drive */
 async function removeDrive(drive) {
-  const text = "Its scans, jobs and results are removed from the server. This cannot be undone.";
+  const text = `Its scans, jobs and results go with it. ${afterDeletion()}`;
   if (!(await confirmAction(`Delete ${drive.name}?`, text, "Delete the drive"))) return;
   await sendJson("DELETE", `drives/${drive.id}`);
   if (getState().drive === drive.id) setState({ drive: null, job: null, frame: null, view: null, panel: "drives" });

@@ -20,7 +20,7 @@ import {
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { openRunDialog } from "./run_dialog.js";
-import { stateBadge } from "./words.js";
+import { afterDeletion, stateBadge } from "./words.js";
 
 const STAGES = [
   ["waiting", "Waiting for its turn"],
@@ -228,7 +228,7 @@ function removal(job) {
 
 /** @param {any} job */
 async function remove(job) {
-  const text = "Its results are removed from the server; the drive stays.";
+  const text = `Its results go with it; the drive stays. ${afterDeletion()}`;
   if (!(await confirmAction("Delete this job?", text, "Delete the job"))) return;
   await sendJson("DELETE", `jobs/${job.id}?purge=true`);
   setState({ job: null, frame: null, view: null, panel: "drives" });

@@ -2,8 +2,9 @@
  * How drives and jobs are called and opened, wherever they are listed.
  * @module job/words
  */
+import { getConfig } from "../api.js";
 import { lists, ownSettings } from "../data/lists.js";
-import { el, formatAgo, formatMetres, plural } from "../dom.js";
+import { el, formatAgo, formatDuration, formatMetres, plural } from "../dom.js";
 import { setState } from "../state.js";
 
 const STATES = /** @type {Record<string, [string, string]>} */ ({
@@ -58,4 +59,17 @@ export function openDrive(id) {
 /** @param {any} job */
 export function openJob(job) {
   setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null });
+}
+
+/** @returns {string} What becomes of a thing that is deleted: said before. */
+export function afterDeletion() {
+  const hours = getConfig().limits.trash_h;
+  return hours > 0
+    ? `It can be restored from the trash for ${formatHours(hours)}.`
+    : "This server keeps no trash: this cannot be undone.";
+}
+
+/** @param {number} hours @returns {string} "3 days", "5 h 30 min" */
+export function formatHours(hours) {
+  return hours >= 48 ? `${Math.round(hours / 24)} days` : formatDuration(3600 * hours);
 }

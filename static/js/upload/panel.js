@@ -4,6 +4,7 @@ import { ApiError, getConfig, getJson, isArchive, sendJson } from "../api.js";
 import { filePicker, iconButton, section } from "../controls.js";
 import { refreshLists, rememberJob } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, icon, plural } from "../dom.js";
+import { afterDeletion } from "../job/words.js";
 import { confirmAction, problemNote, showError, showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
 import { findDrives, noDriveReason } from "./drive_folder.js";
@@ -272,7 +273,7 @@ async function start(picked, upload) {
 
 /** @param {Remembered} upload */
 async function remove(upload) {
-  const text = "What has arrived on the service is removed. The files on this machine stay.";
+  const text = `What has arrived on the service is removed; the files on this machine stay. ${afterDeletion()}`;
   if (!(await confirmAction(`Remove the upload of ${upload.name}?`, text, "Remove"))) return;
   await sendJson("DELETE", `drives/${upload.driveId}`).catch((error) => {
     if (!(error instanceof ApiError && error.status === 404)) throw error;

@@ -69,3 +69,17 @@ def test_why_there_is_none(address: str, status: int, title: str, finished: Fini
     answer = finished.get(address)
     assert (answer.status_code, answer.json()["title"]) == (status, title)
     assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_a_damaged_result_is_a_fault_of_the_service(finished: Finished, caplog: pytest.LogCaptureFixture) -> None:
+    file = finished.data_dir / "jobs/elsewhere/result/detections.geojson"
+    whole = file.read_bytes()
+    file.write_bytes(b"garbage")
+    try:
+        answer = finished.get("/jobs/elsewhere/export.gpkg")
+    finally:
+        file.write_bytes(whole)
+    assert (answer.status_code, answer.json()["title"]) == (500, "Result damaged")
+    assert str(finished.data_dir) not in answer.text
+    assert "detections.geojson" in caplog.text
+    assert finished.get("/jobs/elsewhere/export.gpkg").status_code == 200

@@ -106,3 +106,14 @@ def test_a_drive_that_is_damaged_is_no_fault_of_the_service(finished: Finished) 
     assert "ground/labels/000040.ground" in answer.json()["detail"]
     assert not (finished.data_dir / "jobs/elsewhere/cache/bev").exists()
     assert finished.get("/jobs/elsewhere/keyframes/40/bev").status_code == 200
+
+
+def test_a_drive_whose_files_were_removed_is_gone(finished: Finished) -> None:
+    reduced = finished.data_dir / "drives/other/reduced"
+    reduced.rename(reduced.with_name("away"))
+    try:
+        answer = finished.get("/jobs/elsewhere/keyframes/42/bev")
+    finally:
+        reduced.with_name("away").rename(reduced)
+    assert (answer.status_code, answer.json()["title"]) == (410, "Drive not whole")
+    assert "no longer on the disk of the service" in answer.json()["detail"]

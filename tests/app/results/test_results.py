@@ -141,6 +141,8 @@ def test_every_file_is_listed_and_can_be_read(finished: Finished) -> None:
         "a%00b",
         "figures/..",
         "link",
+        "a" * 300,
+        "a/" * 200,
     ],
 )
 def test_no_way_out_of_the_result(name: str, finished: Finished) -> None:
@@ -227,4 +229,5 @@ def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> N
     for address in ("detections", "files", "archive.zip", "keyframes/0/bev", "export.gpkg"):
         answer = finished.get(f"/jobs/shortlived/{address}")
         assert (answer.status_code, answer.json()["title"]) == (404, "Job not found")
+    assert finished.client.delete("/api/v1/trash/jobs/shortlived").status_code == 204
     assert not (finished.data_dir / "jobs/shortlived").exists()

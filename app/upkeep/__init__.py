@@ -1,0 +1,1 @@
+"""Upkeep: rows and files are compared, made anew, backed up and restored."""

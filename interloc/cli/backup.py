@@ -1,0 +1,135 @@
+"""`interloc backup` and `interloc restore`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from interloc.cli import console, options
+from interloc.cli.service import DATA_DIR, read_settings
+from interloc.errors import InterLocError
+
+_SHOWN = 5
+
+
+@click.command(short_help="Back up the web service while it runs.")
+@click.argument("out", type=click.Path(path_type=Path))
+@DATA_DIR
+@options.QUIET
+@options.JSON
+def backup(out: Path, data_dir: Path | None, quiet: bool, as_json: bool) -> None:
+    """Back up drives, jobs, results and tokens of the web service to the folder OUT, while its servers run.
+
+    Every drive is in it as it was at one moment. OUT is a new folder, or the backup of before: then only what has
+    changed is brought. A backup that was stopped goes on where it stopped. What is deleted in the service is gone from
+    OUT with the next backup.
+
+    \b
+    Example:
+      interloc backup /mnt/backup/interloc --data-dir /srv/interloc
+    """
+    settings = read_settings({"data_dir": data_dir})
+    from app.upkeep.backup import back_up, open_service
+
+    context = open_service(settings)
+    try:
+        with _resumable(), console.progress("backup", "B", quiet=quiet) as bar:
+            report = back_up(context, out, bar)
+    finally:
+        context.close()
+    record = report.record
+    if as_json:
+        counts = {
+            "brought_files": report.brought_files,
+            "brought_bytes": report.brought_bytes,
+            "removed_files": report.removed_files,
+            "longest_lock_s": round(report.longest_lock_s, 3),
+            "faults": report.faults,
+        }
+        console.say_json({"out": str(out), **record.model_dump(mode="json"), **counts})
+    elif not quiet:
+        assert record.ended_at is not None
+        seconds = (record.ended_at - record.begun_at).total_seconds()
+        brought = f"{report.brought_files:,} files, {console.size(report.brought_bytes)}"
+        removed = f"{report.removed_files:,} files that the service has no longer"
+        rows = [
+            ("backup", str(out)),
+            ("drives", f"{record.drives:,}, with {record.jobs:,} jobs"),
+            ("size", f"{record.files:,} files, {console.size(record.size_bytes)}"),
+            ("brought", brought if report.brought_files else "nothing: all was there"),
+            ("removed", removed),
+            ("time", f"{seconds:.1f} s; no drive was locked for longer than {report.longest_lock_s:.2f} s"),
+        ]
+        console.say_facts(row for row in rows if row[0] != "removed" or report.removed_files)
+    if report.faults:
+        raise InterLocError(
+            f"all that there is was backed up, but the data folder itself is not whole: {_shown(report.faults)}. "
+            "`interloc check` says what to do."
+        )
+
+
+@click.command(short_help="Restore a backup of the web service.")
+@click.argument("backup", type=click.Path(path_type=Path))
+@DATA_DIR
+@click.option("--incomplete", is_flag=True, help="Restore what there is of a backup that is not whole.")
+@options.QUIET
+@options.JSON
+def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, as_json: bool) -> None:
+    """Restore BACKUP into an empty data folder and an empty database: SQLite, or PostgreSQL by INTERLOC_DATABASE_URL.
+
+    The database need not be of the kind that the backup was made of: this is also the way from one to the other. A
+    restoration that was stopped goes on where it stopped; until it has ended, no server starts on the data folder.
+
+    \b
+    Example:
+      interloc restore /mnt/backup/interloc --data-dir /srv/interloc
+    """
+    settings = read_settings({"data_dir": data_dir})
+    from app.upkeep.restore import restore as restore_backup
+
+    with _resumable(), console.progress("restore", "B", quiet=quiet) as bar:
+        report = restore_backup(settings, backup, incomplete=incomplete, advance=bar)
+    made_at = report.record.begun_at
+    if as_json:
+        facts: dict[str, Any] = {
+            "backup": str(backup),
+            "made_at": made_at.isoformat(),
+            "data_dir": str(settings.data_dir),
+            "drives": report.drives,
+            "jobs": report.jobs,
+            "files": report.files,
+            "size_bytes": report.size_bytes,
+            "findings": [asdict(finding) for finding in report.findings],
+        }
+        console.say_json(facts)
+    elif not quiet:
+        rows = [
+            ("restored", f"the backup of {made_at:%Y-%m-%d %H:%M} UTC to {settings.data_dir}"),
+            ("drives", f"{report.drives:,}, with {report.jobs:,} jobs"),
+            ("size", f"{report.files:,} files, {console.size(report.size_bytes)}"),
+            ("check", "rows and files agree" if not report.findings else f"{len(report.findings)} findings"),
+        ]
+        console.say_facts(rows)
+    if report.findings:
+        found = _shown([f"{finding.place}: {finding.message}" for finding in report.findings])
+        raise InterLocError(
+            f"the backup was restored as it is, but that is not whole: {found} `interloc check --repair` does what is "
+            "safe."
+        )
+
+
+@contextmanager
+def _resumable() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise InterLocError("interrupted; the same command goes on where it stopped") from None
+
+
+def _shown(items: list[str]) -> str:
+    return ", ".join(items[:_SHOWN]) + (f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else "")

@@ -1,0 +1,74 @@
+"""Processes that kill themselves at an exact point, as a power cut would: between two steps that belong together."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import event
+
+from app.context import Context
+from app.drives import trash
+from app.drives.records import delete_file
+from app.drives.upload import keep
+from app.http.intake import Intake
+from app.settings import Settings
+from tests import forks
+
+
+def killed(act: Callable[..., None], data_dir: Path, *arguments: Any) -> None:
+    """Do something of this module in a process of its own, which does not survive it."""
+    process = forks.context.Process(target=act, args=(data_dir, *arguments))
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL, process.exitcode
+
+
+def put(data_dir: Path, drive_id: str, path: str, content: bytes) -> None:
+    """Receive a file; die when it has its name and its row is about to be committed."""
+    context = _open(data_dir)
+    intake = Intake(context, path, len(content))
+    intake.write(content)
+    arrival = intake.finish()
+    event.listen(context.database.engine, "commit", _die)
+    keep(context, drive_id, [arrival])
+
+
+def receive(data_dir: Path, content: bytes) -> None:
+    """Receive a file; die when it is whole, but has no name yet."""
+    intake = Intake(_open(data_dir), "velodyne/000000.bin", len(content))
+    intake.write(content)
+    intake.finish()
+    _die()
+
+
+def remove_file(data_dir: Path, drive_id: str, path: str) -> None:
+    """Delete a file; die when it is gone and that its row is too is about to be committed."""
+    context = _open(data_dir)
+    event.listen(context.database.engine, "commit", _die)
+    delete_file(context, drive_id, path)
+
+
+def purge_before_the_end(data_dir: Path, drive_id: str) -> None:
+    """Purge what is in the trash; die when the folders are renamed and that the rows are gone is to be committed."""
+    context = _open(data_dir)
+    event.listen(context.database.engine, "commit", _die)
+    trash.purge(context, "drives", drive_id)
+
+
+def purge_before_the_bytes(data_dir: Path, drive_id: str) -> None:
+    """Purge what is in the trash; die when the rows are gone and the bytes are not."""
+    context = _open(data_dir)
+    trash.remove = lambda path: path.exists() and _die()
+    trash.purge(context, "drives", drive_id)
+
+
+def _open(data_dir: Path) -> Context:
+    return Context.open(Settings(data_dir=data_dir, min_free_bytes=0))
+
+
+def _die(*_: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -1,0 +1,564 @@
+"""Backups: what is restored is what was backed up, whatever went on meanwhile, and whatever stopped it."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Self
+
+import httpx
+import pytest
+from alembic import command
+from alembic.config import Config
+from sqlalchemy import select, text
+
+from app.context import RESTORING, Context
+from app.drives.archive import queue_archive
+from app.drives.commit import begin_commit
+from app.drives.trash import empty_trash, list_trash
+from app.http.intake import Arrival
+from app.jobs import queue
+from app.schemas.drives import CommitRequest
+from app.settings import Settings
+from app.store import database as database_module
+from app.store.database import Database
+from app.store.models import Base, Drive, Job
+from app.upkeep.backup import DATABASE, RECORD, BackupRecord, BackupReport, back_up, open_service
+from app.upkeep.content import DRIVE_TABLES, SHARED_TABLES
+from app.upkeep.restore import RestoreReport, restore
+from interloc.errors import ConfigError, InterLocError, OutputError
+from tests import forks
+from tests.app.conftest import running_server
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+from tests.app.processes import API, archive_of, ended, files_below, submit, upload
+from tests.app.street import write_street
+
+SCANS = 40
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive with its map. Shared: do not change it."""
+    return write_street(tmp_path_factory.mktemp("drives") / "street", SCANS)
+
+
+@pytest.fixture(scope="module")
+def used(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Data folder of a service with a scored job, a drive that keeps its scans, and an upload. Shared."""
+    data = tmp_path_factory.mktemp("used") / "data"
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=120) as client:
+        ready = upload(client, street)
+        for osm in ({"file": "map.osm"}, None):
+            assert ended(client, submit(client, ready, osm=osm))["state"] == "successful"
+        upload(client, street, keep_raw=True)
+        begun = new_drive(client)
+        for path in ("poses.txt", "velodyne/000000.bin", "labels/000000.label"):
+            put(client, begun, path, (street / path).read_bytes())
+    return data
+
+
+@pytest.fixture
+def data(used: Path, tmp_path: Path) -> Path:
+    """A data folder like that, for one test: files by links, the database by a copy."""
+    target = tmp_path / "data"
+    shutil.copytree(used, target, copy_function=os.link)
+    for name in ("interloc.sqlite3", "installation"):
+        (target / name).unlink()
+        shutil.copy(used / name, target / name)
+    return target
+
+
+def new_drive(client: httpx.Client) -> str:
+    return str(client.post(f"{API}/drives", json={"name": "street"}).raise_for_status().json()["id"])
+
+
+def put(client: httpx.Client, drive: str, path: str, content: bytes) -> None:
+    client.put(f"{API}/drives/{drive}/files/{path}", content=content).raise_for_status()
+
+
+@contextmanager
+def service(data: Path, **settings: Any) -> Iterator[Context]:
+    """A service that exists, without a server."""
+    context = open_service(Settings(data_dir=data, min_free_bytes=0, **settings))
+    try:
+        yield context
+    finally:
+        context.close()
+
+
+def make_backup(data: Path, out: Path, **settings: Any) -> BackupReport:
+    with service(data, **settings) as context:
+        return back_up(context, out)
+
+
+def restore_to(data: Path, backup: Path, **options: Any) -> RestoreReport:
+    return restore(Settings(data_dir=data), backup, **options)
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """SHA-256 of the files that belong to drives and jobs, by their keys."""
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for kind in ("drives", "jobs")
+        for path in files_below(folder / kind)
+    }
+
+
+def rows(data: Path) -> dict[str, list[dict[str, Any]]]:
+    """All rows, but for the times at which uploads were touched last: those begin anew with a restoration."""
+    with service(data) as context, context.database.reading() as session:
+        found = {
+            table.name: [dict(row) for row in session.execute(table.select().order_by(*table.primary_key)).mappings()]
+            for table in (*DRIVE_TABLES, *SHARED_TABLES)
+        }
+    for row in found["drives"]:
+        del row["touched_at"]
+    return found
+
+
+def answers(data: Path, **settings: Any) -> dict[str, Any]:
+    """All that the API tells of drives, files, jobs and results."""
+    told: dict[str, Any] = {}
+    with running_server(data, **settings) as address, httpx.Client(base_url=address, timeout=120) as client:
+
+        def get(path: str) -> Any:
+            answer = client.get(f"{API}{path}")
+            told[path] = answer.status_code, answer.headers.get("etag"), answer.content
+            return answer.json() if answer.headers["content-type"].startswith("application/json") else None
+
+        for drive in get("/drives")["drives"]:
+            get(f"/drives/{drive['id']}")
+            for file in get(f"/drives/{drive['id']}/files")["files"]:
+                get(f"/drives/{drive['id']}/files/{file['path']}")
+        for job in get("/jobs?kind=all")["jobs"]:
+            get(f"/jobs/{job['id']}")
+            if job["kind"] == "intersections":
+                for file in get(f"/jobs/{job['id']}/files")["files"]:
+                    get(f"/jobs/{job['id']}/files/{file['name']}")
+    return {path: without_expiry(*answer) for path, answer in told.items()}
+
+
+def without_expiry(status: int, etag: str | None, content: bytes) -> tuple[int, str | None, bytes]:
+    """An answer without the time at which an upload expires: that begins anew with a restoration."""
+    if b'"expires_at"' not in content:
+        return status, etag, content
+    told = json.loads(content)
+    for drive in told.get("drives", [told]):
+        drive["expires_at"] = None
+    return status, None, json.dumps(told).encode()
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_a_restored_service_answers_as_before(
+    kind: str, request: pytest.FixtureRequest, data: Path, tmp_path: Path
+) -> None:
+    """Also where the backup is of SQLite and the restored service uses PostgreSQL."""
+    settings = {} if kind == "sqlite" else {"database_url": request.getfixturevalue("postgres_url")}
+    report = make_backup(data, tmp_path / "backup")
+    assert report.faults == []
+    assert (report.record.complete, report.record.drives) == (True, 3)
+    restored = restore(Settings(data_dir=tmp_path / "restored", **settings), tmp_path / "backup")
+    assert (restored.drives, restored.findings) == (3, [])
+    assert not (tmp_path / "restored" / RESTORING).exists()
+    assert (tmp_path / "restored/installation").read_text() == (data / "installation").read_text()
+    before = answers(data)
+    assert answers(tmp_path / "restored", **settings) == before
+    assert sum(path.startswith("/jobs/") and "/files/" in path for path in before) > 10
+    again = make_backup(tmp_path / "restored", tmp_path / "backup", **settings)  # of the same installation
+    assert (again.brought_files, again.removed_files) == (0, 0)
+
+
+def test_every_table_is_backed_up() -> None:
+    assert set(Base.metadata.tables.values()) == {*DRIVE_TABLES, *SHARED_TABLES}
+
+
+def test_the_next_backup_brings_what_has_changed(data: Path, street: Path, tmp_path: Path) -> None:
+    out = tmp_path / "backup"
+    first = make_backup(data, out)
+    assert first.brought_files == first.record.files == len(contents(out))
+    second = make_backup(data, out)
+    assert (second.brought_files, second.removed_files, second.record.files) == (0, 0, first.record.files)
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=120) as client:
+        by_state = {drive["state"]: drive["id"] for drive in client.get(f"{API}/drives").json()["drives"]}
+        begun = by_state["uploading"]
+        put(client, begun, "poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n")  # replaced
+        put(client, begun, "velodyne/000001.bin", b"new")
+        client.delete(f"{API}/drives/{begun}/files/labels/000000.label").raise_for_status()
+        put(client, begun, "labels", b"a file where a folder was")
+    third = make_backup(data, out)
+    assert (third.brought_files, third.removed_files) == (3, 0)  # the folder made way for the file
+    assert contents(out) == contents(out) | {
+        f"drives/{begun}/files/{path}": hashlib.sha256(content).hexdigest()
+        for path, content in (("velodyne/000001.bin", b"new"), ("labels", b"a file where a folder was"))
+    }
+    with service(data) as context, context.database.writing() as session:
+        session.delete(session.get_one(Drive, begun))
+    fourth = make_backup(data, out)
+    assert (fourth.brought_files, fourth.removed_files) == (0, 5)  # its row as a file, too
+    assert not (out / "drives" / begun).exists()
+    restore_to(tmp_path / "restored", out)
+    assert contents(tmp_path / "restored") == contents(out)
+
+
+def test_backups_on_another_disk_are_copies(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, out = os.link, tmp_path / "backup"
+
+    def link(source: Path, target: Path) -> None:
+        if Path(target).is_relative_to(out):
+            raise OSError(errno.EXDEV, "Invalid cross-device link")
+        real(source, target)
+
+    monkeypatch.setattr(os, "link", link)
+    first = make_backup(data, out)
+    assert first.brought_files == first.record.files
+    assert all(path.stat().st_nlink == 1 for path in files_below(out / "drives"))
+    assert not (out / "partial").exists()
+    assert make_backup(data, out).brought_files == 1  # the first one finds out that there are no links
+    restore_to(tmp_path / "restored", out)
+    assert contents(tmp_path / "restored") == contents(out)
+
+
+def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path, street: Path, tmp_path: Path) -> None:
+    out = tmp_path / "backup"
+    make_backup(data, out)
+    before = contents(out)
+    assert all(path.stat().st_nlink > 1 for path in files_below(out / "drives"))
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=120) as client:
+        for drive in client.get(f"{API}/drives").json()["drives"]:
+            put(client, drive["id"], "map.osm", b"another map")  # a file that the service replaces
+            client.delete(f"{API}/drives/{drive['id']}").raise_for_status()
+    assert contents(out) == before
+
+
+def test_what_was_going_on_goes_on_where_it_is_restored(street: Path, tmp_path: Path) -> None:
+    """A commit, an unpacking and a job, each leased to a server that is lost with the machine."""
+    data, out = tmp_path / "data", tmp_path / "backup"
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=120) as client:
+        ready = upload(client, street)
+        request = ended(client, submit(client, ready, osm={"file": "map.osm"}))["request"]
+        checking, unpacking = new_drive(client), new_drive(client)
+        archive = f"{API}/drives/{checking}/archive"
+        client.post(archive, content=archive_of(street), headers={"Prefer": "wait=60"}).raise_for_status()
+    with service(data) as context:
+        begin_commit(context, checking, "me", CommitRequest())
+        packed = context.storage.incoming() / "packed"
+        packed.write_bytes(archive_of(street))
+        queue_archive(context, unpacking, "me", Arrival("archive", packed, packed.stat().st_size, ""))
+        with context.database.writing() as session:
+            queue.submit(
+                session, context.database, kind="intersections", drive_id=ready, owner="me", request=request, key="k"
+            )
+        held = queue.JobQueue(context.database, 3600.0)
+        assert {claim.job.kind for _ in range(3) if (claim := held.claim())} == {"commit", "unpack", "intersections"}
+        assert back_up(context, out).faults == []
+    restore_to(tmp_path / "restored", out)
+    with service(tmp_path / "restored") as context, context.database.reading() as session:
+        rows = session.scalars(select(Job).where(Job.owner == "me")).all()
+        assert [(row.state, row.lease_owner, row.attempts) for row in rows] == [("accepted", None, 0)] * 3
+    with running_server(tmp_path / "restored") as address, httpx.Client(base_url=address, timeout=120) as client:
+        for row in rows:
+            assert ended(client, row.id)["state"] == "successful"
+            if row.kind == "intersections":
+                assert client.get(f"{API}/jobs/{row.id}/report").status_code == 200
+        assert client.get(f"{API}/drives/{checking}").json()["state"] == "ready"
+        listed = client.get(f"{API}/drives/{unpacking}/files", params={"limit": 1000}).json()["files"]
+        assert len(listed) == len(files_below(street))
+
+
+class Load:
+    """Clients that upload, commit and start jobs, and note what was acknowledged."""
+
+    def __init__(self, address: str, street: Path) -> None:
+        self._address = address
+        self._files = {path.relative_to(street).as_posix(): path.read_bytes() for path in files_below(street)}
+        self._acknowledged: dict[str, dict[str, str]] = {}
+        self._stop = threading.Event()
+        self._errors: list[httpx.HTTPError] = []
+        self._threads = [threading.Thread(target=self._work) for _ in range(3)]
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        assert not self._errors, self._errors
+
+    def wait_for(self, files: int) -> dict[str, dict[str, str]]:
+        """Wait until so many files were acknowledged; returns the SHA-256 of all by drive and path."""
+        while sum(map(len, self._acknowledged.copy().values())) < files:
+            assert not self._errors, self._errors
+        return {drive: dict(paths) for drive, paths in self._acknowledged.copy().items()}
+
+    def _work(self) -> None:
+        try:
+            with httpx.Client(base_url=self._address, timeout=120) as client:
+                while not self._stop.is_set():
+                    self._send_drive(client)
+        except httpx.HTTPError as error:
+            self._errors.append(error)
+
+    def _send_drive(self, client: httpx.Client) -> None:
+        drive = new_drive(client)
+        for path, content in self._files.items():
+            if self._stop.is_set():
+                return
+            put(client, drive, path, content)
+            self._acknowledged.setdefault(drive, {})[path] = hashlib.sha256(content).hexdigest()
+        client.post(f"{API}/drives/{drive}/commit", headers={"Prefer": "wait=60"}).raise_for_status()
+        submit(client, drive, osm={"file": "map.osm"})
+
+
+def test_backups_under_load_hold_all_that_was_acknowledged_before(street: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    known = []
+    with running_server(data) as address, Load(address, street) as load:
+        for number in range(3):
+            known.append(load.wait_for(100 * (number + 1)))
+            assert make_backup(data, tmp_path / f"backup{number}").faults == []
+    files = DRIVE_TABLES[1].c
+    for number, acknowledged in enumerate(known):
+        restored = tmp_path / f"restored{number}"
+        restore_to(restored, tmp_path / f"backup{number}")
+        found = contents(restored)
+        with service(restored) as context, context.database.reading() as session:
+            for drive, paths in acknowledged.items():
+                rows = session.execute(select(files.path, files.sha256).where(files.drive_id == drive))
+                assert paths.items() <= {row.path: row.sha256 for row in rows}.items()
+                if session.get_one(Drive, drive).state == "uploading":
+                    assert {path: found[f"drives/{drive}/files/{path}"] for path in paths} == paths
+
+
+def die_in_backup(data: Path, out: Path, calls: int) -> None:
+    counted = itertools.count(1)
+    with service(data) as context:
+        back_up(context, out, lambda *_: os._exit(9) if next(counted) == calls else None)
+
+
+def die_in_restoration(data: Path, backup: Path, calls: int) -> None:
+    counted = itertools.count(1)
+    restore(Settings(data_dir=data), backup, advance=lambda *_: os._exit(9) if next(counted) == calls else None)
+
+
+def killed(target: Callable[..., None], *arguments: Any) -> None:
+    process = forks.context.Process(target=target, args=arguments)
+    process.start()
+    process.join()
+    assert process.exitcode == 9
+
+
+@pytest.mark.parametrize("calls", [1, 150])
+def test_a_killed_backup_looks_incomplete_and_goes_on(data: Path, tmp_path: Path, calls: int) -> None:
+    out, restored = tmp_path / "backup", tmp_path / "restored"
+    killed(die_in_backup, data, out, calls)
+    record = BackupRecord.read(out)
+    assert record is not None
+    assert not record.complete
+    with pytest.raises(ConfigError, match=r"was not made to its end.*--incomplete"):
+        restore_to(restored, out)
+    assert not restored.exists()
+    partly = restore_to(restored, out, incomplete=True)
+    assert partly.findings == []
+    assert partly.drives < 3
+    assert contents(restored).items() <= contents(data).items()
+    report = make_backup(data, out)
+    assert report.record.complete
+    assert report.brought_files < report.record.files
+    restore_to(tmp_path / "whole", out)
+    make_backup(data, tmp_path / "fresh")
+    assert contents(out) == contents(tmp_path / "fresh") == contents(tmp_path / "whole")
+
+
+def test_a_killed_restoration_goes_on(data: Path, tmp_path: Path) -> None:
+    out, restored = tmp_path / "backup", tmp_path / "restored"
+    make_backup(data, out)
+    killed(die_in_restoration, restored, out, 1)  # in its first drive
+    killed(die_in_restoration, restored, out, 150)  # in a later one
+    with pytest.raises(ConfigError, match="a backup is being restored into the data folder"):
+        Context.open(Settings(data_dir=restored))
+    with pytest.raises(ConfigError, match="there is no data folder"):
+        make_backup(tmp_path / "elsewhere", tmp_path / "other")
+    report = restore_to(restored, out)
+    assert report.drives == 3
+    assert report.findings == []
+    assert report.files < len(contents(out))
+    assert contents(restored) == contents(out)
+    assert rows(restored) == rows(data)
+
+
+def test_a_killed_restoration_of_another_backup_is_left_alone(data: Path, tmp_path: Path) -> None:
+    out, restored = tmp_path / "backup", tmp_path / "restored"
+    make_backup(data, out)
+    killed(die_in_restoration, restored, out, 60)
+    make_backup(data, tmp_path / "later")
+    with pytest.raises(ConfigError, match="the beginning of another restoration"):
+        restore_to(restored, tmp_path / "later")
+
+
+def test_places_where_no_backup_can_be(data: Path, used: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="lies in the data folder"):
+        make_backup(data, data / "backup")
+    with pytest.raises(ConfigError, match="holds the data folder"):
+        make_backup(data, tmp_path)
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(ConfigError, match="is a file"):
+        make_backup(data, tmp_path / "file")
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos/cat.jpg").write_bytes(b"cat")
+    with pytest.raises(ConfigError, match=r"holds cat\.jpg and no backup\.json, so it is not a backup"):
+        make_backup(data, tmp_path / "photos")
+    assert [path.name for path in (tmp_path / "photos").iterdir()] == ["cat.jpg"]
+    Context.open(Settings(data_dir=tmp_path / "other")).close()
+    make_backup(tmp_path / "other", tmp_path / "backup")
+    before = (tmp_path / "backup" / RECORD).read_bytes()
+    with pytest.raises(ConfigError, match="is the backup of another service"):
+        make_backup(data, tmp_path / "backup")
+    assert (tmp_path / "backup" / RECORD).read_bytes() == before
+    (tmp_path / "backup" / RECORD).write_text('{"format": 2}')
+    with pytest.raises(InterLocError, match="damaged, or written by a newer version"):
+        make_backup(tmp_path / "other", tmp_path / "backup")
+
+
+def test_a_folder_without_its_database_is_no_service(data: Path, tmp_path: Path) -> None:
+    (data / "interloc.sqlite3").unlink()
+    with pytest.raises(ConfigError, match=r"has no database interloc\.sqlite3"):
+        make_backup(data, tmp_path / "backup")
+
+
+def test_places_where_no_backup_is_restored(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "backup"
+    with pytest.raises(ConfigError, match=r"is not a backup: it has no backup\.json"):
+        restore_to(tmp_path / "restored", tmp_path)
+    make_backup(data, out)
+    with pytest.raises(ConfigError, match=r"is not empty: it holds drives, .*an empty data folder only"):
+        restore_to(data, out)
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(ConfigError, match="is a file"):
+        restore_to(tmp_path / "file", out)
+    elsewhere = f"sqlite:///{data / 'interloc.sqlite3'}"
+    with pytest.raises(ConfigError, match=r"is not empty: it holds 3 drives, \d+ jobs\."):
+        restore(Settings(data_dir=tmp_path / "restored", database_url=elsewhere), out)
+    assert list((tmp_path / "restored").iterdir()) == []
+    restore_to(tmp_path / "restored", out)  # into the folder that is empty still
+
+
+def test_a_damaged_backup_is_restored_on_request_only(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "backup"
+    make_backup(data, out)
+    lost = next(path for path in files_below(out / "drives") if path.name == "000000.bin")
+    key = lost.relative_to(out).as_posix()
+    lost.unlink()
+    with pytest.raises(ConfigError, match=rf"is not whole: {key} is not there\. .*--incomplete"):
+        restore_to(tmp_path / "restored", out)
+    assert not (tmp_path / "restored").exists()
+    report = restore_to(tmp_path / "restored", out, incomplete=True)
+    assert report.drives == 3
+    assert [(finding.kind, finding.place) for finding in report.findings] == [("file-missing", key)]
+    assert contents(tmp_path / "restored") == contents(out)
+    assert make_backup(data, out).brought_files == 1
+    (out / DATABASE).unlink()
+    with pytest.raises(ConfigError, match=r"has no backup\.sqlite3"):
+        restore_to(tmp_path / "again", out)
+
+
+def test_a_data_folder_that_is_not_whole_is_backed_up_as_it_is(data: Path, used: Path, tmp_path: Path) -> None:
+    gone, cut = (path for path in files_below(data / "drives") if path.name in {"000001.bin", "000002.bin"})
+    gone.unlink()
+    cut.unlink()
+    cut.write_bytes(b"cut off")
+    report = make_backup(data, tmp_path / "backup")
+    assert report.record.complete
+    size = (used / cut.relative_to(data)).stat().st_size
+    assert set(report.faults) == {
+        f"{gone.relative_to(data).as_posix()} is not there",
+        f"{cut.relative_to(data).as_posix()} has 7 bytes, not {size:,} as listed",
+    }
+
+
+def test_the_backup_of_an_earlier_version_is_restored(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "backup"
+    make_backup(data, out)
+    database = Database(f"sqlite:///{out / DATABASE}")
+    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        config = Config()
+        config.set_main_option("script_location", str(Path(database_module.__file__).parent / "migrations"))
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0001")
+    database.close()
+    before = (out / DATABASE).read_bytes()
+    restored = restore_to(tmp_path / "restored", out)
+    assert (restored.drives, restored.findings) == (3, [])
+    assert contents(tmp_path / "restored") == contents(out)
+    assert (out / DATABASE).read_bytes() == before
+
+
+def test_the_backup_of_a_later_version_is_left_alone(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "backup"
+    make_backup(data, out)
+    database = Database(f"sqlite:///{out / DATABASE}")
+    with database.writing() as session:
+        session.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    database.close()
+    with pytest.raises(InterLocError, match=r"backup\.sqlite3, written by InterLoc .* made by a newer version"):
+        restore_to(tmp_path / "restored", out)
+    assert not (tmp_path / "restored").exists()
+
+
+def test_the_time_in_the_trash_begins_anew(data: Path, tmp_path: Path) -> None:
+    """A backup is often restored for the sake of what was deleted by mistake."""
+    with service(data, trash_h=1) as context:
+        with context.database.writing() as session:
+            (drive,) = session.scalars(select(Drive).where(Drive.state == "uploading"))
+            drive.deleted_at = context.database.clock(session) - timedelta(days=30).total_seconds()
+        back_up(context, tmp_path / "backup")
+    restore_to(tmp_path / "restored", tmp_path / "backup")
+    with service(tmp_path / "restored", trash_h=1) as context:
+        assert empty_trash(context, older_than_s=3600) == []
+        assert [item.id for item in list_trash(context, None, 10).items] == [drive.id]
+
+
+def test_old_uploads_do_not_expire_when_they_are_restored(data: Path, tmp_path: Path) -> None:
+    with service(data) as context, context.database.writing() as session:
+        (drive,) = session.scalars(select(Drive).where(Drive.state == "uploading"))
+        drive.touched_at -= timedelta(days=400).total_seconds()
+    make_backup(data, tmp_path / "backup")
+    restore_to(tmp_path / "restored", tmp_path / "backup")
+    with service(tmp_path / "restored") as context, context.database.reading() as session:
+        age = context.database.clock(session) - session.get_one(Drive, drive.id).touched_at
+    assert age < timedelta(days=1).total_seconds()
+
+
+def test_a_full_disk_is_named_and_the_backup_goes_on_elsewhere(data: Path, tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=4m", "none", disk], capture_output=True, text=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"no small disk can be mounted: {mounted.stderr.strip()}")
+    try:
+        with pytest.raises(OutputError, match=r"no space left on device.*The backup is not complete") as failure:
+            make_backup(data, disk / "backup")
+        assert str(disk) in str(failure.value)
+        record = BackupRecord.read(disk / "backup")
+        assert record is not None
+        assert not record.complete
+        subprocess.run(["mount", "-o", "remount,size=64m", disk], check=True)
+        assert make_backup(data, disk / "backup").record.complete
+        restore_to(tmp_path / "restored", disk / "backup")
+        assert contents(tmp_path / "restored") == contents(disk / "backup")
+    finally:
+        subprocess.run(["umount", "-l", disk], check=True)

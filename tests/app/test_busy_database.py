@@ -1,0 +1,107 @@
+"""Somebody else holds the lock of the database: requests are given up soon, and all that only reads goes on."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import psycopg
+import pytest
+from sqlalchemy.exc import OperationalError
+
+from app.store.database import Database, DatabaseBusyError
+from app.store.models import Drive
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+
+Serve = Callable[..., httpx.Client]
+WRITERS = 70  # more than there are threads
+
+
+@contextmanager
+def sqlite_held(path: Path) -> Iterator[None]:
+    """Hold the write lock, as another process does."""
+    link = sqlite3.connect(path, isolation_level=None)
+    link.execute("BEGIN EXCLUSIVE")
+    try:
+        yield
+    finally:
+        link.execute("ROLLBACK")
+        link.close()
+
+
+@contextmanager
+def postgres_held(url: str) -> Iterator[None]:
+    """Hold a lock on the drives that readers do not mind."""
+    with psycopg.connect(url.replace("+psycopg", "")) as link:
+        link.execute("LOCK TABLE drives IN EXCLUSIVE MODE")
+        yield
+        link.rollback()
+
+
+@pytest.mark.parametrize("backend", ["sqlite", "postgresql"])
+def test_writers_are_given_up_and_readers_go_on(
+    serve: Serve, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: str
+) -> None:
+    monkeypatch.setattr("app.store.database.PATIENCE_S", 2.0)
+    monkeypatch.setattr("app.store.database._STUCK_S", 0.2)
+    monkeypatch.setattr("app.store.database._PROBE_S", 0.5)
+    monkeypatch.setattr("app.routes.system._BELIEVED_S", 0.0)
+    url = request.getfixturevalue("postgres_url") if backend == "postgresql" else None
+    client = serve(tmp_path / "data", database_url=url)
+    drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]
+    assert client.get("/readyz").status_code == 200
+    address = f"/api/v1/drives/{drive}/files/poses.txt"
+    held = postgres_held(url) if url else sqlite_held(tmp_path / "data/interloc.sqlite3")
+    with ThreadPoolExecutor(WRITERS) as pool:
+        with held:
+            begun = time.monotonic()
+            answers = [pool.submit(client.put, address, content=b"1") for _ in range(WRITERS)]
+            time.sleep(0.5)  # for all of them to wait
+            for path in ("/healthz", "/api/v1/drives", f"/api/v1/drives/{drive}/files", "/config.json"):
+                assert client.get(path).status_code == 200
+            assert not all(answer.done() for answer in answers)  # that was while some waited
+            ready = client.get("/readyz")
+            assert ready.status_code == 503
+            assert "nothing can be written" in ready.json()["reasons"]["database"]
+            for answer in answers:
+                assert answer.result().status_code == 503
+                assert answer.result().headers["retry-after"] == "5"
+                assert answer.result().json()["title"] == "Database busy"
+            assert time.monotonic() - begun < 60  # not one after the other
+        assert client.put(address, content=b"1").status_code == 201
+    assert client.get("/readyz").json() == {"ready": True, "reasons": {}}
+    figures = client.get("/metrics").text
+    assert f"interloc_database_busy_total {float(WRITERS)}" in figures
+
+
+def test_work_in_the_background_waits_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.store.database.PATIENCE_S", 0.1)
+    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
+    database.upgrade()
+    with ThreadPoolExecutor(1) as pool:
+        with sqlite_held(tmp_path / "db.sqlite3"):
+            patient = pool.submit(add_drive, database, patient=True)
+            with pytest.raises((DatabaseBusyError, OperationalError)):
+                add_drive(database, patient=False)
+            assert not patient.done()
+        patient.result()
+    database.close()
+
+
+def add_drive(database: Database, *, patient: bool) -> None:
+    with database.writing(patient=patient) as session:
+        session.add(Drive(name="a", owner="me", created_at=1.0, touched_at=1.0))
+
+
+def test_the_probe_writes_nothing(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
+    database.upgrade()
+    before = (tmp_path / "db.sqlite3-wal").read_bytes()
+    database.check_writable()
+    assert (tmp_path / "db.sqlite3-wal").read_bytes() == before
+    database.close()

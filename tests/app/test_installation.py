@@ -1,0 +1,281 @@
+"""Database and data folder belong together, or nothing starts; and nothing is changed by a start that is refused."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from alembic import command
+from alembic.config import Config
+from sqlalchemy import inspect, select, text
+
+from app.context import Context, open_database
+from app.drives.cleanup import sweep
+from app.drives.records import create_drive
+from app.drives.upload import keep
+from app.http.intake import Intake
+from app.schemas.drives import NewDrive
+from app.settings import Settings
+from app.store import database as database_module
+from app.store.database import Database
+from app.store.installation import InstallationError, id_of_database, id_of_folder
+from app.store.models import Drive, Installation
+from interloc.cli.main import run
+from tests import forks
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+from tests.app.test_cleanup import make_old
+
+
+def settings(data: Path, url: str | None = None) -> Settings:
+    return Settings(data_dir=data, database_url=url, min_free_bytes=0)
+
+
+def sqlite(path: Path) -> str:
+    return f"sqlite:///{path}"
+
+
+def fill(data: Path, url: str | None = None) -> str:
+    """Make a service that holds a drive with a file; returns the id of the drive."""
+    context = Context.open(settings(data, url))
+    drive = create_drive(context, "somebody", NewDrive(name="town")).id
+    intake = Intake(context, "velodyne/000000.bin", 100)
+    intake.write(b"scan")
+    keep(context, drive, [intake.finish()])
+    context.close()
+    return drive
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All files of a folder, but those of its database."""
+    files = [path for path in folder.rglob("*") if path.is_file() and ".sqlite3" not in path.name]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def refuse(data: Path, url: str | None = None) -> str:
+    """Try to start on a folder; returns why that is refused. Nothing has changed then."""
+    before = contents(data)
+    with pytest.raises(InstallationError) as refusal:
+        open_database(settings(data, url))
+    assert contents(data) == before
+    message = str(refusal.value)
+    assert "Nothing was changed" in message
+    assert "interloc adopt" in message
+    assert "interloc restore" in message
+    assert str(data.resolve()) in message
+    assert "\n" not in message
+    return message
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def elsewhere(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """The address of an empty database outside of the data folder."""
+    if request.param == "postgresql":
+        address: str = request.getfixturevalue("postgres_url")
+        return address
+    return sqlite(tmp_path / "elsewhere.sqlite3")
+
+
+def test_a_service_that_is_new_gets_an_id_and_opens_again(tmp_path: Path, elsewhere: str) -> None:
+    for _ in range(2):
+        database = open_database(settings(tmp_path / "data", elsewhere))
+        with database.reading() as session:
+            assert id_of_database(session) == id_of_folder(tmp_path / "data")
+        database.close()
+
+
+def test_another_database_is_refused(tmp_path: Path, elsewhere: str) -> None:
+    """Moved to PostgreSQL by setting its address, or a typo in the address."""
+    drive = fill(tmp_path / "data")
+    message = refuse(tmp_path / "data", elsewhere)
+    assert f"belongs to installation {id_of_folder(tmp_path / 'data')} (folders of 1 drives and 0 jobs)" in message
+    assert "INTERLOC_DATABASE_URL was changed or mistyped" in message
+    assert "elsewhere.sqlite3" in message or "postgresql" in message
+    database = Database(elsewhere)
+    assert inspect(database.engine).get_table_names() == []  # not even tables were made
+    database.close()
+    context = Context.open(settings(tmp_path / "data"))  # set back: all is there
+    with context.database.reading() as session:
+        assert session.get(Drive, drive) is not None
+    context.close()
+
+
+def test_a_database_file_that_was_removed_is_not_made_anew(tmp_path: Path) -> None:
+    """Corrupt, as an operator finds it, and taken away."""
+    fill(tmp_path / "data")
+    for path in (tmp_path / "data").glob("interloc.sqlite3*"):
+        path.unlink()
+    for _ in range(2):  # the second start finds the empty file that the first one has made
+        assert "the database was lost" in refuse(tmp_path / "data")
+
+
+def test_a_volume_that_is_not_mounted_is_noticed(tmp_path: Path, elsewhere: str) -> None:
+    fill(tmp_path / "data", elsewhere)
+    shutil.move(tmp_path / "data", tmp_path / "volume")
+    message = refuse(tmp_path / "data", elsewhere)
+    assert "(1 drives and 0 jobs)" in message
+    assert "is not mounted" in message
+    assert "geheim" not in message
+    shutil.rmtree(tmp_path / "data")
+    shutil.move(tmp_path / "volume", tmp_path / "data")
+    open_database(settings(tmp_path / "data", elsewhere)).close()
+
+
+def test_two_services_cannot_have_one_folder(tmp_path: Path, elsewhere: str) -> None:
+    fill(tmp_path / "one")
+    fill(tmp_path / "two", elsewhere)
+    ids = id_of_folder(tmp_path / "one"), id_of_folder(tmp_path / "two")
+    message = refuse(tmp_path / "one", elsewhere)
+    assert all(str(id_) in message for id_ in ids)
+    assert "that of another service" in message
+
+
+def test_an_older_database_of_the_same_service_removes_nothing(tmp_path: Path) -> None:
+    """A restored backup: what came after it has no rows, and is set aside whole."""
+    data = tmp_path / "data"
+    first = fill(data)
+    backup = tmp_path / "backup.sqlite3"
+    with sqlite3.connect(data / "interloc.sqlite3") as source, sqlite3.connect(backup) as target:
+        source.backup(target)
+    source.close()
+    target.close()
+    second = fill(data)
+    for path in data.glob("interloc.sqlite3*"):
+        path.unlink()
+    backup.rename(data / "interloc.sqlite3")
+    context = Context.open(settings(data))
+    before = {path.name: path.read_bytes() for path in data.rglob("*.bin")}
+    assert sweep(context)["lost"] == 0  # young: perhaps somebody is at work on it
+    os.utime(data / "drives" / second, (0, 0))
+    assert sweep(context)["lost"] == 1
+    context.close()
+    assert {path.name: path.read_bytes() for path in data.rglob("*.bin")} == before
+    assert (data / "drives" / first / "files/velodyne/000000.bin").is_file()
+    assert (data / "lost+found/drives" / second / "files/velodyne/000000.bin").is_file()
+
+
+def test_a_copy_of_a_service_opens_with_its_copy_of_the_database(tmp_path: Path) -> None:
+    drive = fill(tmp_path / "data")
+    shutil.copytree(tmp_path / "data", tmp_path / "copy")
+    context = Context.open(settings(tmp_path / "copy"))
+    sweep(context)
+    with context.database.reading() as session:
+        assert session.get(Drive, drive) is not None
+    context.close()
+    assert (tmp_path / "copy/drives" / drive / "files/velodyne/000000.bin").is_file()
+
+
+def older_version(data: Path, url: str | None = None) -> str:
+    """Make a service as versions left it that knew no ids; returns the id of its drive."""
+    drive = fill(data, url)
+    database = Database(settings(data, url).sqlalchemy_url)
+    config = Config()
+    config.set_main_option("script_location", str(Path(database_module.__file__).parent / "migrations"))
+    with database.engine.connect().execution_options(writes=True) as connection, connection.begin():
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0001")
+    database.close()
+    (data / "installation").unlink()
+    return drive
+
+
+def test_a_service_of_an_older_version_is_bound(tmp_path: Path, elsewhere: str) -> None:
+    drive = older_version(tmp_path / "data", elsewhere)
+    database = open_database(settings(tmp_path / "data", elsewhere))
+    with database.reading() as session:
+        assert session.get(Drive, drive) is not None
+        assert id_of_database(session) == id_of_folder(tmp_path / "data")
+    database.close()
+
+
+def test_a_folder_of_an_older_version_with_a_new_database_is_refused(tmp_path: Path, elsewhere: str) -> None:
+    older_version(tmp_path / "data")
+    assert "comes from a version without ids" in refuse(tmp_path / "data", elsewhere)
+
+
+def test_a_database_of_an_older_version_with_an_empty_folder_is_refused(tmp_path: Path, elsewhere: str) -> None:
+    older_version(tmp_path / "data", elsewhere)
+    (tmp_path / "empty").mkdir()
+    assert "is not mounted" in refuse(tmp_path / "empty", elsewhere)
+    database = Database(elsewhere)
+    with database.reading() as session:
+        assert session.scalar(text("SELECT version_num FROM alembic_version")) == "0001"  # not brought up to date
+    database.close()
+
+
+def test_databases_that_hold_other_drives_are_refused(tmp_path: Path, elsewhere: str) -> None:
+    """Both of an older version, and of different services."""
+    older_version(tmp_path / "one")
+    older_version(tmp_path / "two", elsewhere)
+    assert "comes from a version without ids" in refuse(tmp_path / "one", elsewhere)
+
+
+def test_a_first_start_that_was_cut_short_is_done_again(tmp_path: Path, elsewhere: str) -> None:
+    database = open_database(settings(tmp_path / "data", elsewhere))
+    with database.reading() as session:
+        made = id_of_database(session)
+    database.close()
+    (tmp_path / "data/installation").unlink()
+    open_database(settings(tmp_path / "data", elsewhere)).close()
+    assert id_of_folder(tmp_path / "data") == made
+
+
+def test_servers_that_start_together_agree(tmp_path: Path, elsewhere: str) -> None:
+    def start(_: int) -> str:
+        database = open_database(settings(tmp_path / "data", elsewhere))
+        with database.reading() as session:
+            (found,) = session.scalars(select(Installation.id)).all()
+        database.close()
+        return found
+
+    with ThreadPoolExecutor(6) as pool:
+        assert {*pool.map(start, range(12))} == {id_of_folder(tmp_path / "data")}
+
+
+def starts(data: Path, url: str) -> bool:
+    """Try to start; return whether that is possible."""
+    try:
+        open_database(settings(data, url)).close()
+    except InstallationError:
+        return False
+    return True
+
+
+def test_services_that_start_together_on_one_folder_do_not_both_get_it(tmp_path: Path) -> None:
+    urls = [sqlite(tmp_path / f"{number}.sqlite3") for number in range(6)]
+    with ProcessPoolExecutor(3, mp_context=forks.context) as pool:  # Alembic has one state for a process
+        assert sum(pool.map(starts, [tmp_path / "data"] * 6, urls)) == 1
+
+
+def test_a_file_that_is_no_id_is_named(tmp_path: Path) -> None:
+    fill(tmp_path / "data")
+    (tmp_path / "data/installation").write_text("nonsense\n")
+    with pytest.raises(InstallationError, match=r"installation: its first line is 'nonsense'"):
+        open_database(settings(tmp_path / "data"))
+
+
+def test_no_clean_up_where_the_volume_has_gone_meanwhile(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    context = Context.open(settings(tmp_path / "data"))
+    (tmp_path / "data/installation").unlink()
+    stranger = make_old(tmp_path / "data/drives/0123456789abcdef", folder=True)
+    assert sweep(context).total() == 0
+    assert stranger.is_dir()
+    assert "no clean-up" in caplog.text
+    context.close()
+
+
+def test_the_command_line_says_it_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fill(tmp_path / "data")
+    (tmp_path / "data/interloc.sqlite3").unlink()
+    for arguments in (["token", "list"], ["trash", "list"]):
+        assert run([*arguments, "--data-dir", str(tmp_path / "data")]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("interloc: the data folder")
+        assert said.count("\n") == 1
+    out, err = tmp_path / "out", tmp_path / "err"
+    server = forks.Command(["serve", "--port", 0, "--data-dir", tmp_path / "data"], os.environ, out, err)
+    assert server.wait(60) == 2
+    assert err.read_text() == said

@@ -1,0 +1,279 @@
+"""The trash: what is deleted is absent everywhere, comes back whole, or goes for good, whatever is killed meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from sqlalchemy import update
+
+from app.context import Context
+from app.drives import trash
+from app.drives.cleanup import sweep
+from app.drives.records import create_drive
+from app.drives.upload import keep
+from app.http.intake import Intake
+from app.http.problems import Problem
+from app.schemas.drives import NewDrive
+from app.settings import Settings
+from app.store.models import Drive, Job
+from tests.app import kills
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+from tests.app.processes import Gate, ended, job_of, submit, upload, wait_until
+from tests.app.street import write_street
+
+API = "/api/v1"
+MIDDLE = 20
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_street(tmp_path_factory.mktemp("drives") / "street", 40)
+
+
+def items(client: httpx.Client, id_: str) -> list[dict[str, Any]]:
+    """What the trash says of a drive or job."""
+    found = client.get(f"{API}/trash", params={"limit": 1000}).raise_for_status().json()["items"]
+    return [item for item in found if item["id"] == id_]
+
+
+def result_of(client: httpx.Client, job: str) -> bytes:
+    return client.get(f"{API}/jobs/{job}/keyframes").raise_for_status().content
+
+
+def test_a_deleted_drive_is_absent_and_comes_back_with_its_jobs(
+    client: httpx.Client, street: Path, shared_data: Path
+) -> None:
+    drive = upload(client, street)
+    job = submit(client, drive)
+    assert ended(client, job)["state"] == "successful"
+    before = {
+        address: client.get(f"{API}{address}").json() for address in (f"/drives/{drive}", f"/drives/{drive}/files")
+    }
+    result = result_of(client, job)
+
+    assert client.delete(f"{API}/drives/{drive}").status_code == 204
+    for method, address in (
+        ("GET", f"/drives/{drive}"),
+        ("DELETE", f"/drives/{drive}"),
+        ("GET", f"/drives/{drive}/files"),
+        ("GET", f"/drives/{drive}/files/map.osm"),
+        ("GET", f"/drives/{drive}/trajectory"),
+        ("POST", f"/drives/{drive}/commit"),
+        ("PUT", f"/drives/{drive}/files/other.osm"),
+        ("GET", f"/jobs/{job}"),
+        ("GET", f"/jobs/{job}/keyframes"),
+        ("GET", f"/jobs/{job}/events"),
+        ("DELETE", f"/jobs/{job}"),
+        ("DELETE", f"/jobs/{job}?purge=true"),
+    ):
+        assert client.request(method, f"{API}{address}").status_code == 404, (method, address)
+    assert client.post(f"{API}/jobs", json={"drive_id": drive}).status_code == 404
+    assert drive not in client.get(f"{API}/drives?limit=1000").text
+    assert job not in client.get(f"{API}/jobs?kind=all&limit=1000").text
+    (item,) = items(client, drive)
+    assert (item["kind"], item["name"], item["owner"], item["deleted_by"]) == ("drives", "street", *["anonymous"] * 2)
+    assert item["size_bytes"] == before[f"/drives/{drive}"]["stored_bytes"]
+    assert item["purged_at"] > item["deleted_at"]
+    assert items(client, job) == []  # it comes and goes with its drive
+
+    assert client.post(f"{API}/trash/drives/{drive}/restore").json() == item
+    assert {address: client.get(f"{API}{address}").json() for address in before} == before
+    assert result_of(client, job) == result
+    assert items(client, drive) == []
+    assert (shared_data / f"drives/{drive}/reduced").is_dir()
+    assert client.delete(f"{API}/drives/{drive}?purge=true").status_code == 204
+    assert not list(shared_data.rglob(drive)) + list(shared_data.rglob(job))
+    assert items(client, drive) == []
+
+
+def test_jobs_of_a_deleted_drive_end(client: httpx.Client, street: Path, shared_data: Path) -> None:
+    drive = upload(client, street)
+    gate = Gate(shared_data, drive, MIDDLE)
+    running = submit(client, drive)
+    wait_until(lambda: job_of(client, running)["state"] == "running", "the job to begin")
+    assert client.delete(f"{API}/drives/{drive}").status_code == 204
+    gate.open()
+    assert client.post(f"{API}/trash/drives/{drive}/restore").status_code == 200
+    assert ended(client, running)["state"] == "dismissed"
+    assert ended(client, submit(client, drive))["state"] == "successful"
+
+
+def test_a_deleted_job_comes_back_with_its_result(client: httpx.Client, street: Path, shared_data: Path) -> None:
+    drive = upload(client, street)
+    key = {"Idempotency-Key": f"trash {drive}"}
+    job = client.post(f"{API}/jobs", json={"drive_id": drive}, headers=key).json()["id"]
+    assert ended(client, job)["state"] == "successful"
+    result = result_of(client, job)
+    assert client.delete(f"{API}/jobs/{job}?purge=true").status_code == 204
+    assert client.get(f"{API}/jobs/{job}/keyframes").status_code == 404
+    (item,) = items(client, job)
+    assert (item["kind"], item["name"]) == ("jobs", "street")
+    assert item["size_bytes"] > len(result)
+
+    again = client.post(f"{API}/jobs", json={"drive_id": drive}, headers=key)
+    assert again.status_code == 202  # the key means another job now
+    assert again.json()["id"] != job
+    assert ended(client, again.json()["id"])["state"] == "successful"
+
+    assert client.delete(f"{API}/drives/{drive}").status_code == 204
+    answer = client.post(f"{API}/trash/jobs/{job}/restore")
+    assert (answer.status_code, answer.json()["title"]) == (409, "Drive in the trash")
+    assert client.post(f"{API}/trash/drives/{drive}/restore").status_code == 200
+    assert client.get(f"{API}/jobs/{job}").status_code == 404  # it had been deleted by itself
+    assert client.post(f"{API}/trash/jobs/{job}/restore").status_code == 200
+    assert result_of(client, job) == result
+
+    assert client.delete(f"{API}/jobs/{job}?purge=true").status_code == 204
+    assert client.delete(f"{API}/trash/jobs/{job}").status_code == 204
+    assert not (shared_data / f"jobs/{job}").exists()
+    for answer in (client.delete(f"{API}/trash/jobs/{job}"), client.post(f"{API}/trash/jobs/{job}/restore")):
+        assert (answer.status_code, answer.json()["title"]) == (404, "Not in the trash")
+    assert client.get(f"{API}/drives/{drive}").status_code == 200
+
+
+def test_only_what_is_in_the_trash_is_deleted_for_good(client: httpx.Client) -> None:
+    drive = client.post(f"{API}/drives", json={"name": "alive"}).json()["id"]
+    for kind in ("drives", "jobs"):
+        assert client.delete(f"{API}/trash/{kind}/{drive}").status_code == 404
+    assert client.delete(f"{API}/trash/tokens/{drive}").status_code == 422
+    assert client.get(f"{API}/drives/{drive}").status_code == 200
+
+
+def test_the_trash_is_listed_in_pages_and_emptied(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    client = serve()
+    drives = [client.post(f"{API}/drives", json={"name": f"drive {number}"}).json()["id"] for number in range(5)]
+    for drive in drives:
+        client.put(f"{API}/drives/{drive}/files/poses.txt", content=b"1")
+        client.delete(f"{API}/drives/{drive}")
+    listed: list[str] = []
+    after: dict[str, str] = {}
+    while True:
+        page = client.get(f"{API}/trash", params={"limit": "2", **after}).json()
+        listed += [item["id"] for item in page["items"]]
+        if page["next"] is None:
+            break
+        after = {"after": page["next"]}
+    assert listed == drives[::-1]
+    assert client.get(f"{API}/trash", params={"after": "x"}).status_code == 422
+    assert "interloc_trash_bytes 5.0" in client.get("/metrics").text
+    assert client.delete(f"{API}/trash").status_code == 204
+    assert client.get(f"{API}/trash").json() == {"items": [], "next": None}
+    assert list((tmp_path / "data/drives").iterdir()) == []
+    assert 'interloc_removals_total{reason="purged"} 5.0' in client.get("/metrics").text
+
+
+def test_without_a_trash_all_is_gone_at_once(serve: Callable[..., httpx.Client], tmp_path: Path) -> None:
+    client = serve(trash_h=0)
+    drive = client.post(f"{API}/drives", json={"name": "town"}).json()["id"]
+    client.put(f"{API}/drives/{drive}/files/poses.txt", content=b"1")
+    assert client.delete(f"{API}/drives/{drive}").status_code == 204
+    assert client.get(f"{API}/trash").json()["items"] == []
+    assert not list((tmp_path / "data").rglob(drive))
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]:
+    """A service that is not running, whose trash keeps for 2 hours."""
+    address = None if request.param == "sqlite" else request.getfixturevalue("postgres_url")
+    opened = Context.open(Settings(data_dir=tmp_path / "data", database_url=address, min_free_bytes=0, trash_h=2))
+    yield opened
+    opened.close()
+
+
+def make_drive(context: Context, *, deleted_h: float | None = None) -> tuple[str, str]:
+    """Make a drive with a file and a successful job, perhaps deleted some hours ago; returns their ids."""
+    drive = create_drive(context, "somebody", NewDrive(name="town")).id
+    intake = Intake(context, "poses.txt", 10)
+    intake.write(b"1")
+    keep(context, drive, [intake.finish()])
+    with context.database.writing() as session:
+        times = {"created_at": 1.0, "finished_at": 2.0}
+        job = Job(drive_id=drive, owner="somebody", request={}, kind="intersections", state="successful", **times)
+        session.add(job)
+    result = context.storage.folder(f"jobs/{job.id}/result")
+    result.mkdir(parents=True)
+    (result / "run.json").write_bytes(b"{}")
+    if deleted_h is not None:
+        trash.delete_drive(context, drive, "somebody")
+        with context.database.writing() as session:
+            then = context.database.clock(session) - 3600 * deleted_h
+            session.execute(update(Drive).where(Drive.id == drive).values(deleted_at=then))
+    return drive, job.id
+
+
+def kept(context: Context, drive: str, job: str) -> bool:
+    """Whether a drive is whole; otherwise nothing at all may be left of it."""
+    files = [
+        context.storage.folder(f"drives/{drive}/files/poses.txt"),
+        context.storage.folder(f"jobs/{job}/result/run.json"),
+    ]
+    with context.database.reading() as session:
+        rows = [session.get(Drive, drive), session.get(Job, job)]
+    if all(path.is_file() for path in files) and all(rows):
+        return True
+    root = context.storage.root
+    assert rows == [None, None]
+    assert not [path for id_ in (drive, job) for path in root.rglob(f"*{id_}*")]
+    return False
+
+
+def test_the_trash_is_emptied_when_its_time_has_come(context: Context) -> None:
+    fresh, old, alive = (make_drive(context, deleted_h=hours) for hours in (1.9, 2.1, None))
+    assert sweep(context)["purged"] == 1
+    assert [kept(context, *each) for each in (fresh, old, alive)] == [True, False, True]
+    assert [each.id for each in trash.empty_trash(context)] == [fresh[0]]
+    assert [kept(context, *each) for each in (fresh, alive)] == [False, True]
+
+
+@pytest.mark.parametrize("act", [kills.purge_before_the_end, kills.purge_before_the_bytes])
+def test_a_purge_that_was_killed_is_completed(tmp_path: Path, act: Callable[..., None]) -> None:
+    settings = Settings(data_dir=tmp_path / "data", min_free_bytes=0)
+    context = Context.open(settings)
+    drive, other = make_drive(context, deleted_h=0), make_drive(context)
+    kills.killed(act, tmp_path / "data", drive[0])
+    assert (tmp_path / f"data/trash/drives-{drive[0]}/files/poses.txt").is_file()
+    sweep(context)
+    assert [kept(context, *each) for each in (drive, other)] == [False, True]
+    assert not list((tmp_path / "data/trash").iterdir())
+    context.close()
+
+
+def test_a_drive_whose_purge_was_killed_can_still_be_restored(tmp_path: Path) -> None:
+    context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
+    drive = make_drive(context, deleted_h=0)
+    kills.killed(kills.purge_before_the_end, tmp_path / "data", drive[0])
+    trash.restore(context, "drives", drive[0])
+    sweep(context)
+    assert kept(context, *drive)
+    context.close()
+
+
+def test_a_folder_whose_row_is_alive_is_taken_back(context: Context) -> None:
+    """As after an older database was brought back."""
+    drive, job = make_drive(context)
+    for kind, id_ in (("drives", drive), ("jobs", job)):
+        target = context.storage.folder(f"trash/{kind}-{id_}")
+        target.parent.mkdir(exist_ok=True)
+        shutil.move(context.storage.folder(f"{kind}/{id_}"), target)
+    foreign = context.storage.folder("trash/notes")
+    foreign.write_bytes(b"of the operator")
+    sweep(context)
+    assert kept(context, drive, job)
+    assert foreign.is_file()
+
+
+def test_a_job_that_has_not_ended_stays(context: Context) -> None:
+    drive, _ = make_drive(context)
+    with context.database.writing() as session:
+        job = Job(drive_id=drive, owner="somebody", request={}, kind="intersections", created_at=1.0)
+        session.add(job)
+    with pytest.raises(Problem, match="Cancel it first"):
+        trash.delete_job(context, job.id, "somebody")
+    trash.delete_drive(context, drive, "somebody")
+    with context.database.reading() as session:
+        assert session.get_one(Job, job.id).state == "dismissed"

@@ -1,0 +1,362 @@
+"""What the service survives: `make torture`.
+
+Real servers on this machine, on SQLite and on PostgreSQL, and clients that upload drives (file by file, as archives, by
+`interloc push`), commit them, have them worked on, delete them, take them out of the trash, and make backups. Three
+scenarios, each with a table at its end:
+
+- kills: `kill -9` of servers, workers, clients and backups, and of the database (SQLite: locked by somebody else;
+  PostgreSQL: connections cut, or one of its processes killed), at random moments. Every file and job that was
+  acknowledged is in a ledger. After each kill: how long until every job goes on; `interloc check` finds nothing,
+  nothing in the ledger is lost, no job is there twice, and results are, byte by byte, those of an undisturbed run.
+- ways: the natural ways in which a database and a data folder part. Nothing may be deleted.
+- backups: made under load, each restored, on the other kind of database too, checked and compared with the ledger.
+
+Runs for an hour with the default of 500 kills; `--kills`, `--minutes`, `--seed` and `--only` choose another course.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import statistics
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+import psycopg
+from sqlalchemy import select
+from sqlalchemy.exc import SQLAlchemyError
+
+from app.context import Context
+from app.settings import Settings
+from app.store.models import Job
+from app.upkeep.backup import BackupReport, back_up
+from app.upkeep.check import Finding, check
+from app.upkeep.restore import restore
+from tests import forks
+from tests.app.postgres import new_database
+from tests.app.processes import ServerProcess, files_below, kill_if_there, wait_until
+from tests.app.street import write_street
+from tests.performance.fleet import Backups, Client, Fleet, Ledger, clients, sha256, undisturbed
+
+SCANS = 40
+PAUSE_S = 3.0  # between two kills, on average: long enough for work to get on, short enough to meet every moment of it
+MENDED_S = 30.0  # time for a server, or the next backup, to remove what one that was killed has left
+
+
+def look_through(fleet: Fleet, ledger: Ledger, where: str) -> None:
+    """Write into the ledger what is not as it was acknowledged, and what `interloc check` finds and goes on finding."""
+    context = Context.open(fleet.settings())
+    try:
+        ledger.compare_files(context, ledger.snapshot(), where)
+        jobs = dict(ledger.jobs)
+        with context.database.reading() as session:
+            there = Counter(session.scalars(select(Job.drive_id).where(Job.kind == "intersections")))
+        for job, drive in jobs.items():
+            if there[drive] != 1 and job in ledger.jobs:
+                ledger.faults["lost" if not there[drive] else "double"].append(f"{where}: job {job}")
+        end = time.monotonic() + MENDED_S
+        while (found := _checked(context)) and time.monotonic() < end:  # what a running server is just mending
+            time.sleep(0.2)
+        ledger.faults["findings"] += [f"{where}: {each}" for each in found]
+        ledger.done["checks"] += 1
+    finally:
+        context.close()
+
+
+def _checked(context: Context) -> list[Finding | str]:
+    try:
+        return list(check(context))
+    except SQLAlchemyError as error:  # of a database that was just killed
+        return [f"the check itself: {error}"]
+
+
+class Killer:
+    """Kills at random moments, and measures how long it takes until all goes on."""
+
+    def __init__(self, fleet: Fleet, living: list[Client], backups: Backups, rng: random.Random) -> None:
+        self._fleet = fleet
+        self._living = living
+        self._backups = backups
+        self._rng = rng
+        self._targets: dict[str, Callable[[], bool]] = {
+            "server": self._kill_server,
+            "worker": self._kill_worker,
+            "client": self._kill_client,
+            "backup": self._kill_backup,
+            "database": self._kill_database,
+        }
+        self.recovered_s: dict[str, list[float]] = defaultdict(list)
+
+    def kill_one(self) -> str:
+        """Kill something, and wait until all goes on; returns what it was."""
+        while True:
+            time.sleep(min(self._rng.expovariate(1 / PAUSE_S), 5 * PAUSE_S))
+            (target,) = self._rng.choices(list(self._targets), weights=[4, 3, 2, 1, 2])
+            held, began = self._leases(), time.monotonic()
+            if self._targets[target]():
+                break
+        wait_until(lambda: self._goes_on(held), f"all to go on after the kill of a {target}", every_s=0.05)
+        self.recovered_s[target].append(time.monotonic() - began)
+        return target
+
+    def _kill_server(self) -> bool:
+        number = self._rng.randrange(len(self._fleet.servers))
+        self._fleet.servers[number].kill()
+        time.sleep(self._rng.choice([0, 0, 1.0]))
+        self._fleet.restart(number)
+        return True
+
+    def _kill_worker(self) -> bool:
+        workers = [worker for server in self._fleet.servers for worker in server.workers()]
+        if workers:
+            kill_if_there(self._rng.choice(workers))
+        return bool(workers)
+
+    def _kill_client(self) -> bool:
+        pushes = [client.process for client in self._living if client.process and client.process.poll() is None]
+        if pushes:
+            self._rng.choice(pushes).kill()
+        return bool(pushes)
+
+    def _kill_backup(self) -> bool:
+        return self._backups.kill()
+
+    def _kill_database(self) -> bool:
+        url = self._fleet.database_url
+        if url is None:
+            lock = sqlite3.connect(self._fleet.data / "interloc.sqlite3", timeout=30, isolation_level=None)
+            lock.execute("BEGIN EXCLUSIVE")
+            time.sleep(self._rng.uniform(0.1, 3.0))
+            lock.close()
+            return True
+        with psycopg.connect(url.replace("+psycopg", ""), autocommit=True) as connection:
+            others = "FROM pg_stat_activity WHERE datname = current_database() AND pid <> pg_backend_pid()"
+            if self._rng.random() < 0.5:
+                connection.execute(f"SELECT pg_terminate_backend(pid) {others}")
+                return True
+            pids = [row[0] for row in connection.execute(f"SELECT pid {others}")]
+        with suppress(ProcessLookupError, IndexError):
+            os.kill(self._rng.choice(pids), signal.SIGKILL)  # PostgreSQL then restarts as after a crash
+        return bool(pids)
+
+    def _leases(self) -> dict[str, float]:
+        """Who works on what, and until when."""
+        end = time.monotonic() + 30
+        while True:
+            try:
+                return self._look()
+            except (sqlite3.Error, psycopg.Error):
+                if time.monotonic() > end:
+                    raise
+                time.sleep(0.05)
+
+    def _look(self) -> dict[str, float]:
+        query = "SELECT lease_owner, lease_until FROM jobs WHERE state = 'running' AND lease_owner IS NOT NULL"
+        url = self._fleet.database_url
+        if url is None:
+            connection = sqlite3.connect(self._fleet.data / "interloc.sqlite3", timeout=30)
+            try:
+                return dict(connection.execute(query).fetchall())
+            finally:
+                connection.close()
+        with psycopg.connect(url.replace("+psycopg", "")) as database:
+            return dict(database.execute(query).fetchall())
+
+    def _goes_on(self, held: dict[str, float]) -> bool:
+        """Whether every job that was held is held by somebody who renews it, or by nobody any more."""
+        now = self._leases()
+        return self._fleet.is_ready() and all(now[lease] > until for lease, until in held.items() if lease in now)
+
+
+Rows = Iterator[tuple[str, str]]
+
+
+def measure_kills(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
+    """Kill, and see what is left."""
+    for kind in ("sqlite", "postgresql"):
+        ledger, kills = Ledger(), options.kills // 2
+        end = time.monotonic() + 60 * options.minutes / 2
+        with ExitStack() as stack:
+            url = None if kind == "sqlite" else stack.enter_context(new_database())
+            fleet = Fleet(folder / kind, url)
+            stack.callback(fleet.close)
+            backups = Backups(fleet, folder / kind / "backup", ledger)
+            with clients(fleet, ledger, street, reference, f"{options.seed}-{kind}") as living:
+                killer = Killer(fleet, living, backups, random.Random(f"{options.seed}-{kind}"))  # noqa: S311
+                for number in range(kills):
+                    if time.monotonic() > end:
+                        break
+                    target = killer.kill_one()
+                    look_through(fleet, ledger, f"kill {number + 1}, of a {target}")
+                    sys.stderr.write(f"{kind}: {number + 1} of {kills} kills: {target}\n")
+            backups.stop()
+            look_through(fleet, ledger, "at the end")
+            _back_up(fleet, backups.out)  # the folder in which backups were killed
+            _restore(folder / kind / "restored", backups.out, None, ledger.snapshot(), ledger)
+        for target, seconds in killer.recovered_s.items():
+            times = f"{min(seconds):.1f} / {statistics.median(seconds):.1f} / {max(seconds):.1f} s"
+            yield f"{kind}: kills of a {target}", f"{len(seconds)}; all went on after {times} (min/median/max)"
+        yield from _told(kind, ledger)
+
+
+def _told(kind: str, ledger: Ledger) -> Rows:
+    yield f"{kind}: done meanwhile", ", ".join(f"{count} {what}" for what, count in sorted(ledger.done.items()))
+    names = dict.fromkeys(["findings", "lost", "double", "unequal", *ledger.faults])
+    yield f"{kind}: faults", ", ".join(f"{len(ledger.faults[name])} {name}" for name in names)
+    for name in names:
+        for fault in ledger.faults[name][:5]:
+            yield f"  {name}", fault
+
+
+def measure_ways(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
+    """Part database and data folder in the ways in which that happens, and count what is left of the files."""
+    fleet = Fleet(folder / "ways", None, count=1)
+    client = Client(fleet, Ledger(), street, reference, f"{options.seed}")
+    database = fleet.data / "interloc.sqlite3"
+    try:
+        client._work_on(client._put_files() or "")
+        assert fleet.servers[0].stop() == 0
+        shutil.copy(database, folder / "older.sqlite3")
+        fleet.restart(0)
+        client._work_on(client._send_archive() or "")
+        assert fleet.servers[0].stop() == 0
+    finally:
+        client.close()
+        fleet.close()
+    with new_database() as postgres:
+        elsewhere = f"sqlite:///{folder / 'elsewhere.sqlite3'}"
+        ways: dict[str, tuple[Callable[[Path], object], dict[str, Any]]] = {
+            "the address of an empty PostgreSQL": (lambda _: None, {"database_url": postgres}),
+            "a mistyped address": (lambda _: None, {"database_url": elsewhere}),
+            "the database file lost": (Path.unlink, {}),
+            "the database file damaged": (lambda file: file.write_bytes(b"damaged" * 1000), {}),
+            "an older database": (lambda file: shutil.copy(folder / "older.sqlite3", file), {}),
+            "the data folder not mounted": (
+                lambda file: file.rename(folder / "found.sqlite3"),
+                {"data_dir": folder / "empty", "database_url": f"sqlite:///{folder / 'found.sqlite3'}"},
+            ),
+        }
+        for number, (name, (part, settings)) in enumerate(ways.items()):
+            data = folder / f"way{number}"
+            shutil.copytree(fleet.data, data)
+            part(data / "interloc.sqlite3")
+            yield f"way in: {name}", _outcome(data, folder, settings)
+    data = folder / "shared"
+    shutil.copytree(fleet.data, data)
+    with ExitStack() as stack:
+        first = ServerProcess(data, folder / "first.log", min_free_bytes=0)
+        stack.callback(first.close)
+        yield "way in: a second service on the folder", _outcome(data, folder, {"database_url": elsewhere})
+
+
+def _outcome(data: Path, folder: Path, settings: dict[str, Any]) -> str:
+    """Start a server on a folder whose contents are days old, and stop it; returns what it did."""
+    before = Counter(sha256(path.read_bytes()) for kind in ("drives", "jobs") for path in files_below(data / kind))
+    for kind in ("drives", "jobs"):
+        for path in (data / kind).iterdir():
+            os.utime(path, (time.time() - 3 * 86400,) * 2)
+    log = folder / "way.log"
+    log.write_bytes(b"")
+    try:
+        server = ServerProcess(settings.pop("data_dir", data), log, min_free_bytes=0, workers=1, **settings)
+    except AssertionError:
+        outcome = "refused to start"
+    else:
+        time.sleep(3)  # for the clean-up, which begins with the server
+        outcome = "started"
+        server.stop()
+        server.close()
+    lost = data / "lost+found"
+    aside = len(list(lost.glob("*/*"))) if lost.is_dir() else 0
+    after = Counter(sha256(path.read_bytes()) for path in files_below(data))
+    kept = before & after
+    return f"{outcome}; {kept.total()} of {before.total()} files kept, {aside} folders set aside"
+
+
+def measure_backups(folder: Path, street: Path, reference: dict[str, str], options: argparse.Namespace) -> Rows:
+    """Make backups while clients work; restore and check each."""
+    ledger, locked_s, took_s = Ledger(), [0.0], [0.0]
+    fleet = Fleet(folder / "backups", None)
+    try:
+        with clients(fleet, ledger, street, reference, f"{options.seed}-backups"):
+            for number in range(options.backups):
+                time.sleep(2)
+                out = folder / f"backup{number - number % 2}"  # every second one brings the one before up to date
+                known = ledger.snapshot()
+                began = time.monotonic()
+                report = _back_up(fleet, out)
+                took_s.append(time.monotonic() - began)
+                locked_s.append(report.longest_lock_s)
+                ledger.faults["backup"] += report.faults
+                known = {drive: paths for drive, paths in known.items() if drive in ledger.files}  # not deleted
+                with ExitStack() as stack:
+                    url = None if number % 4 < 2 else stack.enter_context(new_database())
+                    _restore(folder / f"restored{number}", out, url, known, ledger)
+                sys.stderr.write(f"{number + 1} of {options.backups} backups\n")
+    finally:
+        fleet.close()
+    yield "backups under load, restored and checked", f"{options.backups}"
+    yield "a backup took", f"{max(took_s):.1f} s at most; no drive was locked for longer than {max(locked_s):.2f} s"
+    yield from _told("backups", ledger)
+
+
+def _back_up(fleet: Fleet, out: Path) -> BackupReport:
+    context = Context.open(fleet.settings())
+    try:
+        return back_up(context, out)
+    finally:
+        context.close()
+
+
+def _restore(data: Path, backup: Path, url: str | None, known: dict[str, dict[str, str]], ledger: Ledger) -> None:
+    settings = Settings(data_dir=data, database_url=url, min_free_bytes=0)
+    restored = restore(settings, backup)
+    ledger.faults["findings"] += [f"{data.name}: {each}" for each in restored.findings]
+    context = Context.open(settings)
+    try:
+        ledger.faults["findings"] += [f"{data.name}: {each}" for each in check(context)]
+        ledger.compare_files(context, known, data.name)
+    finally:
+        context.close()
+    shutil.rmtree(data)
+
+
+SCENARIOS = {"ways": measure_ways, "backups": measure_backups, "kills": measure_kills}
+
+
+def main(say: Callable[[str], object] = print) -> None:
+    """Torture, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=500, help="half of them on SQLite, half on PostgreSQL")
+    parser.add_argument("--backups", type=int, default=20)
+    parser.add_argument("--minutes", type=float, default=180.0, help="after which no further kill begins")
+    parser.add_argument("--seed", default=f"{random.SystemRandom().getrandbits(32):x}")
+    parser.add_argument("--only", choices=SCENARIOS, help="one scenario instead of all")
+    options = parser.parse_args()
+    rows: list[tuple[str, str]] = [("seed", options.seed)]
+    forks.ready()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        street = write_street(folder / "street", SCANS)
+        reference = undisturbed(folder / "undisturbed", street)
+        for name, measure in SCENARIOS.items():
+            if options.only in {None, name}:
+                (folder / name).mkdir()
+                rows += measure(folder / name, street, reference, options)
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        say(f"{name:{width}}  {value}")
+
+
+if __name__ == "__main__":
+    main()
