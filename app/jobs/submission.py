@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.http.problems import Problem, disk_full
 from app.paths import MAP_ENDINGS, is_map
-from app.schemas.jobs import NewJob, OsmFile
+from app.schemas.jobs import NewJob, OsmFile, OsmOverpass
 from app.store.models import DriveFile
 from interloc.config import DetectorConfig, parse_config, preset
 
@@ -45,8 +45,28 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
             "osm.overpass: this service does not ask Overpass servers. Upload the map as a file and name it: "
             '{"file": "map.osm.gz"}.',
         )
+    _check_placing(new)
     request = new.model_dump(mode="json", exclude={"drive_id", "config"})
     return request | {"config": _config_of(new).model_dump(mode="json")}
+
+
+def _check_placing(new: NewJob) -> None:
+    if new.georeference != "map":
+        if new.near is not None:
+            raise Problem(422, "Not used", 'near: it says where to search with "georeference": "map"; give both.')
+        return
+    if new.osm is None:
+        raise Problem(
+            422,
+            "Map needed",
+            'georeference: the drive is to be placed on the map, and osm names none. Give it: {"file": "map.osm.gz"}.',
+        )
+    if isinstance(new.osm, OsmOverpass) and new.near is None:
+        raise Problem(
+            422,
+            "Place needed",
+            "near: the map of which place is to be fetched? Say roughly where the drive was, or upload a map.",
+        )
 
 
 def _config_of(new: NewJob) -> DetectorConfig:

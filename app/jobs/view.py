@@ -14,10 +14,10 @@ from app.schemas.jobs import JobModel, Progress
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, Job
-from interloc.output.layers import LAYERS
+from interloc.output.layers import LAYERS, PLACES
 
 _LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
-_MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm]
+_MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
 
 
 def find_job(session: Session, job_id: str) -> tuple[Job, str]:
@@ -105,4 +105,6 @@ def _links(job: Job, address: str) -> dict[str, str]:
         links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
     if summary["report"] is not None:
         names += ["report", *_MAP_LAYERS]
+    if summary.get("location") is not None:
+        names += [PLACES]
     return links | {name: f"{address}/{name}" for name in names}

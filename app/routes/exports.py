@@ -15,7 +15,7 @@ from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.routes.results import PROBLEMS, JobId, answers
 
-Layer = Literal["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]
+Layer = Literal["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads", "places"]
 LayerQuery = Annotated[Layer, Query(description="Layer to export.")]
 
 router = APIRouter(tags=["Exports"])

@@ -30,6 +30,15 @@ class OsmOverpass(BaseModel):
     overpass: Yes
 
 
+class Near(BaseModel):
+    """Roughly where a drive was."""
+
+    model_config = ConfigDict(extra="forbid")
+    lat_deg: Number = Field(ge=-89, le=89)
+    lon_deg: Number = Field(ge=-180, le=180)
+    radius_km: Number = Field(3.0, ge=0.1, le=20, description="How far around it to search.")
+
+
 class NewJob(BaseModel):
     """Find the intersections of a drive, and score them where a map is given."""
 
@@ -49,6 +58,14 @@ class NewJob(BaseModel):
     )
     labels: LabelFolder | None = Field(None, description="Folder of the labels; by default the one that exists.")
     osm: Annotated[OsmFile | OsmOverpass | None, Field(description="Map to score against; null: detect only.")] = None
+    georeference: Literal["drive", "map"] = Field(
+        "drive",
+        description="Where longitude and latitude come from: the GNSS of the drive, or the map, on which the drive is "
+        "placed by its roads and intersections. A drive that has GNSS can be placed, too, for comparison.",
+    )
+    near: Near | None = Field(
+        None, description="With georeference map: search only around here. Needed where the map is fetched."
+    )
     policy: Policy = Field("drive", description=POLICY_HELP)
     tolerance_m: Number = Field(15.0, gt=0, le=100, description=TOLERANCE_HELP)
     name: str | None = Field(None, max_length=200, pattern=r"^[^\x00]*$", description="Name shown in lists.")
@@ -85,7 +102,8 @@ class JobModel(BaseModel):
     error: ProblemDocument | None = None
     summary: dict[str, Any] | None = Field(
         None,
-        description="Outcome in figures: keyframes, detections, intersections, seconds, peak_memory_bytes, report.",
+        description="Outcome in figures: keyframes, detections, intersections, seconds, peak_memory_bytes, report, "
+        "location.",
     )
     links: dict[str, str] = Field(
         default_factory=dict, description="Addresses of the results of a successful job, by name."

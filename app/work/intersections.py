@@ -14,16 +14,17 @@ from app.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work.places import REDUCED
 from app.work.progress import ProgressFiles
 from app.work.task import Outcome, Part, Plan, Report, Task
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive
+from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import MANIFEST
 from interloc.errors import DriveError, GeoreferenceError, InterLocError
 from interloc.evaluation.coverage import map_bounds, track_bounds
-from interloc.osm.graph import RoadGraph
+from interloc.osm.graph import Bounds, RoadGraph
 from interloc.output.layout import result_folder
 from interloc.output.write import write_results
 from interloc.pipeline import RangeResult, assemble, detect_range
@@ -55,8 +56,9 @@ def prepare(task: Task) -> Plan:
     if not len(keyframes):
         raise DriveError(f"{task.drive_name}: the drive holds no scans")
     if task.request.get("osm") is not None:
-        _require_georeference(task, drive)
-        _read_map(task, drive, keyframes)
+        if not _is_placed_by_map(task):
+            _require_georeference(task, drive)
+        _read_map(task, _map_bounds(task, drive, keyframes))
     return Plan(_cut(len(keyframes), config_of(task)), len(keyframes), {"began": time.time()})
 
 
@@ -84,12 +86,17 @@ def finish(task: Task, plan: Plan) -> Outcome:
         workers=min(int(task.limits.get("workers", 1)), len(plan.parts)),
         seconds=max(0.0, time.time() - plan.notes["began"]),
     )
+    scored, graph = result, None
+    if task.request.get("osm") is not None:
+        graph = _read_map(task, _map_bounds(task, drive, keyframes))
     report = None
     with result_folder(task.result) as folder:
+        if graph is not None and _is_placed_by_map(task):
+            result, scored = _place(task, drive, result, graph, folder)
         write_results(result, folder)
-        if task.request.get("osm") is not None:
+        if graph is not None:
             progress.report_stage("evaluating")
-            report = _evaluate(task, drive, keyframes, result, folder)
+            report = _evaluate(task, result, scored, graph, folder)
         progress.check()
     return Outcome(_summary(result, report))
 
@@ -121,11 +128,12 @@ def open_input(task: Task) -> tuple[Drive, IntArray]:
             f"The files of drive {task.drive_name} are no longer on the disk of the service, though it was committed. "
             "Upload it again, and tell the operator."
         )
-    return _open_once(root, task.drive_name, _label_folder(task, root), config)
+    drive, keyframes = _open_once(root, task.drive_name, _label_folder(task, root), config)
+    return drive.without_georeference() if _is_placed_by_map(task) else drive, keyframes
 
 
 @lru_cache(maxsize=4)  # a worker does many parts of few drives; their files do not change any more
-def _open_once(root: Path, name: str, labels: LabelFolder, config: DetectorConfig) -> tuple[Drive, IntArray]:
+def _open_once(root: Path, name: str, labels: LabelFolder, config: DetectorConfig) -> tuple[FolderDrive, IntArray]:
     drive = open_drive(root, name=name, labels=labels, check=False)  # the commit has checked it
     return drive, select_keyframes(drive.T_world_lidar, config.keyframes)
 
@@ -164,57 +172,97 @@ def _found(task: Task, part: Part) -> RangeResult:
     return found
 
 
+def _is_placed_by_map(task: Task) -> bool:
+    return bool(task.request.get("georeference") == "map")
+
+
 def _require_georeference(task: Task, drive: Drive) -> None:
     if drive.georeference is None:
         raise GeoreferenceError(
             f"{task.drive_name}: the drive has no georeference, so its detections cannot be compared with "
-            "OpenStreetMap. Upload oxts/data or geo.csv with the drive (or name one by its option oxts), or start a "
-            "job without a map, which needs none."
+            'OpenStreetMap. Let the job place it by the roads of the map ("georeference": "map"), upload oxts/data or '
+            "geo.csv with the drive (or name one by its option oxts), or start a job without a map, which needs none."
         )
 
 
-def _places(drive: Drive, keyframes: IntArray) -> FloatArray:
-    """Return longitude, latitude of the keyframes."""
-    assert drive.georeference is not None
-    fixes = drive.georeference
-    return np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1)
+def _map_bounds(task: Task, drive: Drive, keyframes: IntArray) -> Bounds | None:
+    """Return the part of the map that the task needs; None: all of it."""
+    near = task.request.get("near")
+    if not _is_placed_by_map(task):
+        assert drive.georeference is not None
+        fixes = drive.georeference
+        lonlat = np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1)
+        return track_bounds(lonlat) if _is_fetched(task) else map_bounds(lonlat)
+    if near is None:
+        return None
+    return track_bounds(np.array([[near["lon_deg"], near["lat_deg"]]]), margin_m=1000.0 * near["radius_km"])
 
 
-def _read_map(task: Task, drive: Drive, keyframes: IntArray) -> RoadGraph:
+def _is_fetched(task: Task) -> bool:
+    return "file" not in task.request["osm"]
+
+
+def _read_map(task: Task, bounds: Bounds | None) -> RoadGraph:
     from interloc.osm.container import MAX_UNPACKED_BYTES  # noqa: PLC0415
     from interloc.osm.overpass import download_roads  # noqa: PLC0415 - the network only where it is asked for
     from interloc.osm.reader import read_osm  # noqa: PLC0415
 
-    osm: dict[str, Any] = task.request["osm"]
-    if "file" in osm:
-        path = task.drive / "files" / osm["file"]
+    if not _is_fetched(task):
+        path = task.drive / "files" / task.request["osm"]["file"]
         max_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
-        bounds = map_bounds(_places(drive, keyframes))
         return read_osm(path, bounds, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
     progress = ProgressFiles(task)
 
     def wait(reason: str, seconds: float) -> None:
         progress.report_stage("waiting for the map", f"{reason} ({seconds:.0f} s)")
 
+    assert bounds is not None  # the request was checked
     return download_roads(
-        track_bounds(_places(drive, keyframes)),
+        bounds,
         cache_dir=Path(task.limits["cache"]) / "overpass",
         on_wait=wait,
         url=task.limits["overpass_url"],
     )
 
 
-def _evaluate(task: Task, drive: Drive, keyframes: IntArray, result: DriveResult, folder: Path) -> dict[str, Any]:
+def _place(
+    task: Task, drive: Drive, result: DriveResult, graph: RoadGraph, folder: Path
+) -> tuple[DriveResult, DriveResult]:
+    """Return the run on the earth, and the copy of it that is scored; see `interloc.localization.placing`."""
+    from interloc.localization.placing import place_run, write_places  # noqa: PLC0415 - slow to import, used by few
+
+    progress = ProgressFiles(task)
+
+    def report(done: int, total: int) -> None:
+        progress.report_stage("locating", f"Comparing {done} of {total} places")
+
+    near = task.request.get("near")
+    report(0, 1)
+    placed = place_run(
+        result,
+        drive,
+        graph,
+        policy=task.request.get("policy", "drive"),
+        tolerance_m=task.request.get("tolerance_m", 15.0),
+        near=None if near is None else (near["lat_deg"], near["lon_deg"]),
+        radius_m=None if near is None else 1000.0 * near["radius_km"],
+        progress=report,
+    )
+    write_places(placed.location, folder)
+    return placed.result, placed.scored
+
+
+def _evaluate(task: Task, result: DriveResult, scored: DriveResult, graph: RoadGraph, folder: Path) -> dict[str, Any]:
     from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once per job
     from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
     from interloc.output.osm_roads import write_roads  # noqa: PLC0415
 
-    graph = _read_map(task, drive, keyframes)
     evaluation = evaluate(
-        result, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
+        scored, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
     )
     write_report(evaluation, result, folder)
-    write_roads(graph, track_bounds(_places(drive, keyframes)), folder)
+    assert result.keyframes.lonlat is not None
+    write_roads(graph, track_bounds(result.keyframes.lonlat), folder)
     return report_record(evaluation)
 
 
@@ -227,6 +275,7 @@ def _summary(result: DriveResult, report: dict[str, Any] | None) -> dict[str, An
         "seconds": result.run["seconds"],
         "stage_seconds": result.run["stage_seconds"],
         "peak_memory_bytes": result.run["peak_memory_bytes"],
+        "location": _location(result),
         "report": None
         if report is None
         else {
@@ -236,4 +285,16 @@ def _summary(result: DriveResult, report: dict[str, Any] | None) -> dict[str, An
             "nodes_in_zone": report["nodes_in_zone"],
             "nodes_found": report["nodes_found"],
         },
+    }
+
+
+def _location(result: DriveResult) -> dict[str, Any] | None:
+    """Return where a drive was placed on the map, and how surely; None where it was not."""
+    location = result.run.get("location")
+    if location is None:
+        return None
+    best = location["places"][0]
+    return {
+        **{name: best[name] for name in ("lat_deg", "lon_deg", "heading_deg", "score")},
+        **{name: location[name] for name in ("position_std_m", "heading_std_deg", "seconds")},
     }

@@ -77,16 +77,17 @@ def command(
         raise click.UsageError("--at-frame belongs to --at")
     if at is not None and (near or radius_km or figure or growth):
         raise click.UsageError("--at needs no map: leave out --near, --radius, --figure and --growth")
+    near, radius_m = locating.search_area(near, radius_km)
     console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
-    source = locating.without_georeference(options.open_drive(drive, reading))
+    source = options.open_drive(drive, reading).without_georeference()
     if at is not None:
         _place_at(source, at, at_frame, out, quiet=quiet, as_json=as_json)
         return
     graph = options.read_map(osm)
     assert graph is not None
     result, location = locating.locate_drive(
-        source, graph, config, near=near, radius_km=radius_km, workers=workers, quiet=quiet, track_only=track_only
+        source, graph, config, near=near, radius_m=radius_m, workers=workers, quiet=quiet, track_only=track_only
     )
     record = {"drive": source.name, **location.record()}
     facts = []
@@ -94,7 +95,7 @@ def command(
         from interloc.localization.growth import growth_of, growth_text
 
         with console.progress("growth", "length", quiet=quiet) as bar:
-            rows = growth_of(source, graph, result=result, near=near, radius_km=radius_km, progress=bar)
+            rows = growth_of(source, graph, result=result, near=near, radius_m=radius_m, progress=bar)
         record["growth"] = rows
         facts = [("growth", growth_text(rows))]
     if figure is not None and location.places:

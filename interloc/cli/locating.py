@@ -52,14 +52,24 @@ near_options = options.together(
 """Where to search."""
 
 
-def without_georeference(drive: Drive) -> Drive:
-    """Return a drive as if it had no GNSS."""
-    from dataclasses import replace
+def search_area(
+    near: tuple[float, float] | None, radius_km: float | None
+) -> tuple[tuple[float, float] | None, float | None]:
+    """Return `near` and `radius_m` of `locate` by the values of `near_options`."""
+    if near is not None:
+        return near, 1000.0 * (3.0 if radius_km is None else radius_km)
+    if radius_km is not None:
+        raise click.UsageError("--radius says how far around --near to search; give --near too")
+    return None, None
 
-    from interloc.drives.folder import FolderDrive
 
-    assert isinstance(drive, FolderDrive)  # all that `open_drive` opens
-    return replace(drive, georeference=None)
+def fetch_map_around(near: tuple[float, float] | None, radius_m: float | None, *, quiet: bool) -> RoadGraph:
+    """Fetch the map to search from Overpass."""
+    import numpy as np
+
+    if near is None or radius_m is None:
+        raise click.UsageError("the map of which place is to be fetched? Say it by --near LAT,LON, or give --osm FILE")
+    return options.fetch_roads(np.array([near[::-1]]), quiet=quiet, margin_m=radius_m)
 
 
 def locate_drive(
@@ -68,11 +78,10 @@ def locate_drive(
     config: DetectorConfig,
     *,
     near: tuple[float, float] | None,
-    radius_km: float | None,
+    radius_m: float | None,
     workers: int | None,
     quiet: bool,
-    leave_one_out: bool = False,
-    track_only: bool = False,
+    track_only: bool,
 ) -> tuple[DriveResult | None, Location]:
     """Find the intersections along a drive without georeference, and place it on a map.
 
@@ -87,22 +96,12 @@ def locate_drive(
     from interloc.localization.track import track_of
     from interloc.pipeline import detect
 
-    if radius_km is not None and near is None:
-        raise click.UsageError("--radius says how far around --near to search; give --near too")
     result = None
     if not track_only and track_of(drive.T_world_lidar).length_m >= MIN_LENGTH_M:
         with console.progress("detect", "keyframe", quiet=quiet) as bar:
             result = detect(drive, config, workers=workers, progress=bar)
     with console.progress("locate", "place", quiet=quiet) as bar:
-        location = locate(
-            drive,
-            graph,
-            result=result,
-            near=near,
-            radius_m=None if near is None else 1000.0 * (radius_km or 3.0),
-            leave_one_out=leave_one_out,
-            progress=bar,
-        )
+        location = locate(drive, graph, result=result, near=near, radius_m=radius_m, progress=bar)
     return result, location
 
 

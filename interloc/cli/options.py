@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from interloc.arrays import FloatArray
     from interloc.config import DetectorConfig
     from interloc.drive import Drive
+    from interloc.drives.folder import FolderDrive
     from interloc.osm.graph import RoadGraph
     from interloc.results import DriveResult
 
@@ -143,7 +144,7 @@ server_options = together(
 )
 
 
-def open_drive(drive: Path, options: dict[str, Any]) -> Drive:
+def open_drive(drive: Path, options: dict[str, Any]) -> FolderDrive:
     """Open a drive by the values of `drive_options`."""
     from interloc.drives.open import open_drive as open_it
 
@@ -168,7 +169,7 @@ def open_for_evaluation(
     quiet: bool,
     needs_georeference: bool = True,
     **reading: Any,
-) -> tuple[Drive, DetectorConfig, RoadGraph | None]:
+) -> tuple[FolderDrive, DetectorConfig, RoadGraph | None]:
     """Check and open all that `evaluation_options` name, before any long work starts.
 
     Returns
@@ -236,6 +237,12 @@ def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | 
 
 def fetch_map(result: DriveResult, *, quiet: bool) -> RoadGraph:
     """Fetch the map around a run from Overpass."""
+    assert result.keyframes.lonlat is not None
+    return fetch_roads(result.keyframes.lonlat, quiet=quiet)
+
+
+def fetch_roads(lonlat: FloatArray, *, quiet: bool, margin_m: float = 200.0) -> RoadGraph:
+    """Fetch the map around (N, 2) places from Overpass."""
     from interloc.evaluation.coverage import track_bounds
     from interloc.osm.overpass import download_roads
 
@@ -243,5 +250,4 @@ def fetch_map(result: DriveResult, *, quiet: bool) -> RoadGraph:
         if not quiet:
             click.echo(f"{reason} ({seconds:.0f} s)", err=True)
 
-    assert result.keyframes.lonlat is not None
-    return download_roads(track_bounds(result.keyframes.lonlat), on_wait=wait)
+    return download_roads(track_bounds(lonlat, margin_m=margin_m), on_wait=wait)

@@ -10,8 +10,7 @@ import click
 from interloc.cli import console, locating, options, summary
 
 if TYPE_CHECKING:
-    from interloc.config import DetectorConfig
-    from interloc.drive import Drive
+    from interloc.drives.folder import FolderDrive
     from interloc.osm.graph import RoadGraph
     from interloc.osm.policies import Policy
     from interloc.results import DriveResult
@@ -47,34 +46,24 @@ def command(
     from interloc.output.write import write_results
     from interloc.pipeline import detect
 
-    if near is not None and not locate:
+    if not locate and (near is not None or radius_km is not None):
         raise click.UsageError("--near and --radius belong to --locate")
+    search = locating.search_area(near, radius_km)
     source, config, graph = options.open_for_evaluation(drive, quiet=quiet, needs_georeference=not locate, **given)
+    if locate and graph is None:
+        graph = locating.fetch_map_around(*search, quiet=quiet)
     with result_folder(out) as folder:
         if locate:
-            if graph is None:
-                raise click.UsageError("--locate searches a map: give it by --osm FILE")
-            result, scored = _locate(
-                locating.without_georeference(source),
-                graph,
-                config,
-                policy=policy,
-                near=near,
-                radius_km=radius_km,
-                workers=workers,
-                quiet=quiet,
-            )
-            write_results(result, folder)
-            evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m)
-            write_report(evaluation, result, folder)
-        else:
-            with console.progress("detect", "keyframe", quiet=quiet) as bar:
-                result = detect(source, config, workers=workers, progress=bar)
-            write_results(result, folder)
-            if graph is None:
-                graph = options.fetch_map(result, quiet=quiet)
-            evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
-            write_report(evaluation, result, folder)
+            source = source.without_georeference()
+        with console.progress("detect", "keyframe", quiet=quiet) as bar:
+            result = scored = detect(source, config, workers=workers, progress=bar)
+        if locate and graph is not None:
+            result, scored = _place(result, source, graph, policy, tolerance_m, search, folder, quiet=quiet)
+        write_results(result, folder)
+        if graph is None:
+            graph = options.fetch_map(result, quiet=quiet)
+        evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m)
+        write_report(evaluation, result, folder)
     report = report_record(evaluation)
     if as_json:
         console.say_json({"run": summary.run_summary(result, out), "report": report})
@@ -82,26 +71,31 @@ def command(
         console.say_facts(summary.run_facts(result, out)[:-1] + summary.report_facts(report, out))
 
 
-def _locate(
-    drive: Drive,
+def _place(
+    result: DriveResult,
+    drive: FolderDrive,
     graph: RoadGraph,
-    config: DetectorConfig,
-    *,
     policy: Policy,
-    near: tuple[float, float] | None,
-    radius_km: float | None,
-    workers: int | None,
+    tolerance_m: float,
+    search: tuple[tuple[float, float] | None, float | None],
+    folder: Path,
+    *,
     quiet: bool,
 ) -> tuple[DriveResult, DriveResult]:
     """Return the run placed on the map, and the fair copy of it to score."""
-    from interloc.localization.placing import FAIR, fair_result, place_result, require_found
-    from interloc.osm.intersections import intersection_nodes
+    from interloc.localization.placing import place_run, write_places
 
-    result, location = locating.locate_drive(
-        drive, graph, config, near=near, radius_km=radius_km, workers=workers, quiet=quiet, leave_one_out=True
-    )
-    georeference = require_found(location, drive.name)
-    assert result is not None  # else the drive was too short to be found
-    about = {"source": "map", **location.record(), "scored": FAIR}
-    placed = place_result(result, drive, georeference, about)
-    return placed, fair_result(placed, drive, location, intersection_nodes(graph, policy))
+    near, radius_m = search
+    with console.progress("locate", "place", quiet=quiet) as bar:
+        placed = place_run(
+            result,
+            drive,
+            graph,
+            policy=policy,
+            tolerance_m=tolerance_m,
+            near=near,
+            radius_m=radius_m,
+            progress=bar,
+        )
+    write_places(placed.location, folder)
+    return placed.result, placed.scored

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Self
 
 from pydantic import BaseModel, ConfigDict
 
@@ -156,6 +156,10 @@ class FolderDrive:
     scheme: LabelScheme
     pose_frame: str
     pose_frame_reason: str
+
+    def without_georeference(self) -> Self:
+        """Return the drive as if it had no GNSS."""
+        return replace(self, georeference=None)
 
     def ground_points(self, index: int) -> GroundPoints:
         """Read the road points, and the points most often confused with them, of the scan at a position 0..N-1.

@@ -59,7 +59,7 @@ def too_short(length_m: float) -> Decision:
     return Decision(
         "not_found",
         f"the drive is {length_m:.0f} m long, and under {MIN_LENGTH_M:.0f} m nearly every road fits it.",
-        "Give a longer drive, or one pose that you know (--at).",
+        "Give a longer drive, or one pose that is known (interloc locate --at).",
     )
 
 
@@ -83,7 +83,7 @@ def decide(best: Evidence | None, runner_up: float, chance: float, length_m: flo
     The score of the best place alone proves nothing: a curve less, and a wrong place does as well. What counts is its
     lead over the best wrong ones; `interloc benchmark locate` measures how often a wrong place leads by chance.
     """
-    longer = "A longer drive, the intersections along it (labels), or a rough position (--near) would help."
+    longer = "A longer drive, labels (for the intersections along it) or roughly where it was (near) would help."
     if best is None or best.road < MIN_ROAD:
         share = 0.0 if best is None else best.road
         return Decision(
@@ -102,8 +102,8 @@ def decide(best: Evidence | None, runner_up: float, chance: float, length_m: flo
     if best.score - chance < margin:
         return Decision(
             "not_found",
-            f"the best place scores {best.score:.2f}, which is not {margin:.2f} better than chance: the same drive seen "
-            f"in a mirror, which nobody drove, reaches {chance:.2f}.",
+            f"the best place scores {best.score:.2f}, which is not {margin:.2f} better than chance: the same drive "
+            f"seen in a mirror, which nobody drove, reaches {chance:.2f}.",
             longer,
         )
     if best.seen >= MIN_SEEN and best.score < MIN_SCORE:

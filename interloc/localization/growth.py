@@ -39,7 +39,7 @@ def growth_of(
     *,
     result: DriveResult | None = None,
     near: tuple[float, float] | None = None,
-    radius_km: float | None = None,
+    radius_m: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Place the first 100, 150, 200, ... metres of a drive, and at last all of it.
@@ -56,9 +56,7 @@ def growth_of(
         count = int(np.searchsorted(at_m, length_m)) + 1
         part = _Beginning(drive.name, drive.frames[:count], drive.T_world_lidar[:count])
         seen = None if result is None else _before(result, int(part.frames[-1]))
-        location = locate(
-            part, graph, result=seen, near=near, radius_m=None if near is None else 1000.0 * (radius_km or 3.0)
-        )
+        location = locate(part, graph, result=seen, near=near, radius_m=radius_m)
         scores = [place.score for place in location.places[:2]]
         rows.append(
             {

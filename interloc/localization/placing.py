@@ -1,8 +1,9 @@
-"""What a location makes of a run: every detection on the earth, and a fair copy to score."""
+"""What a location makes of a run: every detection on the earth, a fair copy to score, the places as a layer."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,96 @@ from interloc.config import FusionConfig
 from interloc.drive import Drive, Georeference
 from interloc.errors import GeoreferenceError, LocationError
 from interloc.geometry import ecef_from_geodetic, lonlat_from_enu, rotate_2d, wrap_bearing, yaw_of
-from interloc.localization.locate import Location
+from interloc.localization.locate import Location, Progress, locate
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import trajectory
-from interloc.osm.intersections import IntersectionNodes
+from interloc.osm.graph import RoadGraph
+from interloc.osm.intersections import IntersectionNodes, intersection_nodes
+from interloc.osm.policies import Policy
+from interloc.output.geojson import positions, write_collection
+from interloc.output.layers import LAYERS, PLACES
 from interloc.results import DriveResult
 
 FAIR = (
     "The drive was placed on this very map by its roads, which flatters. Every OSM node is therefore scored with a fit "
     "that left this node out; the roads around it still took part."
 )
+
+
+@dataclass(frozen=True)
+class PlacedRun:
+    """A run that was placed on a map.
+
+    Attributes
+    ----------
+    result : DriveResult
+        On the earth.
+    scored : DriveResult
+        The same with nothing near a node owing its position to that node; see `fair_result`.
+    location : Location
+    """
+
+    result: DriveResult
+    scored: DriveResult
+    location: Location
+
+
+def place_run(
+    result: DriveResult,
+    drive: Drive,
+    graph: RoadGraph,
+    *,
+    policy: Policy = "drive",
+    tolerance_m: float = 15.0,
+    near: tuple[float, float] | None = None,
+    radius_m: float | None = None,
+    progress: Progress | None = None,
+) -> PlacedRun:
+    """Place a run on a map, and make a fair copy of it to score on the same map.
+
+    Parameters
+    ----------
+    result
+        Of `detect` on the drive, without georeference.
+    drive, graph, near, radius_m, progress
+        See `locate`.
+    policy, tolerance_m
+        Which nodes will count.
+
+    Raises
+    ------
+    LocationError
+        The drive was not placed.
+    MapError, ConfigError
+        See `locate`.
+    """
+    location = locate(drive, graph, result=result, near=near, radius_m=radius_m, leave_one_out=True, progress=progress)
+    georeference = require_found(location, drive.name)
+    about = {"source": "map", **location.record(), "scored": FAIR}
+    placed = place_result(result, drive, georeference, about)
+    nodes = intersection_nodes(graph, policy, tolerance_m)
+    return PlacedRun(placed, fair_result(placed, drive, location, nodes), location)
+
+
+def write_places(location: Location, folder: Path) -> None:
+    """Write the layer `places` into a result folder: the drive where it was found, and where it might have been.
+
+    Raises
+    ------
+    OutputError
+        The file could not be written.
+    """
+    places = location.places
+    features = LAYERS[PLACES].features(
+        [positions(place.track_lonlat, local=False) for place in places],
+        rank=list(range(1, len(places) + 1)),
+        score=[place.score for place in places],
+        on_roads=[place.evidence.road for place in places],
+        intersections_seen=[place.evidence.seen for place in places],
+        intersections_at_nodes=[place.evidence.at_nodes for place in places],
+        heading_deg=[place.heading_deg for place in places],
+    )
+    write_collection(folder / f"{PLACES}.geojson", features, local=False)
 
 
 def require_found(location: Location, drive: str) -> Georeference:
@@ -42,7 +123,7 @@ def require_found(location: Location, drive: str) -> Georeference:
         for place in location.places[:4]
     )
     places = f" Best places of its first scan: {listed}." if listed else ""
-    raise LocationError(f"{drive}: {outcome}: {decision.reason}{places} {decision.advice} Nothing was written.")
+    raise LocationError(f"{drive}: {outcome}: {decision.reason}{places} {decision.advice}")
 
 
 def place_result(result: DriveResult, drive: Drive, georeference: Georeference, about: dict[str, Any]) -> DriveResult:

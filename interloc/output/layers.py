@@ -24,6 +24,9 @@ from interloc.output.geojson import damaged, read_file, rounded
 Column = Sequence[Any] | NDArray[Any]
 """The values of a property, one per feature."""
 
+PLACES = "places"
+"""Layer of a result that was placed on the map by its roads."""
+
 ATTRIBUTION = "Detections: InterLoc."
 OSM_ATTRIBUTION = "OSM data (c) OpenStreetMap contributors, ODbL 1.0, https://www.openstreetmap.org/copyright."
 
@@ -136,6 +139,17 @@ class OsmRoadProperties(Properties):
     highway: str = Field(description="Value of its tag `highway`.")
     name: str | None = Field(description="Name or else reference number; null if it has none.")
     is_drivable: bool = Field(description="Whether it is a road under policy drive+service.")
+
+
+class PlaceProperties(Properties):
+    """The track of a drive at a place of the map that it fits; the first is where it was found to be."""
+
+    rank: int = Field(description="1 for the best place; the others are those that came next.")
+    score: Ratio = Field(description="How well the place explains the drive; 1.5 is a perfect fit.")
+    on_roads: Ratio = Field(description="0..1, how much of the track runs along roads.")
+    intersections_seen: int = Field(description="Number of passages of intersections that the drive saw.")
+    intersections_at_nodes: int = Field(description="Number of these that lie at an intersection of the map.")
+    heading_deg: Annotated[float, Decimals(1)] = Field(description="Heading at the first scan, degrees.")
 
 
 _KINDS = {bool: "bool", int: "int", float: "float", str: "text", Literal: "text", list: "list"}
@@ -271,6 +285,14 @@ LAYERS = {
             is_osm=True,
         ),
         Layer("osm_roads", "Roads of OpenStreetMap", "LineString", OsmRoadProperties, "OSM way {osm_id}", is_osm=True),
+        Layer(
+            PLACES,
+            "Places on the map that the drive fits",
+            "LineString",
+            PlaceProperties,
+            "Place {rank}, score {score}",
+            is_osm=True,
+        ),
     )
 }
 

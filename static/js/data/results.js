@@ -27,6 +27,7 @@ import { Frame } from "./frame.js";
  * @property {Place[]} nodes
  * @property {Match[]} matches
  * @property {Array<{line: number[][], properties: any}>} roads
+ * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
  * @property {number} roi_m Side S of the region of interest.
  * @property {number|null} zone_m Side S - 2 a_o of the relevant zone.
  */
@@ -61,9 +62,11 @@ async function load(job) {
   const layer = (name) => getJson(local ? `${at}/files/${name}.local.json` : `${at}/${name}`);
   /** @param {string} name */
   const evaluated = (name) => (local || !job.request.osm ? Promise.resolve(null) : orNull(getJson(`${at}/${name}`)));
-  const [keyframes, detections, intersections, trajectory, report, nodes, matches, roads] = await Promise.all([
+  const isPlaced = Boolean(run.location);
+  const [keyframes, detections, intersections, trajectory, report, nodes, matches, roads, places] = await Promise.all([
     ...["keyframes", "detections", "intersections", "trajectory"].map(layer),
     ...["report", "osm-nodes", "matches", "osm-roads"].map(evaluated),
+    isPlaced ? orNull(getJson(`${at}/places`)) : null,
   ]);
 
   const points = keyframes.features.map(place);
@@ -84,6 +87,7 @@ async function load(job) {
     trajectory: trajectory.features[0]?.geometry?.coordinates ?? [],
     nodes: (nodes?.features ?? []).map(place),
     matches: pairs,
+    places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => f.geometry.coordinates),
     roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
       line: f.geometry.coordinates,
       properties: f.properties,
@@ -114,6 +118,7 @@ export async function loadTrajectory(job) {
     nodes: [],
     matches: [],
     roads: [],
+    places: [],
     byFrame: new Map(),
   };
   return { ...nothing, job, run: {}, report: null, local, frame, trajectory, roi_m: 0, zone_m: null };

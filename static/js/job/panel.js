@@ -27,6 +27,7 @@ const STAGES = [
   ["preparing", "Reading the drive"],
   ["detecting", "Finding intersections"],
   ["mapping", "Joining detections to a map"],
+  ["locating", "Placing the drive on the map"],
   ["evaluating", "Scoring against OpenStreetMap"],
 ];
 const POLL_MS = 15000; // a proxy may hold events back: ask now and then, too
@@ -126,7 +127,8 @@ export function mount(container) {
 /** @param {any} job */
 function progress(job) {
   const { done, total, fraction, seconds_left: left } = job.progress;
-  const stages = STAGES.filter(([id]) => id !== "evaluating" || job.request.osm);
+  const isPlaced = job.request.georeference === "map";
+  const stages = STAGES.filter(([id]) => (id !== "evaluating" || job.request.osm) && (id !== "locating" || isPlaced));
   const at = stages.findIndex(([id]) => id === job.stage);
   const now = Math.max(0, at);
   const percent = Math.floor(100 * fraction);
@@ -188,6 +190,7 @@ function outcome(job) {
       factRows([
         ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
         osm && ["Policy", policy ?? "drive"],
+        summary.location && ["Placed by its roads", placedText(summary.location)],
         ["Own settings", own.length ? own : "none"],
         seconds !== undefined && ["Time", formatDuration(seconds)],
         seconds && keyframes && ["Per keyframe", `${((1000 * seconds) / keyframes).toFixed(1)} ms`],
@@ -198,6 +201,12 @@ function outcome(job) {
     ),
     el("div", { class: "row section" }, runAgain(job, ""), removal(job)),
   ];
+}
+
+/** @param {any} location */
+function placedText({ lat_deg, lon_deg, heading_deg, position_std_m }) {
+  const place = `${lat_deg.toFixed(5)}, ${lon_deg.toFixed(5)}, heading ${Math.round(heading_deg)}°`;
+  return `first scan at ${place}; ±${position_std_m.toFixed(1)} m (1 σ)`;
 }
 
 /** @param {any} job */

@@ -7,6 +7,7 @@ import { field, openDialog, select } from "../controls.js";
 import { lists, loadPresets, rememberJob } from "../data/lists.js";
 import { el, fill } from "../dom.js";
 import { problemNote } from "../messages.js";
+import { placingField } from "./placing.js";
 import { openJob } from "./words.js";
 
 /**
@@ -40,6 +41,11 @@ export async function openRunDialog(drive) {
     "": "None – only detect",
   });
   const policy = policyField();
+  const placing = placingField(null, () => {});
+  const chooseMap = () => placing.setMap(map.value === "overpass" ? "overpass" : map.value ? "file" : "none");
+  map.addEventListener("change", chooseMap);
+  placing.suggest(!drive.report?.georeference);
+  chooseMap();
   const trouble = el("div", {});
   const run = el("button", { class: "primary", value: "run" }, "Run");
   const form = el(
@@ -48,6 +54,7 @@ export async function openRunDialog(drive) {
     el("h2", {}, `Run ${drive.name}`),
     field("Preset", preset),
     field("Map to score against", map),
+    placing.element,
     policy.element,
     trouble,
     el("div", { class: "actions" }, el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"), run),
@@ -55,10 +62,12 @@ export async function openRunDialog(drive) {
   const dialog = openDialog({}, [form]);
 
   const submit = async () => {
+    const complaint = placing.complaint();
+    if (complaint) return fill(trouble, el("p", { class: "note warning" }, complaint));
     run.disabled = true;
     const osm = map.value === "overpass" ? { overpass: true } : map.value ? { file: map.value.slice(5) } : undefined;
     try {
-      const body = { drive_id: drive.id, preset: preset.value, policy: policy.value(), osm };
+      const body = { drive_id: drive.id, preset: preset.value, policy: policy.value(), osm, ...placing.read() };
       const job = await sendJson("POST", "jobs", body);
       rememberJob(job);
       dialog.close();

@@ -19,6 +19,7 @@ export const LAYERS = [
   layer("tiles", "Base", "Map tiles", "line tiles", "Pictures from a tile server; needs the internet."),
   layer("roads", "Base", "OSM roads", "line road", "Roads of the map that the drive was scored against."),
   layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
+  layer("places", "Drive", "Next best places", "line place", "Where else the roads of the map fit the drive, worse."),
   layer("keyframes", "Drive", "Keyframes", "keyframe", "Places at which the method looked for intersections."),
   layer("intersections", "Found", "Intersections", "fused", "One for each place, from all its detections."),
   layer(
@@ -51,6 +52,7 @@ const OFF_BY_DEFAULT = new Set(["tiles", "keyframes", "outside"]);
 const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
   tiles: (r) => (r.local ? 0 : null),
   roads: (r) => r.roads.length,
+  places: (r) => r.places.length,
   keyframes: (r) => r.keyframes.length,
   intersections: (r) => r.intersections.length,
   uncertainty: (r) => (r.intersections.length ? null : 0),

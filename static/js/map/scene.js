@@ -40,6 +40,7 @@ export class Scene {
     this.intersections = points(result.intersections);
     this.nodes = points(result.nodes);
     this.track = flat(result.trajectory);
+    this.places = result.places.map(flat);
     this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), outcome }));
     this.roads = result.roads.map(({ line, properties }) => ({
       path: flat(line),
@@ -73,6 +74,7 @@ export class Scene {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";
     context.lineJoin = "round";
+    if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
     if (this.progress > 0)
       strokePaths(

@@ -4,6 +4,7 @@ import { getConfig, isMap } from "../api.js";
 import { field, filePicker, radios, section, select } from "../controls.js";
 import { flatten } from "../data/lists.js";
 import { el, fill } from "../dom.js";
+import { placingField } from "../job/placing.js";
 import { policyField } from "../job/run_dialog.js";
 import { LABEL_FOLDERS } from "./drive_folder.js";
 import { newKey } from "./upload.js";
@@ -52,8 +53,12 @@ export function jobForm(known, onChange) {
   const toleranceField = field("Merging reach [m]", tolerance);
   const policy = policyField(known.before?.policy, () => showPolicy());
   const policies = el("div", { class: "stack-s" }, policy.element, toleranceField);
+  const placing = placingField(known.before, () => (showPolicy(), onChange()));
   function showPolicy() {
     policies.hidden = map.value() === "none";
+    const chosen = map.value();
+    placing.setMap(chosen === "none" || chosen === "overpass" ? chosen : "file");
+    noFix.hidden = hasFix || known.isArchive || policies.hidden || placing.isOn();
     toleranceField.hidden = policy.value() !== "consolidated";
   }
 
@@ -68,12 +73,13 @@ export function jobForm(known, onChange) {
     labelsField.hidden = names.length < 2;
   }
 
-  const refusal = "Without a georeference nothing can be scored against a map: the service would refuse the job.";
+  const refusal = "This drive has no GNSS: place it on the map by its roads, or the service would refuse the job.";
   const noFix = el("p", { class: "note warning" }, refusal);
+  let hasFix = known.hasGeoreference;
   /** @param {boolean} has */
   function setGeoreference(has) {
-    noFix.hidden = has || known.isArchive;
-    if (!has && !known.isArchive && map.value() !== "none" && !known.before) map.choose("none");
+    hasFix = has;
+    placing.suggest(!has && !known.isArchive);
     showPolicy();
   }
 
@@ -81,7 +87,7 @@ export function jobForm(known, onChange) {
   setFolders(known.folders);
   setGeoreference(known.hasGeoreference);
   const key = newKey();
-  const ofMap = section("Map", map.element, noFix, policies);
+  const ofMap = section("Map", map.element, placing.element, noFix, policies);
 
   return {
     element: el("div", { class: "stack" }, ofMap, section("Method", labelsField, settings.element)),
@@ -90,6 +96,7 @@ export function jobForm(known, onChange) {
     /** What has to be changed first, in words. @returns {string | null} */
     complaint: () => {
       if (map.value() === "other" && !otherMap) return "Choose the OSM file, or another map.";
+      if (placing.complaint()) return placing.complaint();
       return settings.isValid() && tolerance.validity.valid ? null : "A setting is out of its range.";
     },
     keyframes: () => ({
@@ -102,6 +109,7 @@ export function jobForm(known, onChange) {
         ...settings.read(),
         labels: labels.value || null,
         osm: readMap(map.value(), otherMap),
+        ...placing.read(),
         policy: policy.value(),
         tolerance_m: Number(tolerance.value),
         key,
@@ -112,11 +120,11 @@ export function jobForm(known, onChange) {
 }
 
 /** @param {Known} known */
-function usualMap({ maps, isArchive, hasGeoreference, before }) {
+function usualMap({ maps, isArchive, before }) {
   if (before?.osm && "overpass" in before.osm) return "overpass";
   if (before?.osm && "file" in before.osm && maps.includes(before.osm.file)) return `file:${before.osm.file}`;
   if (isArchive) return "inside";
-  return maps.length && hasGeoreference ? `file:${maps[0]}` : "none";
+  return maps.length ? `file:${maps[0]}` : "none";
 }
 
 /** @param {string} value @param {File | null} other @returns {JobSettings["osm"]} */

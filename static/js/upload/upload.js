@@ -27,6 +27,8 @@ import { Transfer } from "./transfer.js";
  * @property {Record<string, any> | null} config Settings that differ from the preset.
  * @property {string | null} labels
  * @property {{file: string} | {overpass: true} | {inside: true} | null} osm `inside`: the map in an archive, if there is one.
+ * @property {"drive"|"map"} georeference Where longitude and latitude come from.
+ * @property {import("../job/placing.js").Near | null} near Where on the map to search.
  * @property {string} policy
  * @property {number} tolerance_m
  * @property {string} key Sent with the request, so that a repetition makes no second job.
@@ -325,7 +327,8 @@ export class Upload {
   async #startJob({ key, osm: map, ...settings }) {
     this.#update({ step: "run", message: "Starting the job", done: 0, total: 0 });
     const osm = map && "inside" in map ? await this.#mapInside() : map;
-    const json = { drive_id: this.driveId, ...settings, osm };
+    const placing = osm ? {} : { georeference: "drive", near: null }; // an archive without a map
+    const json = { drive_id: this.driveId, ...settings, osm, ...placing };
     const headers = { "Idempotency-Key": key };
     const { body } = await this.transfer.ask("jobs", { method: "POST", json, headers });
     this.jobId = body.id;
