@@ -8,7 +8,7 @@ import pytest
 from interloc.errors import ConfigError
 from interloc.geometry import bearing_deg, yaw_of
 from interloc.localization.anchors import georeference_at
-from tests.localization.conftest import drive_along
+from tests.localization.town import drive_along
 
 DRIVE = drive_along(np.array([[0.0, 0.0], [200.0, 0.0], [200.0, 200.0]]))
 

@@ -15,7 +15,7 @@ from interloc.geometry import wrap_angle, yaw_of
 from interloc.localization.locate import Location, locate
 from interloc.localization.placing import require_found
 from interloc.osm.graph import RoadGraph
-from tests.localization.conftest import LAT_DEG, LON_DEG, MadeDrive, drive_along, graph_of, route_xy
+from tests.localization.town import LAT_DEG, LON_DEG, MadeDrive, drive_along, graph_of, route_xy
 
 
 @pytest.fixture(scope="module")

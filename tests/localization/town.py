@@ -1,0 +1,130 @@
+"""A made-up town of crooked streets, and drives through it whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.drive import Georeference
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.osm.graph import RoadGraph, Ways
+
+LAT_DEG, LON_DEG = 49.0, 8.4
+BLOCKS = 9
+
+
+def graph_of(xy: FloatArray, edges: list[tuple[int, int]]) -> RoadGraph:
+    """Return residential streets between points given in metres around the middle of the town."""
+    return RoadGraph(
+        node_id=np.arange(1, len(xy) + 1),
+        lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, np.asarray(xy, dtype=np.float64)),
+        edges=np.array(edges, dtype=np.int64),
+        edge_way=np.zeros(len(edges), dtype=np.int64),
+        ways=Ways(np.array([1]), ("residential",), ("Street",), np.array([False])),
+        source="town",
+    )
+
+
+def town_xy() -> FloatArray:
+    """Return the corners of the town, (BLOCKS * BLOCKS, 2): a grid of 130 m, each corner moved by up to 35 m."""
+    rng = np.random.default_rng(7)
+    grid = np.stack(np.meshgrid(np.arange(BLOCKS), np.arange(BLOCKS)), axis=-1).reshape(-1, 2) - (BLOCKS - 1) / 2
+    return 130.0 * grid + rng.uniform(-35.0, 35.0, grid.shape)
+
+
+def town_graph() -> RoadGraph:
+    """Nineteen kilometres of streets."""
+    along = [(r * BLOCKS + c, r * BLOCKS + c + 1) for r in range(BLOCKS) for c in range(BLOCKS - 1)]
+    across = [(r * BLOCKS + c, (r + 1) * BLOCKS + c) for r in range(BLOCKS - 1) for c in range(BLOCKS)]
+    return graph_of(town_xy(), along + across)
+
+
+@dataclass(frozen=True)
+class MadeDrive:
+    """A drive of which only the poses are known, and where it really was."""
+
+    T_world_lidar: FloatArray
+    true_lonlat: FloatArray
+    true_yaw_rad: FloatArray
+    name: str = "made"
+    times_s: None = None
+    georeference: None = None
+
+    @property
+    def frames(self) -> np.ndarray:
+        return np.arange(len(self.T_world_lidar))
+
+    def ground_points(self, index: int) -> None:
+        raise NotImplementedError
+
+    def error_m(self, georeference: Georeference) -> FloatArray:
+        """Return how far each scan is from the truth."""
+        found = np.column_stack([georeference.lon_deg, georeference.lat_deg])
+        return np.hypot(*enu_from_lonlat(self.true_lonlat[:, 1], self.true_lonlat[:, 0], found).T)
+
+
+def drive_along(
+    corners: FloatArray, *, offset_m: float = -1.5, scale: float = 1.0, drift_deg_per_km: float = 0.0
+) -> MadeDrive:
+    """Drive along a line of corners, right of its middle, cutting the corners a little; a scan every metre."""
+    steps = np.hypot(*np.diff(corners, axis=0).T)
+    at = np.concatenate([[0.0], np.cumsum(steps)])
+    along = np.arange(0.0, at[-1], 1.0)
+    line = np.column_stack([np.interp(along, at, corners[:, axis]) for axis in (0, 1)])
+    kernel = np.ones(9) / 9.0
+    line = np.column_stack([np.convolve(np.pad(line[:, axis], 4, "edge"), kernel, "valid") for axis in (0, 1)])
+    yaw = np.arctan2(np.gradient(line[:, 1]), np.gradient(line[:, 0]))
+    xy = line + offset_m * np.column_stack([-np.sin(yaw), np.cos(yaw)])
+    drifted = np.unwrap(yaw) + np.radians(drift_deg_per_km) * along / 1000.0
+    step = np.diff(xy, axis=0)
+    turn = drifted[:-1] - np.unwrap(yaw)[:-1]
+    c, s = np.cos(turn), np.sin(turn)
+    moved = scale * np.column_stack([c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]])
+    odometry = np.concatenate([[[0.0, 0.0]], np.cumsum(moved, axis=0)])
+    poses = np.tile(np.eye(4), (len(xy), 1, 1))
+    poses[:, 0, 0] = poses[:, 1, 1] = np.cos(drifted)
+    poses[:, 1, 0], poses[:, 0, 1] = np.sin(drifted), -np.sin(drifted)
+    poses[:, :2, 3] = odometry
+    poses = np.linalg.inv(poses[0]) @ poses
+    return MadeDrive(poses, lonlat_from_enu(LAT_DEG, LON_DEG, xy), yaw)
+
+
+ROUTE = [(4, 0), (4, 1), (4, 2), (3, 2), (3, 3), (2, 3), (2, 4), (3, 4), (4, 4), (4, 5), (5, 5)]
+"""Column and row of the corners driven through: 1.3 km with eight turns."""
+
+
+def route_xy(route: list[tuple[int, int]] = ROUTE) -> FloatArray:
+    """Return the corners of a route, metres."""
+    return town_xy()[[row * BLOCKS + column for column, row in route]]
+
+
+def write_town_drive(root: Path) -> MadeDrive:
+    """Write the drive along `ROUTE`, a scan every two metres, of which each shows a patch of road only."""
+    drive = drive_along(route_xy())
+    (root / "velodyne").mkdir(parents=True)
+    (root / "labels").mkdir()
+    x, y = np.meshgrid(np.linspace(-3, 3, 7), np.linspace(-3, 3, 7))
+    points = np.stack([x, y, np.full_like(x, -1.73), np.zeros_like(x)], axis=-1).reshape(-1, 4).astype(np.float32)
+    lines = []
+    for frame, pose in enumerate(drive.T_world_lidar[::2]):
+        points.tofile(root / f"velodyne/{frame:06d}.bin")
+        np.full(len(points), 40, np.uint32).tofile(root / f"labels/{frame:06d}.label")
+        lines.append(" ".join(f"{value:.9e}" for value in pose[:3].ravel()))
+    (root / "poses.txt").write_text("\n".join(lines) + "\n")
+    return MadeDrive(drive.T_world_lidar[::2], drive.true_lonlat[::2], drive.true_yaw_rad[::2])
+
+
+def write_town_map(path: Path) -> None:
+    """Write the streets of the town as an OSM file."""
+    lonlat = lonlat_from_enu(LAT_DEG, LON_DEG, town_xy())
+    text = ['<osm version="0.6">']
+    text += [f'<node id="{i}" lat="{lat:.9f}" lon="{lon:.9f}"/>' for i, (lon, lat) in enumerate(lonlat.tolist(), 1)]
+    lines = [[r * BLOCKS + c for c in range(BLOCKS)] for r in range(BLOCKS)]
+    lines += [[r * BLOCKS + c for r in range(BLOCKS)] for c in range(BLOCKS)]
+    for number, line in enumerate(lines, 1):
+        refs = "".join(f'<nd ref="{corner + 1}"/>' for corner in line)
+        text.append(f'<way id="{number}">{refs}<tag k="highway" v="residential"/></way>')
+    path.write_text("\n".join([*text, "</osm>"]))
