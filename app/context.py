@@ -12,9 +12,10 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 
 from app.metrics import Metrics
-from app.settings import Settings
+from app.settings import SQLITE_FILE, Settings
 from app.store.database import Database
-from app.store.installation import bind, mark_folder
+from app.store.installation import FILE as INSTALLATION
+from app.store.installation import bind, mark_folder, refuse_lost_database
 from app.store.reserve import Reserve
 from app.store.storage import Storage
 from app.store.tokens import TokenBook
@@ -56,6 +57,24 @@ class Context:
         database.disk_is_full = reserve.give_up
         return cls(settings, database, Storage(settings.data_dir), TokenBook(database, settings), Metrics(), reserve)
 
+    @classmethod
+    def open_existing(cls, settings: Settings, *, bound: bool = True) -> Context:
+        """Open a service that is there already: for its operator, whose mistyped folder must not become a new one.
+
+        Raises
+        ------
+        ConfigError
+            There is no such folder, or it is no data folder; see also `open_database`.
+        """
+        if not settings.data_dir.is_dir():
+            raise ConfigError(f"there is no data folder {settings.data_dir}; --data-dir (INTERLOC_DATA_DIR) names it.")
+        if not any((settings.data_dir / name).exists() for name in (INSTALLATION, SQLITE_FILE, "drives")):
+            raise ConfigError(
+                f"the folder {settings.data_dir} holds no drives of a service. --data-dir (INTERLOC_DATA_DIR) and "
+                "INTERLOC_DATABASE_URL must be those that the service runs with."
+            )
+        return cls.open(settings, bound=bound)
+
     def close(self) -> None:
         """Close database and storage."""
         self.database.close()
@@ -89,6 +108,8 @@ def open_database(settings: Settings, *, bound: bool = True) -> Database:
     database = Database(settings.sqlalchemy_url)
     ids: list[str] = []
     try:
+        if bound:
+            refuse_lost_database(database, folder)
         database.upgrade((lambda session: ids.append(bind(session, database, folder))) if bound else None)
         for id_ in ids:
             mark_folder(folder, id_)

@@ -12,6 +12,9 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 MB = 1024**2
 GB = 1024**3
 
+SQLITE_FILE = "interloc.sqlite3"
+"""Name of the database in the data folder, where no other is set."""
+
 _MIN_TOKEN_CHARS = 16
 
 
@@ -92,8 +95,8 @@ class Settings(BaseSettings):
     min_body_rate: float = Field(
         1024.0,
         ge=0,
-        description="Bytes per second that a body must reach on the average once it takes longer than that; "
-        "0 for any rate.",
+        description="Average bytes per second that the body of a request must reach once it has taken longer than "
+        "`IDLE_TIMEOUT_S`; 0 for any rate.",
     )
     disk_reserve_bytes: int = Field(
         16 * MB,
@@ -159,4 +162,4 @@ class Settings(BaseSettings):
     @property
     def sqlalchemy_url(self) -> str:
         """Address of the database."""
-        return self.database_url or f"sqlite:///{(self.data_dir.absolute() / 'interloc.sqlite3').as_posix()}"
+        return self.database_url or f"sqlite:///{(self.data_dir.absolute() / SQLITE_FILE).as_posix()}"

@@ -101,6 +101,23 @@ def id_of_folder(folder: Path) -> str | None:
     return found
 
 
+def refuse_lost_database(database: Database, folder: Path) -> None:
+    """Refuse a data folder whose SQLite database is not there, before a new one is made in its place.
+
+    Raises
+    ------
+    InstallationError
+        The folder has an id. The database is always made before the id is written.
+    """
+    in_folder, path = id_of_folder(folder), database.url.database
+    if in_folder is not None and database.is_sqlite and path is not None and not Path(path).exists():
+        raise InstallationError(
+            f"the data folder {folder} belongs to installation {in_folder} ({_contents(folder)}), but there is no "
+            f"database {path}. Nothing was changed. Usual causes: INTERLOC_DATABASE_URL was changed or mistyped, or "
+            f"the database was lost. Set it back; or {_WAYS_OUT}."
+        )
+
+
 def mark_folder(folder: Path, installation: str) -> None:
     """Write the id into a data folder that has none yet; after the transaction of `bind`.
 

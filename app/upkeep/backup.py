@@ -31,7 +31,6 @@ from sqlalchemy.exc import TimeoutError as WaitedTooLong
 
 from app.context import Context
 from app.drives.records import drive_key
-from app.settings import Settings
 from app.store.database import Database
 from app.store.incoming import remove_dead
 from app.store.installation import id_of_database
@@ -168,24 +167,6 @@ def back_up(context: Context, out: Path, advance: Advance = no_progress) -> Back
             return _Backup(context, out, advance).run()
         except OutputError as error:
             raise OutputError(f"{error} The backup is not complete; the next one goes on where it stopped.") from error
-
-
-def open_service(settings: Settings) -> Context:
-    """Open a service that exists: a mistyped folder must not become a new one.
-
-    Raises
-    ------
-    ConfigError
-        There is none.
-    """
-    if not settings.data_dir.is_dir():
-        raise ConfigError(f"there is no data folder {settings.data_dir}; --data-dir (INTERLOC_DATA_DIR) names it.")
-    if settings.database_url is None and not (settings.data_dir / "interloc.sqlite3").is_file():
-        raise ConfigError(
-            f"the data folder {settings.data_dir} has no database interloc.sqlite3. --data-dir (INTERLOC_DATA_DIR) and "
-            "INTERLOC_DATABASE_URL must be those that the service runs with."
-        )
-    return Context.open(settings)
 
 
 class _Backup:

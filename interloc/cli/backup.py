@@ -34,9 +34,10 @@ def backup(out: Path, data_dir: Path | None, quiet: bool, as_json: bool) -> None
       interloc backup /mnt/backup/interloc --data-dir /srv/interloc
     """
     settings = read_settings({"data_dir": data_dir})
-    from app.upkeep.backup import back_up, open_service
+    from app.context import Context
+    from app.upkeep.backup import back_up
 
-    context = open_service(settings)
+    context = Context.open_existing(settings)
     try:
         with _resumable(), console.progress("backup", "B", quiet=quiet) as bar:
             report = back_up(context, out, bar)

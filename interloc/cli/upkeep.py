@@ -45,7 +45,7 @@ def check(data_dir: Path | None, *, repair: bool, quick: bool, as_json: bool, qu
     from app.upkeep.check import check as check_all
 
     try:
-        with _closing(Context.open(settings)) as context, progress("checking", " folders", quiet=quiet) as bar:
+        with _closing(Context.open_existing(settings)) as context, progress("checking", " folders", quiet=quiet) as bar:
             found = check_all(context, repair=repair, quick=quick, progress=bar)
     except InstallationError as error:
         found = [Finding("installation", ".", str(error))]
@@ -92,7 +92,7 @@ def adopt(data_dir: Path | None, *, dry_run: bool, quiet: bool) -> None:
     from app.upkeep.adopt import adopt as adopt_all
 
     with (
-        _closing(Context.open(settings, bound=False)) as context,
+        _closing(Context.open_existing(settings, bound=False)) as context,
         progress("adopting", " folders", quiet=quiet) as bar,
     ):
         outcomes = adopt_all(context, dry_run=dry_run, progress=bar)
@@ -175,7 +175,7 @@ def _context(data_dir: Path | None) -> Iterator[Context]:
     settings = read_settings({"data_dir": data_dir})
     from app.context import Context
 
-    with _closing(Context.open(settings)) as context:
+    with _closing(Context.open_existing(settings)) as context:
         yield context
 
 

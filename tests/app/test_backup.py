@@ -33,7 +33,7 @@ from app.settings import Settings
 from app.store import database as database_module
 from app.store.database import Database
 from app.store.models import Base, Drive, Job
-from app.upkeep.backup import DATABASE, RECORD, BackupRecord, BackupReport, back_up, open_service
+from app.upkeep.backup import DATABASE, RECORD, BackupRecord, BackupReport, back_up
 from app.upkeep.content import DRIVE_TABLES, SHARED_TABLES
 from app.upkeep.restore import RestoreReport, restore
 from interloc.errors import ConfigError, InterLocError, OutputError
@@ -89,7 +89,7 @@ def put(client: httpx.Client, drive: str, path: str, content: bytes) -> None:
 @contextmanager
 def service(data: Path, **settings: Any) -> Iterator[Context]:
     """A service that exists, without a server."""
-    context = open_service(Settings(data_dir=data, min_free_bytes=0, **settings))
+    context = Context.open_existing(Settings(data_dir=data, min_free_bytes=0, **settings))
     try:
         yield context
     finally:
@@ -434,7 +434,7 @@ def test_places_where_no_backup_can_be(data: Path, used: Path, tmp_path: Path) -
 
 def test_a_folder_without_its_database_is_no_service(data: Path, tmp_path: Path) -> None:
     (data / "interloc.sqlite3").unlink()
-    with pytest.raises(ConfigError, match=r"has no database interloc\.sqlite3"):
+    with pytest.raises(ConfigError, match=r"there is no database .*interloc\.sqlite3"):
         make_backup(data, tmp_path / "backup")
 
 

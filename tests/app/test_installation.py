@@ -108,8 +108,10 @@ def test_a_database_file_that_was_removed_is_not_made_anew(tmp_path: Path) -> No
     fill(tmp_path / "data")
     for path in (tmp_path / "data").glob("interloc.sqlite3*"):
         path.unlink()
-    for _ in range(2):  # the second start finds the empty file that the first one has made
-        assert "the database was lost" in refuse(tmp_path / "data")
+    assert "the database was lost" in refuse(tmp_path / "data")
+    assert not list((tmp_path / "data").glob("interloc.sqlite3*"))
+    (tmp_path / "data/interloc.sqlite3").touch()  # as a version before would have made it
+    assert "the database was lost" in refuse(tmp_path / "data")
 
 
 def test_a_volume_that_is_not_mounted_is_noticed(tmp_path: Path, elsewhere: str) -> None:

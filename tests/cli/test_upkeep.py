@@ -99,3 +99,15 @@ def test_the_trash_is_listed_restored_and_emptied(interloc: Callable, data: Path
     assert not (data / f"drives/{other}").exists()
     assert interloc("trash", "list").err == "the trash is empty\n"
     assert interloc("check").code == 0
+
+
+def test_a_mistyped_folder_does_not_become_a_service(interloc: Callable, tmp_path: Path) -> None:
+    for command in (["check"], ["adopt"], ["trash", "list"], ["trash", "empty"]):
+        refused = interloc(*command, "--data-dir", str(tmp_path / "mistyped"))
+        assert refused.code == 2
+        assert "there is no data folder" in refused.complaint
+    assert not (tmp_path / "mistyped").exists()
+    refused = interloc("check", "--data-dir", str(tmp_path))
+    assert refused.code == 2
+    assert "holds no drives of a service" in refused.complaint
+    assert not list(tmp_path.iterdir())
