@@ -240,7 +240,12 @@ def drives(
 )
 @click.option("--osm", required=True, type=click.Path(path_type=Path), help="Map that holds all sequences.")
 @click.option("--sequences", default=SEQUENCES, show_default=True, help="KITTI odometry sequences to place.")
-@click.option("--lengths", default="whole,1000,500", show_default=True, help="Lengths of the pieces, metres.")
+@click.option(
+    "--lengths",
+    default="whole,1500,1000,700,500,300,200,intersections",
+    show_default=True,
+    help="Lengths of the pieces, metres; intersections: what is around single ones.",
+)
 @click.option(
     "--twins",
     type=click.Path(path_type=Path),
@@ -266,10 +271,13 @@ def locate(
     from interloc.benchmark.locating import LocateRow, Piece, measure_pieces, pieces_of, table_of, write_locating
     from interloc.osm.reader import read_osm
 
+    words = {"whole": float("inf"), "intersections": 0.0}
     try:
-        lengths_m = tuple(float("inf") if each == "whole" else float(each) for each in _list(lengths))
+        lengths_m = tuple(words[each] if each in words else float(each) for each in _list(lengths))
     except ValueError:
-        raise click.UsageError(f"--lengths {lengths}: expected metres with commas between them, or whole") from None
+        raise click.UsageError(
+            f"--lengths {lengths}: expected metres, whole or intersections, with commas between them"
+        ) from None
     console.set_up_log(quiet=quiet)
 
     def report(piece: Piece, rows: list[LocateRow]) -> None:
