@@ -246,8 +246,10 @@ def _row(
 def table_of(rows: list[LocateRow]) -> str:
     """Return the figures as a table in Markdown, one line per length."""
     lines = [
-        "| driven | count | placed right | refused | wrong | position, median / 95 % [m] | heading, median [deg] "
-        "| found on wrong maps | time, median / longest [s] |",
+        (
+            "| driven | count | placed right | refused | wrong | position, median / 95 % [m] | heading, median [deg] "
+            "| found on wrong maps | time, median / longest [s] |"
+        ),
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, group in _by_length(rows):
@@ -270,8 +272,10 @@ def table_of(rows: list[LocateRow]) -> str:
         near = sum(row.median_m is not None and row.median_m < RECALL_M for row in single)
         lines += [
             "",
-            f"Recall at {RECALL_M:g} m from a single intersection ({2 * AROUND_M:.0f} m of driving around it, the best "
-            f"place whether it is sure or not): {100 * near / len(single):.0f} % of {len(single)}.",
+            (
+                f"Recall at {RECALL_M:g} m from a single intersection ({2 * AROUND_M:.0f} m of driving around it, the best "
+                f"best place whether it is sure or not): {100 * near / len(single):.0f} % of {len(single)}."
+            ),
         ]
     return "\n".join(lines)
 
