@@ -270,13 +270,9 @@ def table_of(rows: list[LocateRow]) -> str:
     single = [row for row in rows if row.what == "intersection"]
     if single:
         near = sum(row.median_m is not None and row.median_m < RECALL_M for row in single)
-        lines += [
-            "",
-            (
-                f"Recall at {RECALL_M:g} m from a single intersection ({2 * AROUND_M:.0f} m of driving around it, the best "
-                f"best place whether it is sure or not): {100 * near / len(single):.0f} % of {len(single)}."
-            ),
-        ]
+        share = f"{100 * near / len(single):.0f} % of {len(single)}"
+        where = f"the best place within {2 * AROUND_M:.0f} m of driving around it, sure or not"
+        lines += ["", f"Recall at {RECALL_M:g} m from a single intersection ({where}): {share}."]
     return "\n".join(lines)
 
 
