@@ -10,7 +10,7 @@ import click
 from interloc.cli import console, locating, options
 
 if TYPE_CHECKING:
-    from interloc.drive import Drive
+    from interloc.drives.folder import FolderDrive
 
 
 @click.command(short_help="Place a drive on the map without GNSS.")
@@ -24,6 +24,11 @@ if TYPE_CHECKING:
     help="Place the drive by this pose of the LiDAR instead of a map; heading clockwise from north.",
 )
 @click.option("--at-frame", type=int, help="Scan that has the pose of --at.  [default: the first]")
+@click.option(
+    "--gpx",
+    type=click.Path(path_type=Path),
+    help="Place the drive by the track of a phone or a watch that was along, by time or else by shape.",
+)
 @click.option(
     "-o",
     "--out",
@@ -47,6 +52,7 @@ def command(
     radius_km: float | None,
     at: tuple[float, float, float] | None,
     at_frame: int | None,
+    gpx: Path | None,
     out: Path | None,
     figure: Path | None,
     growth: bool,
@@ -65,29 +71,33 @@ def command(
       interloc locate sequences/07 --osm karlsruhe.osm.pbf -o geo.csv
       interloc locate sequences/07 --osm germany.osm.pbf --near 49.01,8.43 --radius 5 -o geo.csv --figure where.png
       interloc locate sequences/07 --at 48.98523,8.39364,211.5 -o geo.csv
+      interloc locate sequences/07 --gpx watch.gpx -o geo.csv
 
     Exit code 1 where the place is ambiguous or was not found: then no geo.csv is written.
     """
     from interloc.drives.georeference.geo_csv import write_geo_csv
     from interloc.localization.placing import require_found
 
-    if (osm is None) == (at is None):
-        raise click.UsageError("say where to look: the map by --osm FILE, or one pose by --at LAT,LON,HEADING_DEG")
+    if sum(each is not None for each in (osm, at, gpx)) != 1:
+        raise click.UsageError(
+            "say where to look, in one way: the map by --osm FILE, one pose by --at LAT,LON,HEADING_DEG, or a track by "
+            "--gpx FILE"
+        )
     if at is None and at_frame is not None:
         raise click.UsageError("--at-frame belongs to --at")
-    if at is not None and (near or radius_km or figure or growth):
-        raise click.UsageError("--at needs no map: leave out --near, --radius, --figure and --growth")
-    near, radius_m = locating.search_area(near, radius_km)
+    if osm is None and (near or radius_km or figure or growth or track_only):
+        raise click.UsageError("--near, --radius, --figure, --growth and --track-only belong to --osm")
+    search_near, radius_m = locating.search_area(near, radius_km)
     console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
     source = options.open_drive(drive, reading).without_georeference()
-    if at is not None:
-        _place_at(source, at, at_frame, out, quiet=quiet, as_json=as_json)
+    if osm is None:
+        _place_by_anchor(source, at, at_frame, gpx, out, quiet=quiet, as_json=as_json)
         return
     graph = options.read_map(osm)
     assert graph is not None
     result, location = locating.locate_drive(
-        source, graph, config, near=near, radius_m=radius_m, workers=workers, quiet=quiet, track_only=track_only
+        source, graph, config, near=search_near, radius_m=radius_m, workers=workers, quiet=quiet, track_only=track_only
     )
     record = {"drive": source.name, **location.record()}
     facts = []
@@ -95,7 +105,7 @@ def command(
         from interloc.localization.growth import growth_of, growth_text
 
         with console.progress("growth", "length", quiet=quiet) as bar:
-            rows = growth_of(source, graph, result=result, near=near, radius_m=radius_m, progress=bar)
+            rows = growth_of(source, graph, result=result, near=search_near, radius_m=radius_m, progress=bar)
         record["growth"] = rows
         facts = [("growth", growth_text(rows))]
     if figure is not None and location.places:
@@ -110,10 +120,11 @@ def command(
         console.say_facts([*locating.location_facts(location), *facts])
 
 
-def _place_at(
-    drive: Drive,
-    at: tuple[float, float, float],
+def _place_by_anchor(
+    drive: FolderDrive,
+    at: tuple[float, float, float] | None,
     at_frame: int | None,
+    gpx: Path | None,
     out: Path | None,
     *,
     quiet: bool,
@@ -121,16 +132,32 @@ def _place_at(
 ) -> None:
     from interloc.drives.georeference.geo_csv import write_geo_csv
     from interloc.localization.anchors import georeference_at
+    from interloc.localization.gpx import georeference_by_gpx, read_gpx
 
-    georeference = georeference_at(drive, *at, frame=at_frame)
+    if at is not None:
+        georeference = georeference_at(drive, *at, frame=at_frame)
+        uncertainty = (
+            "that of the pose given, plus the drift of the poses from there, plus 1.7 m per 100 m of distance for each "
+            "degree that its heading is wrong"
+        )
+        facts = {}
+    else:
+        assert gpx is not None
+        placed = georeference_by_gpx(drive, read_gpx(gpx))
+        georeference = placed.georeference
+        facts = {
+            "matched_by": placed.matched_by,
+            "rms_m": round(placed.rms_m, 1),
+            "position_std_m": round(locating.median(placed.position_std_m), 1),
+        }
+        uncertainty = f"{facts['position_std_m']} m (one sigma, median; what all fixes of a phone share included)"
     if out is not None:
         write_geo_csv(out, drive.frames, georeference)
-    uncertainty = (
-        "that of the pose given, plus the drift of the poses from there, plus 1.7 m per 100 m of distance for each "
-        "degree that its heading is wrong"
-    )
     if as_json:
-        console.say_json({"drive": drive.name, "georeference": georeference.source, "uncertainty": uncertainty})
+        console.say_json(
+            {"drive": drive.name, "georeference": georeference.source, "uncertainty": uncertainty, **facts}
+        )
     elif not quiet:
+        fit = [("fit", f"{facts['rms_m']} m from the track before it was bent onto it")] if facts else []
         written = [] if out is None else [("written to", str(out))]
-        console.say_facts([("placed by", georeference.source), ("uncertainty", uncertainty), *written])
+        console.say_facts([("placed by", georeference.source), *fit, ("uncertainty", uncertainty), *written])

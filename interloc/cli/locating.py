@@ -117,7 +117,7 @@ def location_facts(location: Location) -> list[tuple[str, str]]:
         "passed were not seen"
     )
     uncertainty = (
-        f"{_median(location.position_std_m):.1f} m, {_median(location.heading_std_deg):.1f} degrees "
+        f"{median(location.position_std_m):.1f} m, {median(location.heading_std_deg):.1f} degrees "
         "(one sigma, median; errors of the map included)"
     )
     return [
@@ -139,7 +139,8 @@ def write_figure(location: Location, graph: RoadGraph, drive: str, path: Path) -
     write_image(path, image(figure, "svg" if path.suffix.lower() == ".svg" else "png"))
 
 
-def _median(values: Any) -> float:
+def median(values: Any) -> float:
+    """Return the median of an array."""
     import numpy as np
 
     return float(np.median(values))

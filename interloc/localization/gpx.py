@@ -1,0 +1,231 @@
+"""Placing a drive by the track of a phone or a watch that was along: a GPX file.
+
+The two tracks are laid on each other by time where both know the hour, else by shape: the drive is slid along the track
+of the file, each time with the best rigid motion (Arun et al. 1987, in the plane). Then the drive is bent onto the
+track as it is bent onto the roads of a map (`interloc.localization.refine`): the file says where it ran, the odometry
+how smoothly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.drive import Drive, Georeference
+from interloc.errors import LocationError
+from interloc.files import reason_of
+from interloc.geometry import rotate_2d
+from interloc.localization.locate import georeference_by
+from interloc.localization.refine import Chain, Nodes, fit, uncertainty
+from interloc.localization.roads import RoadMap, WayIndex, road_map
+from interloc.localization.sightings import no_sightings
+from interloc.localization.track import Track, track_of
+from interloc.osm.graph import RoadGraph, Ways
+from interloc.output.write import thin
+
+MAX_BYTES = 100_000_000
+FIX_STD_M = 4.0
+"""Of the fixes of a phone, as far as they share it: it stays when the scatter of the fixes is averaged."""
+
+MIN_LENGTH_M = 100.0
+MAX_RMS_M = 15.0
+"""A drive that stays farther from the track than this was not along."""
+
+_APART_M = 50.0
+_LEAD = 2.0  # the next place along the track must fit that much worse
+_SLIDE_M = 5.0
+_SHARE = 0.8  # of the drive that the track must cover
+_EPOCH_S = 1e8  # times above are seconds since 1970, below since the first scan
+_STEP_M = 5.0  # points of the track that are closer are scatter, above all where it stands
+
+
+@dataclass(frozen=True)
+class GpxTrack:
+    """The track of a GPX file.
+
+    Attributes
+    ----------
+    lonlat : (P, 2) float64
+        Degrees.
+    time_s : (P,) float64 or None
+        Seconds since 1970, where every point has one.
+    source : str
+        Name of the file.
+    """
+
+    lonlat: FloatArray
+    time_s: FloatArray | None
+    source: str
+
+
+@dataclass(frozen=True)
+class GpxPlacement:
+    """A drive placed by a GPX track.
+
+    Attributes
+    ----------
+    georeference : Georeference
+    matched_by : {"time", "shape"}
+    rms_m : float
+        Of the distances of the drive from the track, before it was bent onto it.
+    position_std_m : (N,) float64
+        One sigma of the position of each scan, what all fixes share included.
+    """
+
+    georeference: Georeference
+    matched_by: str
+    rms_m: float
+    position_std_m: FloatArray
+
+
+def read_gpx(path: Path) -> GpxTrack:
+    """Read the tracks (or else the routes) of a GPX file as one.
+
+    Raises
+    ------
+    LocationError
+        It cannot be read, is no GPX file, or holds no track.
+    """
+    import gpxpy  # noqa: PLC0415 - needed for this alone
+    from gpxpy.gpx import GPXException  # noqa: PLC0415
+
+    usual = "Expected a GPX 1.0 or 1.1 file with a track, as phones and watches export it."
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise LocationError(f"{path}: {size:,} bytes; a GPX track has at most {MAX_BYTES:,}.")
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise LocationError(f"{path} could not be read: {reason_of(error)}.") from error
+    except UnicodeDecodeError as error:
+        raise LocationError(f"{path}: it is not UTF-8 text. {usual}") from error
+    if "<!ENTITY" in text or "<!DOCTYPE" in text:  # entities can unpack to more than there is memory
+        raise LocationError(f"{path}: it declares entities or a document type, which no GPX file needs. {usual}")
+    try:
+        gpx = gpxpy.parse(text)
+    except (GPXException, ValueError, LookupError) as error:
+        raise LocationError(f"{path}: it is no GPX file ({str(error).strip()[:200]}). {usual}") from error
+    points = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
+    points = points or [point for route in gpx.routes for point in route.points]
+    lonlat = np.array([(point.longitude, point.latitude) for point in points], dtype=np.float64).reshape(-1, 2)
+    if len(lonlat) < 2:
+        raise LocationError(f"{path}: holds {len(lonlat)} points of a track. {usual}")
+    if not (np.isfinite(lonlat).all() and (np.abs(lonlat) <= [180.0, 89.0]).all()):
+        raise LocationError(f"{path}: a point lies beyond 180 degrees of longitude or 89 degrees of latitude. {usual}")
+    times = [None if point.time is None else point.time.timestamp() for point in points]
+    known = np.array([time for time in times if time is not None])
+    has_times = len(known) == len(times) and bool((np.diff(known) >= 0.0).all())
+    return GpxTrack(lonlat, known if has_times else None, path.name)
+
+
+def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
+    """Place a drive by a track that was recorded along with it.
+
+    Raises
+    ------
+    LocationError
+        The track does not fit the drive, or fits it at several places.
+    """
+    track = track_of(drive.T_world_lidar)
+    if track.length_m < MIN_LENGTH_M:
+        raise LocationError(
+            f"{drive.name}: the drive is {track.length_m:.0f} m long; a track places one from {MIN_LENGTH_M:.0f} m on. "
+            "One pose that is known places it, too (--at)."
+        )
+    roads = _as_roads(gpx)
+    xy = roads.xy(gpx.lonlat)
+    chain = Chain.of(track, no_sightings())
+    target = _by_time(drive, track, chain, gpx, xy)
+    matched_by = "shape" if target is None else "time"
+    if target is None:
+        target = _by_shape(drive.name, chain, xy[thin(xy, _STEP_M)], gpx.source)
+    turn, shift, rms_m = _rigid(chain.pose[:, :2], target)
+    if rms_m > MAX_RMS_M:
+        raise LocationError(
+            f"{drive.name}: by {matched_by}, the drive stays {rms_m:.0f} m from the track of {gpx.source} (root mean "
+            f"square); expected {MAX_RMS_M:.0f} m or less. Usual cause: a track of another day, or clocks that disagree."
+        )
+    start = np.column_stack([rotate_2d(chain.pose[:, :2], turn) + shift, chain.pose[:, 2] + turn])
+    ways, nodes = WayIndex.of(roads), Nodes.of(np.zeros((0, 2)))
+    bent = fit(chain, start, ways, nodes)
+    covariance = uncertainty(chain, bent, ways, nodes)
+    rows = np.round(np.interp(track.at_m, chain.at_m, np.arange(len(chain)))).astype(np.int64)
+    return GpxPlacement(
+        georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by})"),
+        matched_by,
+        rms_m,
+        np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + FIX_STD_M**2),
+    )
+
+
+def _as_roads(gpx: GpxTrack) -> RoadMap:
+    """Return the track as a map of one road."""
+    middle = (gpx.lonlat.min(axis=0) + gpx.lonlat.max(axis=0)) / 2.0
+    scale = np.array([np.cos(np.radians(middle[1])), 1.0]) * 111_320.0
+    lonlat = gpx.lonlat[thin(gpx.lonlat * scale, _STEP_M)]
+    count = len(lonlat)
+    graph = RoadGraph(
+        node_id=np.arange(1, count + 1),
+        lonlat=lonlat,
+        edges=np.column_stack([np.arange(count - 1), np.arange(1, count)]),
+        edge_way=np.zeros(count - 1, dtype=np.int64),
+        ways=Ways(np.array([1]), ("residential",), ("",), np.array([False])),
+        source=gpx.source,
+    )
+    return road_map(graph)
+
+
+def _by_time(drive: Drive, track: Track, chain: Chain, gpx: GpxTrack, xy: FloatArray) -> FloatArray | None:
+    """Return where the poses of the chain were, (n, 2), by the clocks of both; None where they do not say."""
+    times_s = drive.times_s
+    if times_s is None or gpx.time_s is None or times_s[0] < _EPOCH_S:
+        return None
+    then = np.interp(chain.at_m, track.at_m, times_s)
+    if ((then >= gpx.time_s[0]) & (then <= gpx.time_s[-1])).mean() < _SHARE:
+        return None
+    return np.column_stack([np.interp(then, gpx.time_s, xy[:, axis], left=np.nan, right=np.nan) for axis in (0, 1)])
+
+
+def _by_shape(name: str, chain: Chain, xy: FloatArray, source: str) -> FloatArray:
+    """Return where the poses of the chain were, (n, 2), by sliding the drive along the track."""
+    at_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    length_m = float(chain.at_m[-1])
+    spare_m = (1.0 - _SHARE) * length_m
+    offsets = np.arange(-spare_m, at_m[-1] - _SHARE * length_m + 1e-9, _SLIDE_M)
+    if not len(offsets):
+        raise LocationError(
+            f"{name}: the drive is {length_m:.0f} m long, the track of {source} {at_m[-1]:.0f} m. Expected a track that "
+            "covers the drive."
+        )
+    targets = [_along(chain.at_m + offset, at_m, xy) for offset in offsets.tolist()]
+    rms_m = np.array([_rigid(chain.pose[:, :2], target)[2] for target in targets])
+    best = int(rms_m.argmin())
+    elsewhere = rms_m[np.abs(offsets - offsets[best]) > _APART_M]
+    next_m = float(elsewhere.min()) if len(elsewhere) else np.inf
+    if rms_m[best] <= MAX_RMS_M and next_m < _LEAD * max(float(rms_m[best]), FIX_STD_M):
+        raise LocationError(
+            f"{name}: its place along the track of {source} is ambiguous: it fits to {rms_m[best]:.0f} m (root mean "
+            f"square), and elsewhere along the track to {next_m:.0f} m. A longer drive with more curves would help, or "
+            "times since 1970 in the drive and in the track."
+        )
+    return targets[best]
+
+
+def _along(distance: FloatArray, at_m: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return the points of a line at distances along it, (n, 2); NaN beyond its ends."""
+    return np.column_stack([np.interp(distance, at_m, xy[:, axis], left=np.nan, right=np.nan) for axis in (0, 1)])
+
+
+def _rigid(source: FloatArray, target: FloatArray) -> tuple[float, FloatArray, float]:
+    """Return turn, shift and root mean square error of the best rigid motion of (n, 2) points onto others."""
+    known = np.isfinite(target[:, 0])
+    source, target = source[known], target[known]
+    from_middle, to_middle = source.mean(axis=0), target.mean(axis=0)
+    a, b = source - from_middle, target - to_middle
+    turn = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+    shift = to_middle - rotate_2d(from_middle, turn)
+    error = rotate_2d(source, turn) + shift - target
+    return turn, shift, float(np.sqrt((error**2).sum(axis=1).mean()))

@@ -1,0 +1,103 @@
+"""A drive is placed by the track of a phone that was along."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.errors import LocationError
+from interloc.localization.gpx import GpxTrack, georeference_by_gpx, read_gpx
+from tests.localization.town import MadeDrive, drive_along, route_xy
+
+START_S = 1.7e9
+DRIVE = drive_along(route_xy(), drift_deg_per_km=2.0)
+
+
+def phone(drive: MadeDrive, *, noise_m: float = 3.0, every: int = 10) -> GpxTrack:
+    """What a phone records along the way: a fix every ten metres, off by what changes slowly."""
+    rng = np.random.default_rng(3)
+    count = len(drive.true_lonlat)
+    white = rng.normal(0.0, noise_m, (count, 2))
+    slow = np.column_stack([np.convolve(white[:, axis], np.ones(50) / 50**0.5, "same") for axis in (0, 1)])
+    degrees = slow / 111_320.0 / [np.cos(np.radians(49.0)), 1.0]
+    return GpxTrack((drive.true_lonlat + degrees)[::every], START_S + np.arange(count)[::every] / 10.0, "phone.gpx")
+
+
+@pytest.mark.parametrize("by", ["time", "shape"])
+def test_a_drive_is_laid_on_the_track(by: str) -> None:
+    times_s = START_S + np.arange(len(DRIVE.frames)) / 10.0 if by == "time" else None
+    placed = georeference_by_gpx(replace(DRIVE, times_s=times_s), phone(DRIVE))
+    error_m = DRIVE.error_m(placed.georeference)
+    assert placed.matched_by == by
+    assert np.median(error_m) < 4.0
+    assert error_m.max() < 12.0
+    assert 4.0 <= np.median(placed.position_std_m) < 6.0
+    assert "phone.gpx" in placed.georeference.source
+
+
+def test_a_track_that_is_longer_than_the_drive() -> None:
+    track = phone(DRIVE)
+    part = slice(300, 1000)
+    poses = np.linalg.inv(DRIVE.T_world_lidar[part][0]) @ DRIVE.T_world_lidar[part]
+    drive = MadeDrive(poses, DRIVE.true_lonlat[part], DRIVE.true_yaw_rad[part])
+    assert np.median(drive.error_m(georeference_by_gpx(drive, track).georeference)) < 5.0
+
+
+def test_a_track_of_somewhere_else_is_refused() -> None:
+    other = drive_along(route_xy() * [-1.0, 1.0])
+    with pytest.raises(LocationError, match="track of another day"):
+        georeference_by_gpx(DRIVE, phone(other))
+    short = phone(DRIVE)
+    with pytest.raises(LocationError, match="Expected a track that covers the drive"):
+        georeference_by_gpx(DRIVE, GpxTrack(short.lonlat[:30], None, "short.gpx"))
+
+
+def test_a_straight_drive_fits_everywhere_along_a_straight_track() -> None:
+    line = drive_along(np.array([[0.0, 0.0], [1000.0, 0.0]]))
+    piece = MadeDrive(line.T_world_lidar[:300], line.true_lonlat[:300], line.true_yaw_rad[:300])
+    with pytest.raises(LocationError, match="ambiguous"):
+        georeference_by_gpx(piece, phone(line, noise_m=0.5))
+    with pytest.raises(LocationError, match="50 m long"):
+        georeference_by_gpx(
+            MadeDrive(line.T_world_lidar[:51], line.true_lonlat[:51], line.true_yaw_rad[:51]), phone(line)
+        )
+
+
+def gpx_text(points: str) -> str:
+    return f'<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{points}</trkseg></trk></gpx>'
+
+
+def test_a_file_is_read_with_and_without_times(tmp_path: Path) -> None:
+    path = tmp_path / "a.gpx"
+    points = "".join(f'<trkpt lat="49.0" lon="8.4{i}"><time>2026-01-01T00:00:0{i}Z</time></trkpt>' for i in range(3))
+    path.write_text(gpx_text(points))
+    track = read_gpx(path)
+    assert track.lonlat.tolist() == [[8.40, 49.0], [8.41, 49.0], [8.42, 49.0]]
+    assert track.time_s is not None
+    assert datetime.fromtimestamp(track.time_s[2], UTC) == datetime(2026, 1, 1, 0, 0, 2, tzinfo=UTC)
+    path.write_text(gpx_text('<trkpt lat="49.0" lon="8.4"/><trkpt lat="49.0" lon="8.5"/>'))
+    assert read_gpx(path).time_s is None
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("no xml", "it is no GPX file"),
+        ("<kml/>", "holds 0 points"),
+        (gpx_text(""), "holds 0 points"),
+        (gpx_text('<trkpt lat="x" lon="8"/>'), "it is no GPX file"),
+        (gpx_text('<trkpt lat="95" lon="8"/><trkpt lat="49" lon="8"/>'), "beyond 180 degrees"),
+        ('<!DOCTYPE gpx [<!ENTITY a "b">]>' + gpx_text(""), "declares entities"),
+    ],
+)
+def test_what_is_no_track_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "bad.gpx"
+    path.write_text(text)
+    with pytest.raises(LocationError, match=says):
+        read_gpx(path)
+    with pytest.raises(LocationError, match="could not be read"):
+        read_gpx(tmp_path / "none.gpx")
