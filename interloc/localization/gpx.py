@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -108,7 +109,7 @@ def read_gpx(path: Path) -> GpxTrack:
         gpx = gpxpy.parse(text)
     except (GPXException, ValueError, LookupError) as error:
         raise LocationError(f"{path}: it is no GPX file ({str(error).strip()[:200]}). {usual}") from error
-    points = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
+    points: list[Any] = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
     points = points or [point for route in gpx.routes for point in route.points]
     lonlat = np.array([(point.longitude, point.latitude) for point in points], dtype=np.float64).reshape(-1, 2)
     if len(lonlat) < 2:
@@ -146,7 +147,7 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     if rms_m > MAX_RMS_M:
         raise LocationError(
             f"{drive.name}: by {matched_by}, the drive stays {rms_m:.0f} m from the track of {gpx.source} (root mean "
-            f"square); expected {MAX_RMS_M:.0f} m or less. Usual cause: a track of another day, or clocks that disagree."
+            f"square); expected {MAX_RMS_M:.0f} m at most. Usual cause: a track of another day, or clocks that differ."
         )
     start = np.column_stack([rotate_2d(chain.pose[:, :2], turn) + shift, chain.pose[:, 2] + turn])
     ways, nodes = WayIndex.of(roads), Nodes.of(np.zeros((0, 2)))
@@ -197,8 +198,8 @@ def _by_shape(name: str, chain: Chain, xy: FloatArray, source: str) -> FloatArra
     offsets = np.arange(-spare_m, at_m[-1] - _SHARE * length_m + 1e-9, _SLIDE_M)
     if not len(offsets):
         raise LocationError(
-            f"{name}: the drive is {length_m:.0f} m long, the track of {source} {at_m[-1]:.0f} m. Expected a track that "
-            "covers the drive."
+            f"{name}: the drive is {length_m:.0f} m long, the track of {source} {at_m[-1]:.0f} m. "
+            "Expected a track that covers the drive."
         )
     targets = [_along(chain.at_m + offset, at_m, xy) for offset in offsets.tolist()]
     rms_m = np.array([_rigid(chain.pose[:, :2], target)[2] for target in targets])

@@ -92,8 +92,9 @@ def test_one_known_pose(drive: Path, tmp_path: Path, interloc: Callable) -> None
         ((), "say where to look"),
         (("--osm", "map.osm", "--at", "49,8,0"), "say where to look"),
         (("--at", "49,8"), "3 numbers with commas"),
+        (("--gpx", "watch.gpx", "--at", "49,8,0"), "say where to look"),
         (("--osm", "map.osm", "--at-frame", "3"), "--at-frame belongs to --at"),
-        (("--at", "49,8,0", "--growth"), "--at needs no map"),
+        (("--at", "49,8,0", "--growth"), "--growth and --track-only belong to --osm"),
     ],
 )
 def test_wrong_usage(drive: Path, arguments: tuple[str, ...], says: str, interloc: Callable) -> None:
