@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -389,9 +390,12 @@ class _Count:
     def __init__(self, progress: Progress | None) -> None:
         self._progress = progress
         self._done = 0
+        self._lock = threading.Lock()  # the two searches run side by side
 
     def add(self, _: int, total: int) -> None:
         """Count one more place bent onto the roads."""
-        if self._progress is not None:
+        if self._progress is None:
+            return
+        with self._lock:
             self._done = min(self._done + 1, 2 * total)
             self._progress(self._done, 2 * total)
