@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from interloc.arrays import FloatArray, IntArray
 
 
@@ -74,6 +76,11 @@ class DetectionTable:
 
     def __len__(self) -> int:
         return len(self.keyframe)
+
+    @property
+    def number(self) -> IntArray:
+        """(D,) int64 number of each detection at its keyframe, from 1."""
+        return np.arange(len(self)) - np.searchsorted(self.keyframe, self.keyframe) + 1
 
 
 @dataclass(frozen=True)

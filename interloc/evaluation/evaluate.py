@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from interloc.arrays import BoolArray
+from interloc.arrays import IntArray
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.evaluation.coverage import check_coverage
 from interloc.evaluation.map_level import MapLevel, assign_intersections
@@ -39,6 +39,8 @@ class Evaluation:
     keyframes : KeyframeTable
     detections : DetectionTable
         Those that were scored: all that lie on the map.
+    detection_row : (E,) int64
+        Rows of them in the result.
     detections_outside_map : int
         Detections beyond the declared bounds of the map, where nothing is known about them.
     matching : Matching
@@ -48,6 +50,9 @@ class Evaluation:
     node_table : NodeTable
     map_level : MapLevel
         Of the fused intersections with `nodes`.
+    georeference : dict
+        Where longitude and latitude come from: `source` ("drive" or "map") and `description`; what `run.json` says of
+        its uncertainty where it is the map.
     track_to_road_m : float
         Median distance of the track from the nearest drivable road, metres.
     warnings : tuple of str
@@ -61,12 +66,14 @@ class Evaluation:
     nodes: IntersectionNodes
     keyframes: KeyframeTable
     detections: DetectionTable
+    detection_row: IntArray
     detections_outside_map: int
     matching: Matching
     errors: ErrorSummary
     scores: Scores
     node_table: NodeTable
     map_level: MapLevel
+    georeference: dict[str, Any]
     track_to_road_m: float
     warnings: tuple[str, ...]
 
@@ -115,7 +122,7 @@ def evaluate(
     track_to_road_m, warnings = check_coverage(result.keyframes.lonlat, graph, roi_m=roi_m)
     nodes = intersection_nodes(graph, policy, tolerance_m)
 
-    on_map = within(graph.bounds, result.detections.lonlat)
+    on_map = np.flatnonzero(within(graph.bounds, result.detections.lonlat))
     detections = _select(result.detections, on_map)
     matching = match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
     node_table = tabulate_nodes(matching, len(nodes))
@@ -145,15 +152,25 @@ def evaluate(
         nodes=nodes,
         keyframes=result.keyframes,
         detections=detections,
-        detections_outside_map=int(np.count_nonzero(~on_map)),
+        detection_row=on_map,
+        detections_outside_map=len(result.detections) - len(on_map),
         matching=matching,
         errors=summarize_errors(matching),
         scores=score(matching),
         node_table=node_table,
         map_level=map_level,
+        georeference=_georeference(result.run),
         track_to_road_m=track_to_road_m,
         warnings=warnings,
     )
+
+
+def _georeference(run: dict[str, Any]) -> dict[str, Any]:
+    location = run.get("location")
+    if location is None:
+        return {"source": "drive", "description": run.get("georeference")}
+    told = {name: location.get(name) for name in ("position_std_m", "heading_std_deg")}
+    return {"source": "map", "description": run["georeference"], **told}
 
 
 def _zones(run: dict[str, Any], roi_m: float | None, relevant_zone_m: float | None) -> tuple[float, float]:
@@ -172,8 +189,7 @@ def _zones(run: dict[str, Any], roi_m: float | None, relevant_zone_m: float | No
     return roi_m, relevant_zone_m
 
 
-def _select(detections: DetectionTable, keep: BoolArray) -> DetectionTable:
-    rows = np.flatnonzero(keep)
+def _select(detections: DetectionTable, rows: IntArray) -> DetectionTable:
     return DetectionTable(
         keyframe=detections.keyframe[rows],
         lidar_xy=detections.lidar_xy[rows],

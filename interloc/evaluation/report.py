@@ -48,7 +48,7 @@ def write_report(evaluation: Evaluation, result: DriveResult, out_dir: Path) -> 
         raise OutputError(f"{out_dir}: no such folder. Expected the result folder of `interloc detect`.")
     pictures = _write_figures(evaluation, result, out_dir / "figures")
     write_collection(out_dir / "osm_nodes.geojson", _node_features(evaluation), local=False)
-    write_collection(out_dir / "matches.geojson", _match_features(evaluation), local=False)
+    write_collection(out_dir / "matches.geojson", _match_features(evaluation, result), local=False)
     record = report_record(evaluation)
     with atomic_write(out_dir / "report.html") as handle:
         handle.write(render_html(record, result, pictures).encode())
@@ -138,19 +138,22 @@ def _write_figures(evaluation: Evaluation, result: DriveResult, folder: Path) ->
     return pictures
 
 
-def _match_features(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
     detections, matching = evaluation.detections, evaluation.matching
     assert detections.lonlat is not None
     rows = np.flatnonzero(matching.is_matched)
     node, error = matching.node[rows], matching.error_m[rows]
+    frame = evaluation.keyframes.frame[detections.keyframe[rows]]
+    number = result.detections.number[evaluation.detection_row[rows]]
     seen = positions(detections.lonlat[rows], local=False)
     truth = positions(evaluation.nodes.lonlat[node], local=False)
     return LAYERS["matches"].features(
         [list(line) for line in zip(seen, truth, strict=True)],
-        frame=evaluation.keyframes.frame[detections.keyframe[rows]],
+        frame=frame,
         error_m=error,
         outcome=["TP" if each < STANDARD_THRESHOLD_M else "FP" for each in error.tolist()],
         osm_id=evaluation.nodes.osm_id[node],
+        detection=[f"{each}-{k}" for each, k in zip(frame.tolist(), number.tolist(), strict=True)],
     )
 
 
@@ -202,6 +205,7 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "nodes_in_zone": int(table.in_zone.sum()),
         "nodes_found": int((table.in_zone & table.found).sum()),
         "map_level": _map_level(evaluation.map_level),
+        "georeference": evaluation.georeference,
         "track_to_road_m": _metres(evaluation.track_to_road_m),
         "warnings": list(evaluation.warnings),
         "nodes": _node_rows(evaluation),

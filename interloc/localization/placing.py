@@ -78,7 +78,7 @@ def place_run(
     """
     location = locate(drive, graph, result=result, near=near, radius_m=radius_m, leave_one_out=True, progress=progress)
     georeference = require_found(location, drive.name)
-    about = {"source": "map", **location.record(), "scored": FAIR}
+    about = {"source": "map", **location.record()}
     placed = place_result(result, drive, georeference, about)
     nodes = intersection_nodes(graph, policy, tolerance_m)
     return PlacedRun(placed, fair_result(placed, drive, location, nodes), location)
@@ -203,7 +203,10 @@ def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: In
         fused_lonlat[these, 0] += without.lon_deg[scans] - location.georeference.lon_deg[scans]
         fused_lonlat[these, 1] += without.lat_deg[scans] - location.georeference.lat_deg[scans]
     return replace(
-        placed, detections=replace(detections, lonlat=lonlat), intersections=replace(fused, lonlat=fused_lonlat)
+        placed,
+        detections=replace(detections, lonlat=lonlat),
+        intersections=replace(fused, lonlat=fused_lonlat),
+        run=placed.run | {"location": placed.run["location"] | {"scored": FAIR}},
     )
 
 

@@ -130,6 +130,9 @@ class MatchProperties(Properties):
     error_m: Metres = Field(description="Length of the line, metres.")
     outcome: Literal["TP", "FP"] = Field(description="TP within 5 m of the node, else FP.")
     osm_id: OsmNode
+    detection: str | None = Field(
+        None, description="The detection: its scan number and, from 1, its number at that keyframe, as 120-1."
+    )
 
 
 class OsmRoadProperties(Properties):

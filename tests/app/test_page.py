@@ -187,7 +187,12 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
     told = serve_all().get("/config.json").json()
     assert [each["name"] for each in told["policies"]] == list(POLICIES)
     assert all(each["title"] and each["description"].endswith(".") for each in [*told["policies"], *told["layers"]])
-    assert {each["name"] for each in told["layers"] if each["is_osm"]} == {"osm_nodes", "matches", "osm_roads"}
+    assert {each["name"] for each in told["layers"] if each["is_osm"]} == {
+        "osm_nodes",
+        "matches",
+        "osm_roads",
+        "places",
+    }
     schemes = {each["name"]: each for each in told["label_schemes"]}
     assert schemes["semantickitti"]["road"] == [40, 60]
     assert 65535 in schemes["kitti360"]["known"]

@@ -16,6 +16,7 @@ import pytest
 from interloc import detect, evaluate, open_drive, read_osm, write_results
 from tests.app.processes import API, ServerProcess, ended, started
 from tests.app.street import write_street
+from tests.localization.town import LAT_DEG, LON_DEG, write_town_drive, write_town_map
 from tests.page.browsers import Browser, Watch, needs_page
 
 SAMPLE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kitti360_0009"
@@ -382,3 +383,31 @@ def test_the_form_is_usable_by_keyboard(browser: Browser, server: ServerProcess,
     upload.page.keyboard.press("Enter")
     upload.page.wait_for_selector("text=Upload another")
     context.close()
+
+
+def test_a_drive_without_gnss_is_placed_on_the_map(upload: Upload, server: ServerProcess, tmp_path: Path) -> None:
+    town = tmp_path / "town"
+    truth = write_town_drive(town)
+    write_town_map(town / "map.osm")
+    upload.pick(town)
+    form = upload.page.locator(".upload-form")
+    placing = form.get_by_label("Place the drive on the map by its roads")
+    assert placing.is_checked()
+    refusal = form.get_by_text("This drive has no GNSS: place it on the map")
+    placing.uncheck()
+    assert refusal.is_visible()
+    placing.check()
+    assert refusal.is_hidden()
+    near = form.get_by_label("Roughly where: latitude, longitude")
+    near.fill("somewhere")
+    assert form.get_by_text("give latitude and longitude, or nothing").is_visible()
+    near.fill(f"{LAT_DEG}, {LON_DEG}")
+    upload.press("Upload and run")
+    job = ended(server.client, upload.job())
+    assert job["state"] == "successful", job["error"]
+    assert job["request"]["near"] == {"lat_deg": LAT_DEG, "lon_deg": LON_DEG, "radius_km": 3.0}
+    assert job["summary"]["location"]["lat_deg"] == pytest.approx(truth.true_lonlat[0, 1], abs=3e-5)
+    upload.page.get_by_text("Placed by its roads").wait_for()
+    places = len(features(server.client.get(f"{API}/jobs/{job['id']}/places").raise_for_status().content))
+    row = upload.page.locator(".legend label", has_text="Next best places")
+    assert str(places - 1) in row.inner_text()

@@ -9,7 +9,7 @@ import { Frame } from "./frame.js";
  * @typedef {{lng: number, lat: number, properties: any}} Place A point; metres of W in place of degrees without georeference.
  * @typedef {Place & {row: number, outcome: "TP"|"FP"|"none", error_m: number|null, osm_id: number|null}} Detection
  *   Outcome "none": there is no evaluation.
- * @typedef {{osm_id: number|null, outcome: string, error_m: number, frame: number, line: number[][]}} Match
+ * @typedef {{osm_id: number|null, outcome: string, error_m: number, frame: number, detection: string|null, line: number[][]}} Match
  */
 
 /**
@@ -146,11 +146,14 @@ function match({ geometry, properties }) {
 
 /** @param {any[]} features @param {Match[]} matches @param {boolean} evaluated @returns {Detection[]} */
 function detectionsOf(features, matches, evaluated) {
-  /** @param {number} frame @param {number[]} position */
+  /** By id, or by place where the match is of a version without them. @param {number} frame @param {number[]} position */
   const key = (frame, position) => `${frame} ${position[0]} ${position[1]}`;
-  const matched = new Map(matches.map((each) => [key(each.frame, each.line[0]), each]));
+  const matched = new Map(matches.map((each) => [each.detection ?? key(each.frame, each.line[0]), each]));
+  let number = 0;
   return features.map((feature, row) => {
-    const pair = matched.get(key(feature.properties.frame, feature.geometry.coordinates));
+    const { frame } = feature.properties;
+    number = row > 0 && features[row - 1].properties.frame === frame ? number + 1 : 1;
+    const pair = matched.get(`${frame}-${number}`) ?? matched.get(key(frame, feature.geometry.coordinates));
     return {
       ...place(feature),
       row,
