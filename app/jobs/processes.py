@@ -13,18 +13,22 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
-from multiprocessing import get_context
+from importlib import import_module
+from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
 from app.jobs.hand_out import EXTRA_SLOTS, HandOut, Work
 from app.jobs.worker_limits import WorkerLimitError, memory_of, memory_share
+from app.work.kinds import WARM
 from interloc.processes import end_with_parent, interrupts_held_back
 
 _LOOK_S = 0.2  # interval at which time and memory of a piece of work are looked at
 _log = logging.getLogger(__name__)
-_context = get_context("spawn")  # a worker inherits none of the threads, locks and connections of the server
+# A worker inherits none of the threads, locks and connections of the server. Forked from a process that has imported
+# everything, and does nothing else, it is there at once, also in the place of one that was killed.
+_context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
 
 Result = TypeVar("Result")
 
@@ -53,6 +57,8 @@ class ProcessExecutor:
         self.slots = slots
         self.count_loss = count_loss
         self.memory_bytes = memory_bytes or memory_share(slots + EXTRA_SLOTS)
+        if _context.get_start_method() == "forkserver":
+            _context.set_forkserver_preload(list(WARM))
         self._lock = threading.Lock()
         self._hand_out = HandOut(slots)
         self._stopping = False
@@ -159,7 +165,7 @@ class _Slot:
 
     def _serve(self) -> None:
         with suppress(OSError, WorkerLostError):
-            self._start()  # ahead of the first work: importing the compiler takes a second
+            self._start()  # ahead of the first work: importing everything takes some seconds
         while (work := self.inbox.get()) is not None:
             with self._lock:
                 self._work = work
@@ -230,7 +236,7 @@ class _Slot:
             if self._executor.is_stopping:
                 raise WorkerLostError("the service is being stopped")
             ours, theirs = _context.Pipe()
-            process = _context.Process(target=_work, args=(theirs, self.number >= self._executor.slots), daemon=True)
+            process = _context.Process(target=_work, args=(theirs,), daemon=True)
             with interrupts_held_back():
                 process.start()
             theirs.close()  # so that the end of the process is noticed here
@@ -258,12 +264,12 @@ def _reason(code: int | None) -> str:
     return f"was ended by signal {-code}"
 
 
-def _work(connection: Connection, is_extra: bool) -> None:
+def _work(connection: Connection) -> None:
     """Work as a worker process: say that it is ready, then do what comes through the pipe until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
     end_with_parent()
     _die_first()
-    _warm_up(thoroughly=is_extra)
+    _warm_up()
     with suppress(OSError):
         connection.send_bytes(b"")
     while True:
@@ -293,13 +299,11 @@ def _failure(error: BaseException) -> bytes:
     return content
 
 
-def _warm_up(*, thoroughly: bool) -> None:
-    """Import what nearly all work needs; an extra process, which whoever waits comes to seldom, all of it."""
-    with suppress(ImportError):
-        import app.work.intersections as work  # noqa: PLC0415
-
-        if thoroughly:
-            work.import_all()
+def _warm_up() -> None:
+    """Import what nearly all work needs, unless the process that this one was forked from has done it."""
+    for name in WARM:
+        with suppress(ImportError):
+            import_module(name)
 
 
 def _die_first() -> None:

@@ -101,18 +101,6 @@ def finish(task: Task, plan: Plan) -> Outcome:
     return Outcome(_summary(result, report))
 
 
-def import_all() -> None:
-    """Import what is imported late, so that the first job need not wait for it: some seconds where cores are busy."""
-    import osmium  # noqa: F401, PLC0415
-    import shapely  # noqa: F401, PLC0415
-
-    import interloc.evaluation.evaluate  # noqa: PLC0415
-    import interloc.evaluation.figures  # noqa: PLC0415
-    import interloc.evaluation.report  # noqa: PLC0415
-    import interloc.osm.reader  # noqa: PLC0415
-    import interloc.output.osm_roads  # noqa: F401, PLC0415
-
-
 def open_input(task: Task) -> tuple[Drive, IntArray]:
     """Return the drive of a task, and the positions of its keyframes.
 

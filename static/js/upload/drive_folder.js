@@ -358,8 +358,8 @@ function checkSmall({ small, layout }, hasOxts) {
   }
   if (!hasFolder && !small.has("geo.csv") && !hasOxts) {
     const text =
-      "There is neither oxts/ nor geo.csv: the result is in local metres, cannot be laid on a map, and cannot be scored " +
-      "against OpenStreetMap. A file of OXTS rows or a geo.csv can be added below.";
+      "There is neither oxts/ nor geo.csv: place the drive on the map by its roads, or add a file of OXTS rows or a " +
+      "geo.csv below. Otherwise the result is in local metres and cannot be scored against OpenStreetMap.";
     problems.push(note("georeference", text));
   }
   return problems;
