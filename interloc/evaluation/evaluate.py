@@ -51,8 +51,8 @@ class Evaluation:
     map_level : MapLevel
         Of the fused intersections with `nodes`.
     georeference : dict
-        Where longitude and latitude come from: `source` ("drive" or "map") and `description`; what `run.json` says of
-        its uncertainty where it is the map.
+        Where longitude and latitude come from: `source` ("drive" or "map"), and what `run.json` says of their
+        uncertainty where it is the map.
     track_to_road_m : float
         Median distance of the track from the nearest drivable road, metres.
     warnings : tuple of str
@@ -168,9 +168,8 @@ def evaluate(
 def _georeference(run: dict[str, Any]) -> dict[str, Any]:
     location = run.get("location")
     if location is None:
-        return {"source": "drive", "description": run.get("georeference")}
-    told = {name: location.get(name) for name in ("position_std_m", "heading_std_deg")}
-    return {"source": "map", "description": run["georeference"], **told}
+        return {"source": "drive"}
+    return {"source": "map", **{name: location.get(name) for name in ("position_std_m", "heading_std_deg")}}
 
 
 def _zones(run: dict[str, Any], roi_m: float | None, relevant_zone_m: float | None) -> tuple[float, float]:

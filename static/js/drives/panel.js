@@ -94,7 +94,7 @@ function driveCard(drive) {
   const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
   const open = () =>
     drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id);
-  const run = () => openRunDialog(drive).catch(showError);
+  const run = () => openRunDialog(drive.id).catch(showError);
   const text = el(
     "div",
     { class: "grow" },

@@ -246,8 +246,8 @@ async function remove(job) {
 
 /** @param {any} job @param {string} [kind] */
 function runAgain(job, kind = "primary") {
-  const open = async () => openRunDialog(await getJson(`drives/${job.drive_id}`));
-  return el("button", { class: kind, onClick: () => open().catch(showError) }, "Run again…");
+  const open = () => openRunDialog(job.drive_id).catch(showError);
+  return el("button", { class: kind, onClick: open }, "Run again…");
 }
 
 /** @param {...any} children */

@@ -28,9 +28,13 @@ export function policyField(chosen, onChange) {
   return { element, value: () => policy.value };
 }
 
-/** @param {any} drive */
-export async function openRunDialog(drive) {
-  const [{ files }] = await Promise.all([getJson(`drives/${drive.id}/files?limit=10000`), loadPresets()]);
+/** @param {string} id Of the drive. */
+export async function openRunDialog(id) {
+  const [drive, { files }] = await Promise.all([
+    getJson(`drives/${id}`), // with its report, which lists leave out
+    getJson(`drives/${id}/files?limit=10000`),
+    loadPresets(),
+  ]);
   const maps = files.map((/** @type {any} */ file) => file.path).filter(isMap);
   const preset = select(
     Object.fromEntries(lists.presets.map(({ name, description }) => [name, `${name} – ${description}`])),
