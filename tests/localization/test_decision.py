@@ -20,10 +20,12 @@ def test_a_runner_up_close_by_makes_it_ambiguous() -> None:
     assert "longer drive" in decision.advice
 
 
-def test_a_short_trajectory_alone_needs_a_larger_lead() -> None:
+def test_a_short_drive_needs_a_larger_lead_above_all_by_its_trajectory_alone() -> None:
     assert decide(evidence(0.9), 0.9 - 1.5 * MARGIN, 0.3, 1000.0).found
     assert not decide(evidence(0.9), 0.9 - 1.5 * MARGIN, 0.3, 500.0).found
     assert decide(evidence(0.9, seen=4, at_nodes=4), 1.4 - 1.5 * MARGIN, 0.3, 500.0).found
+    assert not decide(evidence(0.9, seen=4, at_nodes=4), 1.4 - 1.2 * MARGIN, 0.3, 500.0).found
+    assert decide(evidence(0.9, seen=4, at_nodes=4), 1.4 - 1.2 * MARGIN, 0.3, 700.0).found
 
 
 def test_no_better_than_chance_is_not_found() -> None:
