@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Literal, Protocol, Self
 
 from pydantic import BaseModel, ConfigDict
 
@@ -54,6 +54,25 @@ class ReducedReport(BaseModel):
     angle_deg: float | None
 
 
+class Topic(BaseModel):
+    """A topic of a bag.
+
+    Attributes
+    ----------
+    name, type : str
+    messages : int
+    role : {"points", "poses", "fix", "extrinsics"} or None
+        What it is read as; None where it is not read.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    type: str
+    messages: int
+    role: Literal["points", "poses", "fix", "extrinsics"] | None = None
+
+
 class ScanFacts(BaseModel):
     """Count and size of the scans and labels of a drive.
 
@@ -70,6 +89,8 @@ class ScanFacts(BaseModel):
     reduced : ReducedReport or None
         What was kept, where this is a reduced drive.
     label_folder : str or None
+    topics : tuple of Topic
+        What a bag holds.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -84,6 +105,7 @@ class ScanFacts(BaseModel):
     most_points: int | None = None
     reduced: ReducedReport | None = None
     label_folder: str | None = None
+    topics: tuple[Topic, ...] = ()
 
 
 class ScanStore(Protocol):

@@ -14,8 +14,8 @@ from interloc.errors import ConfigError
 
 LabelFolder = Literal["labels", "predictions"]
 PoseFrame = Literal["auto", "camera", "lidar"]
-LayoutName = Literal["semantickitti", "kitti_raw", "kitti360"]
-LayoutChoice = Literal["auto", "semantickitti", "kitti_raw", "kitti360"]
+LayoutName = Literal["semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"]
+LayoutChoice = Literal["auto", "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"]
 
 
 class ReadingOptions(BaseModel):
@@ -38,6 +38,23 @@ class ReadingOptions(BaseModel):
         description="Georeference from elsewhere: the folder of a KITTI raw drive, a file with one OXTS row per frame "
         "(or its .gz), or a geo.csv.",
         examples=["07.txt.gz"],
+    )
+    poses: str | None = Field(
+        None,
+        max_length=1000,
+        description="Where the poses are, if not where the layout has them: a file of poses (KITTI or TUM), the "
+        "trajectory of LAS files, or the topic of a bag.",
+        examples=["/odometry"],
+    )
+    points: str | None = Field(
+        None, max_length=1000, description="Topic of the scans in a bag.", examples=["/velodyne_points"]
+    )
+    fix: str | None = Field(None, max_length=1000, description="Topic of the GNSS fixes in a bag.", examples=["/fix"])
+    crs: str | None = Field(
+        None,
+        max_length=1000,
+        description="Coordinate system of LAS files that do not name theirs.",
+        examples=["EPSG:25832"],
     )
 
     @classmethod
@@ -77,6 +94,8 @@ class DriveOptions(ReadingOptions):
     """Options of `open_drive` and `inspect_drive`."""
 
     labels: LabelFolder = Field("labels", description="Folder of the labels.")
+    model: Path | None = Field(None, description="Folder of a network that labels the scans, instead of label files.")
+    provider: str = Field("cpu", max_length=100, description="What the network runs on: cpu, cuda, ...")
     name: str | None = Field(None, description="Name of the drive, where it is not that of the folder.")
     check: bool = Field(
         True,
@@ -93,5 +112,11 @@ class DriveArguments(TypedDict, total=False):
     pose_frame: PoseFrame
     layout: LayoutChoice
     oxts: str | os.PathLike[str] | None
+    poses: str | None
+    points: str | None
+    fix: str | None
+    crs: str | None
+    model: str | os.PathLike[str] | None
+    provider: str
     name: str | None
     check: bool
