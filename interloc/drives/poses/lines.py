@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,7 @@ def read_poses(file: SourceFile) -> PoseLines:
             "is missing. Expected one line of 12 numbers per scan: the pose of the camera (KITTI) or of the LiDAR "
             "(kiss-icp and others). For KITTI odometry it comes with the labels of SemanticKITTI."
         )
-    values, lines = _read_rows(file)
+    values, lines = read_rows(file, _LENGTHS, _length_complaint)
     frames = None
     if values.shape[1] in INDEXED_LENGTHS:
         frames, values = _split_frames(values, lines, file), values[:, 1:]
@@ -114,10 +115,32 @@ def rotation_complaint(rotation: FloatArray) -> str:
     )
 
 
-def _read_rows(file: SourceFile) -> tuple[FloatArray, IntArray]:
-    """Return the numbers of every line that is not blank, and its line number."""
+def read_rows(
+    file: SourceFile, lengths: Collection[int], complain: Callable[[list[str], int], str]
+) -> tuple[FloatArray, IntArray]:
+    """Read the lines of numbers of a file of poses; blank lines and comments (#) are passed over.
+
+    Parameters
+    ----------
+    file : SourceFile
+    lengths : collection of int
+        How many numbers a line may hold; all hold as many as the first.
+    complain : callable
+        Says what is wrong with the fields of a line, given them and the length of the lines before (0: there are none).
+
+    Returns
+    -------
+    (P, L) float64
+    (P,) int64
+        Number of the line, from 1.
+
+    Raises
+    ------
+    DriveError
+        The file cannot be read, holds no such line, or a line holds something else.
+    """
     texts = file.lines()
-    if (table := _plain_table(texts)) is not None:
+    if (table := _plain_table(texts, lengths)) is not None:
         return table, np.arange(1, len(table) + 1)
     values, lines = array("d"), array("q")  # a tenth of the memory of lists
     length = 0
@@ -125,23 +148,23 @@ def _read_rows(file: SourceFile) -> tuple[FloatArray, IntArray]:
         fields = text.split()
         if not fields or fields[0].startswith("#"):
             continue
-        if len(fields) not in _LENGTHS or (length and len(fields) != length):
-            raise file.fault(_length_complaint(fields, length), line)
+        if len(fields) not in lengths or (length and len(fields) != length):
+            raise file.fault(complain(fields, length), line)
         length = len(fields)
         values.extend(file.numbers(fields, line))
         lines.append(line)
     if not lines:
-        raise file.fault("holds comments only. Expected one line of 12 numbers per scan.")
+        raise file.fault("holds comments only. Expected one line of numbers per pose.")
     return np.frombuffer(values).reshape(-1, length), np.frombuffer(lines, dtype=np.int64)
 
 
-def _plain_table(texts: list[str]) -> FloatArray | None:
+def _plain_table(texts: list[str], lengths: Collection[int]) -> FloatArray | None:
     """Read lines of nothing but poses, five times as fast; None where a line is something else or wrong."""
     try:
         table = np.loadtxt(texts, comments=None, ndmin=2)
     except ValueError:
         return None
-    is_plain = len(table) == len(texts) and table.shape[1] in _LENGTHS and np.isfinite(table).all()
+    is_plain = len(table) == len(texts) and table.shape[1] in lengths and np.isfinite(table).all()
     return table if is_plain else None
 
 

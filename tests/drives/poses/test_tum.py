@@ -1,0 +1,133 @@
+"""TUM poses, and the poses between them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.drives.files import SourceFile
+from interloc.drives.poses.timed import (
+    TimedPoses,
+    quaternions_from_rotations,
+    rotations_from_quaternions,
+)
+from interloc.drives.poses.tum import looks_like_tum, read_tum
+from interloc.errors import DriveError
+from interloc.geometry import rotation_from_rpy, yaw_of
+
+
+def write(folder: Path, text: str) -> SourceFile:
+    path = folder / "poses.txt"
+    path.write_text(text)
+    return SourceFile(path, folder)
+
+
+def turned_by(*yaws_deg: float) -> TimedPoses:
+    poses = np.tile(np.eye(4), (len(yaws_deg), 1, 1))
+    poses[:, :3, :3] = rotation_from_rpy(0, 0, np.radians(yaws_deg))
+    poses[:, 0, 3] = 10 * np.arange(len(yaws_deg))
+    return TimedPoses(np.arange(len(yaws_deg), dtype=np.float64), poses)
+
+
+def test_lines_become_poses(tmp_path: Path) -> None:
+    half = np.sqrt(0.5)
+    file = write(tmp_path, f"# time x y z qx qy qz qw\n1.5 1 2 3 0 0 0 1\n\n2.5 4 5 6 0 0 {half} {half}\n")
+    timed = read_tum(file)
+    np.testing.assert_array_equal(timed.times_s, [1.5, 2.5])
+    np.testing.assert_array_equal(timed.poses[:, :3, 3], [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_allclose(np.degrees(yaw_of(timed.poses[:, :3, :3])), [0, 90])
+    assert timed.source == "poses.txt"
+
+
+def test_lines_without_comments_are_read_the_same(tmp_path: Path) -> None:
+    timed = read_tum(write(tmp_path, "1 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 1\n2 1 2 3 0 0 0 1\n"))
+    np.testing.assert_array_equal(timed.times_s, [1, 2])
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("1 0 0 0 0 0 0\n", r"line 1: 7 numbers; expected 8"),
+        ("1 0 0 0 1 0 0 0 1 0 0 0\n", r"poses as matrices \(KITTI\)"),
+        ("1,0,0,0,0,0,0,1\n", "commas"),
+        ("1 0 0 0 0 0 0 1\n# cut\n2 0 0\n", "line 3: 3 numbers"),
+        ("1 0 0 nan 0 0 0 1\n", "line 1: holds a value that is not finite"),
+        ("1 0 0 x 0 0 0 1\n", "'x' is not a number"),
+        ("1 0 0 0 0 0 0 0\n", "the quaternion is 0 long"),
+        ("1 0 0 0 0.1 0.2 3 1\n", r"the quaternion is 3\.17 long"),
+        ("1 1e9 0 0 0 0 0 1\n", "line 1: a position is more than 10,000 km"),
+        ("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "line 2: runs backwards in time"),
+        ("2 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n", "line 2: has the time of the line before, but another pose"),
+        ("# nothing\n", "comments only"),
+        ("", "is empty"),
+    ],
+)
+def test_damaged_lines_are_refused_in_words(tmp_path: Path, text: str, complaint: str) -> None:
+    with pytest.raises(DriveError, match=complaint):
+        read_tum(write(tmp_path, text))
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DriveError, match="is missing"):
+        read_tum(SourceFile(tmp_path / "poses.txt", tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("text", "is_tum"),
+    [
+        ("# comment\n\n1 2 3 4 0 0 0 1\n", True),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", False),
+        ("time x y z qx qy qz qw\n", False),
+        ("# nothing\n", False),
+        ("", False),
+    ],
+)
+def test_tum_is_recognised_by_its_first_line(tmp_path: Path, text: str, is_tum: bool) -> None:
+    assert looks_like_tum(write(tmp_path, text).path) is is_tum
+
+
+def test_a_folder_is_not_tum(tmp_path: Path) -> None:
+    assert not looks_like_tum(tmp_path)
+
+
+def test_between_two_poses_the_body_turns_steadily() -> None:
+    timed = turned_by(0, 90)
+    poses = timed.at([0, 1 / 3, 0.5, 1])
+    np.testing.assert_allclose(np.degrees(yaw_of(poses[:, :3, :3])), [0, 30, 45, 90], atol=1e-9)
+    np.testing.assert_allclose(poses[:, 0, 3], [0, 10 / 3, 5, 10])
+
+
+def test_it_turns_the_short_way_round() -> None:
+    poses = turned_by(170, -170).at([0.5])
+    np.testing.assert_allclose(np.degrees(yaw_of(poses[:, :3, :3])) % 360, [180], atol=1e-9)
+
+
+def test_equal_rotations_stay() -> None:
+    np.testing.assert_allclose(turned_by(20, 20).at([0.3])[0, :3, :3], turned_by(20).poses[0, :3, :3], atol=1e-12)
+
+
+def test_nothing_is_extrapolated() -> None:
+    timed = turned_by(0, 0, 0)
+    np.testing.assert_array_equal(timed.covers([-0.1, 0, 1, 2, 2.1, np.nan]), [False, True, True, True, False, False])
+    with pytest.raises(DriveError, match=r"1 of 2 times have no pose, such as 2.100 s: the poses cover 0.000 s to 2.0"):
+        timed.at([1, 2.1])
+
+
+def test_times_in_a_long_gap_can_be_told() -> None:
+    timed = TimedPoses(np.array([0.0, 1.0, 10.0]), np.tile(np.eye(4), (3, 1, 1)))
+    np.testing.assert_array_equal(
+        timed.covers([0, 0.5, 1, 5, 10, 11], longest_gap_s=2), [True, True, True, False, True, False]
+    )
+
+
+def test_one_pose_covers_its_own_time() -> None:
+    timed = turned_by(30)
+    np.testing.assert_array_equal(timed.at([0, 0]), np.concatenate([timed.poses, timed.poses]))
+
+
+def test_rotations_and_quaternions_are_inverse() -> None:
+    quaternions = np.random.default_rng(0).normal(size=(200, 4))
+    quaternions = np.concatenate([quaternions, np.eye(4)])  # half turns about the axes
+    rotations = rotations_from_quaternions(quaternions)
+    np.testing.assert_allclose(np.linalg.det(rotations), 1)
+    np.testing.assert_allclose(rotations_from_quaternions(quaternions_from_rotations(rotations)), rotations, atol=1e-12)
