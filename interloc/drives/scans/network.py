@@ -12,11 +12,10 @@ import numpy as np
 from interloc.arrays import UInt32Array
 from interloc.drives.findings import Findings
 from interloc.drives.scans.recorded import Recording, ScanPoints
-from interloc.labelling.labeller import Labeller, remission_scale
+from interloc.labelling.labeller import Labeller
 from interloc.labelling.model import read_model
 
 _REMEMBERED = 16  # scans: those that the checks look into come up again
-_SAMPLED = 3
 
 
 @dataclass(frozen=True)
@@ -46,9 +45,9 @@ class NetworkLabels:
         return f"network {self.labeller.model.name}"
 
     @property
-    def identity(self) -> str:
-        """Which network, which settings: labels of the same scan by the same identity are equal."""
-        return f"{self.labeller.model.identity}-{self.remission_scale!r}"
+    def identity(self) -> tuple[str, ...]:
+        """Which network, by which remission: labels of the same scan by the same identity are equal."""
+        return (self.labeller.model.identity, repr(self.remission_scale))
 
     def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - of `LabelSource`
         """Return none: they are made."""
@@ -79,15 +78,11 @@ def open_network(folder: Path, provider: str, recording: Recording, findings: Fi
     DriveError
         A scan is damaged.
     """
-    labeller = Labeller(read_model(folder), provider)
-    scale, where = 1.0, recording.parts.file(recording.parts.scans).name
-    if recording.points is not None and recording.frames is not None and recording.has_remission:
-        rows = np.linspace(0, len(recording.frames) - 1, _SAMPLED).round().astype(int)
-        values = [recording.points.read(int(recording.frames[row])).values[:, 3] for row in np.unique(rows)]
-        scale = remission_scale(np.concatenate(values))
-        if scale != 1:
-            findings.note(where, f"the remission is not 0 to 1; it is divided by {1 / scale:,.0f} for the network.")
-    elif not recording.has_remission:
+    labeller = Labeller(read_model(folder), provider, threads=1)  # several scans are labelled at once
+    scale, where = recording.remission_scale(), recording.parts.file(recording.parts.scans).name
+    if scale != 1:
+        findings.note(where, f"the remission is not 0 to 1; it is divided by {1 / scale:,.0f} for the network.")
+    if not recording.has_remission:
         findings.warning(
             where, "the points have no remission, which networks need: expect far worse labels than with it."
         )
