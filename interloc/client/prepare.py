@@ -203,8 +203,8 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> Pre
     thins_otherwise = options.keyframes is None and manifest.keyframes is not None
     if options.reading.oxts is not None or options.model is not None or options.keep_raw or thins_otherwise:
         raise ConfigError(
-            f"{root} is a reduced drive: --oxts, --model, --raw, --keep-raw and --all-scans belong to the drive that it was "
-            "made from. Give that drive, or leave these options out."
+            f"{root} is a reduced drive: --oxts, --model, --raw, --keep-raw and --all-scans belong to the drive that "
+            "it was made from. Give that drive, or leave these options out."
         )
     chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels) or label_folders_in(root)
     for labels in chosen:

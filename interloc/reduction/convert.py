@@ -93,7 +93,7 @@ def convert_drive(
         frame, stem = int(frames[row]), f"{int(numbers[row]):06d}"
         points = source.read(frame)
         has_return = np.isfinite(points.values[:, :3]).all(axis=1)
-        values = np.nan_to_num(points.values[has_return] * scale)
+        values = np.nan_to_num(points.values[has_return] / scale)
         values.astype("<f4").tofile(folder / "velodyne" / f"{stem}.bin")
         if labels is not None:
             ids = labels.of(frame, points, source.name(frame))

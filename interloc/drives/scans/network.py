@@ -26,7 +26,7 @@ class NetworkLabels:
     ----------
     labeller : Labeller
     remission_scale : float
-        What the remission of the drive is multiplied by to lie between 0 and 1.
+        What the remission of the drive is divided by to lie between 0 and 1.
     """
 
     labeller: Labeller
@@ -60,7 +60,7 @@ class NetworkLabels:
             return known
         values = points.values
         if self.remission_scale != 1:
-            values = values * np.array([1, 1, 1, self.remission_scale], np.float32)
+            values = values / np.array([1, 1, 1, self.remission_scale], np.float32)
         labels: UInt32Array = self.labeller.label(values)
         self._recent[frame] = labels
         while len(self._recent) > _REMEMBERED:
@@ -69,7 +69,7 @@ class NetworkLabels:
 
 
 def open_network(folder: Path, provider: str, recording: Recording, findings: Findings) -> NetworkLabels:
-    """Read a network, and find out what the remission of a recording has to be multiplied by for it.
+    """Read a network, and find out what the remission of a recording has to be divided by for it.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def open_network(folder: Path, provider: str, recording: Recording, findings: Fi
     labeller = Labeller(read_model(folder), provider, threads=1)  # several scans are labelled at once
     scale, where = recording.remission_scale(), recording.parts.file(recording.parts.scans).name
     if scale != 1:
-        findings.note(where, f"the remission is not 0 to 1; it is divided by {1 / scale:,.0f} for the network.")
+        findings.note(where, f"the remission is not 0 to 1; it is divided by {scale:,.0f} for the network.")
     if not recording.has_remission:
         findings.warning(
             where, "the points have no remission, which networks need: expect far worse labels than with it."

@@ -19,7 +19,7 @@ from interloc.drives.folder import Topic
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import Trajectory
-from interloc.labelling.labeller import remission_scale
+from interloc.labelling.remission import remission_scale
 
 _SAMPLED = 3  # scans
 
@@ -108,7 +108,7 @@ class Recording:
     topics: tuple[Topic, ...] = ()
 
     def remission_scale(self) -> float:
-        """Return what the remission is multiplied by to lie between 0 and 1, judged from some scans.
+        """Return what the remission is divided by to lie between 0 and 1, judged from some scans.
 
         Raises
         ------
