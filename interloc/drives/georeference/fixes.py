@@ -47,9 +47,7 @@ def extent_m(fixes: Fixes) -> float:
     """Return how far the fixes reach, metres: the diagonal of the box around them."""
     if not len(fixes.lat_deg):
         return 0.0
-    enu = enu_from_lonlat(
-        fixes.lat_deg[0], fixes.lon_deg[0], np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1)
-    )
+    enu = enu_from_lonlat(fixes.lat_deg[0], fixes.lon_deg[0], np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1))
     return float(np.linalg.norm(np.ptp(enu, axis=0)))
 
 

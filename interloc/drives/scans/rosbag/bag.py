@@ -235,7 +235,9 @@ def _named_by_metadata(path: Path) -> list[str]:
         return []
     block = re.search(r"relative_file_paths:\s*\n((?:\s*-\s*[^\n]+\n?)+)", text)
     lines = block.group(1).splitlines() if block else []
-    names = [line.strip().removeprefix("-").strip().strip("'\"").replace("\\", "/").rsplit("/", 1)[-1] for line in lines]
+    names = [
+        line.strip().removeprefix("-").strip().strip("'\"").replace("\\", "/").rsplit("/", 1)[-1] for line in lines
+    ]
     inside = path.parent
     return [
         bare
@@ -296,5 +298,3 @@ def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
             )
         )
     return Bag(files, topics)
-
-

@@ -77,7 +77,9 @@ class ChunkStream:
         if offset < self.position:
             raise DamagedChunkError("its index leads backwards")
         if offset > MAX_CHUNK_BYTES and self._decompressor is not None:
-            raise DamagedChunkError(f"its index leads to byte {offset:,} of a chunk, which no chunk is large enough for")
+            raise DamagedChunkError(
+                f"its index leads to byte {offset:,} of a chunk, which no chunk is large enough for"
+            )
         if self._decompressor is None:
             self.position = offset
             return
@@ -153,5 +155,3 @@ def unpacked(message: bytes) -> bytes:
     if not decompressor.eof:
         raise DamagedChunkError(f"is cut short, or unpacks to more than {MAX_MESSAGE_BYTES:,} bytes")
     return data
-
-

@@ -163,5 +163,3 @@ def latest_of_each(times: FloatArray) -> IntArray:
     last = np.append(np.diff(times[order]) > 0, True)
     rows: IntArray = order[last]
     return rows
-
-

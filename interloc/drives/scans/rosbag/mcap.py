@@ -198,7 +198,7 @@ def _chunk_place(raw: BinaryIO) -> tuple[tuple[int, int, int], int]:
     name = raw.read(min(length, 100))
     codec = codec_number(name.decode())
     (size,) = struct.unpack("<Q", raw.read(8))
-    if unpacked > MAX_CHUNK_BYTES and codec or unpacked > _MAX_RATIO * max(size, 65536):
+    if (unpacked > MAX_CHUNK_BYTES and codec) or unpacked > _MAX_RATIO * max(size, 65536):
         raise DamagedChunkError(f"a chunk of {size:,} bytes is said to unpack to {unpacked:,} bytes")
     return (raw.tell(), size, codec), unpacked
 
@@ -232,9 +232,7 @@ def _look_through(raw: BinaryIO, size: int, contents: _Contents) -> str:
     return "it has no end (the footer is missing)"
 
 
-def _look_through_chunk(
-    stream: ChunkStream, unpacked: int, place: tuple[int, int, int], contents: _Contents
-) -> None:
+def _look_through_chunk(stream: ChunkStream, unpacked: int, place: tuple[int, int, int], contents: _Contents) -> None:
     """Find the messages of one chunk."""
     while stream.position < unpacked:
         at = stream.position
@@ -289,5 +287,3 @@ def _text(content: bytes, at: int) -> tuple[str, int]:
     if end > len(content):
         raise DamagedChunkError("a record ends in the middle of a text")
     return content[at + 4 : end].decode("utf-8", "replace"), end
-
-

@@ -92,9 +92,7 @@ def read_motion(
     if extrinsic is None:
         extrinsic = np.eye(4)
         owner = f"those of {edge.child}" if edge.child else "without a frame of their own (child_frame_id)"
-        why = (
-            "no transform between the two is in the bag" if edge.child else "the message does not say whose they are"
-        )
+        why = "no transform between the two is in the bag" if edge.child else "the message does not say whose they are"
         findings.warning(
             bag.name,
             f"the poses of {topic.name} are {owner}, the points are in {points_frame or 'a frame without a name'}, and "

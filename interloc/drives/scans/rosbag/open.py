@@ -412,9 +412,7 @@ class _TrajectoryReader:
         distance_m = _distances(
             np.concatenate([times_s[rows], self.times_s]), np.concatenate([at_fixes[:, :3, 3], world[:, :3, 3]])
         )
-        fixes = Fixes(
-            positions[rows, 0], positions[rows, 1], positions[rows, 2], places, distance_m[: len(rows)]
-        )
+        fixes = Fixes(positions[rows, 0], positions[rows, 1], positions[rows, 2], places, distance_m[: len(rows)])
         if extent_m(fixes) < MIN_EXTENT_M or float(np.ptp(places, axis=0).max()) < MIN_EXTENT_M / 2:
             return None, (
                 f"{topic.name}: the fixes reach over {extent_m(fixes):.1f} m; expected at least {MIN_EXTENT_M:.0f} m, "

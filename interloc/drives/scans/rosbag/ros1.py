@@ -68,9 +68,9 @@ def _index_of(reader: object) -> BagIndex:
     channels = []
     for connection in reader.connections:  # type: ignore[attr-defined]
         entries = reader.indexes[connection.id]  # type: ignore[attr-defined]
-        places = np.array(
-            [(*codecs[entry.chunk_pos], entry.offset) for entry in entries], dtype=np.int64
-        ).reshape(-1, 4)
+        places = np.array([(*codecs[entry.chunk_pos], entry.offset) for entry in entries], dtype=np.int64).reshape(
+            -1, 4
+        )
         log_ns = np.array([entry.time for entry in entries], dtype=np.int64)
         channels.append(Channel(connection.topic, connection.msgtype, "ros1", log_ns, places))
     return BagIndex(channels)

@@ -124,9 +124,7 @@ def _no_points(bag: Bag, empty: list[BagTopic]) -> str:
             f"{topic.name} holds the raw packets of the sensor ({topic.type}), not points. Expected "
             f"sensor_msgs/PointCloud2: play the bag through the driver {driver} and record its points."
         )
-    return (
-        f"holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. It holds: {topic_list(bag)}."
-    )
+    return f"holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. It holds: {topic_list(bag)}."
 
 
 def choose_poses(bag: Bag, given: str | None, findings: Findings) -> BagTopic | None:
@@ -194,7 +192,8 @@ def named(bag: Bag, name: str, kinds: Collection[str], option: str) -> BagTopic:
     there = ", ".join(f"{topic.name} ({len(topic):,} messages)" for topic in fitting[:20]) or "none"
     found = f"is of type {same[0].type}" if same else "is not in the bag"
     raise DriveFileError(
-        bag.name, f"the topic {name!r} {found}. Topics that --{option} can name: {there}. All topics: {topic_list(bag)}."
+        bag.name,
+        f"the topic {name!r} {found}. Topics that --{option} can name: {there}. All topics: {topic_list(bag)}.",
     )
 
 
