@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
@@ -58,7 +58,7 @@ class BagWriter:
             self.writer.set_compression(*compression)
         self.connections: dict[str, Any] = {}
 
-    def __enter__(self) -> BagWriter:
+    def __enter__(self) -> Self:
         self.writer.open()
         return self
 
@@ -138,9 +138,7 @@ class BagWriter:
             pose = self.pose(transform)
             vector = self.make("geometry_msgs/msg/Vector3", *map(float, transform[:3, 3]))
             moved = self.make("geometry_msgs/msg/Transform", vector, pose.orientation)
-            messages.append(
-                self.make("geometry_msgs/msg/TransformStamped", self.header(time_s, parent), child, moved)
-            )
+            messages.append(self.make("geometry_msgs/msg/TransformStamped", self.header(time_s, parent), child, moved))
         self.write(topic, "tf2_msgs/msg/TFMessage", time_s, self.make("tf2_msgs/msg/TFMessage", messages))
 
     def fix(

@@ -70,7 +70,10 @@ class ChunkStream:
         self._packed_at = 0
         self._buffer = b""
         self._used = 0
-        self._decompressor, self._errors = _decompressor(codec) if codec else (None, ())
+        self._decompressor: _Decompressor | None = None
+        self._errors: tuple[type[Exception], ...] = ()
+        if codec:
+            self._decompressor, self._errors = _decompressor(codec)
 
     def skip_to(self, offset: int) -> None:
         """Go forward to an offset in the unpacked chunk."""

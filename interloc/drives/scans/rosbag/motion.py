@@ -133,14 +133,14 @@ def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -
     if moves is None:
         raise DriveFileError(
             bag.name,
-            f"{topic.name}: none of {len(poses):,} poses is one (expected finite positions and quaternions of length 1). "
+            f"{topic.name}: none of {len(poses):,} poses is one. Expected finite positions, and unit quaternions. "
             "Usual cause: an odometry that never started.",
         )
     if len(moves.times_s) < len(rows):
         findings.note(
             bag.name,
-            f"{topic.name}: {len(rows) - len(moves.times_s):,} of {len(rows):,} poses repeat a time, or are not finite; "
-            "they are not used.",
+            f"{topic.name}: {len(rows) - len(moves.times_s):,} of {len(rows):,} poses repeat a time, or are none, "
+            "and are not used.",
         )
     return Edge(parent, child, moves), len(poses)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.checks import check_georeference
 from interloc.drives.files import SourceFile, os_reason
 from interloc.drives.findings import DriveFileError, Findings
@@ -218,8 +218,8 @@ def _scan_times(bag: Bag, topic: BagTopic, findings: Findings) -> _ScanTimes:
         say(
             bag.name,
             f"{topic.name}: the stamps of the scans run backwards {np.count_nonzero(steps < 0):,} times, by up to "
-            f"{back_s:.3f} s; the scans are numbered by their stamps. Usual cause: two sensors on one topic, or a clock "
-            "that was set while recording.",
+            f"{back_s:.3f} s; the scans are numbered by their stamps. Usual cause: two sensors on one topic, or a "
+            "clock that was set while recording.",
         )
     order = recorded[np.argsort(stamps[recorded], kind="stable")]
     return _ScanTimes(order, stamps[order] / 1e9, topic.log_ns[order] / 1e9)
@@ -275,7 +275,7 @@ class _TrajectoryReader:
         assert self._motion is not None
         return self._motion
 
-    def _find_motion(self, findings: Findings) -> FloatArray:
+    def _find_motion(self, findings: Findings) -> BoolArray:
         """Read the poses; return at which scans they are known."""
         bag = self.bag
         self._fix = choose_fix(bag, self._options.fix, findings)
@@ -284,8 +284,8 @@ class _TrajectoryReader:
             only = "It has GNSS fixes, but these tell no attitude, and are too far apart in time. " if self._fix else ""
             raise DriveFileError(
                 bag.name,
-                f"holds no poses. {only}Expected nav_msgs/Odometry, PoseStamped or /tf of an odometry or SLAM, or a file "
-                f"of poses (--poses). It holds: {topic_list(bag)}.",
+                f"holds no poses. {only}Expected nav_msgs/Odometry, PoseStamped or /tf of an odometry or SLAM, or a "
+                f"file of poses (--poses). It holds: {topic_list(bag)}.",
             )
         try:
             self._tree = read_tree(bag, [topic for topic in bag.topics if topic.type in TRANSFORMS])
@@ -382,7 +382,7 @@ class _TrajectoryReader:
         return Trajectory(poses, self._moved.count, self.times_s, georeference, "" if georeference else reason)
 
     def _fixes(self, topic: BagTopic, world: FloatArray) -> tuple[tuple[Fixes, FloatArray] | None, str]:
-        """Read the fixes that lie within the poses, and the distance driven until every scan; or why there are none."""
+        """Read the fixes within the poses, and the distance driven until every scan; or why there are none."""
         assert topic.encoding is not None
         messages = []
         for number, message in enumerate(self.bag.messages(topic)):
@@ -426,13 +426,14 @@ class _TrajectoryReader:
         return np.zeros(3) if between is None else between[:3, 3]
 
 
-def _sound_fixes(positions: FloatArray, status: Sequence[int]) -> np.ndarray:
+def _sound_fixes(positions: FloatArray, status: Sequence[int]) -> BoolArray:
     """Tell which of (K, 3) fixes are positions on Earth."""
     lat, lon = positions[:, 0], positions[:, 1]
     with np.errstate(invalid="ignore"):
         on_earth = (np.abs(lat) < 89) & (np.abs(lon) <= 360) & ((lat != 0) | (lon != 0))
         height = ~(np.abs(positions[:, 2]) > 20_000)
-    return (np.array(status) > NO_FIX) & on_earth & height
+    sound: BoolArray = (np.array(status) > NO_FIX) & on_earth & height
+    return sound
 
 
 def _distances(times_s: FloatArray, positions: FloatArray) -> FloatArray:

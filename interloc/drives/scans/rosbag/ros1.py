@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,17 +58,17 @@ def read_index(file: SourceFile) -> BagIndex:
             raise ValueError(str(error).rstrip(".")) from error
 
 
-def _index_of(reader: object) -> BagIndex:
+def _index_of(reader: Any) -> BagIndex:  # noqa: ANN401 - of rosbags, which is imported late
     """Gather what the reader of rosbags found, without its objects."""
     codecs = {}
     names = {id(function): name for name, function in _rosbags_decompressors().items()}
-    for position, chunk in reader.chunks.items():  # type: ignore[attr-defined]
+    for position, chunk in reader.chunks.items():
         codecs[position] = (chunk.datapos, chunk.datasize, codec_number(names[id(chunk.decompressor)]))
-    if sum(map(len, reader.indexes.values())) > MAX_MESSAGES:  # type: ignore[attr-defined]
+    if sum(len(entries) for entries in reader.indexes.values()) > MAX_MESSAGES:
         raise ValueError(f"it holds more than {MAX_MESSAGES:,} messages")
     channels = []
-    for connection in reader.connections:  # type: ignore[attr-defined]
-        entries = reader.indexes[connection.id]  # type: ignore[attr-defined]
+    for connection in reader.connections:
+        entries = reader.indexes[connection.id]
         places = np.array([(*codecs[entry.chunk_pos], entry.offset) for entry in entries], dtype=np.int64).reshape(
             -1, 4
         )

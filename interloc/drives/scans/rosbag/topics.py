@@ -124,7 +124,10 @@ def _no_points(bag: Bag, empty: list[BagTopic]) -> str:
             f"{topic.name} holds the raw packets of the sensor ({topic.type}), not points. Expected "
             f"sensor_msgs/PointCloud2: play the bag through the driver {driver} and record its points."
         )
-    return f"holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. It holds: {topic_list(bag)}."
+    return (
+        "holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. "
+        f"It holds: {topic_list(bag)}."
+    )
 
 
 def choose_poses(bag: Bag, given: str | None, findings: Findings) -> BagTopic | None:
