@@ -215,8 +215,8 @@ def _look_through(raw: BinaryIO, size: int, contents: _Contents) -> str:
             content_at = at + _PREFIX.size
             if kind == _CHUNK:
                 (start, packed, codec), unpacked = _chunk_place(raw)
-                stream = ChunkStream(raw, start, min(packed, size - start), codec)
-                _look_through_chunk(stream, unpacked, (start, packed, codec), contents)
+                there = min(packed, size - start)
+                _look_through_chunk(ChunkStream(raw, start, there, codec), unpacked, (start, there, codec), contents)
             elif kind == _MESSAGE:
                 channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(raw.read(_MESSAGE_HEAD.size))
                 if content_at + length <= size:

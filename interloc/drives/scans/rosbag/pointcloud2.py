@@ -209,8 +209,8 @@ def read_points(data: bytes, kind: str, encoding: Encoding) -> ScanPoints:
         for column, name in enumerate(("x", "y", "z", "remission")):
             if name in (layout.dtype.names or ()):
                 values[:, column] = cells[name]
-    xyz = values[:, :3]
-    returned = np.isfinite(xyz).all(axis=1) & xyz.any(axis=1)
+        size = np.abs(values[:, 0]) + np.abs(values[:, 1]) + np.abs(values[:, 2])
+        returned = np.isfinite(size) & (size > 0)
     if layout.has_remission:
         values[~np.isfinite(values[:, 3]), 3] = 0.0
     labels = _labels(cells["label"])[returned] if layout.has_labels else None
