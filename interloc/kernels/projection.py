@@ -59,8 +59,8 @@ def project_points(
             continue
         u = 0.5 * width - math.atan2(y, x) * per_radian_x
         v = height - (math.atan2(z, math.sqrt(level)) + fov_down) * per_radian_y
-        column = min(max(int(math.floor(u)), 0), width - 1)
-        row = min(max(int(math.floor(v)), 0), height - 1)
+        column = min(max(math.floor(u), 0), width - 1)
+        row = min(max(math.floor(v), 0), height - 1)
         at = row * width + column
         pixel[i], depth[i] = at, distance
         nearest = flat[at]
