@@ -10,7 +10,7 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from interloc.drives.poses.timed import quaternions_from_rotations
 
@@ -46,6 +46,10 @@ class BagWriter:
     def __init__(self, path: Path, form: str, *, compression: Any = None, chunk_bytes: int | None = None) -> None:
         self.ros1 = form == "bag"
         self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        if self.ros1:
+            self.store.register(
+                get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+            )
         self.writer: Any
         if self.ros1:
             self.writer = Writer1(path)
@@ -95,7 +99,7 @@ class BagWriter:
         cells = np.atleast_2d(cells)
         step = cells.dtype.itemsize
         order = next((cells.dtype[name].byteorder for name in cells.dtype.names or ()), "<")
-        fields = changes.get("fields") or [
+        fields = [
             self.make("sensor_msgs/msg/PointField", name, offset, _CODES[kind.str[1:]], 1)
             for name, (kind, offset, *_) in (cells.dtype.fields or {}).items()
         ]
@@ -104,7 +108,7 @@ class BagWriter:
             self.header(changes.get("header_s", time_s), frame),
             changes.get("height", cells.shape[0]),
             changes.get("width", cells.shape[1]),
-            fields,
+            changes.get("fields", fields),
             order == ">",
             changes.get("point_step", step),
             changes.get("row_step", cells.shape[1] * step),

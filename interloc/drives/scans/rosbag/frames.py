@@ -160,6 +160,6 @@ def timed_poses(times_s: list[float] | FloatArray, values: list[tuple[float, ...
 def latest_of_each(times: FloatArray) -> IntArray:
     """Return the rows of (P,) times in ascending order, of equal ones the last."""
     order = np.argsort(times, kind="stable")
-    last = np.append(np.diff(times[order]) > 0, True)
+    last = np.diff(times[order], append=np.inf) > 0
     rows: IntArray = order[last]
     return rows

@@ -32,6 +32,7 @@ LABEL_FIELDS = (
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _TYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32", 7: "float32", 8: "float64"}
 _MAX_FIELDS = 1000
+_MAX_POINT_BYTES = 65_536
 _LIVOX_FIELDS = (("x", "f4", 4), ("y", "f4", 8), ("z", "f4", 12), ("remission", "u1", 16))
 _LIVOX_BYTES = 19  # offset_time, x y z, reflectivity, tag, line
 
@@ -111,6 +112,8 @@ def read_layout(data: bytes, kind: str, encoding: Encoding, *, complete: bool = 
     point_step, row_step = wire.integer("I"), wire.integer("I")
     if height * width > MAX_POINTS:
         raise WireError(f"announces {height:,} x {width:,} points; no scan has more than {MAX_POINTS:,}")
+    if point_step > _MAX_POINT_BYTES:
+        raise WireError(f"has points of {point_step:,} bytes; expected at most {_MAX_POINT_BYTES:,}")
     block = wire.block(complete=complete)
     dtype = _dtype_of(fields, order, point_step)
     if height <= 1:
