@@ -36,7 +36,7 @@ _ACTIVE = ".bag.active"
 _PART = re.compile(r"(_\d{4}(-\d\d){5})?_\d+$")  # of a bag that was split while it was recorded
 _METADATA = "metadata.yaml"
 _MAX_METADATA_BYTES = 16 * 1024 * 1024
-_HEAD_BYTES = 1024
+_HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,13 @@ MAX_CHUNK_BYTES = 2 * 1024 * 1024 * 1024
 CODECS = ("", "bz2", "lz4", "zstd")
 """Compressions, by the number that stands for them in an index."""
 
+MAX_RATIO = 1000
+"""What so many times its size comes out of is no recording, but made to fill the memory; small chunks may."""
+
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 _PIECE = 1 << 16
+_SMALL = 64 * 1024 * 1024
 
 
 class DamagedChunkError(ValueError):
@@ -67,7 +71,7 @@ class ChunkStream:
     def __init__(self, file: BinaryIO, start: int, size: int, codec: int) -> None:
         self.position = 0
         self._file, self._start, self._size = file, start, size
-        self._packed_at = 0
+        self._packed_at = self._unpacked = 0
         self._buffer = b""
         self._used = 0
         self._decompressor: _Decompressor | None = None
@@ -141,9 +145,17 @@ class ChunkStream:
                 data = self._decompressor.decompress(packed, limit)
             except self._errors as error:
                 raise DamagedChunkError(f"a chunk cannot be unpacked ({error})") from error
+            self._unpacked += len(data)
+            if self._unpacked > largest_unpacked(self._size) + _PIECE:
+                raise DamagedChunkError(f"a chunk of {self._size:,} bytes unpacks to more than {self._unpacked - 1:,}")
             if data:
                 return data
         return b""
+
+
+def largest_unpacked(size: int) -> int:
+    """Return to how many bytes some packed bytes may unpack."""
+    return min(MAX_CHUNK_BYTES, max(_SMALL, MAX_RATIO * size))
 
 
 def unpacked(message: bytes) -> bytes:
@@ -152,9 +164,9 @@ def unpacked(message: bytes) -> bytes:
         return message
     decompressor, errors = _decompressor(CODECS.index("zstd"))
     try:
-        data = decompressor.decompress(message, MAX_MESSAGE_BYTES)
+        data = decompressor.decompress(message, min(MAX_MESSAGE_BYTES, largest_unpacked(len(message))))
     except errors as error:
-        raise DamagedChunkError(f"cannot be unpacked ({error})") from error
+        raise DamagedChunkError(f"a message cannot be unpacked ({error})") from error
     if not decompressor.eof:
-        raise DamagedChunkError(f"is cut short, or unpacks to more than {MAX_MESSAGE_BYTES:,} bytes")
+        raise DamagedChunkError("a compressed message is cut short, or unpacks to more than any scan")
     return data

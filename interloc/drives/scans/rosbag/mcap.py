@@ -13,11 +13,11 @@ import numpy as np
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.scans.rosbag.chunks import (
-    MAX_CHUNK_BYTES,
     MAX_MESSAGE_BYTES,
     ChunkStream,
     DamagedChunkError,
     codec_number,
+    largest_unpacked,
 )
 from interloc.drives.scans.rosbag.index import (
     CHUNK_BYTES,
@@ -41,7 +41,6 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish t
 _CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, unpacked size, checksum
 _FOOTER_BYTES = _PREFIX.size + 20 + len(MAGIC)
 _SMALL_RECORD = 64 * 1024 * 1024
-_MAX_RATIO = 1000
 _ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
@@ -198,7 +197,7 @@ def _chunk_place(raw: BinaryIO) -> tuple[tuple[int, int, int], int]:
     name = raw.read(min(length, 100))
     codec = codec_number(name.decode())
     (size,) = struct.unpack("<Q", raw.read(8))
-    if (unpacked > MAX_CHUNK_BYTES and codec) or unpacked > _MAX_RATIO * max(size, 65536):
+    if codec and unpacked > largest_unpacked(size):
         raise DamagedChunkError(f"a chunk of {size:,} bytes is said to unpack to {unpacked:,} bytes")
     return (raw.tell(), size, codec), unpacked
 
