@@ -176,7 +176,7 @@ def _open_session(path: Path, provider: str, *, threads: int, optimise: bool) ->
     runtime = _onnxruntime()
     chosen = _provider(provider)
     options = runtime.SessionOptions()
-    options.log_severity_level = 3  # errors; its warnings are about the making of the graph
+    options.log_severity_level = 4  # what goes wrong comes as an exception as well
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     if not optimise:
