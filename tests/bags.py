@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -37,6 +38,15 @@ uint8 line
 _CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
 
+@cache
+def _types(ros1: bool) -> Any:
+    """Return the messages of ROS 1 or 2; making them takes longer than a small bag."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    return store
+
+
 class BagWriter:
     """Writes messages of standard types to a bag of one format.
 
@@ -45,11 +55,7 @@ class BagWriter:
 
     def __init__(self, path: Path, form: str, *, compression: Any = None, chunk_bytes: int | None = None) -> None:
         self.ros1 = form == "bag"
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
-        if self.ros1:
-            self.store.register(
-                get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
-            )
+        self.store = _types(self.ros1)
         self.writer: Any
         if self.ros1:
             self.writer = Writer1(path)

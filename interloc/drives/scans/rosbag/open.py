@@ -33,8 +33,8 @@ from interloc.drives.scans.rosbag.topics import (
     PointsTopic,
     choose_fix,
     choose_points,
-    choose_poses,
     is_static,
+    pose_topics,
     topic_list,
 )
 from interloc.drives.scans.rosbag.wire import Encoding, Wire, WireError, read_header
@@ -279,8 +279,8 @@ class _TrajectoryReader:
         """Read the poses; return at which scans they are known."""
         bag = self.bag
         self._fix = choose_fix(bag, self._options.fix, findings)
-        self._poses = choose_poses(bag, self._options.poses, findings)
-        if self._poses is None:
+        candidates = pose_topics(bag, self._options.poses)
+        if not candidates:
             only = "It has GNSS fixes, but these tell no attitude, and are too far apart in time. " if self._fix else ""
             raise DriveFileError(
                 bag.name,
@@ -291,31 +291,59 @@ class _TrajectoryReader:
             self._tree = read_tree(bag, [topic for topic in bag.topics if topic.type in TRANSFORMS])
         except WireError as error:
             raise DriveFileError(bag.name, f"a message of /tf or /tf_static: {error}.") from error
-        stamp_s, log_s = self.times.stamp_s, self.times.log_s
-        frame = self.points.frame_id
-        self._motion = read_motion(bag, self._poses, self._tree, frame, findings)
-        covered = self._motion.covers(stamp_s)
-        if covered.any():
-            return covered
-        first, last = self._motion.span_s
-        apart = stamp_s.max() < first or stamp_s.min() > last
-        if apart and self._poses.type not in TRANSFORMS:
-            by_log = read_motion(bag, self._poses, self._tree, frame, Findings(stop_at_first=False), by_log=True)
-            if (covered := by_log.covers(log_s)).any():
-                findings.warning(
+        faults: list[DriveFileError] = []
+        for topic in candidates:
+            try:
+                covered = self._cover(topic, findings)
+            except DriveFileError as fault:
+                faults.append(fault)
+                continue
+            for fault in faults:
+                findings.warning(fault.path, fault.message)
+            if others := [other.name for other in candidates if other is not topic]:
+                findings.note(
                     bag.name,
-                    f"the stamps of {self.points.topic.name} and {self._poses.name} are of different clocks; the times "
-                    "at which the messages were recorded are used instead, which is less exact. Usual cause: a LiDAR "
-                    "without time synchronisation.",
+                    f"the poses are taken from {topic.name} ({topic.type}); others may be in {', '.join(others[:5])}. "
+                    "Choose with --poses.",
                 )
-                self._motion, self._by_log = by_log, True
-                return covered
-        raise DriveFileError(
-            bag.name,
-            f"no scan has a pose: the scans last from {stamp_s.min():.3f} s to {stamp_s.max():.3f} s, the poses of "
-            f"{self._poses.name} from {first:.3f} s to {last:.3f} s. Expected poses at most 2 s apart while scans were "
-            "taken. Usual cause: different clocks, or an odometry that did not run.",
-        )
+            self._poses = topic
+            return covered
+        raise faults[0]
+
+    def _cover(self, topic: BagTopic, findings: Findings) -> BoolArray:
+        """Take the poses of a topic; return at which scans they are known.
+
+        Raises
+        ------
+        DriveError
+            At none.
+        """
+        bag, frame, stamp_s, log_s = self.bag, self.points.frame_id, self.times.stamp_s, self.times.log_s
+        said = Findings(stop_at_first=False)
+        motion = read_motion(bag, topic, self._tree, frame, said)
+        covered, by_log = motion.covers(stamp_s), False
+        first, last = motion.span_s
+        if not covered.any() and topic.type not in TRANSFORMS and (stamp_s.max() < first or stamp_s.min() > last):
+            motion = read_motion(bag, topic, self._tree, frame, Findings(stop_at_first=False), by_log=True)
+            covered, by_log = motion.covers(log_s), True
+        if not covered.any():
+            raise DriveFileError(
+                bag.name,
+                f"no scan has a pose of {topic.name}: the scans last from {stamp_s.min():.3f} s to {stamp_s.max():.3f} "
+                f"s, the poses from {first:.3f} s to {last:.3f} s. Expected poses at most 2 s apart while scans were "
+                "taken. Usual cause: different clocks, or an odometry that did not run.",
+            )
+        for finding in said.found:
+            (findings.warning if finding.severity == "warning" else findings.note)(finding.path, finding.message)
+        if by_log:
+            findings.warning(
+                bag.name,
+                f"the stamps of {self.points.topic.name} and {topic.name} are of different clocks; the times at which "
+                "the messages were recorded are used instead, which is less exact. Usual cause: a LiDAR without time "
+                "synchronisation.",
+            )
+        self._motion, self._by_log = motion, by_log
+        return covered
 
     def topics(self) -> tuple[Topic, ...]:
         """Return all topics of the bag, with what they are read as."""

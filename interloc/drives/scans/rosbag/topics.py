@@ -130,8 +130,8 @@ def _no_points(bag: Bag, empty: list[BagTopic]) -> str:
     )
 
 
-def choose_poses(bag: Bag, given: str | None, findings: Findings) -> BagTopic | None:
-    """Choose the topic of the poses: Odometry before poses, and both before /tf; None where there is none.
+def pose_topics(bag: Bag, given: str | None) -> list[BagTopic]:
+    """Return the topics that may be the poses, the best first: Odometry before poses, and both before /tf.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def choose_poses(bag: Bag, given: str | None, findings: Findings) -> BagTopic | 
         The given one is not there.
     """
     if given is not None:
-        return named(bag, given, (*POSES, *TRANSFORMS), "poses")
+        return [named(bag, given, (*POSES, *TRANSFORMS), "poses")]
     candidates = [
         topic
         for topic in bag.topics
@@ -147,15 +147,7 @@ def choose_poses(bag: Bag, given: str | None, findings: Findings) -> BagTopic | 
         and len(topic)
         and ((topic.type in POSES and len(topic) > 1) or (topic.type in TRANSFORMS and not is_static(topic)))
     ]
-    candidates.sort(key=lambda topic: (_USUAL_ORDER[topic.type], -len(topic), topic.name))
-    if len(candidates) > 1:
-        others = ", ".join(topic.name for topic in candidates[1:6])
-        findings.note(
-            bag.name,
-            f"the poses are taken from {candidates[0].name} ({candidates[0].type}); others are in {others}. "
-            "Choose with --poses.",
-        )
-    return candidates[0] if candidates else None
+    return sorted(candidates, key=lambda topic: (_USUAL_ORDER[topic.type], -len(topic), topic.name))
 
 
 def choose_fix(bag: Bag, given: str | None, findings: Findings) -> BagTopic | None:

@@ -110,7 +110,7 @@ def test_a_bag_gives_back_what_was_written(tmp_path: Path, form: str, compressio
 def test_scans_are_read_by_other_processes_and_several_threads(tmp_path: Path, form: str) -> None:
     scans = scans_of()
     recording, *_ = opened(write_bag(tmp_path / "drive", form, scans, times_of(), poses=straight()))
-    source = pickle.loads(pickle.dumps(recording.points))
+    source = pickle.loads(pickle.dumps(recording.points))  # noqa: S301 - our own
     with ThreadPoolExecutor(4) as threads:
         read = list(threads.map(source.read, list(range(COUNT)) * 5))
     assert all(np.array_equal(points.values, scans[row % COUNT]) for row, points in enumerate(read))
@@ -494,6 +494,36 @@ def test_poses_may_come_from_a_file(tmp_path: Path) -> None:
     (tmp_path / "poses.tum").write_text("\n".join(lines) + "\n")
     _, trajectory, _ = opened(path, poses=str(tmp_path / "poses.tum"))
     assert np.allclose(poses_of(trajectory), straight(), atol=1e-5)
+
+
+def test_poses_of_no_use_are_passed_over(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            lost = straight()[row]
+            lost[:3, 3] = np.nan
+            bag.odometry("/gps/odom", time, lost, child="base_link")
+            bag.odometry("/gps/odom", time + 0.01, lost, child="base_link")
+            bag.pose_stamped("/slam", time, straight()[row])
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+    _, trajectory, findings = opened(tmp_path / "drive")
+    assert np.allclose(poses_of(trajectory), straight())
+    assert "none of 24 poses is one" in said(findings)
+    assert "the poses are taken from /slam" in said(findings)
+    assert "without a frame of their own" in said(findings)
+
+
+def test_a_lone_file_is_a_drive(tmp_path: Path, with_bags: None) -> None:
+    road = np.column_stack([np.random.default_rng(1).uniform(-20, 20, (400, 2)), np.full((400, 2), -1.7)])
+    labels = [np.full(400, 40, np.uint32)] * COUNT
+    path = write_bag(
+        tmp_path / "d", "bag", [road.astype(np.float32)] * COUNT, times_of(), labels=labels, poses=straight()
+    )
+    drive = interloc.open_drive(path)
+    assert (drive.name, drive.layout, len(drive.frames)) == ("d", "rosbag", COUNT)
+    assert len(drive.ground_points(3).road) == 400
+    report = interloc.inspect_drive(path)
+    assert report.ok
+    assert {topic.name: topic.role for topic in report.topics} == {"/odom": "poses", "/points": "points"}
 
 
 def test_a_missing_package_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

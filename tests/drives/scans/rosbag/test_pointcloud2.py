@@ -1,4 +1,4 @@
-"""Points of messages: any order and type of fields, padding, rows, no returns, and messages that contradict themselves."""
+"""Points of messages: any fields, padding, rows and no returns; and messages that contradict themselves."""
 
 import struct
 from typing import Any
