@@ -295,8 +295,8 @@ class _TrajectoryReader:
         for topic in candidates:
             try:
                 covered = self._cover(topic, findings)
-            except DriveFileError as fault:
-                faults.append(fault)
+            except DriveFileError as error:
+                faults.append(error)
                 continue
             for fault in faults:
                 findings.warning(fault.path, fault.message)
@@ -396,7 +396,7 @@ class _TrajectoryReader:
             reason = "the bag holds no GNSS fixes (sensor_msgs/NavSatFix)"
             return Trajectory(poses, self._moved.count, self.times_s, None, reason)
         with findings.stage():
-            fixes, reason = self._fixes(self._fix, world)
+            fixes, reason = self._fixes(self._fix, world, findings)
             if fixes is not None:
                 source = f"{self._fix.name} (GNSS), heading from the motion"
                 georeference = georeference_from_fixes(fixes[0], world, fixes[1], source)
@@ -409,7 +409,9 @@ class _TrajectoryReader:
             findings.note(self.bag.name, f"no georeference: {reason}")
         return Trajectory(poses, self._moved.count, self.times_s, georeference, "" if georeference else reason)
 
-    def _fixes(self, topic: BagTopic, world: FloatArray) -> tuple[tuple[Fixes, FloatArray] | None, str]:
+    def _fixes(
+        self, topic: BagTopic, world: FloatArray, findings: Findings
+    ) -> tuple[tuple[Fixes, FloatArray] | None, str]:
         """Read the fixes within the poses, and the distance driven until every scan; or why there are none."""
         assert topic.encoding is not None
         messages = []
@@ -419,14 +421,20 @@ class _TrajectoryReader:
             except WireError as error:
                 raise DriveFileError(self.bag.name, f"{topic.name}, message {number}: {error}.") from error
         stamps = np.array([fix.header.stamp_ns for fix in messages], dtype=np.int64)
-        by_log = self._by_log or bool((stamps <= 0).any())
-        times_s = (topic.log_ns if by_log else stamps) / 1e9
+        unset = bool((stamps <= 0).any())
+        times_s = (topic.log_ns if self._by_log or unset else stamps) / 1e9
         positions = np.array([fix.position for fix in messages], dtype=np.float64).reshape(-1, 3)
         sound = _sound_fixes(positions, [fix.status for fix in messages])
         if not sound.any():
             return None, f"{topic.name}: none of {len(messages):,} fixes has a position"
         positions[~np.isfinite(positions[:, 2]), 2] = 0.0
         covered = sound & self._moved.covers(times_s)
+        if not covered.any() and (by_log := sound & self._moved.covers(topic.log_ns / 1e9)).any():
+            findings.warning(
+                self.bag.name,
+                f"the stamps of {topic.name} are of another clock; the times of recording are used.",
+            )
+            times_s, covered = topic.log_ns / 1e9, by_log
         rows = np.flatnonzero(covered)[latest_of_each(times_s[covered])]
         if len(rows) < MIN_FIXES:
             return None, (

@@ -533,3 +533,15 @@ def test_a_missing_package_is_named_with_its_extra(tmp_path: Path, monkeypatch: 
         "interloc.drives.scans.rosbag.bag.find_spec", lambda name: None if name == "rosbags" else find(name)
     )
     assert 'pip install "interloc[ros]"' in refused(path)
+
+
+def test_fixes_of_another_clock_are_taken_at_the_times_of_recording(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            bag.odometry("/odom", time, straight(step_m=3.0)[row])
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+            bag.fix("/fix", time, (49.0, 8.0 + 4e-5 * row, 100.0), header_s=time - START + 5.0)
+    _, trajectory, findings = opened(tmp_path / "drive")
+    assert trajectory.georeference is not None
+    assert np.allclose(yaw_of(trajectory.georeference.R_enu_lidar), 0.0, atol=1e-3)
+    assert "/fix are of another clock" in said(findings)
