@@ -158,7 +158,7 @@ def _laid_out(image: Any, form: GraphInput) -> Any:  # noqa: ANN401 - any type o
 
 
 def _tensor(value: Any) -> Tensor:  # noqa: ANN401 - onnxruntime's NodeArg
-    sizes = tuple(size if isinstance(size, int) and size >= 0 else None for size in value.shape)
+    sizes = tuple(size if isinstance(size, int) and size >= 0 else None for size in value.shape or ())
     return Tensor(value.name, value.type, sizes)
 
 
