@@ -10,7 +10,7 @@ import click
 from interloc.cli import console, options
 
 if TYPE_CHECKING:
-    from interloc.drives.folder import ReducedReport
+    from interloc.drives.folder import ReducedReport, Topic
     from interloc.drives.inspect import DriveReport
 
 _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
@@ -50,6 +50,7 @@ def _facts(report: DriveReport) -> list[tuple[str, str]]:
         rows.append(("scans", f"{report.scans} (frames {frames}){points}"))
     if report.reduced is not None:
         rows.append(("reduced", _kept(report.reduced, report.scan_bytes + report.label_bytes)))
+    rows += [(f"topic {topic.name}", _topic(topic)) for topic in report.topics]
     if report.poses:
         rows.append(
             ("poses", f"{report.poses}, {report.pose_frame or 'unknown'} frame: {report.pose_frame_reason or '?'}")
@@ -69,6 +70,12 @@ def _facts(report: DriveReport) -> list[tuple[str, str]]:
         rows.append(("flatness", f"road seen from two scans agrees within {report.flatness_m:.2f} m in height"))
     rows.append(("georeference", report.georeference or f"none: {report.georeference_reason or 'not looked for'}"))
     return rows
+
+
+def _topic(topic: Topic) -> str:
+    """Return what a topic of a bag holds, and what it is read as."""
+    role = "" if topic.role is None else f": read as the {topic.role}"
+    return f"{topic.messages:,} messages of {topic.type}{role}"
 
 
 def _kept(reduced: ReducedReport, before: int) -> str:

@@ -64,18 +64,35 @@ reading_options = together(
     ),
     click.option(
         "--layout",
-        type=click.Choice(["auto", "semantickitti", "kitti_raw", "kitti360"]),
+        type=click.Choice(["auto", "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"]),
         default="auto",
         show_default=True,
-        help="Layout of the folder.",
+        help="Layout of the folder, or format.",
     ),
     click.option(
         "--oxts",
         type=click.Path(path_type=Path),
         help="Georeference: a KITTI raw drive, a file of OXTS rows (.txt, .txt.gz), or a geo.csv.",
     ),
+    click.option(
+        "--poses", help="File of poses (KITTI, TUM), trajectory of LAS files, or topic of the poses in a bag."
+    ),
+    click.option("--points", metavar="TOPIC", help="Topic of the scans in a bag."),
+    click.option("--fix", metavar="TOPIC", help="Topic of the GNSS fixes in a bag."),
+    click.option("--crs", help="Coordinate system of LAS files that do not name theirs, as EPSG:25832."),
 )
 """How a drive is to be read, whatever its labels."""
+
+model_options = together(
+    click.option(
+        "--model",
+        type=click.Path(path_type=Path),
+        help="Folder of a network (model.onnx, arch_cfg.yaml, data_cfg.yaml) that labels the scans; label files do not "
+        "count.",
+    ),
+    click.option("--provider", default="cpu", show_default=True, help="What the network runs on: cpu, cuda, ..."),
+)
+"""Labels by a network instead of label files."""
 
 drive_options = together(
     click.option(
@@ -86,6 +103,7 @@ drive_options = together(
         help="Folder of the labels.",
     ),
     reading_options,
+    model_options,
 )
 
 label_folders_option = click.option(

@@ -136,7 +136,7 @@ def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> Prepare
         UploadFile(
             ground_path(labels, int(frame)),
             partial(reduce_scan, source, int(frame)),
-            made_from=(source.scan_files.path(int(frame)), source.label_files.path(int(frame))),
+            made_from=source.files(int(frame)),
             made_by=_mark_of(source),
         )
         for frame in plan.frames_to_send
@@ -159,9 +159,8 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
     plan, manifest = reduction.plan, reduction.manifest
     scans: dict[str, Path] = {}
     for source in reduction.scans.values():
-        for numbered in (source.scan_files, source.label_files):
-            for frame in plan.frames:
-                path = numbered.path(int(frame))
+        for frame in plan.frames:
+            for path in source.files(int(frame)):
                 scans[path.relative_to(root).as_posix()] = path
     given = manifest.files.geo or manifest.files.oxts if options.reading.oxts is not None else None
     return PreparedDrive(

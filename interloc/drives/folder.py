@@ -14,10 +14,24 @@ from interloc.drives.findings import Findings
 from interloc.drives.labels import LabelJudgement, LabelScheme
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LayoutName
+from interloc.drives.trajectory import Trajectory
 
 
 class GroundSource(Protocol):
-    """Where the ground points of a drive are read from: raw scans with labels, or a reduced drive."""
+    """Where the ground points of a drive are read from: raw scans with labels, or a reduced drive.
+
+    Attributes
+    ----------
+    label_source : str
+        Where the labels come from, in words.
+    is_slow : bool
+        A scan takes long enough (a network labels it) that several should be read at once.
+    """
+
+    @property
+    def label_source(self) -> str: ...  # noqa: D102
+    @property
+    def is_slow(self) -> bool: ...  # noqa: D102
 
     def read(self, frame: int) -> GroundPoints:
         """Read the ground points of a scan.
@@ -130,6 +144,16 @@ class ScanStore(Protocol):
     @property
     def facts(self) -> ScanFacts: ...  # noqa: D102
 
+    def read_trajectory(self, options: DriveOptions, findings: Findings) -> Trajectory:
+        """Read poses, times and georeference; what cannot be read is None.
+
+        Raises
+        ------
+        DriveError, GeoreferenceError
+            The first fault, where `findings` stops at it.
+        """
+        ...
+
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Find the ids that occur in the scans at some positions, and what they mean."""
         ...
@@ -151,7 +175,8 @@ class FolderDrive:
         Folder of the drive.
     name : str
         Name of the folder, or of the one that a reduced drive was made of.
-    layout : {"semantickitti", "kitti_raw", "kitti360"}
+    layout : str
+        "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag" or "las".
     frames : (N,) int64
         Scan numbers, ascending.
     T_world_lidar : (N, 4, 4) float64
@@ -178,6 +203,11 @@ class FolderDrive:
     scheme: LabelScheme
     pose_frame: str
     pose_frame_reason: str
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether several scans should be read at once."""
+        return self.ground.is_slow
 
     def without_georeference(self) -> Self:
         """Return the drive as if it had no GNSS."""

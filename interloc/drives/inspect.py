@@ -23,7 +23,7 @@ class DriveReport(ScanFacts):
     path, name : str
         The folder, and the name of the drive.
     layout : str or None
-        "semantickitti", "kitti_raw" or "kitti360".
+        "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag" or "las".
     poses : int
         Poses in the file (may be more than scans).
     length_m : float or None

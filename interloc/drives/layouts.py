@@ -5,6 +5,7 @@ A new layout of folders is a function here, and its line in `_LAYOUTS`.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -25,6 +26,12 @@ ScanFolder = Literal["velodyne", "velodyne_points/data"]
 SCAN_FOLDERS: tuple[ScanFolder, ...] = ("velodyne", "velodyne_points/data")
 """Where the layouts have their scans."""
 
+PCD_ENDINGS = (".pcd", ".pcd.bin")
+"""Of scans in PCD files, and of nuScenes' (five float32 per point)."""
+
+_PCD_FOLDERS = ("pcd", "clouds", "velodyne", "velodyne_points/data", ".")
+_POSE_FILES = ("poses.txt", "poses.tum", "trajectory.tum", "trajectory.txt")
+
 
 @dataclass(frozen=True)
 class DriveParts:
@@ -32,7 +39,8 @@ class DriveParts:
 
     Attributes
     ----------
-    layout : {"semantickitti", "kitti_raw", "kitti360"}
+    layout : str
+        "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag" or "las".
     root : Path
         Folder of the drive.
     scans, labels : Path
@@ -127,6 +135,35 @@ def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DrivePa
     )
 
 
+def _pcd(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:  # noqa: ARG001 - a `_Find`
+    """PCD files: in pcd/, clouds/, velodyne/ or the folder itself, with the poses beside."""
+    folders = (root / folder for folder in _PCD_FOLDERS)
+    scans = next((folder for folder in folders if folder.is_dir() and _holds_pcd(folder)), None)
+    if scans is None:
+        return None
+    return DriveParts(
+        layout="pcd",
+        root=root,
+        scans=scans,
+        labels=root / labels,
+        poses=_existing(*(root / name for name in _POSE_FILES)) or root / _POSE_FILES[0],
+        times=_existing(root / "times.txt"),
+        calibration=(root,),
+        oxts=_existing(root / "oxts"),
+        geo=_existing(root / "geo.csv"),
+    )
+
+
+def pcd_ending(name: str) -> str:
+    """Return the ending of the name of a PCD file; "" for any other file."""
+    return next((ending for ending in PCD_ENDINGS[::-1] if name.endswith(ending)), "")
+
+
+def _holds_pcd(folder: Path) -> bool:
+    with os.scandir(folder) as entries:
+        return any(pcd_ending(entry.name) for entry in entries)
+
+
 def _existing(*paths: Path) -> Path | None:
     """Return the first path that exists."""
     return next((path for path in paths if path.exists()), None)
@@ -141,8 +178,13 @@ def _fields_of_first_line(path: Path) -> int:
         return 0
 
 
+def _none(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:  # noqa: ARG001 - a `_Find`
+    return None
+
+
 _Find = Callable[[Path, str, Collection[str]], DriveParts | None]
 _LAYOUTS: dict[LayoutName, tuple[_Find, str]] = {  # the first that fits, in this order
+    "pcd": (_pcd, "000000.pcd, 000001.pcd, ... (directly in it, or in pcd/, clouds/, velodyne/) with poses.txt (PCD)"),
     "kitti360": (  # the others know nothing of frame numbers in pose lines
         _kitti360,
         "velodyne/ or velodyne_points/data/ with pose lines that start with the frame number (KITTI-360)",
@@ -153,6 +195,9 @@ _LAYOUTS: dict[LayoutName, tuple[_Find, str]] = {  # the first that fits, in thi
     ),
     "kitti_raw": (_kitti_raw, "velodyne_points/data/0000000000.bin, oxts/data/0000000000.txt (KITTI raw)"),
 }
+
+_OTHERS = ["a ROS bag (.bag, .db3, .mcap)", "LAS or LAZ files with their trajectory"]
+"""What other readers than this one know."""
 
 _USUAL_MISTAKES: tuple[tuple[str, str], ...] = (
     (r"ground", "It is a reduced drive without its reduced.json, which is written last: reduce or send it again. "),
@@ -189,6 +234,8 @@ def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | No
     if not inside and announced is None:
         raise DriveFileError(name, f"is an empty folder. Expected {_LAYOUTS['semantickitti'][1]}.")
     parts = _choose(root, inside, options, announced)
+    if options.poses is not None:
+        parts = replace(parts, poses=Path(options.poses))
     return parts if options.name is None else replace(parts, name=options.name)
 
 
@@ -197,7 +244,7 @@ def _choose(root: Path, inside: set[str], options: DriveOptions, announced: Scan
     name = str(root)
     scan_folders = {folder for folder in SCAN_FOLDERS if folder == announced or (root / folder).is_dir()}
     if options.layout != "auto":
-        find, expected = _LAYOUTS[options.layout]
+        find, expected = _LAYOUTS.get(options.layout, (_none, _OTHERS[options.layout == "las"]))
         chosen = find(root, options.labels, scan_folders)
         if chosen is None:
             raise DriveFileError(name, f"is not of layout {options.layout}. Expected {expected}.")
@@ -212,5 +259,5 @@ def _choose(root: Path, inside: set[str], options: DriveOptions, announced: Scan
         if (parts := find(root, options.labels, scan_folders)) is not None:
             return parts
     usual = next((text for pattern, text in _USUAL_MISTAKES if any(re.fullmatch(pattern, each) for each in inside)), "")
-    expected = ", or ".join(_LAYOUTS[layout][1] for layout in get_args(LayoutName))
+    expected = ", or ".join([_LAYOUTS[layout][1] for layout in get_args(LayoutName) if layout in _LAYOUTS] + _OTHERS)
     raise DriveFileError(name, f"is not a drive. {usual}Expected {expected}.")

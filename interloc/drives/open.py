@@ -14,17 +14,18 @@ from interloc.drives.folder import FolderDrive, ScanStore
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.options import DriveArguments, DriveOptions, ReadingOptions
 from interloc.drives.scans.raw import RawStore
+from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedStore
-from interloc.drives.trajectory import Trajectory, read_trajectory
+from interloc.drives.scans.scan_files import open_scan_files
+from interloc.drives.trajectory import Trajectory
 
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
 
-_STORES: tuple[Callable[[Path, DriveOptions, Findings], ScanStore | None], ...] = (
-    ReducedStore.open,
-    RawStore.open,  # the last: it refuses a folder that is not a drive, with the usual mistake
+_FORMATS: tuple[Callable[[Path, DriveOptions, Findings], Recording | None], ...] = (
+    open_scan_files,  # the last: it refuses a folder that is not a drive, with the usual mistake
 )
-"""Ways of keeping scans; the first that knows a folder reads it. A new format is a `ScanStore` and a line here."""
+"""Formats of scans; the first that knows a folder or file reads it. A new one is a module of `scans` and a line."""
 
 
 def open_drive(
@@ -35,8 +36,9 @@ def open_drive(
     Parameters
     ----------
     path
-        Folder of the drive: a SemanticKITTI / KITTI odometry sequence, a KITTI raw drive, or KITTI-360 scans with its
-        pose lines; or a reduced drive (`interloc.drives.scans.reduced_format`).
+        The drive: a SemanticKITTI / KITTI odometry sequence, a KITTI raw drive, a drive of KITTI-360, a folder of PCD
+        files, a ROS bag (.bag, .db3, .mcap), LAS or LAZ files with their trajectory; or a reduced drive
+        (`interloc.drives.scans.reduced_format`).
     options : ReadingOptions or None
         All of the following at once; those that are named beside it count.
     labels : {"labels", "predictions"}
@@ -46,7 +48,13 @@ def open_drive(
         text ("40,60").
     pose_frame : {"auto", "camera", "lidar"}
         Sensor whose poses the pose file holds; "auto" finds it out from the motion.
-    layout : {"auto", "semantickitti", "kitti_raw", "kitti360"}
+    layout : {"auto", "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"}
+    poses, points, fix, crs : str or None
+        Where poses, scans and fixes are, and the coordinate system of LAS files: see `ReadingOptions`.
+    model
+        Folder of a network (`interloc.labelling`) that labels the scans as they are read; label files do not count.
+    provider
+        What the network runs on.
     oxts
         Georeference from elsewhere: the KITTI raw drive of an odometry sequence, a file with one OXTS row per frame
         (or its .gz), or a geo.csv.
@@ -67,6 +75,8 @@ def open_drive(
         The folder is not a drive, or something in it is damaged or does not fit together.
     GeoreferenceError
         The georeference is damaged or that of another drive.
+    ModelError
+        The network cannot be used.
     ConfigError
         An unknown option or choice.
     """
@@ -116,14 +126,23 @@ def read_drive(root: Path, options: DriveOptions, findings: Findings, *, thoroug
     """
     store = None
     with findings.stage():
-        store = next(opened for open_store in _STORES if (opened := open_store(root, options, findings)) is not None)
+        store = _open_store(root, options, findings)
     if store is None or store.frames is None:
         return DriveReading(store)
-    trajectory = read_trajectory(store.parts, store.frames, options, findings)
+    trajectory = store.read_trajectory(options, findings)
     sample = sample_indices(store.usable, len(store.usable) if thorough else SAMPLED_SCANS)
     labels = store.judge_labels(sample, options, findings)
     reading = DriveReading(store, trajectory, sample, labels, _drive_of(store, trajectory, labels))
     return _checked(reading, findings) if options.check else reading
+
+
+def _open_store(root: Path, options: DriveOptions, findings: Findings) -> ScanStore | None:
+    """Open the scans of a drive, in whichever way they are kept."""
+    if (reduced := ReducedStore.open(root, options, findings)) is not None:
+        return reduced
+    recordings = (open_format(root, options, findings) for open_format in _FORMATS)
+    recording = next(opened for opened in recordings if opened is not None)
+    return RawStore.of(recording, options, findings)
 
 
 def _drive_of(store: ScanStore, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:

@@ -17,6 +17,7 @@ from interloc.drives.layouts import DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
 from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
+from interloc.drives.poses.tum import looks_like_tum, read_tum
 from interloc.errors import InterLocError
 from interloc.geometry import invert_transform
 
@@ -73,13 +74,22 @@ class Trajectory:
     georeference_reason: str = "the drive has neither oxts/ nor geo.csv"
 
 
-def read_trajectory(parts: DriveParts, frames: IntArray, options: DriveOptions, findings: Findings) -> Trajectory:
+def read_trajectory(
+    parts: DriveParts,
+    frames: IntArray,
+    options: DriveOptions,
+    findings: Findings,
+    *,
+    times_s: FloatArray | None = None,
+) -> Trajectory:
     """Read georeference, poses and times of the scans of a drive; no scan is needed for that.
 
     Parameters
     ----------
     frames : (N,) int64
         Scan numbers, ascending.
+    times_s : (N,) float64 or None
+        Times of the scans, where they are known without a file of times.
 
     Raises
     ------
@@ -87,7 +97,7 @@ def read_trajectory(parts: DriveParts, frames: IntArray, options: DriveOptions, 
         The first fault, where `findings` stops at it.
     """
     georeference, reason = None, Trajectory.georeference_reason
-    poses, pose_count, times_s = None, 0, None
+    poses, pose_count = None, 0
     with findings.stage():
         try:
             georeference = read_georeference(parts, frames, options.oxts)
@@ -95,23 +105,40 @@ def read_trajectory(parts: DriveParts, frames: IntArray, options: DriveOptions, 
             reason = str(error)
             raise
     with findings.stage():
+        if times_s is None and parts.times is not None:
+            times_s = _read_times(parts.file(parts.times), frames, findings)
+    with findings.stage():
         if parts.poses is None:
             poses = _poses_from_georeference(georeference, reason, findings)
             pose_count = len(frames)
         else:
             file = parts.file(parts.poses)
-            lines = read_poses(file)
+            lines = _read_timed(file, times_s, frames, findings) if looks_like_tum(file.path) else read_poses(file)
             pose_count = len(lines.poses)
             poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
-    with findings.stage():
-        times_s = None if parts.times is None else _read_times(parts.file(parts.times), frames, findings)
     return Trajectory(poses, pose_count, times_s, georeference, reason)
+
+
+def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, findings: Findings) -> PoseLines:
+    """Read the poses of a TUM file at the times of the scans, or one per scan where these have none."""
+    timed = read_tum(file)
+    if times_s is not None:
+        return PoseLines(timed.at(times_s), frames)
+    if len(timed.poses) != len(frames):
+        raise file.fault(
+            f"{len(timed.poses):,} poses with times (TUM) for {len(frames):,} scans whose times are not known. "
+            "Expected a times.txt with the time of every scan, scans named by their times, or one pose per scan."
+        )
+    findings.note(file.name, "the times of the scans are not known: one pose per scan, in their order.")
+    return PoseLines(timed.poses, frames)
 
 
 def _poses_of_scans(
     lines: PoseLines, file: SourceFile, parts: DriveParts, frames: IntArray, declared: PoseFrame, findings: Findings
 ) -> LidarPoses:
     """Find the pose of the LiDAR at every scan among the poses of a file."""
+    if parts.layout == "pcd" and lines.frames is None and len(lines.poses) == len(frames):
+        lines = PoseLines(lines.poses, frames)  # the numbers in their names are whatever their maker chose
     missing = int(frames[-1] - frames[0]) + 1 - len(frames)
     if lines.frames is None and missing:
         findings.error(

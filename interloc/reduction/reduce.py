@@ -116,7 +116,8 @@ def prepare_reduction(
         source = reading.drive.ground
         assert isinstance(source, RawScans)
         scans[folder] = source
-        label_bytes = int(source.label_files.sizes.sum())
+        assert reading.store is not None
+        label_bytes = reading.store.facts.label_bytes
         labels.append(ReducedLabels.of(folder, source.scheme, reading.labels.counts, label_bytes))
     first = readings[chosen[0]]
     store, drive = first.store, first.drive

@@ -121,7 +121,7 @@ def test_missing_label(sequence: Path) -> None:
 def test_missing_labels_name_the_predictions(tmp_path: Path, make: ModuleType) -> None:
     root = make.write_semantickitti(tmp_path / "07", labels="predictions")
     assert "There is predictions/: choose it" in refusal(root)
-    assert open_drive(root, labels="predictions").ground.label_files.folder.name == "predictions"
+    assert open_drive(root, labels="predictions").ground.label_source == "predictions"
 
 
 def test_fewer_poses_than_scans(sequence: Path) -> None:

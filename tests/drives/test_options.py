@@ -17,7 +17,10 @@ from interloc.errors import ConfigError
     [
         ({"labels": "else"}, "labels 'else': expected 'labels' or 'predictions'"),
         ({"pose_frame": "imu"}, "pose frame 'imu': expected 'auto', 'camera' or 'lidar'"),
-        ({"layout": "nuscenes"}, "layout 'nuscenes': expected 'auto', 'semantickitti', 'kitti_raw' or 'kitti360'"),
+        (
+            {"layout": "nuscenes"},
+            "layout 'nuscenes': expected 'auto', 'semantickitti', 'kitti_raw', 'kitti360', 'pcd', 'rosbag' or 'las'",
+        ),
         ({"label_scheme": "mine"}, "label scheme 'mine': expected auto, semantickitti, learning, kitti360"),
         ({"label_scheme": {-1}}, "label scheme '-1': expected auto"),
         ({"label_scheme": set()}, "label scheme '': expected auto"),

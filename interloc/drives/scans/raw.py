@@ -1,28 +1,109 @@
-"""Scans as they were recorded, with one label per point: .bin and .label files."""
+"""Scans as they were recorded, and their labels: label files, labels of the points themselves, or a network."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
-from interloc.arrays import Float32Array, IntArray, UInt8Array, UInt32Array
+from interloc.arrays import IntArray, UInt8Array, UInt32Array
 from interloc.drive import GroundPoints
 from interloc.drives.files import NumberedFiles, SourceFile, list_numbered, listed, missing_numbers
-from interloc.drives.findings import Findings
+from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.folder import ScanFacts
 from interloc.drives.labels import LabelJudgement, LabelScheme, judge_labels
-from interloc.drives.layouts import DriveParts, find_layout
+from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
+from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
+from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.kernels.points import select_points
-
-POINT_BYTES = 16
-"""float32 x y z remission."""
 
 LABEL_BYTES = 4
 """uint32, the label id in the lower half."""
+
+
+class LabelSource(Protocol):
+    """What the points of the scans are; cheap to send to another process.
+
+    Attributes
+    ----------
+    name : str
+        How messages call it.
+    scheme : str or None
+        Name of the scheme of its ids, where it is known.
+    is_slow : bool
+        Labels take long enough that those of several scans should be made at once.
+    """
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def scheme(self) -> str | None: ...  # noqa: D102
+    @property
+    def is_slow(self) -> bool: ...  # noqa: D102
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the files that the labels of a scan are read from, besides those of the scan."""
+        ...
+
+    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:
+        """Return the (N,) uint32 labels of the points of a scan, the id in the lower half.
+
+        Raises
+        ------
+        DriveError
+            They are missing, or not as many as the points.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class LabelFiles:
+    """One .label file per scan; a `LabelSource`."""
+
+    label_files: NumberedFiles
+    scheme = None
+    is_slow = False
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.label_files.folder.name
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the file of a scan."""
+        return (self.label_files.path(frame),)
+
+    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:
+        """Read the labels of a scan."""
+        file = self.label_files.file(frame)
+        labels = read_labels(file)
+        if len(labels) != len(points.values):
+            raise file.fault(_label_count_complaint(len(labels), len(points.values), scan))
+        return labels
+
+
+@dataclass(frozen=True)
+class PointLabels:
+    """Labels that the points carry themselves; a `LabelSource`."""
+
+    name: str
+    scheme: str | None = None
+    is_slow = False
+
+    def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - of `LabelSource`
+        """Return none: they are in the scans."""
+        return ()
+
+    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:  # noqa: ARG002 - of `LabelSource`
+        """Return the labels of the points."""
+        if points.labels is None:
+            raise DriveFileError(scan, "its points carry no labels, as those of the other scans do.")
+        return points.labels
 
 
 @dataclass(frozen=True)
@@ -31,13 +112,14 @@ class RawScans:
 
     Attributes
     ----------
-    scan_files, label_files : NumberedFiles
+    points : PointSource
+    labels : LabelSource
     scheme : LabelScheme
         Which label ids are road.
     """
 
-    scan_files: NumberedFiles
-    label_files: NumberedFiles
+    points: PointSource
+    labels: LabelSource
     scheme: LabelScheme
 
     def __getstate__(self) -> dict[str, object]:
@@ -48,9 +130,23 @@ class RawScans:
     def _groups(self) -> UInt8Array:
         return self.scheme.groups()
 
+    @property
+    def label_source(self) -> str:
+        """Where the labels come from, in words."""
+        return self.labels.name
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether a network labels the scans."""
+        return self.labels.is_slow
+
     def name(self, frame: int) -> str:
         """Return the name of the file of a scan, for messages."""
-        return self.scan_files.file(frame).name
+        return self.points.name(frame)
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the files that the ground points of a scan are made of."""
+        return (*self.points.files(frame), *self.labels.files(frame))
 
     def read(self, frame: int) -> GroundPoints:
         """Read the ground points of a scan.
@@ -60,17 +156,16 @@ class RawScans:
         DriveError
             A file is missing or cut short, labels and points differ in number, or a point that is kept is not finite.
         """
-        scan, label = self.scan_files.file(frame), self.label_files.file(frame)
-        points, labels = read_points(scan), read_labels(label)
-        if len(points) != len(labels):
-            raise label.fault(_label_count_complaint(len(labels), len(points), scan.name))
-        xyz, road_count, bad_point = select_points(points, labels, self._groups)
+        points, name = self.points.read(frame), self.points.name(frame)
+        labels = self.labels.of(frame, points, name)
+        xyz, road_count, bad_point = select_points(points.values, labels, self._groups)
         if bad_point >= 0:
-            x, y, z, _ = points[bad_point]
-            raise scan.fault(
-                f"point {bad_point:,} of {len(points):,} is not finite ({x:g}, {y:g}, {z:g}). "
+            x, y, z, _ = points.values[bad_point]
+            raise DriveFileError(
+                name,
+                f"point {bad_point:,} of {len(labels):,} is not finite ({x:g}, {y:g}, {z:g}). "
                 "Expected x y z in metres. Usual cause: points without a return that were written as NaN; "
-                "leave them out, with their labels."
+                "leave them out, with their labels.",
             )
         return GroundPoints(xyz, road_count)
 
@@ -81,56 +176,76 @@ class RawStore:
 
     Attributes
     ----------
-    parts : DriveParts
-    scans, labels : NumberedFiles or None
-        None where they could not be listed.
+    recording : Recording
+    labels : LabelSource or None
+        None where there are none, which was raised or listed.
     usable : (M,) int64
         Positions of the scans that have labels, of the size that fits.
     """
 
-    parts: DriveParts
-    scans: NumberedFiles | None
-    labels: NumberedFiles | None
+    recording: Recording
+    labels: LabelSource | None
     usable: IntArray
 
     @classmethod
-    def open(cls, root: Path, options: DriveOptions, findings: Findings) -> RawStore:
-        """Find the layout of a folder, list its scans and labels, and check their sizes.
+    def of(cls, recording: Recording, options: DriveOptions, findings: Findings) -> RawStore:
+        """Find the labels of a recording, and check that every scan has them.
 
         Raises
         ------
-        DriveError
-            The folder is not a drive; or it is damaged, and `findings` stops at that.
+        DriveError, ModelError
+            There are none, or they do not fit; where `findings` stops at that.
         """
-        parts = find_layout(root, options)
-        scans = labels = None
+        labels: LabelSource | None = None
+        usable = recording.usable
         with findings.stage():
-            scans = list_numbered(parts.file(parts.scans), ".bin")
-        with findings.stage():
-            labels = _list_labels(parts)
-        usable = np.empty(0, dtype=np.int64)
-        if scans is not None and labels is not None:
-            usable = _check_files(scans, labels, findings, sizes=options.check)
-        return cls(parts, scans, labels, usable)
+            labels = _labels_of(recording, options, findings)
+        if recording.frames is None:
+            return cls(recording, labels, np.empty(0, np.int64))
+        if usable is None:
+            usable = np.arange(len(recording.frames), dtype=np.int64)
+        if labels is None:
+            usable = usable[:0]
+        elif isinstance(labels, LabelFiles):
+            usable = _check_label_files(recording, usable, labels.label_files, findings, sizes=options.check)
+        return cls(recording, labels, usable)
+
+    @property
+    def parts(self) -> DriveParts:
+        """The files and folders of the drive."""
+        return self.recording.parts
 
     @property
     def frames(self) -> IntArray | None:
         """(N,) int64 scan numbers."""
-        return None if self.scans is None else self.scans.numbers
+        return self.recording.frames
+
+    def read_trajectory(self, options: DriveOptions, findings: Findings) -> Trajectory:
+        """Read poses, times and georeference."""
+        assert self.recording.frames is not None
+        if self.recording.read_trajectory is not None:
+            return self.recording.read_trajectory(options, findings)
+        return read_trajectory(self.parts, self.recording.frames, options, findings)
 
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Count the ids of some scans, and find out what they mean."""
-        counts: dict[int, int] = {}
-        if self.labels is None or self.scans is None:
+        source, frames, labels = self.recording.points, self.frames, self.labels
+        if source is None or frames is None or labels is None:
             return LabelJudgement()
+        counts: Counter[int] = Counter()
         for index in sample:
+            frame = int(frames[index])
             with findings.stage():
-                for label, count in read_label_ids(self.labels.file(int(self.scans.numbers[index]))):
-                    counts[label] = counts.get(label, 0) + count
+                if isinstance(labels, LabelFiles):  # needs no points
+                    ids = read_labels(labels.label_files.file(frame))
+                else:
+                    ids = labels.of(frame, source.read(frame), source.name(frame))
+                counts.update(dict(_counted(ids)))
+        chosen = options.label_scheme
         return judge_labels(
-            self.labels.folder.name,
-            counts,
-            options.label_scheme,
+            labels.name,
+            dict(counts),
+            labels.scheme if chosen == "auto" and labels.scheme is not None else chosen,
             kitti360=self.parts.layout == "kitti360",
             check=options.check,
             findings=findings,
@@ -138,46 +253,33 @@ class RawStore:
 
     def ground(self, scheme: LabelScheme) -> RawScans | None:
         """Return the scans."""
-        return None if self.scans is None or self.labels is None else RawScans(self.scans, self.labels, scheme)
+        if self.recording.points is None or self.labels is None:
+            return None
+        return RawScans(self.recording.points, self.labels, scheme)
 
     @property
     def facts(self) -> ScanFacts:
         """Count and size of the files."""
-        facts = ScanFacts()
-        if self.scans is not None:
-            points = self.scans.sizes // POINT_BYTES
-            facts = ScanFacts(
-                scans=len(points),
-                first_frame=int(self.scans.numbers[0]),
-                last_frame=int(self.scans.numbers[-1]),
-                scan_bytes=int(self.scans.sizes.sum()),
-                points_per_scan=int(np.median(points)),
-                least_points=int(points.min()),
-                most_points=int(points.max()),
-            )
+        recording = self.recording
+        facts: dict[str, object] = {"topics": recording.topics}
+        if recording.frames is not None and len(recording.frames):
+            facts |= {
+                "scans": len(recording.frames),
+                "first_frame": int(recording.frames[0]),
+                "last_frame": int(recording.frames[-1]),
+                "scan_bytes": recording.scan_bytes,
+            }
+            if (points := recording.point_counts) is not None:
+                facts |= {
+                    "points_per_scan": int(np.median(points)),
+                    "least_points": int(points.min()),
+                    "most_points": int(points.max()),
+                }
         if self.labels is not None:
-            labels = {"label_folder": self.parts.labels.name, "label_bytes": int(self.labels.sizes.sum())}
-            facts = facts.model_copy(update=labels)
-        return facts
-
-
-def read_points(file: SourceFile) -> Float32Array:
-    """Read the (N, 4) float32 points of a file: x y z in L, metres, and remission.
-
-    Raises
-    ------
-    DriveError
-        It cannot be read, or was cut short.
-    """
-    try:
-        size = file.path.stat().st_size
-        values = np.fromfile(file.path, dtype="<f4")
-    except OSError as error:
-        raise file.unreadable(error) from error
-    if size % POINT_BYTES or not size:
-        raise file.fault(_scan_size_complaint(size))
-    points: Float32Array = values.reshape(-1, 4)
-    return points
+            facts["label_folder"] = self.labels.name
+            if isinstance(self.labels, LabelFiles):
+                facts["label_bytes"] = int(self.labels.label_files.sizes.sum())
+        return ScanFacts.model_validate(facts)
 
 
 def read_labels(file: SourceFile) -> UInt32Array:
@@ -196,74 +298,85 @@ def read_labels(file: SourceFile) -> UInt32Array:
 
 def read_label_ids(file: SourceFile) -> list[tuple[int, int]]:
     """Return the distinct label ids of a file, each with the number of points that carry it."""
-    counts = np.bincount(read_labels(file) & 0xFFFF)
+    return _counted(read_labels(file))
+
+
+def _counted(labels: UInt32Array) -> list[tuple[int, int]]:
+    """Return the distinct ids of labels, each with the number of points that carry it."""
+    counts = np.bincount(labels & 0xFFFF)
     return [(int(label), int(counts[label])) for label in np.flatnonzero(counts)]
 
 
-def _list_labels(parts: DriveParts) -> NumberedFiles:
-    """List the label files."""
-    folder = parts.labels
-    if not folder.is_dir():
-        other = parts.root / ("predictions" if folder.name == "labels" else "labels")
-        hint = (
-            f"There is {other.name}/: choose it as the label folder."
-            if other.is_dir()
-            else "Any semantic segmentation that writes SemanticKITTI .label files will do."
-        )
-        raise parts.file(folder).fault(
-            f"is missing. Expected one .label file per scan, with one uint32 per point. {hint}"
-        )
-    return list_numbered(parts.file(folder), ".label")
+def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) -> LabelSource:
+    """Find the labels of a recording: the network that was asked for, label files, or those of the points."""
+    parts, folder = recording.parts, recording.parts.labels
+    if options.model is not None:
+        from interloc.drives.scans.network import open_network  # noqa: PLC0415 - most drives need no network
+
+        return open_network(options.model, options.provider, recording, findings)
+    if folder.is_dir():
+        return LabelFiles(list_numbered(parts.file(folder), ".label"))
+    if recording.carries_labels:
+        return PointLabels(parts.file(parts.scans).name, recording.scheme)
+    other = parts.root / ("predictions" if folder.name == "labels" else "labels")
+    hint = (
+        f"There is {other.name}/: choose it as the label folder."
+        if other.is_dir()
+        else "Any semantic segmentation that writes SemanticKITTI .label files will do, or a network on the way "
+        "(--model, see `interloc label --help`)."
+    )
+    raise parts.file(folder).fault(f"is missing. Expected one .label file per scan, with one uint32 per point. {hint}")
 
 
-def _check_files(scans: NumberedFiles, labels: NumberedFiles, findings: Findings, *, sizes: bool) -> IntArray:
+def _check_label_files(
+    recording: Recording, sound: IntArray, labels: NumberedFiles, findings: Findings, *, sizes: bool
+) -> IntArray:
     """Check that every scan has its labels, and that their sizes fit, by names and sizes only.
+
+    Parameters
+    ----------
+    sound : (S,) int64
+        Positions of the scans that nothing is wrong with so far.
 
     Returns
     -------
     (M,) int64
         Positions of the scans that can be read.
     """
-    missing = missing_numbers(labels.numbers, scans.numbers)
+    frames, points = recording.frames, recording.points
+    assert frames is not None
+    assert points is not None
+    missing = missing_numbers(labels.numbers, frames)
     if len(missing):
         findings.error(
             labels.file(int(missing[0])).fault(
-                f"is missing: {len(missing):,} of {len(scans.numbers):,} scans have no labels ({listed(missing)}). "
+                f"is missing: {len(missing):,} of {len(frames):,} scans have no labels ({listed(missing)}). "
                 "Expected one .label file per scan. Usual cause: an archive that was not unpacked to the end."
             )
         )
-    extra = missing_numbers(scans.numbers, labels.numbers)
+    extra = missing_numbers(frames, labels.numbers)
     if len(extra):
         findings.note(labels.folder.name, f"labels of {len(extra):,} scans that are not there are not used.")
-    common, at_scan, at_label = np.intersect1d(scans.numbers, labels.numbers, assume_unique=True, return_indices=True)
+    common, at_scan, at_label = np.intersect1d(frames, labels.numbers, assume_unique=True, return_indices=True)
     if not sizes:
         return at_scan
-    for row in np.flatnonzero((scans.sizes % POINT_BYTES != 0) | (scans.sizes == 0)):
-        findings.error(scans.file(int(scans.numbers[row])).fault(_scan_size_complaint(int(scans.sizes[row]))))
-    scan_sizes, label_sizes = scans.sizes[at_scan], labels.sizes[at_label]
-    sound = (scan_sizes % POINT_BYTES == 0) & (scan_sizes > 0)
-    fits = label_sizes * (POINT_BYTES // LABEL_BYTES) == scan_sizes
-    for row in np.flatnonzero(sound & ~fits):
+    is_sound = np.isin(at_scan, sound)
+    fits = labels.sizes[at_label] % LABEL_BYTES == 0
+    if recording.point_counts is not None:
+        fits &= labels.sizes[at_label] == LABEL_BYTES * recording.point_counts[at_scan]
+    for row in np.flatnonzero(is_sound & ~fits):
         number = int(common[row])
-        count, left = divmod(int(label_sizes[row]), LABEL_BYTES)
-        if left:
-            message = f"{label_sizes[row]:,} bytes, which is no multiple of 4. Expected one uint32 per point."
+        count, left = divmod(int(labels.sizes[at_label[row]]), LABEL_BYTES)
+        if left or recording.point_counts is None:
+            message = (
+                f"{labels.sizes[at_label[row]]:,} bytes, which is no multiple of 4. Expected one uint32 per point."
+            )
         else:
-            points = int(scan_sizes[row]) // POINT_BYTES
-            message = _label_count_complaint(count, points, scans.file(number).name)
+            count_of_points = int(recording.point_counts[at_scan[row]])
+            message = _label_count_complaint(count, count_of_points, points.name(number))
         findings.error(labels.file(number).fault(message))
-    usable: IntArray = at_scan[sound & fits]
+    usable: IntArray = at_scan[is_sound & fits]
     return usable
-
-
-def _scan_size_complaint(size: int) -> str:
-    """Return what is wrong with the size of a scan."""
-    if size == 0:
-        return "is empty. Usual cause: a copy or download that did not finish."
-    return (
-        f"{size:,} bytes, which is no multiple of 16. Expected four float32 per point (x y z remission). "
-        "Usual cause: a file cut short while it was copied, or points with another number of values."
-    )
 
 
 def _label_count_complaint(labels: int, points: int, scan: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from interloc.arrays import Float32Array, IntArray, UInt32Array
@@ -44,6 +45,10 @@ class PointSource(Protocol):
         """Return how messages call a scan: its file, or the bag and the place in it."""
         ...
 
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the files that a scan is read from."""
+        ...
+
     def read(self, frame: int) -> ScanPoints:
         """Read the points of a scan; those without a return are left out, with their labels.
 
@@ -64,15 +69,20 @@ class Recording:
     parts : DriveParts
         Layout, root and name of the drive, the folder that label files would lie in, and the small files that there
         are.
-    points : PointSource
-    frames : (N,) int64
-        Scan numbers, ascending.
+    points : PointSource or None
+        None where the scans could not be listed.
+    frames : (N,) int64 or None
+        Scan numbers, ascending; None where they could not be listed.
     scan_bytes : int
         Size of all scans as they are stored.
+    usable : (M,) int64 or None
+        Positions of the scans that nothing is wrong with so far; None: all.
     point_counts : (N,) int64 or None
         Points of every scan; None where they are not known before it is read.
     carries_labels : bool
         The points have labels of their own.
+    scheme : str or None
+        Name of the scheme of these labels, where the format defines it.
     has_remission : bool
     read_trajectory : callable or None
         Reads poses, times and georeference where these are not files of `parts`.
@@ -81,11 +91,13 @@ class Recording:
     """
 
     parts: DriveParts
-    points: PointSource
-    frames: IntArray
-    scan_bytes: int
+    points: PointSource | None
+    frames: IntArray | None
+    scan_bytes: int = 0
+    usable: IntArray | None = None
     point_counts: IntArray | None = None
     carries_labels: bool = False
+    scheme: str | None = None
     has_remission: bool = True
     read_trajectory: Callable[[DriveOptions, Findings], Trajectory] | None = None
     topics: tuple[Topic, ...] = ()

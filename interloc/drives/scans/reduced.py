@@ -29,6 +29,7 @@ from interloc.drives.scans.reduced_format import (
     read_manifest,
     size_complaint,
 )
+from interloc.drives.trajectory import Trajectory, read_trajectory
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,13 @@ class GroundFiles:
     folder: LabelFolder
     kept: IntArray
     keyframes: Thinning | None
+
+    is_slow = False
+
+    @property
+    def label_source(self) -> str:
+        """Name of the label folder."""
+        return self.folder
 
     def name(self, frame: int) -> str:
         """Return the name of the file of a scan, for messages."""
@@ -134,6 +142,10 @@ class ReducedStore:
     def frames(self) -> IntArray:
         """(N,) int64 numbers of all scans, also of those that were not kept."""
         return self.manifest.frames
+
+    def read_trajectory(self, options: DriveOptions, findings: Findings) -> Trajectory:
+        """Read poses, times and georeference from the small files."""
+        return read_trajectory(self.parts, self.frames, options, findings)
 
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:  # noqa: ARG002 - of `ScanStore`
         """Take what the labels meant from the manifest."""

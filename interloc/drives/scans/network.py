@@ -1,0 +1,94 @@
+"""Labels that a network gives to the scans as they are read."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import UInt32Array
+from interloc.drives.findings import Findings
+from interloc.drives.scans.recorded import Recording, ScanPoints
+from interloc.labelling.labeller import Labeller, remission_scale
+from interloc.labelling.model import read_model
+
+_REMEMBERED = 16  # scans: those that the checks look into come up again
+_SAMPLED = 3
+
+
+@dataclass(frozen=True)
+class NetworkLabels:
+    """What a network makes of the scans, in ids of SemanticKITTI; a `LabelSource`.
+
+    Attributes
+    ----------
+    labeller : Labeller
+    remission_scale : float
+        What the remission of the drive is multiplied by to lie between 0 and 1.
+    """
+
+    labeller: Labeller
+    remission_scale: float
+    scheme = "semantickitti"
+    is_slow = True
+    _recent: OrderedDict[int, UInt32Array] = field(default_factory=OrderedDict, compare=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the labels of recent scans behind."""
+        return {**self.__dict__, "_recent": OrderedDict()}
+
+    @property
+    def name(self) -> str:
+        """Name of the network."""
+        return f"network {self.labeller.model.name}"
+
+    @property
+    def identity(self) -> str:
+        """Which network, which settings: labels of the same scan by the same identity are equal."""
+        return f"{self.labeller.model.identity}-{self.remission_scale!r}"
+
+    def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - of `LabelSource`
+        """Return none: they are made."""
+        return ()
+
+    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:  # noqa: ARG002 - of `LabelSource`
+        """Label the points of a scan."""
+        known = self._recent.get(frame)
+        if known is not None and len(known) == len(points.values):
+            return known
+        values = points.values
+        if self.remission_scale != 1:
+            values = values * np.array([1, 1, 1, self.remission_scale], np.float32)
+        labels: UInt32Array = self.labeller.label(values)
+        self._recent[frame] = labels
+        while len(self._recent) > _REMEMBERED:
+            self._recent.popitem(last=False)
+        return labels
+
+
+def open_network(folder: Path, provider: str, recording: Recording, findings: Findings) -> NetworkLabels:
+    """Read a network, and find out what the remission of a recording has to be multiplied by for it.
+
+    Raises
+    ------
+    ModelError
+        The network cannot be used.
+    DriveError
+        A scan is damaged.
+    """
+    labeller = Labeller(read_model(folder), provider)
+    scale, where = 1.0, recording.parts.file(recording.parts.scans).name
+    if recording.points is not None and recording.frames is not None and recording.has_remission:
+        rows = np.linspace(0, len(recording.frames) - 1, _SAMPLED).round().astype(int)
+        values = [recording.points.read(int(recording.frames[row])).values[:, 3] for row in np.unique(rows)]
+        scale = remission_scale(np.concatenate(values))
+        if scale != 1:
+            findings.note(where, f"the remission is not 0 to 1; it is divided by {1 / scale:,.0f} for the network.")
+    elif not recording.has_remission:
+        findings.warning(
+            where, "the points have no remission, which networks need: expect far worse labels than with it."
+        )
+    return NetworkLabels(labeller, scale)

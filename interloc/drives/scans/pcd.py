@@ -1,0 +1,386 @@
+"""Scans in PCD files: ascii, binary or binary_compressed, with any fields; also nuScenes' .pcd.bin."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from interloc.arrays import FloatArray, IntArray, UInt8Array
+from interloc.drives.files import SourceFile, os_reason
+from interloc.drives.findings import Findings
+from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
+from interloc.drives.options import DriveOptions
+from interloc.drives.scans.bin_files import RING_POINT_BYTES, read_points
+from interloc.drives.scans.recorded import Recording, ScanPoints
+from interloc.drives.scans.reduced_format import MAX_POINTS
+from interloc.drives.trajectory import Trajectory, read_trajectory
+from interloc.kernels.lzf import decompress_lzf
+
+INTENSITY_FIELDS = ("intensity", "i", "remission", "reflectivity", "reflectance")
+"""Names under which drivers and tools write the remission."""
+
+LABEL_FIELDS = ("label", "labels", "semantic", "class", "classification", "category")
+"""Names under which segmentations write the label."""
+
+_MAX_HEADER_BYTES = 65_536
+_MAX_POINT_BYTES = 4096
+_MAX_ASCII_BYTES_PER_POINT = 1024
+_MAX_FILES = 1_000_000
+_TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
+_STAMPS_US, _STAMPS_NS = 1e14, 1e17
+"""Numbers from here on are times since 1970, in microseconds and nanoseconds, not scan numbers."""
+
+
+@dataclass(frozen=True)
+class PcdScans:
+    """The .pcd files of a drive; a `PointSource`.
+
+    Attributes
+    ----------
+    folder : SourceFile
+    names : tuple of str
+        Of the files, in the order of the scans.
+    frames : (N,) int64
+        Their scan numbers, ascending.
+    """
+
+    folder: SourceFile
+    names: tuple[str, ...]
+    frames: IntArray
+
+    def _file(self, frame: int) -> SourceFile:
+        return replace(self.folder, path=self.folder.path / self.names[int(np.searchsorted(self.frames, frame))])
+
+    def name(self, frame: int) -> str:
+        """Return the name of the file of a scan, for messages."""
+        return self._file(frame).name
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the file of a scan."""
+        return (self._file(frame).path,)
+
+    def read(self, frame: int) -> ScanPoints:
+        """Read the points of a scan; those without a return stay in their place, with label 0.
+
+        Raises
+        ------
+        DriveError
+            The file cannot be read, is damaged, or has no x, y and z.
+        """
+        file = self._file(frame)
+        if file.path.name.endswith(PCD_ENDINGS[1]):
+            return ScanPoints(read_points(file, RING_POINT_BYTES))
+        return read_pcd(file)
+
+
+@dataclass(frozen=True)
+class PcdHeader:
+    """What a PCD file says of itself.
+
+    Attributes
+    ----------
+    dtype : numpy.dtype
+        Of one point.
+    points : int
+    encoding : {"ascii", "binary", "binary_compressed"}
+    data_at : int
+        Where the points begin, in bytes.
+    """
+
+    dtype: np.dtype[Any]
+    points: int
+    encoding: str
+    data_at: int
+
+    def field_among(self, names: Sequence[str]) -> str | None:
+        """Return the first field with one of these names, in capitals or not."""
+        fields = {field.lower(): field for field in self.dtype.names or ()}
+        return next((fields[name] for name in names if name in fields), None)
+
+
+def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings) -> Recording:
+    """List the .pcd files of a drive.
+
+    Raises
+    ------
+    DriveError
+        The first of them cannot be read, and `findings` stops at that.
+    """
+    folder = parts.file(parts.scans)
+    names, sizes = _listed(folder)
+    order, frames, times_s, how = number_scans(names)
+    scans = PcdScans(folder, tuple(names[row] for row in order), frames)
+    if how:
+        findings.note(folder.name, how)
+    header = None
+    with findings.stage():
+        first = replace(folder, path=folder.path / scans.names[0])
+        if not first.path.name.endswith(PCD_ENDINGS[1]):
+            header, _ = read_header(first)
+    label = None if header is None else header.field_among(LABEL_FIELDS)
+    if header is not None and label is not None:
+        findings.note(folder.name, f"the field {label!r} of the points is their label.")
+
+    def trajectory(chosen: DriveOptions, faults: Findings) -> Trajectory:
+        return read_trajectory(parts, frames, chosen, faults, times_s=times_s)
+
+    return Recording(
+        parts,
+        scans,
+        frames,
+        scan_bytes=int(sizes.sum()),
+        usable=np.flatnonzero(sizes[order] > 0) if options.check else None,
+        carries_labels=label is not None,
+        has_remission=header is None or header.field_among(INTENSITY_FIELDS) is not None,
+        read_trajectory=trajectory,
+    )
+
+
+def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray | None, str]:
+    """Give numbers to the files of scans by their names.
+
+    Parameters
+    ----------
+    names : sequence of str
+        000010.pcd, street_0000000010.pcd (scan 10) or 1305031102.175304.pcd (a time), whatever stands before.
+
+    Returns
+    -------
+    order : (N,) int64
+        Positions of the names in the order of the scans.
+    frames : (N,) int64
+        Scan numbers in this order.
+    times_s : (N,) float64 or None
+        Times, where the names are times.
+    str
+        What was assumed, where that is worth saying.
+    """
+    stems = [name[: -len(pcd_ending(name))] for name in names]
+    ends = [re.search(r"(\d+)(\.\d+)?$", stem) for stem in stems]
+    count = len(names)
+    if not all(ends):
+        order = np.argsort(np.array(names), kind="stable")
+        return order, np.arange(count), None, "the names hold no numbers: the scans are taken in alphabetical order."
+    numbers = [int(end[1]) for end in ends if end]
+    fractions = [end[2] or "" for end in ends if end]
+    order = np.array(sorted(range(count), key=lambda row: (numbers[row], float(fractions[row] or 0), names[row])))
+    smallest = min(numbers)
+    if any(fractions) or smallest > _STAMPS_US:
+        unit = 1.0 if any(fractions) else 1e-6 if smallest < _STAMPS_NS else 1e-9
+        times = np.array([numbers[row] * unit + float(fractions[row] or 0) for row in order])
+        return order, np.arange(count), times, "the names are times; the scans are numbered from 0 in their order."
+    frames = np.array([numbers[row] for row in order], dtype=np.int64)
+    if len(np.unique(frames)) < count:
+        return order, np.arange(count), None, "the numbers in the names come twice: scans in the order of their names."
+    return order, frames, None, ""
+
+
+def read_pcd(file: SourceFile) -> ScanPoints:
+    """Read the points of a PCD file; nothing in it is trusted.
+
+    Raises
+    ------
+    DriveError
+        It cannot be read, is no PCD file, is cut short or damaged, or has no x, y and z.
+    """
+    header, data = read_header(file, with_data=True)
+    points = _points_of(header, data, file)
+    values = np.zeros((header.points, 4), np.float32)
+    columns = [header.field_among((axis,)) for axis in "xyz"]
+    for column, field in enumerate([*columns, header.field_among(INTENSITY_FIELDS)]):
+        if field is not None:
+            values[:, column] = _column(points, field)
+    labels = None
+    if (field := header.field_among(LABEL_FIELDS)) is not None:
+        label_values = _column(points, field)
+        with np.errstate(invalid="ignore"):
+            labels = (
+                np.where(np.isfinite(values[:, :3]).all(axis=1), label_values, 0).astype(np.int64).astype(np.uint32)
+            )
+    return ScanPoints(values, labels)
+
+
+def read_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader, UInt8Array]:
+    """Read the header of a PCD file, and the bytes behind it where they are wanted.
+
+    Raises
+    ------
+    DriveError
+        It cannot be read, is no PCD file, or promises what no scan is.
+    """
+    try:
+        with file.path.open("rb") as handle:
+            head = handle.read(_MAX_HEADER_BYTES)
+            size = os.fstat(handle.fileno()).st_size
+            header = _parse_header(head, file)
+            _check_size(header, size, file)
+            handle.seek(header.data_at)
+            data = np.frombuffer(handle.read() if with_data else b"", np.uint8)
+    except OSError as error:
+        raise file.fault(f"cannot be read: {os_reason(error)}.") from error
+    return header, data
+
+
+def _listed(folder: SourceFile) -> tuple[list[str], IntArray]:
+    """Return the names and sizes of the files of the scans."""
+    names, sizes = [], []
+    try:
+        with os.scandir(folder.path) as entries:
+            for entry in entries:
+                if pcd_ending(entry.name) and not entry.name.startswith(".") and entry.is_file():
+                    names.append(entry.name)
+                    sizes.append(entry.stat().st_size)
+    except OSError as error:
+        raise folder.unreadable(error) from error
+    if not 0 < len(names) <= _MAX_FILES:
+        raise folder.fault(f"holds {len(names):,} .pcd files; expected one per scan.")
+    return names, np.array(sizes, dtype=np.int64)
+
+
+def _parse_header(head: bytes, file: SourceFile) -> PcdHeader:
+    """Read the lines of a header up to DATA."""
+    if not head:
+        raise file.fault("is empty. Usual cause: a copy or download that did not finish.")
+    entries: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in entries:
+        end = head.find(b"\n", at)
+        if end < 0:
+            raise file.fault(
+                "is not a PCD file: there is no line DATA in its first 64 kB. Expected the text header of the Point "
+                "Cloud Library. Usual cause: another kind of file under this name."
+            )
+        words = head[at:end].decode("ascii", "replace").split()
+        at = end + 1
+        if words and not words[0].startswith("#"):
+            entries[words[0].upper()] = words[1:]
+    try:
+        return _header_of(entries, at, file)
+    except (KeyError, ValueError) as error:
+        raise file.fault(
+            f"has a damaged PCD header ({error}). Expected FIELDS, SIZE, TYPE, COUNT, WIDTH, HEIGHT and DATA."
+        ) from None
+
+
+def _header_of(entries: dict[str, list[str]], data_at: int, file: SourceFile) -> PcdHeader:
+    """Make the header of its entries; ValueError or KeyError where they make no sense."""
+    fields = entries.get("FIELDS") or entries["COLUMNS"]
+    sizes, kinds = [int(text) for text in entries["SIZE"]], [text.upper() for text in entries["TYPE"]]
+    counts = [int(text) for text in entries.get("COUNT", ["1"] * len(fields))]
+    if not len(fields) == len(sizes) == len(kinds) == len(counts):
+        raise ValueError(f"{len(fields)} fields, {len(sizes)} sizes, {len(kinds)} types, {len(counts)} counts")
+    layout: list[tuple[str, Any, int]] = []
+    for index, (field, size, kind, count) in enumerate(zip(fields, sizes, kinds, counts, strict=True)):
+        if (kind, size) not in _TYPES or not 0 < count <= _MAX_POINT_BYTES:
+            raise ValueError(f"field {field[:40]}: type {kind[:8]}, {size} bytes, {count} values")
+        is_again = field == "_" or field in {name for name, *_ in layout}
+        layout.append((f"{field} {index}" if is_again else field, f"<{kind.lower()}{size}", count))
+    dtype = np.dtype([(name, kind, (count,)) if count > 1 else (name, kind) for name, kind, count in layout])
+    if dtype.itemsize > _MAX_POINT_BYTES:
+        raise ValueError(f"{dtype.itemsize:,} bytes per point")
+    if "POINTS" in entries:
+        points = int(entries["POINTS"][0])
+    else:
+        points = int(entries["WIDTH"][0]) * int(entries.get("HEIGHT", ["1"])[0])
+    encoding = entries["DATA"][0].lower() if entries["DATA"] else ""
+    if encoding not in {"ascii", "binary", "binary_compressed"}:
+        raise ValueError(f"DATA {encoding[:40]!r}")
+    header = PcdHeader(dtype, points, encoding, data_at)
+    missing = [axis for axis in "xyz" if header.field_among((axis,)) is None]
+    if missing:
+        raise file.fault(
+            f"has no field {', '.join(missing)}: its fields are {', '.join(fields)[:200]}. Expected x, y and z in "
+            "metres. Usual cause: a cloud of features, or fields under other names."
+        )
+    if not 0 < points <= MAX_POINTS:
+        raise file.fault(
+            f"promises {points:,} points; expected 1 to {MAX_POINTS:,}. Usual cause: the map of a whole drive instead "
+            "of one file per scan."
+        )
+    return header
+
+
+def _check_size(header: PcdHeader, size: int, file: SourceFile) -> None:
+    """Refuse a file that cannot hold what its header promises, before anything is read."""
+    there, promised = size - header.data_at, header.points * header.dtype.itemsize
+    if header.encoding == "binary" and there < promised:
+        raise file.fault(
+            f"is cut short: {header.points:,} points of {header.dtype.itemsize} bytes are {promised:,} bytes, and "
+            f"{there:,} are there. Usual cause: a copy or download that did not finish."
+        )
+    if header.encoding == "ascii" and there > header.points * _MAX_ASCII_BYTES_PER_POINT:
+        raise file.fault(f"holds {there:,} bytes of text for {header.points:,} points, which no such file does.")
+
+
+def _points_of(header: PcdHeader, data: UInt8Array, file: SourceFile) -> NDArray[Any]:
+    """Return the (N,) structured points."""
+    if header.encoding == "binary":
+        return data[: header.points * header.dtype.itemsize].view(header.dtype)
+    if header.encoding == "ascii":
+        return _from_text(header, data.tobytes(), file)
+    return _from_compressed(header, data, file)
+
+
+def _from_text(header: PcdHeader, text: bytes, file: SourceFile) -> NDArray[Any]:
+    """Read points written as text, one per line."""
+    columns = header.dtype.itemsize and sum(int(np.prod(header.dtype[name].shape)) or 1 for name in _names(header))
+    try:
+        table = np.loadtxt(io.StringIO(text.decode("ascii")), ndmin=2, comments="#")
+    except ValueError as error:
+        raise file.fault(f"its points cannot be read as numbers: {str(error)[:200]}.") from None
+    if table.shape != (header.points, columns):
+        raise file.fault(
+            f"{table.shape[0]:,} lines of {table.shape[1]} numbers; the header promises {header.points:,} points of "
+            f"{columns}. Usual cause: a copy or download that did not finish."
+        )
+    points = np.zeros(header.points, header.dtype)
+    at = 0
+    for name in _names(header):
+        count = int(np.prod(header.dtype[name].shape)) or 1
+        piece = table[:, at : at + count]
+        with np.errstate(invalid="ignore"):
+            points[name] = piece if header.dtype[name].shape else piece[:, 0]
+        at += count
+    return points
+
+
+def _from_compressed(header: PcdHeader, data: UInt8Array, file: SourceFile) -> NDArray[Any]:
+    """Unpack points: all values of the first field, then those of the next."""
+    promised = header.points * header.dtype.itemsize
+    if len(data) < 8:
+        raise file.fault("is cut short: its packed points are missing. Usual cause: a copy that did not finish.")
+    packed, size = (int(number) for number in data[:8].view("<u4"))
+    if size != promised or packed > len(data) - 8:
+        raise file.fault(
+            f"is damaged: its points would unpack from {packed:,} to {size:,} bytes; {len(data) - 8:,} bytes are "
+            f"there, and {header.points:,} points take {promised:,}. Usual cause: a copy or download that did not finish."
+        )
+    raw, written = decompress_lzf(data[8 : 8 + packed], size)
+    if written != size:
+        raise file.fault("is damaged: its packed points cannot be unpacked to what the header promises.")
+    points = np.empty(header.points, header.dtype)
+    at = 0
+    for name in _names(header):
+        kind = header.dtype[name]
+        length = header.points * kind.itemsize
+        points[name] = raw[at : at + length].view(kind.base).reshape(header.points, *kind.shape)
+        at += length
+    return points
+
+
+def _names(header: PcdHeader) -> tuple[str, ...]:
+    return header.dtype.names or ()
+
+
+def _column(points: NDArray[Any], field: str) -> NDArray[Any]:
+    """Return one value per point of a field; the first where it has several."""
+    values = points[field]
+    return values if values.ndim == 1 else values[:, 0]
