@@ -137,7 +137,7 @@ def _poses_of_scans(
     lines: PoseLines, file: SourceFile, parts: DriveParts, frames: IntArray, declared: PoseFrame, findings: Findings
 ) -> LidarPoses:
     """Find the pose of the LiDAR at every scan among the poses of a file."""
-    if parts.layout == "pcd" and lines.frames is None and len(lines.poses) == len(frames):
+    if parts.layout in {"pcd", "las"} and lines.frames is None and len(lines.poses) == len(frames):
         lines = PoseLines(lines.poses, frames)  # the numbers in their names are whatever their maker chose
     missing = int(frames[-1] - frames[0]) + 1 - len(frames)
     if lines.frames is None and missing:

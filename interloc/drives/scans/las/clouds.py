@@ -283,20 +283,49 @@ def _checked(file: SourceFile, size: int, head: bytes) -> CloudFile:
         raise file.fault(f"is of point format {point_format}; 0 to 10 are read.")
     read_evlrs, time_offset_s = False, ADJUSTED_OFFSET_S
     if minor >= 4:
-        complete = 375 if minor == 4 else _HEAD_BYTES
-        if len(head) < complete or header_size < complete:
-            raise file.fault(f"has a header of {header_size:,} bytes; LAS 1.{minor} has {complete}. {_USUAL}")
-        if minor == 5 and encoding & _TIME_OFFSET_FLAG:
-            time_offset_s = 1e6 * struct.unpack_from("<H", head, 391)[0]
-        evlr_start, evlr_count, points = _LAS14.unpack_from(head, 235)
-        read_evlrs = bool(evlr_count) and 0 < size - evlr_start <= _MAX_EVLR_BYTES and evlr_count * 60 <= size
-        if evlr_count and not read_evlrs and evlr_start >= size:
-            raise file.fault(f"should have records at byte {evlr_start:,}, but ends at {size:,}. {_USUAL}")
+        points, read_evlrs, time_offset_s = _newer(file, size, head, minor, header_size)
     if not header_size <= offset <= min(size, _MAX_HEAD_BYTES) or vlrs * 54 > offset - header_size:
         raise file.fault(
             f"promises {vlrs:,} records before its points, which begin at byte {offset:,} of {size:,}; "
             f"that cannot be. {_USUAL}"
         )
+    minimum, maximum = _bounds(file, numbers)
+    _check_count(file, points, record, size - offset, compressed=compressed)
+    return CloudFile(
+        file=file,
+        size=size,
+        points=points,
+        point_format=point_format,
+        minimum=minimum,
+        maximum=maximum,
+        compressed=compressed,
+        standard_time=bool(encoding & 1),
+        time_offset_s=time_offset_s,
+        read_evlrs=read_evlrs,
+    )
+
+
+def _newer(file: SourceFile, size: int, head: bytes, minor: int, header_size: int) -> tuple[int, bool, float]:
+    """Return what LAS 1.4 and 1.5 added: count of points, whether to read the records after them, offset of times."""
+    complete = 375 if minor == 4 else _HEAD_BYTES
+    if len(head) < complete or header_size < complete:
+        raise file.fault(f"has a header of {header_size:,} bytes; LAS 1.{minor} has {complete}. {_USUAL}")
+    encoding = int(struct.unpack_from("<H", head, 6)[0])
+    offset_s = ADJUSTED_OFFSET_S
+    if minor == 5 and encoding & _TIME_OFFSET_FLAG:
+        offset_s = 1e6 * struct.unpack_from("<H", head, 391)[0]
+    start, records, points = _LAS14.unpack_from(head, 235)
+    if records and start >= size:
+        raise file.fault(f"should have records at byte {start:,}, but ends at {size:,}. {_USUAL}")
+    read_evlrs = bool(records) and start > 0 and 60 * records <= size - start <= _MAX_EVLR_BYTES
+    return points, read_evlrs, offset_s
+
+
+_Triple = tuple[float, float, float]
+
+
+def _bounds(file: SourceFile, numbers: list[float]) -> tuple[_Triple, _Triple]:
+    """Check scales, offsets and bounds, and return the lower and upper bounds of x, y, z."""
     scales, offsets, bounds = numbers[:3], numbers[3:6], numbers[6:]
     if not (all(1e-9 <= abs(scale) <= 1e3 for scale in scales) and all(abs(value) <= 1e9 for value in offsets)):
         raise file.fault(
@@ -304,20 +333,10 @@ def _checked(file: SourceFile, size: int, head: bytes) -> CloudFile:
             "Expected a scale such as 0.001. Usual cause: a damaged header."
         )
     if not all(abs(value) <= 1e12 for value in bounds):
-        raise file.fault(f"has bounds that are not numbers of metres: {_listed(bounds)}. Usual cause: a damaged header.")
-    _check_count(file, points, record, size - offset, compressed=compressed)
-    return CloudFile(
-        file=file,
-        size=size,
-        points=points,
-        point_format=point_format,
-        minimum=(bounds[1], bounds[3], bounds[5]),
-        maximum=(bounds[0], bounds[2], bounds[4]),
-        compressed=compressed,
-        standard_time=bool(encoding & 1),
-        time_offset_s=time_offset_s,
-        read_evlrs=read_evlrs,
-    )
+        raise file.fault(
+            f"has bounds that are not numbers of metres: {_listed(bounds)}. Usual cause: a damaged header."
+        )
+    return (bounds[1], bounds[3], bounds[5]), (bounds[0], bounds[2], bounds[4])
 
 
 def _listed(numbers: list[float]) -> str:

@@ -130,6 +130,6 @@ def named_grid(name: str, file: SourceFile) -> Grid:
 def outside(file: SourceFile, grid: Grid, what: str) -> InterLocError:
     """Return the error to raise where coordinates do not belong to a system."""
     return file.fault(
-        f"{what} lies outside of {grid.name} ({grid.source}). Usual cause: another zone, or another system than stated; "
-        "name the right one (--crs EPSG:25832)."
+        f"{what} lies outside of {grid.name} ({grid.source}). Usual cause: another zone, or another system than "
+        "stated; name the right one (--crs EPSG:25832)."
     )

@@ -11,7 +11,6 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.drives.files import SourceFile, is_number
 from interloc.drives.poses.tum import looks_like_tum, read_tum
-from interloc.errors import InterLocError
 from interloc.geometry import yaw_of
 
 SBET_BYTES = 136
@@ -23,21 +22,16 @@ TRACK_SUFFIXES = SBET_SUFFIXES | {".csv", ".txt", ".tum"}
 _MAX_SBET_ROWS = 1_000_000
 _HEAD_BYTES = 65536
 
-_NAMES: dict[str, frozenset[str]] = {
-    "time": frozenset(
-        "time times time_s t timestamp timestamp_s gps_time gpstime gps_time_s gps_seconds seconds sec sow gps_sow "
-        "unix_time utc_time".split()
-    ),
-    "x": frozenset("x easting east e x_m easting_m pos_x utm_x utm_easting".split()),
-    "y": frozenset("y northing north n y_m northing_m pos_y utm_y utm_northing".split()),
-    "z": frozenset(
-        "z height elevation h alt altitude z_m height_m alt_m altitude_m elevation_m up pos_z h_ell hell "
-        "ellipsoidal_height ortho_height".split()
-    ),
-    "lat": frozenset("lat latitude lat_deg latitude_deg".split()),
-    "lon": frozenset("lon lng long longitude lon_deg longitude_deg".split()),
-    "yaw": frozenset("yaw heading yaw_deg yaw_rad heading_deg heading_rad azimuth azimuth_deg azimuth_rad".split()),
+_NAMES = {  # in lower case, without units
+    "time": "time times t timestamp gps_time gpstime gps_seconds seconds sec sow gps_sow unix_time utc_time",
+    "x": "x easting east e pos_x utm_x utm_easting",
+    "y": "y northing north n pos_y utm_y utm_northing",
+    "z": "z height elevation h alt altitude up pos_z h_ell hell ellipsoidal_height ortho_height orthometric_height",
+    "lat": "lat latitude",
+    "lon": "lon lng long longitude",
+    "yaw": "yaw heading azimuth",
 }
+_UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,8 @@ def _is_track(path: Path) -> bool:
     if path.suffix.lower() in SBET_SUFFIXES:
         return path.stat().st_size % SBET_BYTES == 0 and path.stat().st_size > 0
     header = _header_of(path)
-    return looks_like_tum(path) or (header is not None and "time" in _columns(header))
+    columns = set() if header is None else set(_columns(header))
+    return looks_like_tum(path) or any({"time", *place} <= columns for place in (("x", "y"), ("lat", "lon")))
 
 
 def read_track(file: SourceFile) -> Track:
@@ -137,7 +132,7 @@ def _columns(names: list[str]) -> dict[str, int]:
     """Return the column of every quantity that the names tell."""
     columns: dict[str, int] = {}
     for quantity, known in _NAMES.items():
-        at = next((column for column, name in enumerate(names) if name in known), None)
+        at = next((column for column, name in enumerate(names) if _UNIT.sub("", name) in known.split()), None)
         if at is not None:
             columns[quantity] = at
     return columns
@@ -151,7 +146,7 @@ def _read_table(file: SourceFile) -> Track:
     expected = "Expected a header such as time,x,y,z or time,lat,lon,alt, and optionally heading_deg."
     if names is None:
         raise file.fault(
-            f"starts with numbers, {len(_split(lines[start]))} in a line, so that nobody knows what they are. {expected}",
+            f"starts with {len(_split(lines[start]))} numbers, and nothing says what they are. {expected}",
             start + 1,
         )
     columns = _columns(names)
@@ -187,9 +182,9 @@ def _read_table(file: SourceFile) -> Track:
 def _meanings(angle: FloatArray, name: str) -> dict[str, FloatArray]:
     """Return the directions that an angle could mean: a bearing or a mathematical angle, in degrees or radians."""
     units = {"degrees": np.radians(angle), "radians": angle}
-    if name.endswith("_deg") or np.abs(angle).max() > 2 * np.pi + 0.01:
+    if re.search(r"_deg(rees)?$", name) or np.abs(angle).max() > 2 * np.pi + 0.01:
         del units["radians"]
-    elif name.endswith("_rad"):
+    elif re.search(r"_rad(ians)?$", name):
         del units["degrees"]
     meanings = {}
     for unit, radians in units.items():
@@ -236,13 +231,9 @@ def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "
         week = " Usual cause: seconds of the GPS week, which begin anew on Saturday night; split the drive there."
         usual = " Usual cause: two trajectories in one file." if table[row - 1, 0] < 600_000 else week
         before, after = table[row - 1, 0], table[row, 0]
-        raise _backwards(file, f"{what} {at[row]}: time runs backwards ({before:.3f} s, then {after:.3f} s).{usual}")
+        raise file.fault(f"{what} {at[row]}: time runs backwards ({before:.3f} s, then {after:.3f} s).{usual}")
     kept: FloatArray = np.concatenate([[True], steps > 0])
     return kept
-
-
-def _backwards(file: SourceFile, message: str) -> InterLocError:
-    return file.fault(message)
 
 
 def _check_place(position: FloatArray, file: SourceFile, *, geographic: bool) -> None:
