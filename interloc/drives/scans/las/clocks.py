@@ -110,8 +110,8 @@ def match_clocks(sample: Sample, times_s: FloatArray, xy: FloatArray, file: Sour
     if best.distance_m > MAX_DISTANCE_M:
         raise file.fault(
             f"was {best.distance_m:,.0f} m away from the points of {cloud} when they were measured (median, in the "
-            f"best clock: {best.reason}); expected at most {MAX_DISTANCE_M:g} m. Usual cause: the trajectory of another "
-            "drive, or a cloud in another coordinate system than stated (--crs)."
+            f"best clock: {best.reason}); expected at most {MAX_DISTANCE_M:g} m. Usual cause: the trajectory of "
+            "another drive, or a cloud in another coordinate system than stated (--crs)."
         )
     return best
 

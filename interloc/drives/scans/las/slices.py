@@ -176,8 +176,8 @@ def _order_complaint(pieces: int, slices: int) -> str:
     return (
         f"the points are not in the order of their times: the {slices:,} scans lie in {pieces:,} pieces all over the "
         "files. Expected points in the order in which they were measured. Sort them by gps_time, with lassort "
-        "-gps_time or pdal translate IN OUT sort --filters.sort.dimension=GpsTime. Usual cause: a cloud that was cut into tiles, "
-        "or sorted by place."
+        "-gps_time or pdal translate IN OUT sort --filters.sort.dimension=GpsTime. Usual cause: a cloud that was cut "
+        "into tiles, or sorted by place."
     )
 
 
