@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, runtime_checkable
@@ -84,6 +86,8 @@ class Drive(Protocol):
         Pose of the LiDAR at each scan; W is the LiDAR at the first scan.
     times_s : (N,) float64 or None
     georeference : Georeference or None
+    is_slow : bool
+        A scan takes long to read (a network labels it), so several should be read at once.
     """
 
     @property
@@ -96,6 +100,8 @@ class Drive(Protocol):
     def times_s(self) -> FloatArray | None: ...
     @property
     def georeference(self) -> Georeference | None: ...
+    @property
+    def is_slow(self) -> bool: ...
 
     def ground_points(self, index: int) -> GroundPoints:
         """Read the scan at a position 0..N-1 of the drive.
@@ -144,6 +150,34 @@ class DriveScan:
     def other_points(self) -> Float32Array:
         """(N, 3) float32 points of sidewalk, parking and other ground in L, metres."""
         return self._points.confusable
+
+
+def read_ahead(scans: Iterable[DriveScan], threads: int) -> Iterator[DriveScan]:
+    """Yield scans in their order, while threads read the points of the next ones.
+
+    Only as many scans as there are threads wait to be used, so memory does not grow with the drive. What is wrong with
+    a scan is raised where its points are used.
+    """
+    with ThreadPoolExecutor(threads, "read ahead") as pool:
+        waiting: deque[tuple[DriveScan, Future[GroundPoints]]] = deque()
+        try:
+            for scan in scans:
+                waiting.append((scan, pool.submit(_points_of, scan)))
+                if len(waiting) > threads:
+                    yield _ready(*waiting.popleft())
+            while waiting:
+                yield _ready(*waiting.popleft())
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _points_of(scan: DriveScan) -> GroundPoints:
+    return scan._points  # noqa: SLF001 - of this module
+
+
+def _ready(scan: DriveScan, reading: Future[GroundPoints]) -> DriveScan:
+    wait([reading])
+    return scan
 
 
 def scans_of(drive: Drive, indices: Iterable[int] | None = None) -> Iterator[DriveScan]:

@@ -44,6 +44,12 @@ class MapError(InterLocError):
     http_status = 422
 
 
+class ModelError(InterLocError):
+    """A segmentation network that cannot be read, does not fit its settings, or does not run."""
+
+    http_status = 422
+
+
 class NetworkError(InterLocError):
     """A remote service (Overpass) that did not answer as needed."""
 

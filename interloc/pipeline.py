@@ -15,7 +15,7 @@ from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
-from interloc.drive import Drive, scans_of
+from interloc.drive import Drive, read_ahead, scans_of
 from interloc.errors import DriveError
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
@@ -81,7 +81,10 @@ def detect_range(
     detector = Detector(config)
     first = max(0, start - config.keyframes.window)
     last = min(len(keyframes), stop + config.keyframes.after)
-    windows = detector.completed(scans_of(drive, keyframes[first:last]))
+    scans = scans_of(drive, keyframes[first:last])
+    if drive.is_slow:
+        scans = read_ahead(scans, cores())
+    windows = detector.completed(scans)
     found: list[KeyframeDetections] = []
     for window in islice(windows, start - first, stop - first):
         found.append(window.detect())
@@ -127,7 +130,9 @@ def detect(
         raise DriveError(f"{drive.name}: the drive holds no scans")
     find = find or detect_range
     if workers is None:
-        workers = min(cores(), max(1, len(keyframes) // _MIN_KEYFRAMES_PER_PROCESS))
+        # Scans that are slow to read are read by threads: every process would read its halo once more.
+        pay_off = 1 if drive.is_slow else max(1, len(keyframes) // _MIN_KEYFRAMES_PER_PROCESS)
+        workers = min(cores(), pay_off)
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:
         results = [find(drive, keyframes, 0, len(keyframes), config, progress)]

@@ -98,6 +98,7 @@ def from_error(error: InterLocError) -> Problem:
         "DriveError": "Drive not usable",
         "DriveFileError": "Drive not usable",
         "ConfigError": "Bad setting",
+        "ModelError": "Model not usable",
         "BadNameError": "Bad file name",
         "DriveGoneError": "Drive not whole",
     }

@@ -23,6 +23,8 @@ COMMANDS = {
     "explain": "explain",
     "robustness": "robustness",
     "export": "export",
+    "label": "convert:label",
+    "convert": "convert:convert",
     "reduce": "reduce",
     "simulate": "simulate",
     "benchmark": "benchmark",

@@ -28,6 +28,7 @@ _THREADS = 8
 @options.server_options
 @options.label_folders_option
 @options.reading_options
+@options.model_options
 @click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
 @click.option("--osm", type=click.Path(path_type=Path), help="OSM file to send too, for the evaluation.")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
@@ -62,6 +63,8 @@ def command(
     overpass: bool,
     policy: Policy,
     tolerance_m: float,
+    model: Path | None,
+    provider: str,
     quiet: bool,
     as_json: bool,
     **reading: Any,
@@ -89,6 +92,8 @@ def command(
         keep_raw=keep_raw,
         maps=() if osm is None else (osm,),
         reading=ReadingOptions.of(**reading),
+        model=model,
+        provider=provider,
     )
     with Connection(server, token, connections=jobs) as connection:
         connection.check_server()
@@ -102,7 +107,7 @@ def command(
                 connection,
                 pushed.drive_id,
                 config=config,
-                labels=label_folders[0] if label_folders else None,
+                labels="predictions" if model is not None else label_folders[0] if label_folders else None,
                 osm=None if osm is None else osm.name,
                 overpass=overpass,
                 policy=policy,

@@ -20,6 +20,7 @@ from interloc.cli import console, options
 )
 @options.label_folders_option
 @options.reading_options
+@options.model_options
 @options.QUIET
 @options.JSON
 def command(
@@ -55,7 +56,7 @@ def command(
             progress=bar,
         )
     assert manifest.source is not None
-    labels = [part.folder for part in manifest.labels]
+    labels: list[str] = [part.folder for part in manifest.labels]
     scans, kept = len(manifest.frames), len(manifest.kept_frames)
     before = manifest.source.scan_bytes + sum(part.label_bytes or 0 for part in manifest.labels)
     after = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())

@@ -42,6 +42,10 @@ class PushOptions:
         Let the server keep them; needs `raw`.
     maps : tuple of Path
         OpenStreetMap files that go along.
+    model : Path or None
+        Folder of a network that labels the scans here; label files do not count.
+    provider : str
+        What the network runs on.
     """
 
     name: str | None = None
@@ -51,8 +55,19 @@ class PushOptions:
     raw: bool = False
     keep_raw: bool = False
     maps: tuple[Path, ...] = ()
+    model: Path | None = None
+    provider: str = "cpu"
+
+    def options_for(self, labels: LabelFolder) -> DriveOptions:
+        """Return how the drive is read, for one of its label folders."""
+        return DriveOptions.of(self.reading, name=self.name, labels=labels, model=self.model, provider=self.provider)
 
     def __post_init__(self) -> None:
+        if self.model is not None and (self.raw or self.label_folders):
+            raise ConfigError(
+                "--model labels the scans here: it goes neither with --labels nor with --raw, by which the server "
+                "gets scans without labels."
+            )
         if self.keep_raw and not self.raw:
             raise ConfigError("--keep-raw: the server has no raw scans to keep unless they are sent (--raw).")
         if self.name is not None and (not self.name.strip() or len(self.name) > 200 or not _is_plain(self.name)):
@@ -113,7 +128,7 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
             return _as_reduced(root, options, maps)
         reduction = prepare_reduction(
             root,
-            DriveOptions.of(options.reading, name=options.name),
+            options.options_for("labels"),
             label_folders=labels,
             keyframes=None if options.raw else options.keyframes,
         )
@@ -142,7 +157,7 @@ def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> Prepare
         for frame in plan.frames_to_send
         for labels, source in reduction.scans.items()
     ]
-    small = [UploadFile(name, path) for name, path in plan.copies.sources.items()]
+    small = [_small_file(name, source) for name, source in plan.copies.sources.items()]
     return PreparedDrive(
         name=manifest.name,
         scans=plan.scans,
@@ -157,6 +172,10 @@ def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> Prepare
 def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
     """Send the files themselves, under the paths that they have in the drive."""
     plan, manifest = reduction.plan, reduction.manifest
+    if manifest.layout in {"rosbag", "las"}:
+        raise ConfigError(
+            f"{root}: --raw sends drives that have one file per scan; a {manifest.layout} is reduced here."
+        )
     scans: dict[str, Path] = {}
     for source in reduction.scans.values():
         for frame in plan.frames:
@@ -170,7 +189,7 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
         source_bytes=_source_bytes(manifest),
         is_georeferenced=plan.georeference is not None,
         files=[
-            *(UploadFile(name, path) for name, path in plan.copies.sources.items()),
+            *(_small_file(name, source) for name, source in plan.copies.sources.items()),
             *(UploadFile(name, path) for name, path in scans.items()),
         ],
         options={**options.reading.model_dump(), "oxts": given},
@@ -182,10 +201,10 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> Pre
     """Send a reduced drive, all of it or some of its label folders."""
     manifest = read_manifest(root)
     thins_otherwise = options.keyframes is None and manifest.keyframes is not None
-    if options.reading.oxts is not None or options.keep_raw or thins_otherwise:
+    if options.reading.oxts is not None or options.model is not None or options.keep_raw or thins_otherwise:
         raise ConfigError(
-            f"{root} is a reduced drive: --oxts, --raw, --keep-raw and --all-scans belong to the drive that it was "
-            "made from. Give that drive, or leave these options out."
+            f"{root} is a reduced drive: --oxts, --model, --raw, --keep-raw and --all-scans belong to the drive that "
+            "it was made from. Give that drive, or leave these options out."
         )
     chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels) or label_folders_in(root)
     for labels in chosen:
@@ -211,13 +230,19 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> Pre
 
 
 def _manifest_file(manifest: ReducedManifest) -> UploadFile:
-    data = manifest.to_bytes()
-    return UploadFile(MANIFEST, lambda: data, made_by=hashlib.sha256(data).hexdigest())
+    return _small_file(MANIFEST, manifest.to_bytes())
+
+
+def _small_file(name: str, source: Path | bytes) -> UploadFile:
+    """Send a file, or bytes under its name."""
+    if isinstance(source, Path):
+        return UploadFile(name, source)
+    return UploadFile(name, lambda: source, made_by=hashlib.sha256(source).hexdigest())
 
 
 def _mark_of(source: RawScans) -> str:
-    """Tell label schemes apart."""
-    ids = (sorted(source.scheme.road), sorted(source.scheme.confusable))
+    """Tell label schemes, and networks, apart."""
+    ids = (sorted(source.scheme.road), sorted(source.scheme.confusable), *source.labels.identity)
     return hashlib.sha256(repr(ids).encode()).hexdigest()[:12]
 
 
@@ -240,7 +265,7 @@ def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -
     """Return an error that names everything that is wrong with a drive."""
     problems: list[str] = []
     for labels in _label_folders(root, options):
-        report = inspect_drive(root, options.reading, labels=labels)
+        report = inspect_drive(root, options.options_for(labels))
         problems += [f"{each.path}: {each.message}" for each in report.problems if each.severity == "error"]
     problems = list(dict.fromkeys(problems))
     if len(problems) < 2:
@@ -249,7 +274,7 @@ def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -
 
 
 def _label_folders(root: Path, options: PushOptions) -> Sequence[LabelFolder]:
-    return options.label_folders or label_folders_in(root)
+    return options.label_folders or label_folders_in(root)[: 1 if options.model is not None else None]
 
 
 def _is_plain(name: str) -> bool:

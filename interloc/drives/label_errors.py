@@ -65,6 +65,11 @@ class MislabelledDrive:
         return self.drive.times_s
 
     @property
+    def is_slow(self) -> bool:
+        """Whether several scans should be read at once."""
+        return self.drive.is_slow
+
+    @property
     def georeference(self) -> Georeference | None:
         """Georeference, or None."""
         return self.drive.georeference

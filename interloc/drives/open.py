@@ -116,7 +116,9 @@ class DriveReading:
     georeference_error: float | None = None
 
 
-def read_drive(root: Path, options: DriveOptions, findings: Findings, *, thorough: bool = False) -> DriveReading:
+def read_drive(
+    root: Path, options: DriveOptions, findings: Findings, *, thorough: bool = False, needs_labels: bool = True
+) -> DriveReading:
     """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
 
     Raises
@@ -126,7 +128,7 @@ def read_drive(root: Path, options: DriveOptions, findings: Findings, *, thoroug
     """
     store = None
     with findings.stage():
-        store = _open_store(root, options, findings)
+        store = _open_store(root, options, findings, needs_labels=needs_labels)
     if store is None or store.frames is None:
         return DriveReading(store)
     trajectory = store.read_trajectory(options, findings)
@@ -136,13 +138,13 @@ def read_drive(root: Path, options: DriveOptions, findings: Findings, *, thoroug
     return _checked(reading, findings) if options.check else reading
 
 
-def _open_store(root: Path, options: DriveOptions, findings: Findings) -> ScanStore | None:
+def _open_store(root: Path, options: DriveOptions, findings: Findings, *, needs_labels: bool) -> ScanStore:
     """Open the scans of a drive, in whichever way they are kept."""
     if (reduced := ReducedStore.open(root, options, findings)) is not None:
         return reduced
     recordings = (open_format(root, options, findings) for open_format in _FORMATS)
     recording = next(opened for opened in recordings if opened is not None)
-    return RawStore.of(recording, options, findings)
+    return RawStore.of(recording, options, findings, needs_labels=needs_labels)
 
 
 def _drive_of(store: ScanStore, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:

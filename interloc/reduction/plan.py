@@ -27,7 +27,7 @@ from interloc.drives.scans.reduced_format import (
     to_runs,
 )
 from interloc.drives.trajectory import Trajectory, read_trajectory
-from interloc.reduction.small_files import SmallFileCopies, gather_small_files
+from interloc.reduction.small_files import SmallFileCopies, gather_small_files, make_small_files
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,16 @@ def plan_of(
     label_folders: tuple[LabelFolder, ...],
     keyframes: KeyframeConfig | None,
     findings: Findings,
+    *,
+    poses_in_files: bool = True,
 ) -> ReductionPlan:
-    """Make the plan of what is known of a drive."""
+    """Make the plan of what is known of a drive.
+
+    Parameters
+    ----------
+    poses_in_files : bool
+        Whether poses, times and georeference lie in small files that can be copied.
+    """
     poses, georeference = trajectory.poses, trajectory.georeference
     kept, manifest, copies = np.empty(0, np.int64), None, SmallFileCopies()
     if parts is not None and poses is not None:
@@ -152,7 +160,10 @@ def plan_of(
         if keyframes is not None:
             thinning = Thinning(distance_m=keyframes.distance_m, angle_deg=keyframes.angle_deg)
         with findings.stage():
-            copies = gather_small_files(parts, frames, options.oxts)
+            if poses_in_files:
+                copies = gather_small_files(parts, frames, options.oxts)
+            else:
+                copies = make_small_files(trajectory, frames)
             manifest = make_manifest(
                 {
                     "name": parts.drive_name,
@@ -160,7 +171,7 @@ def plan_of(
                     "scans": to_runs(frames),
                     "kept": to_runs(kept),
                     "keyframes": thinning,
-                    "pose_frame": poses.frame,
+                    "pose_frame": poses.frame if poses_in_files else "lidar",
                     "pose_frame_reason": poses.reason,
                     "files": copies.files,
                 }

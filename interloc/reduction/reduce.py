@@ -13,7 +13,7 @@ from interloc.config import KeyframeConfig
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.open import read_drive
 from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
-from interloc.drives.scans.raw import RawScans
+from interloc.drives.scans.raw import RawScans, RawStore
 from interloc.drives.scans.reduced_format import (
     MANIFEST,
     MAX_POINTS,
@@ -106,7 +106,9 @@ def prepare_reduction(
     """
     root, findings = Path(root), Findings(stop_at_first=True)
     with findings.stage():
-        chosen = label_folders_in(root) if label_folders is None else tuple(dict.fromkeys(label_folders))
+        chosen = tuple(dict.fromkeys(label_folders or label_folders_in(root)))
+        if isinstance(options, DriveOptions) and options.model is not None:
+            chosen = ("predictions",)  # what a network says counts as such
         if is_reduced(root):
             raise DriveFileError(str(root), "is a reduced drive already. Expected a drive with its scans.")
     readings = {labels: read_drive(root, DriveOptions.of(options, labels=labels), findings) for labels in chosen}
@@ -121,7 +123,7 @@ def prepare_reduction(
         labels.append(ReducedLabels.of(folder, source.scheme, reading.labels.counts, label_bytes))
     first = readings[chosen[0]]
     store, drive = first.store, first.drive
-    assert store is not None
+    assert isinstance(store, RawStore)
     assert drive is not None
     plan = plan_of(
         store.parts,
@@ -131,6 +133,7 @@ def prepare_reduction(
         chosen,
         keyframes,
         findings,
+        poses_in_files=store.recording.read_trajectory is None,
     )
     assert plan.manifest is not None
     sizes = SourceScans.model_validate(store.facts.model_dump(include=set(SourceScans.model_fields)))
@@ -184,4 +187,5 @@ def reduce_drive(
 def label_folders_in(root: Path) -> tuple[LabelFolder, ...]:
     """Return the label folders that a drive has; "labels", which will be missed, where it has none."""
     folders: tuple[LabelFolder, ...] = get_args(LabelFolder)
-    return tuple(folder for folder in folders if (root / folder).is_dir()) or folders[:1]
+    inside = root if root.is_dir() else root.parent
+    return tuple(folder for folder in folders if (inside / folder).is_dir()) or folders[:1]

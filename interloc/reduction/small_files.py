@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import IntArray
-from interloc.drives.files import GeoreferenceFile, list_numbered, os_reason
+from interloc.drives.files import MAX_ROWS, GeoreferenceFile, list_numbered, os_reason
 from interloc.drives.findings import DriveFileError
+from interloc.drives.georeference.geo_csv import geo_csv_text
 from interloc.drives.georeference.read import locate_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.poses.calibration import (
@@ -19,6 +21,7 @@ from interloc.drives.poses.calibration import (
     locate_camera_to_pose,
     locate_imu_calibration,
 )
+from interloc.drives.trajectory import Trajectory
 
 GEOREFERENCE_FOLDER = "georeference"
 """Where a georeference lies that came from outside of the drive."""
@@ -32,12 +35,12 @@ class SmallFileCopies:
     ----------
     files : dict
         Their part of the manifest (`SmallFiles`).
-    sources : dict of str to Path
-        Path in the reduced drive -> the file as it lies now.
+    sources : dict of str to Path or bytes
+        Path in the reduced drive -> the file as it lies now, or what is to be written.
     """
 
     files: dict[str, Any] = field(default_factory=dict)
-    sources: dict[str, Path] = field(default_factory=dict)
+    sources: dict[str, Path | bytes] = field(default_factory=dict)
 
     def write_to(self, folder: Path) -> int:
         """Copy them to a reduced drive; those that lie there already stay.
@@ -55,7 +58,7 @@ class SmallFileCopies:
         size = 0
         for name, source in self.sources.items():
             try:
-                data = source.read_bytes()
+                data = source if isinstance(source, bytes) else source.read_bytes()
             except OSError as error:
                 raise DriveFileError(str(source), f"cannot be read: {os_reason(error)}.") from error
             target = folder / name
@@ -64,6 +67,37 @@ class SmallFileCopies:
                 target.write_bytes(data)
             size += len(data)
         return size
+
+
+def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopies:
+    """Write down what is known of the motion, where it does not lie in files of its own (bags, LAS).
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With poses.
+    frames : (N,) int64
+        Scan numbers.
+    """
+    assert trajectory.poses is not None
+    copies = SmallFileCopies({"poses": "poses.txt", "times": None, "calibration": [], "oxts": None, "geo": None})
+    contiguous = int(frames[-1] - frames[0]) == len(frames) - 1
+    lines = io.StringIO()
+    numbers = trajectory.poses.T_world_lidar[:, :3].reshape(-1, 12)
+    for frame, row in zip(frames, numbers.tolist(), strict=True):
+        front = "" if contiguous else f"{frame} "
+        lines.write(front + " ".join(map(repr, row)) + "\n")
+    copies.sources["poses.txt"] = lines.getvalue().encode()
+    times = trajectory.times_s
+    if times is not None and not contiguous:  # one line per frame, also for those without a scan
+        times = np.interp(np.arange(frames[-1] + 1), frames, times) if frames[-1] < MAX_ROWS else None
+    if times is not None:
+        copies.files["times"] = "times.txt"
+        copies.sources["times.txt"] = "".join(f"{time!r}\n" for time in times.tolist()).encode()
+    if trajectory.georeference is not None:
+        copies.files["geo"] = "geo.csv"
+        copies.sources["geo.csv"] = geo_csv_text(frames, trajectory.georeference).encode()
+    return copies
 
 
 def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) -> SmallFileCopies:

@@ -59,18 +59,23 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
     )
 
 
+def geo_csv_text(frames: IntArray, georeference: Georeference) -> str:
+    """Return the text of a geo.csv with one row per scan: what `read_geo_csv` reads."""
+    angles = rpy_from_rotation(georeference.R_enu_lidar)
+    rows = [",".join(GEO_COLUMNS)]
+    fixes = zip(frames, georeference.lat_deg, georeference.lon_deg, georeference.alt_m, angles, strict=True)
+    for frame, lat, lon, alt, (roll, pitch, yaw) in fixes:
+        rows.append(f"{frame},{lat:.9f},{lon:.9f},{alt:.3f},{roll:.6f},{pitch:.6f},{yaw:.6f}")
+    return "\n".join(rows) + "\n"
+
+
 def write_geo_csv(path: Path, frames: IntArray, georeference: Georeference) -> None:
-    """Write a geo.csv with one row per scan, whole or not at all: what `read_geo_csv` reads.
+    """Write a geo.csv, whole or not at all.
 
     Raises
     ------
     OutputError
         The file could not be written.
     """
-    angles = rpy_from_rotation(georeference.R_enu_lidar)
-    rows = [",".join(GEO_COLUMNS)]
-    fixes = zip(frames, georeference.lat_deg, georeference.lon_deg, georeference.alt_m, angles, strict=True)
-    for frame, lat, lon, alt, (roll, pitch, yaw) in fixes:
-        rows.append(f"{frame},{lat:.9f},{lon:.9f},{alt:.3f},{roll:.6f},{pitch:.6f},{yaw:.6f}")
     with atomic_write(path) as file:
-        file.write(("\n".join(rows) + "\n").encode())
+        file.write(geo_csv_text(frames, georeference).encode())

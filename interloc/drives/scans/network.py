@@ -12,11 +12,10 @@ import numpy as np
 from interloc.arrays import UInt32Array
 from interloc.drives.findings import Findings
 from interloc.drives.scans.recorded import Recording, ScanPoints
-from interloc.labelling.labeller import Labeller, remission_scale
+from interloc.labelling.labeller import Labeller
 from interloc.labelling.model import read_model
 
 _REMEMBERED = 16  # scans: those that the checks look into come up again
-_SAMPLED = 3
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class NetworkLabels:
     ----------
     labeller : Labeller
     remission_scale : float
-        What the remission of the drive is multiplied by to lie between 0 and 1.
+        What the remission of the drive is divided by to lie between 0 and 1.
     """
 
     labeller: Labeller
@@ -46,9 +45,9 @@ class NetworkLabels:
         return f"network {self.labeller.model.name}"
 
     @property
-    def identity(self) -> str:
-        """Which network, which settings: labels of the same scan by the same identity are equal."""
-        return f"{self.labeller.model.identity}-{self.remission_scale!r}"
+    def identity(self) -> tuple[str, ...]:
+        """Which network, by which remission: labels of the same scan by the same identity are equal."""
+        return (self.labeller.model.identity, repr(self.remission_scale))
 
     def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - of `LabelSource`
         """Return none: they are made."""
@@ -61,7 +60,7 @@ class NetworkLabels:
             return known
         values = points.values
         if self.remission_scale != 1:
-            values = values * np.array([1, 1, 1, self.remission_scale], np.float32)
+            values = values / np.array([1, 1, 1, self.remission_scale], np.float32)
         labels: UInt32Array = self.labeller.label(values)
         self._recent[frame] = labels
         while len(self._recent) > _REMEMBERED:
@@ -70,7 +69,7 @@ class NetworkLabels:
 
 
 def open_network(folder: Path, provider: str, recording: Recording, findings: Findings) -> NetworkLabels:
-    """Read a network, and find out what the remission of a recording has to be multiplied by for it.
+    """Read a network, and find out what the remission of a recording has to be divided by for it.
 
     Raises
     ------
@@ -79,15 +78,11 @@ def open_network(folder: Path, provider: str, recording: Recording, findings: Fi
     DriveError
         A scan is damaged.
     """
-    labeller = Labeller(read_model(folder), provider)
-    scale, where = 1.0, recording.parts.file(recording.parts.scans).name
-    if recording.points is not None and recording.frames is not None and recording.has_remission:
-        rows = np.linspace(0, len(recording.frames) - 1, _SAMPLED).round().astype(int)
-        values = [recording.points.read(int(recording.frames[row])).values[:, 3] for row in np.unique(rows)]
-        scale = remission_scale(np.concatenate(values))
-        if scale != 1:
-            findings.note(where, f"the remission is not 0 to 1; it is divided by {1 / scale:,.0f} for the network.")
-    elif not recording.has_remission:
+    labeller = Labeller(read_model(folder), provider, threads=1)  # several scans are labelled at once
+    scale, where = recording.remission_scale(), recording.parts.file(recording.parts.scans).name
+    if scale != 1:
+        findings.note(where, f"the remission is not 0 to 1; it is divided by {scale:,.0f} for the network.")
+    if not recording.has_remission:
         findings.warning(
             where, "the points have no remission, which networks need: expect far worse labels than with it."
         )

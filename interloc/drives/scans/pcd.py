@@ -264,7 +264,7 @@ def _parse_header(head: bytes, file: SourceFile) -> PcdHeader:
             entries[words[0].upper()] = words[1:]
     try:
         return _header_of(entries, at, file)
-    except (KeyError, ValueError) as error:
+    except (KeyError, IndexError, ValueError) as error:
         raise file.fault(
             f"has a damaged PCD header ({error}). Expected FIELDS, SIZE, TYPE, COUNT, WIDTH, HEIGHT and DATA."
         ) from None
@@ -360,8 +360,8 @@ def _from_compressed(header: PcdHeader, data: UInt8Array, file: SourceFile) -> N
     packed, size = (int(number) for number in data[:8].view("<u4"))
     if size != promised or packed > len(data) - 8:
         raise file.fault(
-            f"is damaged: its points would unpack from {packed:,} to {size:,} bytes; {len(data) - 8:,} bytes are "
-            f"there, and {header.points:,} points take {promised:,}. Usual cause: a copy or download that did not finish."
+            f"is damaged: its points would unpack from {packed:,} to {size:,} bytes; {len(data) - 8:,} bytes "
+            f"are there, and {header.points:,} points take {promised:,}. Usual cause: a copy that did not finish."
         )
     raw, written = decompress_lzf(data[8 : 8 + packed], size)
     if written != size:

@@ -37,6 +37,8 @@ class LabelSource(Protocol):
         Name of the scheme of its ids, where it is known.
     is_slow : bool
         Labels take long enough that those of several scans should be made at once.
+    identity : tuple of str
+        What else than the files the labels depend on.
     """
 
     @property
@@ -45,6 +47,8 @@ class LabelSource(Protocol):
     def scheme(self) -> str | None: ...  # noqa: D102
     @property
     def is_slow(self) -> bool: ...  # noqa: D102
+    @property
+    def identity(self) -> tuple[str, ...]: ...  # noqa: D102
 
     def files(self, frame: int) -> tuple[Path, ...]:
         """Return the files that the labels of a scan are read from, besides those of the scan."""
@@ -68,6 +72,7 @@ class LabelFiles:
     label_files: NumberedFiles
     scheme = None
     is_slow = False
+    identity = ()
 
     @property
     def name(self) -> str:
@@ -94,6 +99,7 @@ class PointLabels:
     name: str
     scheme: str | None = None
     is_slow = False
+    identity = ()
 
     def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - of `LabelSource`
         """Return none: they are in the scans."""
@@ -188,7 +194,9 @@ class RawStore:
     usable: IntArray
 
     @classmethod
-    def of(cls, recording: Recording, options: DriveOptions, findings: Findings) -> RawStore:
+    def of(
+        cls, recording: Recording, options: DriveOptions, findings: Findings, *, needs_labels: bool = True
+    ) -> RawStore:
         """Find the labels of a recording, and check that every scan has them.
 
         Raises
@@ -199,7 +207,8 @@ class RawStore:
         labels: LabelSource | None = None
         usable = recording.usable
         with findings.stage():
-            labels = _labels_of(recording, options, findings)
+            if needs_labels or recording.carries_labels or options.model is not None or recording.parts.labels.is_dir():
+                labels = _labels_of(recording, options, findings)
         if recording.frames is None:
             return cls(recording, labels, np.empty(0, np.int64))
         if usable is None:

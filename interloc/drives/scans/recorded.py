@@ -11,12 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from interloc.arrays import Float32Array, IntArray, UInt32Array
 from interloc.drives.findings import Findings
 from interloc.drives.folder import Topic
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import Trajectory
+from interloc.labelling.remission import remission_scale
+
+_SAMPLED = 3  # scans
 
 
 @dataclass(frozen=True)
@@ -101,3 +106,16 @@ class Recording:
     has_remission: bool = True
     read_trajectory: Callable[[DriveOptions, Findings], Trajectory] | None = None
     topics: tuple[Topic, ...] = ()
+
+    def remission_scale(self) -> float:
+        """Return what the remission is divided by to lie between 0 and 1, judged from some scans.
+
+        Raises
+        ------
+        DriveError
+            One of them is damaged.
+        """
+        if self.points is None or self.frames is None or not self.has_remission:
+            return 1.0
+        rows = np.unique(np.linspace(0, len(self.frames) - 1, _SAMPLED).round().astype(int))
+        return remission_scale(np.concatenate([self.points.read(int(self.frames[row])).values[:, 3] for row in rows]))

@@ -249,7 +249,7 @@ def test_one_of_several_trajectories_must_be_named(tmp_path: Path) -> None:
     street(tmp_path)
     (tmp_path / "other.csv").write_bytes((tmp_path / "trajectory.csv").read_bytes())
     (tmp_path / "README.txt").write_text("Time of flight, as it was\n")
-    with pytest.raises(DriveError, match="several trajectories: other.csv, trajectory.csv"):
+    with pytest.raises(DriveError, match=r"several trajectories: other.csv, trajectory.csv"):
         interloc.open_drive(tmp_path)
     assert interloc.open_drive(tmp_path, poses="other.csv").georeference is not None
 

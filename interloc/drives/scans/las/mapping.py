@@ -52,7 +52,7 @@ def open_mapping(
     """
     folder = parts.file(parts.scans)
     track = _find_track(clouds, parts, options)
-    sample = _sample(clouds, folder)
+    sample, has_intensity = _sample(clouds, folder)
     grid = _grid(clouds, options, findings)
     vehicle = _vehicle(track, sample, grid, clouds[0].file, findings)
     slices = cut(vehicle.times_s, vehicle.position)
@@ -76,7 +76,7 @@ def open_mapping(
         point_counts=np.minimum(index.counts, MAX_SCAN_POINTS) if _thinned(index, folder, findings) else index.counts,
         carries_labels=index.has_road,
         scheme="las" if index.has_road else None,
-        has_remission=True,
+        has_remission=has_intensity,
         read_trajectory=lambda _options, _findings: trajectory,
     )
 
@@ -145,13 +145,14 @@ def _find_track(clouds: tuple[CloudFile, ...], parts: DriveParts, options: Drive
     return read_track(parts.file(found[0]))
 
 
-def _sample(clouds: tuple[CloudFile, ...], folder: SourceFile) -> Sample:
-    """Read some points of some files: from their beginnings and ends."""
+def _sample(clouds: tuple[CloudFile, ...], folder: SourceFile) -> tuple[Sample, bool]:
+    """Read some points of some files, from their beginnings and ends, and tell whether they have an intensity."""
     chosen = np.unique(np.linspace(0, len(clouds) - 1, _SAMPLED_FILES).astype(int))
-    times, xyz = [], []
+    times, xyz, has_intensity = [], [], False
     for at in chosen:
         for block in sorted({0, clouds[at].blocks - 1}):
-            for points in clouds[at].read(block, 1, frozenset({"time", "xyz"})):
+            for points in clouds[at].read(block, 1, frozenset({"time", "xyz", "intensity"})):
+                has_intensity |= bool(points.intensity.any())
                 times.append(points.times_s[::_SAMPLED_EVERY])
                 xyz.append(points.xyz[::_SAMPLED_EVERY])
     all_times, all_xyz = np.concatenate(times), np.concatenate(xyz)
@@ -164,7 +165,7 @@ def _sample(clouds: tuple[CloudFile, ...], folder: SourceFile) -> Sample:
             f"the gps_time of all points looked at is {all_times[0]:g}, so that nobody knows when they were measured. "
             "Usual cause: a program that wrote the format but not the times."
         )
-    return Sample(all_times, all_xyz, clouds[0].time_offset_s)
+    return Sample(all_times, all_xyz, clouds[0].time_offset_s), has_intensity
 
 
 def _grid(clouds: tuple[CloudFile, ...], options: DriveOptions, findings: Findings) -> Grid | None:

@@ -1,0 +1,100 @@
+"""`interloc convert` and `interloc label`."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from interloc.cli import console, options
+
+
+@click.command(short_help="Write a drive of any format in SemanticKITTI's layout.")
+@options.DRIVE
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder of the new drive.")
+@options.drive_options
+@options.QUIET
+@options.JSON
+def convert(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) -> None:
+    """Write DRIVE (a ROS bag, PCD, LAS or LAZ files, KITTI-360, ...) as a SemanticKITTI sequence.
+
+    Poses become those of the LiDAR, the georeference becomes a geo.csv, the remission is scaled to 0 to 1. Labels come
+    along where there are any, or are made by a network (--model); other programs can make them afterwards.
+
+    \b
+    Examples:
+      interloc convert drive.mcap -o drive
+      interloc convert scans/ -o drive --poses poses.tum
+    """
+    from interloc.drives.options import DriveOptions
+    from interloc.reduction.convert import convert_drive
+
+    console.set_up_log(quiet=quiet)
+    with console.progress("convert", "scan", quiet=quiet) as bar:
+        done = convert_drive(drive, out, DriveOptions.of(**reading), progress=bar)
+    if as_json:
+        console.say_json({"out": str(out), **vars(done)})
+    elif not quiet:
+        numbers = ", numbered anew from 0" if done.is_renumbered else ""
+        rows = [
+            ("drive", f"{done.name}: {done.scans:,} scans{numbers}"),
+            ("labels", done.labels or "none: make them with `interloc label`, or any semantic segmentation"),
+            ("georeference", "geo.csv" if done.has_georeference else "none"),
+            ("written to", str(out)),
+        ]
+        console.say_facts(rows)
+
+
+@click.command(short_help="Label the scans of a drive by a network.")
+@options.DRIVE
+@click.option(
+    "--model",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder of the network: model.onnx, arch_cfg.yaml, data_cfg.yaml.",
+)
+@click.option("--provider", default="cpu", show_default=True, help="What the network runs on: cpu, cuda, ...")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    show_default="DRIVE",
+    help="Folder in which predictions/ is made.",
+)
+@options.reading_options
+@options.QUIET
+@options.JSON
+def label(drive: Path, out: Path | None, quiet: bool, as_json: bool, **reading: Any) -> None:
+    """Write what a network says of every scan of DRIVE to predictions/NNNNNN.label, in ids of SemanticKITTI.
+
+    The network is one of the RangeNet++ family, in the folder that it is published in. `interloc detect`, `run` and
+    `push` take --model too: they label the keyframes only, on the way, and write no labels.
+
+    \b
+    Example:
+      interloc label sequences/07 --model models/salsanext
+      interloc run sequences/07 -o out --labels predictions --osm map.osm.gz
+    """
+    from interloc.drives.options import DriveOptions
+    from interloc.reduction.convert import label_drive
+
+    console.set_up_log(quiet=quiet)
+    began = time.perf_counter()
+    with console.progress("label", "scan", quiet=quiet) as bar:
+        folder, read = label_drive(drive, out, DriveOptions.of(**reading), progress=bar)
+    seconds = time.perf_counter() - began
+    assert read.store is not None
+    facts, road = read.store.facts, read.labels.road_share
+    if as_json:
+        outcome = {"out": str(folder), "scans": facts.scans, "network": facts.label_folder, "seconds": seconds}
+        console.say_json({**outcome, "road_share": road})
+    elif not quiet:
+        rows = [
+            ("labels", f"{facts.scans:,} scans by {facts.label_folder}"),
+            ("road", "unknown" if road is None else f"{100 * road:.0f} % of the points of the scans looked into"),
+            ("time", f"{seconds:.1f} s, {1000 * seconds / max(1, facts.scans):.0f} ms per scan"),
+            ("written to", str(folder)),
+        ]
+        console.say_facts(rows)

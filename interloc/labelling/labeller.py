@@ -1,0 +1,132 @@
+"""Labels of a scan by a network, in four steps."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from interloc.arrays import Float32Array, UInt32Array
+from interloc.errors import ConfigError, ModelError
+from interloc.labelling.model import Model
+from interloc.labelling.neighbours import by_pixel, vote
+from interloc.labelling.network import Network
+from interloc.labelling.projection import normalise, project, range_image
+from interloc.processes import cores
+from interloc.stopwatch import Stopwatch
+
+
+class Labeller:
+    """Gives every point of a scan a label.
+
+    The network is loaded when the first scan comes, once per process: a labeller that is sent to another process, or
+    inherited by a forked one, loads its own there. One labeller serves one thread at a time.
+
+    Parameters
+    ----------
+    model
+        From `read_model`.
+    provider : str
+        What runs the network: "cpu", or "cuda" and others where this onnxruntime has them.
+    threads : int, optional
+        Processor threads per scan. All cores by default; 1 where several processes label at the same time.
+
+    Attributes
+    ----------
+    model : Model
+    stopwatch : Stopwatch
+        Time spent on "projection", "network" and "neighbours" in this process; loading the network does not count.
+
+    Raises
+    ------
+    ConfigError
+        `threads` is less than 1.
+    """
+
+    def __init__(self, model: Model, provider: str = "cpu", threads: int | None = None) -> None:
+        if threads is not None and threads < 1:
+            raise ConfigError(f"threads: {threads}; a network needs at least 1.")
+        self.model = model
+        self.stopwatch = Stopwatch()
+        self._provider = provider
+        self._threads = threads
+        self._ids = np.array(model.class_ids, np.uint32)
+        self._network: Network | None = None
+        self._process = 0
+
+    def load(self) -> None:
+        """Load the network, where this process has not done so yet: to have what is wrong with it reported early.
+
+        Raises
+        ------
+        ConfigError
+            The provider is not installed or does not start.
+        ModelError
+            onnxruntime is not installed or cannot load the network.
+        """
+        self._loaded()
+
+    def label(self, points: Float32Array) -> UInt32Array:
+        """Label a scan.
+
+        Parameters
+        ----------
+        points : (N, 4) float32
+            x (ahead), y (left), z (up) in L, metres, and remission from 0 to 1 (`remission_scale` tells what to divide
+            by). Points that are not finite get the label of class 0.
+
+        Returns
+        -------
+        (N,) uint32
+            Label ids, by `learning_map_inv` of data_cfg.yaml: those of SemanticKITTI for networks trained on it.
+
+        Raises
+        ------
+        ModelError
+            The points are no scan, or the network cannot be loaded or fails.
+        ConfigError
+            The provider is not installed or does not start.
+        """
+        points = _checked(points)
+        network, model, lap = self._loaded(), self.model, self.stopwatch.lap
+        self.stopwatch.start()
+        projection = project(points, model.height, model.width, model.fov_up_rad, model.fov_down_rad)  # III-A
+        if not projection.filled.any():
+            return np.full(len(points), self._ids[0], np.uint32)
+        image = range_image(points, projection)
+        given = normalise(image, projection, model.form.channels, model.means, model.stds)
+        lap("projection")
+        classes = network.run(given, projection.filled)  # III-B
+        lap("network")
+        if model.knn is None:
+            found = by_pixel(classes, projection)
+        else:
+            found = vote(classes, projection, model.knn, first_class=model.first_class)  # III-D
+        labels: UInt32Array = self._ids[found]
+        lap("neighbours")
+        return labels
+
+    def _loaded(self) -> Network:
+        if self._network is None or self._process != os.getpid():
+            model = self.model
+            self._network = Network(
+                model.graph,
+                model.form,
+                height=model.height,
+                width=model.width,
+                classes=len(model.class_ids),
+                provider=self._provider,
+                threads=self._threads or cores(),
+            )
+            self._process = os.getpid()
+        return self._network
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_network": None, "stopwatch": Stopwatch()}
+
+
+def _checked(points: Float32Array) -> Float32Array:
+    if points.ndim != 2 or points.shape[1] != 4:
+        raise ModelError(f"points of shape {points.shape} are no scan; expected (N, 4): x, y, z and remission.")
+    return np.ascontiguousarray(points, np.float32)

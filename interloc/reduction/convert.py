@@ -1,0 +1,202 @@
+"""Drives of any format as SemanticKITTI has them, and label files of what a network says."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from interloc.arrays import IntArray
+from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.open import DriveReading, read_drive
+from interloc.drives.options import DriveOptions, LabelFolder
+from interloc.drives.scans.raw import RawStore
+from interloc.drives.scans.reduced_format import is_reduced
+from interloc.errors import ConfigError
+from interloc.files import atomic_folder
+from interloc.processes import cores
+from interloc.reduction.small_files import make_small_files
+
+Progress = Callable[[int, int], None]
+"""Called with the scans done and the scans in all."""
+
+_POSES = "poses.txt"
+_READING_THREADS = 4
+
+
+@dataclass(frozen=True)
+class Converted:
+    """A drive in SemanticKITTI's layout.
+
+    Attributes
+    ----------
+    name : str
+    scans : int
+    labels : str or None
+        Its label folder; None where the drive has no labels.
+    is_renumbered : bool
+        Whether its scans have other numbers than those of the original: 0, 1, 2, ...
+    has_georeference : bool
+    """
+
+    name: str
+    scans: int
+    labels: LabelFolder | None
+    is_renumbered: bool
+    has_georeference: bool
+
+
+def convert_drive(
+    root: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    options: DriveOptions | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Converted:
+    """Write a drive of any format as a SemanticKITTI sequence, which appears whole or not at all.
+
+    It holds velodyne/NNNNNN.bin, labels/ or predictions/NNNNNN.label where there are labels (or a network to make
+    them), poses.txt (LiDAR frame), times.txt and geo.csv where times and fixes are known.
+
+    Parameters
+    ----------
+    root
+        The drive: a folder, a bag, LAS files; anything but a reduced drive.
+    out
+        Folder to be made; an older one written by this function is replaced.
+    options : DriveOptions or None
+    progress
+        Called with the scans done and the scans in all.
+
+    Raises
+    ------
+    DriveError, GeoreferenceError, ModelError, ConfigError
+        The drive cannot be read.
+    OutputError
+        `out` is something else, or could not be written; nothing is left behind.
+    """
+    chosen = options or DriveOptions()
+    reading, store = _read(Path(root), chosen, needs_labels=False)
+    source, frames, labels = store.recording.points, store.frames, store.labels
+    assert source is not None
+    assert frames is not None
+    numbers = frames if _is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
+    label_folder: LabelFolder = "predictions" if chosen.model is not None else chosen.labels
+    copies = make_small_files(reading.trajectory, numbers)
+    scale = np.array([1, 1, 1, store.recording.remission_scale()], np.float32)
+
+    def write(row: int, folder: Path) -> None:
+        frame, stem = int(frames[row]), f"{int(numbers[row]):06d}"
+        points = source.read(frame)
+        has_return = np.isfinite(points.values[:, :3]).all(axis=1)
+        values = np.nan_to_num(points.values[has_return] / scale)
+        values.astype("<f4").tofile(folder / "velodyne" / f"{stem}.bin")
+        if labels is not None:
+            ids = labels.of(frame, points, source.name(frame))
+            ids[has_return].astype("<u4").tofile(folder / label_folder / f"{stem}.label")
+
+    names = ("velodyne", *((label_folder,) if labels is not None else ()))
+    with atomic_folder(Path(out), marker=_POSES, names=(*names, *copies.sources)) as folder:
+        for name in names:
+            (folder / name).mkdir()
+        threads = _READING_THREADS if labels is None or not labels.is_slow else cores()
+        _in_threads(lambda row: write(row, folder), range(len(frames)), threads, progress)
+        copies.write_to(folder)
+    return Converted(
+        name=store.parts.drive_name,
+        scans=len(frames),
+        labels=label_folder if labels is not None else None,
+        is_renumbered=numbers is not frames,
+        has_georeference=reading.trajectory.georeference is not None,
+    )
+
+
+def label_drive(
+    root: str | os.PathLike[str],
+    out: str | os.PathLike[str] | None,
+    options: DriveOptions,
+    *,
+    progress: Progress | None = None,
+) -> tuple[Path, DriveReading]:
+    """Write what a network says of every scan as .label files, in a folder that appears whole or not at all.
+
+    Parameters
+    ----------
+    root
+        The drive.
+    out
+        Folder in which predictions/ is made; None: the drive's own.
+    options : DriveOptions
+        With a `model`.
+    progress
+        Called with the scans done and the scans in all.
+
+    Returns
+    -------
+    Path
+        Folder of the labels.
+    DriveReading
+        What the drive is, with the labels of the scans looked into.
+
+    Raises
+    ------
+    DriveError, ModelError, ConfigError
+        The drive or the network cannot be used; there is such a folder already.
+    OutputError
+        The folder could not be written; nothing is left behind.
+    """
+    root = Path(root)
+    if options.model is None:
+        raise ConfigError("no model: give the folder of a network.")
+    inside = (root if root.is_dir() else root.parent) if out is None else Path(out)
+    target = inside if inside.name == "predictions" else inside / "predictions"
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise ConfigError(
+            f"{target} is there already, and was not touched. Give another folder (-o), or remove it first."
+        )
+    reading, store = _read(root, options)
+    source, frames, labels = store.recording.points, store.frames, store.labels
+    assert source is not None
+    assert frames is not None
+    assert labels is not None
+
+    def write(frame: int, folder: Path) -> None:
+        ids = labels.of(frame, source.read(frame), source.name(frame))
+        ids.astype("<u4").tofile(folder / f"{frame:06d}.label")
+
+    with atomic_folder(target, marker=f"{int(frames[-1]):06d}.label") as folder:
+        _in_threads(lambda frame: write(frame, folder), frames.tolist(), cores(), progress)
+    return target, reading
+
+
+def _read(root: Path, options: DriveOptions, *, needs_labels: bool = True) -> tuple[DriveReading, RawStore]:
+    """Read a drive that is not a reduced one; the first fault is raised."""
+    findings = Findings(stop_at_first=True)
+    with findings.stage():
+        if is_reduced(root):
+            raise DriveFileError(
+                str(root), "is a reduced drive, which holds no scans. Expected the drive that it was made from."
+            )
+    reading = read_drive(root, options, findings, needs_labels=needs_labels)
+    assert isinstance(reading.store, RawStore)
+    return reading, reading.store
+
+
+def _in_threads(work: Callable[[int], None], items: Iterable[int], threads: int, progress: Progress | None) -> None:
+    """Do the work for each item; reading, networks and writing wait for no interpreter."""
+    items = list(items)
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for done, _ in enumerate(pool.map(work, items), start=1):
+            if progress is not None:
+                progress(done, len(items))
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _is_contiguous(frames: IntArray) -> bool:
+    return int(frames[-1] - frames[0]) == len(frames) - 1

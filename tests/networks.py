@@ -1,0 +1,319 @@
+"""Networks whose right answer is known, written as folders of the RangeNet++ / lidar-bonnetal family.
+
+The default network calls everything road that lies more than 1.5 m below the sensor, the rest vegetation. It computes
+that from its normalised input, so a wrong normalisation, channel order or projection gives other labels.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import yaml
+from onnx import TensorProto, helper, numpy_helper
+
+from interloc.arrays import Float32Array
+
+CHANNELS = ("range", "x", "y", "z", "remission")
+MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
+STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
+
+LEARNING_MAP_INV = dict(
+    enumerate([0, 10, 11, 15, 18, 20, 30, 31, 32, 40, 44, 48, 49, 50, 51, 70, 71, 72, 80, 81])
+)  # class of the network -> id of SemanticKITTI
+CLASSES = len(LEARNING_MAP_INV)
+ROAD, SIDEWALK, VEGETATION = 9, 11, 15
+ROAD_ID, SIDEWALK_ID, VEGETATION_ID = (LEARNING_MAP_INV[c] for c in (ROAD, SIDEWALK, VEGETATION))
+
+Edit = Callable[[dict[str, Any]], None]
+
+
+def write_model(
+    folder: Path,
+    *,
+    height: int = 64,
+    width: int = 1024,
+    fov_up_deg: float = 3.0,
+    fov_down_deg: float = -25.0,
+    knn: bool = True,
+    search: int = 5,
+    road_below_m: float = -1.5,
+    road_half_width_m: float | None = None,
+    edit_arch: Edit | None = None,
+    edit_data: Edit | None = None,
+    **graph: Any,
+) -> Path:
+    """Write model.onnx, arch_cfg.yaml and data_cfg.yaml.
+
+    Parameters
+    ----------
+    folder
+        Made where it does not exist.
+    height, width
+        Of the range image, in the files and in the graph.
+    fov_up_deg, fov_down_deg
+    knn, search
+        Whether post-processing is on, and the side of its window.
+    road_below_m
+        Points lower than that (z in the frame of the sensor) are road.
+    road_half_width_m
+        Where given, low points farther than that to the left or right of the vehicle are sidewalk.
+    edit_arch, edit_data
+        Change the settings before they are written.
+    **graph
+        Of `road_graph`: forms of the input and the outputs.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    arch = arch_cfg(height, width, fov_up_deg, fov_down_deg, knn=knn, search=search)
+    data = data_cfg()
+    if edit_arch is not None:
+        edit_arch(arch)
+    if edit_data is not None:
+        edit_data(data)
+    (folder / "arch_cfg.yaml").write_text(yaml.safe_dump(arch))
+    (folder / "data_cfg.yaml").write_text(yaml.safe_dump(data))
+    onnx.save(road_graph(height, width, road_below_m, road_half_width_m, **graph), str(folder / "model.onnx"))
+    return folder
+
+
+def arch_cfg(
+    height: int = 64,
+    width: int = 1024,
+    up_deg: float = 3.0,
+    down_deg: float = -25.0,
+    *,
+    knn: bool = True,
+    search: int = 5,
+) -> dict[str, Any]:
+    """Return what arch_cfg.yaml holds, as far as it matters for running a network."""
+    return {
+        "backbone": {"name": "darknet", "input_depth": {"range": True, "xyz": True, "remission": True}},
+        "post": {
+            "CRF": {"use": False, "params": False},
+            "KNN": {"use": knn, "params": {"knn": 5, "search": search, "sigma": 1.0, "cutoff": 1.0}},
+        },
+        "dataset": {
+            "labels": "kitti",
+            "scans": "kitti",
+            "max_points": 150000,
+            "sensor": {
+                "name": "HDL64",
+                "type": "spherical",
+                "fov_up": up_deg,
+                "fov_down": down_deg,
+                "img_prop": {"width": width, "height": height},
+                "img_means": list(MEANS),
+                "img_stds": list(STDS),
+            },
+        },
+    }
+
+
+def data_cfg() -> dict[str, Any]:
+    """Return what data_cfg.yaml holds, as far as it matters for running a network."""
+    learning_map = {id_: class_ for class_, id_ in LEARNING_MAP_INV.items()} | {1: 0, 60: ROAD, 252: 1}
+    return {"name": "kitti", "learning_map": learning_map, "learning_map_inv": copy.copy(LEARNING_MAP_INV)}
+
+
+def road_graph(
+    height: int,
+    width: int,
+    road_below_m: float = -1.5,
+    road_half_width_m: float | None = None,
+    *,
+    channels: Sequence[str] = CHANNELS,
+    layout: str = "NCHW",
+    output: str = "logits",
+    dynamic: bool = False,
+    mask: str | None = None,
+    aux: Sequence[int] = (),
+    aux_first: bool = False,
+    smooth: bool = False,
+    half: bool = False,
+    classes: int = CLASSES,
+    bias: float = 0.0,
+) -> onnx.ModelProto:
+    """Build the network.
+
+    Parameters
+    ----------
+    height, width
+    road_below_m, road_half_width_m
+        As in `write_model`.
+    channels
+        Of the input, in its order; each normalised with its `MEANS` and `STDS`.
+    layout
+        Of the input: NCHW, NHWC, CHW or HWC.
+    output
+        logits, softmax, nhwc, chw, hwc; or the class itself: argmax (1, H, W), argmax_hw, argmax_1hw, argmax_int32.
+    dynamic
+        The graph does not say its height, width and number in a batch.
+    mask
+        A second input, NHW or N1HW: where it is 0 the network says class 0.
+    aux
+        Factors by which the outputs of further heads, always wrong, are smaller.
+    aux_first
+        They come before the output proper.
+    smooth
+        The input is averaged over 3 x 3 pixels first.
+    half
+        The input and scores are float16.
+    classes
+        Number of classes; the scores of those that are not used are low.
+    bias
+        Added to all scores; `inf` or `nan` makes a broken network.
+    """
+    sizes: dict[str, int | str] = {"N": 1, "1": 1, "C": len(channels), "K": classes, "H": height, "W": width}
+    if dynamic:
+        sizes |= {"N": "batch", "H": "height", "W": "width"}
+    real = TensorProto.FLOAT16 if half else TensorProto.FLOAT
+    inputs = [_value("scan", real, [sizes[axis] for axis in layout])]
+    nodes, last = _to_nchw("scan", layout)
+    if half:
+        nodes.append(helper.make_node("Cast", [last], ["single"], to=TensorProto.FLOAT))
+        last = "single"
+    constants: dict[str, Any] = {"bias": np.array(bias, np.float32)}
+
+    if smooth:
+        kernel = np.zeros((len(channels), len(channels), 3, 3), np.float32)
+        kernel[range(len(channels)), range(len(channels))] = 1 / 9
+        constants["average"] = kernel
+        nodes.append(helper.make_node("Conv", [last, "average"], ["smooth"], pads=[1, 1, 1, 1]))
+        last = "smooth"
+
+    weights, offsets = _features(channels)
+    constants |= {"w1": weights, "b1": offsets}
+    constants["w2"], constants["b2"] = _scores(road_below_m, road_half_width_m, classes)
+    nodes += [
+        helper.make_node("Conv", [last, "w1", "b1"], ["linear"]),
+        helper.make_node("Relu", ["linear"], ["features"]),
+        helper.make_node("Conv", ["features", "w2", "b2"], ["raw_scores"]),
+        helper.make_node("Add", ["raw_scores", "bias"], ["scores"]),
+    ]
+    last = "scores"
+    if mask is not None:
+        inputs.append(_value("mask", TensorProto.FLOAT, [sizes[axis] for axis in mask]))
+        nodes += _masked(mask, constants, classes)
+        last = "masked"
+
+    more, outputs = _output(last, output, sizes, half=half)
+    nodes += more
+    others = []
+    for number, factor in enumerate(aux):
+        shape = [
+            sizes["N"],
+            classes,
+            *((f"h{number}", f"w{number}") if dynamic else (height // factor, width // factor)),
+        ]
+        nodes += [
+            helper.make_node("Neg", [last], [f"wrong{number}"]),
+            helper.make_node(
+                "AveragePool", [f"wrong{number}"], [f"aux{number}"], kernel_shape=[factor] * 2, strides=[factor] * 2
+            ),
+        ]
+        others.append(_value(f"aux{number}", TensorProto.FLOAT, shape))
+    initializers = [numpy_helper.from_array(array, name) for name, array in constants.items()]
+    found = helper.make_graph(nodes, "road", inputs, others + outputs if aux_first else outputs + others, initializers)
+    model = helper.make_model(found, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    onnx.checker.check_model(model)
+    return model
+
+
+def _features(channels: Sequence[str]) -> tuple[Float32Array, Float32Array]:
+    """Weights (4, C, 1, 1) and offsets that give max(z, 0), max(-z, 0), max(y, 0) and max(-y, 0) in metres."""
+    weights, offsets = np.zeros((4, len(channels), 1, 1), np.float32), np.zeros(4, np.float32)
+    for feature, (name, sign) in enumerate([("z", 1), ("z", -1), ("y", 1), ("y", -1)]):
+        if name in channels:
+            weights[feature, list(channels).index(name)] = sign * STDS[CHANNELS.index(name)]
+            offsets[feature] = sign * MEANS[CHANNELS.index(name)]
+    return weights, offsets
+
+
+def _scores(below_m: float, half_width_m: float | None, classes: int) -> tuple[Float32Array, Float32Array]:
+    """Weights (K, 4, 1, 1) and offsets of the classes: road is positive where z < below_m, vegetation is zero."""
+    weights, offsets = np.zeros((classes, 4, 1, 1), np.float32), np.full(classes, -1e6, np.float32)
+    steep = 1000.0
+    road, sidewalk, vegetation = (
+        c if classes == CLASSES else rank for rank, c in enumerate((ROAD, SIDEWALK, VEGETATION))
+    )
+    weights[road, :2, 0, 0] = -steep, steep
+    offsets[road], offsets[vegetation] = steep * below_m, 0
+    if half_width_m is not None:
+        weights[sidewalk, :, 0, 0] = -steep, steep, 1, 1  # road, and what |y| exceeds
+        offsets[sidewalk] = steep * below_m - half_width_m
+    return weights, offsets
+
+
+def _masked(mask: str, constants: dict[str, Any], classes: int) -> list[onnx.NodeProto]:
+    """Let class 0 win where the mask is 0."""
+    prefer = np.zeros((1, classes, 1, 1), np.float32)
+    prefer[0, 0] = 1e7
+    constants |= {"prefer": prefer, "one": np.array(1, np.float32)}
+    nodes, last = [], "mask"
+    if mask == "NHW":
+        constants["axis"] = np.array([1], np.int64)
+        nodes.append(helper.make_node("Unsqueeze", ["mask", "axis"], ["mask4"]))
+        last = "mask4"
+    return [
+        *nodes,
+        helper.make_node("Sub", ["one", last], ["empty"]),
+        helper.make_node("Mul", ["empty", "prefer"], ["push"]),
+        helper.make_node("Add", ["scores", "push"], ["masked"]),
+    ]
+
+
+def _to_nchw(name: str, layout: str) -> tuple[list[onnx.NodeProto], str]:
+    """Return the nodes that bring the input into the order that convolutions need."""
+    nodes, last = [], name
+    if "N" not in layout:
+        shape = helper.make_tensor("batch_axis", TensorProto.INT64, [1], [0])
+        nodes += [
+            helper.make_node("Constant", [], ["batch_axis"], value=shape),
+            helper.make_node("Unsqueeze", [last, "batch_axis"], ["batched"]),
+        ]
+        last = "batched"
+    if layout.endswith("HWC"):
+        nodes.append(helper.make_node("Transpose", [last], ["nchw"], perm=[0, 3, 1, 2]))
+        last = "nchw"
+    return nodes, last
+
+
+def _output(
+    last: str, form: str, sizes: dict[str, int | str], *, half: bool
+) -> tuple[list[onnx.NodeProto], list[onnx.ValueInfoProto]]:
+    """Return the nodes and the description of the output proper."""
+    real = TensorProto.FLOAT16 if half else TensorProto.FLOAT
+    if form.startswith("argmax"):
+        axes = {"argmax": "NHW", "argmax_int32": "NHW", "argmax_hw": "HW", "argmax_1hw": "N1HW"}[form]
+        kind = TensorProto.INT32 if form == "argmax_int32" else TensorProto.INT64
+        nodes = [
+            helper.make_node("ArgMax", [last], ["best"], axis=1, keepdims=int(form == "argmax_1hw")),
+            helper.make_node("Cast", ["best"], ["cast"], to=kind),
+        ]
+        nodes.append(
+            helper.make_node("Squeeze", ["cast"], ["classes"])
+            if form == "argmax_hw"
+            else helper.make_node("Identity", ["cast"], ["classes"])
+        )
+        return nodes, [_value("classes", kind, [sizes[axis] for axis in axes])]
+    axes = {"logits": "NKHW", "softmax": "NKHW", "nhwc": "NHWK", "chw": "KHW", "hwc": "HWK"}[form]
+    nodes = []
+    if form == "softmax":
+        nodes.append(helper.make_node("Softmax", [last], ["probabilities"], axis=1))
+        last = "probabilities"
+    if form in {"nhwc", "hwc"}:
+        nodes.append(helper.make_node("Transpose", [last], ["turned"], perm=[0, 2, 3, 1]))
+        last = "turned"
+    if form in {"chw", "hwc"}:
+        nodes.append(helper.make_node("Squeeze", [last], ["single_scan"]))
+        last = "single_scan"
+    nodes.append(helper.make_node("Cast", [last], ["output"], to=real))
+    return nodes, [_value("output", real, [sizes[axis] for axis in axes])]
+
+
+def _value(name: str, kind: int, shape: Sequence[int | str]) -> onnx.ValueInfoProto:
+    return helper.make_tensor_value_info(name, kind, list(shape))
