@@ -130,21 +130,19 @@ def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DrivePa
     They lie beside the scans, or as published: scans in data_3d_raw/DRIVE, poses in data_poses/DRIVE, calibration/; of
     such a data set its root will do, where it holds one drive.
     """
+    scans: Path | None
     if (published := _published_kitti360(root)) is not None:
-        dataset, drive = published
-        poses = dataset / "data_poses" / drive.name
-        scans, pose_folders, above = drive / "velodyne_points" / "data", (drive, poses), (dataset / "calibration",)
-        oxts = (drive / "oxts", poses / "oxts", dataset / "data_poses_oxts" / drive.name / "oxts")
-        if not scans.is_dir():
-            return None
-        root = drive
+        dataset, root = published
+        poses = dataset / "data_poses" / root.name
+        scans, pose_folders, calibration = root / "velodyne_points" / "data", [root, poses], [dataset / "calibration"]
+        oxts = [root / "oxts", poses / "oxts", dataset / "data_poses_oxts" / root.name / "oxts"]
     else:
-        found = next((root / folder for folder in SCAN_FOLDERS if folder in scan_folders), None)
-        if found is None:
-            return None
-        parent = root.absolute().parent
-        scans, pose_folders, oxts = found, (root,), (root / "oxts",)
-        above = (parent, parent / "calibration", parent.parent / "calibration")
+        above = root.absolute().parent
+        scans = next((root / folder for folder in SCAN_FOLDERS if folder in scan_folders), None)
+        pose_folders, calibration = [root], [above, above / "calibration", above.parent / "calibration"]
+        oxts = [root / "oxts"]
+    if scans is None or (published and not scans.is_dir()):
+        return None
     pose_file = _existing(*(folder / name for folder in pose_folders for name in _KITTI360_POSES))
     if pose_file is None or _fields_of_first_line(pose_file) not in INDEXED_LENGTHS:
         if published is None:
@@ -157,7 +155,7 @@ def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DrivePa
         labels=root / labels,
         poses=pose_file,
         times=_existing(root / "times.txt", scans.parent / "timestamps.txt"),
-        calibration=(root, root / "calibration", *above),
+        calibration=(root, root / "calibration", *calibration),
         oxts=_existing(*oxts),
         geo=_existing(root / "geo.csv"),
     )

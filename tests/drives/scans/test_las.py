@@ -326,7 +326,7 @@ def test_order_does_not_matter_nor_does_the_number_of_files(tmp_path: Path, comp
 def test_points_in_no_order_are_refused_where_it_is_hopeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     street(tmp_path)
     monkeypatch.setattr(slicing, "_MAX_PIECES", 5)
-    with pytest.raises(DriveError, match="not in the order of their times: .* Sort them by gps_time"):
+    with pytest.raises(DriveError, match=r"not in the order of their times: .* Sort them by gps_time"):
         interloc.open_drive(tmp_path)
 
 
@@ -503,6 +503,14 @@ def read_all(file: SourceFile) -> None:
         pass
 
 
+def is_refused(file: SourceFile) -> bool:
+    try:
+        read_all(file)
+    except DriveError as error:
+        return str(error).startswith(file.name) or pytest.fail(f"another file is named: {error}")
+    return False
+
+
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 def test_damage_anywhere_is_a_drive_error_or_goes_unnoticed(
     tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]
@@ -520,11 +528,7 @@ def test_damage_anywhere_is_a_drive_error_or_goes_unnoticed(
             for at in random.integers(0, region, 3):
                 data[at] = random.integers(256)
         path.write_bytes(data)
-        try:
-            read_all(SourceFile(path, tmp_path))
-        except DriveError as error:
-            refused += 1
-            assert str(error).startswith(path.name)
+        refused += is_refused(SourceFile(path, tmp_path))
     assert refused > 50
     capfd.readouterr()  # panics of Rust write there
 
@@ -535,10 +539,10 @@ def test_a_file_that_changes_after_opening_is_named(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for data in (b"", whole[:3000], whole[:40_000]):
         path.write_bytes(data)
-        with pytest.raises(DriveError, match="strip.laz: "):
+        with pytest.raises(DriveError, match=r"strip.laz: "):
             drive.ground_points(20)
     path.unlink()
-    with pytest.raises(DriveError, match="strip.laz: cannot be read: no such file"):
+    with pytest.raises(DriveError, match=r"strip.laz: cannot be read: no such file"):
         drive.ground_points(20)
 
 
