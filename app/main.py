@@ -34,6 +34,7 @@ from app.routes import (
     files,
     jobs,
     keyframes,
+    models,
     page,
     results,
     scans,
@@ -112,7 +113,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     app.state.page_files = PageFiles(settings)
     add_handlers(app)
     add_middleware(app, settings)
-    of_drives = (drives, files, scans, archive, commit, demo)
+    of_drives = (drives, files, scans, archive, commit, demo, models)
     of_jobs = (jobs, events, results, keyframes, exports, compare)
     shared = [Depends(client_of), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):

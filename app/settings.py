@@ -30,6 +30,10 @@ class Settings(BaseSettings):
     )
     static_dir: Path | None = Field(None, description="Folder of the page; the one beside the package by default.")
 
+    models: Path | None = Field(
+        None, description="Folder of networks, one folder each, by which drives without labels can be labelled."
+    )
+
     # Where it listens.
     host: str = Field(
         "127.0.0.1", description="Address to listen on; every other address than this machine's own needs a token."
@@ -80,6 +84,9 @@ class Settings(BaseSettings):
 
     # Limits.
     max_file_bytes: int = Field(256 * MB, ge=1, description="Maximum size of one uploaded file.")
+    max_recording_bytes: int = Field(
+        32 * GB, ge=1, description="Maximum size of one uploaded ROS bag, LAS or LAZ file."
+    )
     max_archive_bytes: int = Field(32 * GB, ge=1, description="Maximum size of one uploaded archive.")
     max_archive_ratio: float = Field(
         200.0, ge=1.0, description="Maximum ratio of unpacked to packed size; labels alone reach more than 100."

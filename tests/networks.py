@@ -132,6 +132,7 @@ def road_graph(
     mask: str | None = None,
     aux: Sequence[int] = (),
     aux_first: bool = False,
+    only_aux: int = 0,
     smooth: bool = False,
     half: bool = False,
     classes: int = CLASSES,
@@ -158,6 +159,8 @@ def road_graph(
         Factors by which the outputs of further heads, always wrong, are smaller.
     aux_first
         They come before the output proper.
+    only_aux
+        Factor by which the only output is smaller, where given.
     smooth
         The input is averaged over 3 x 3 pixels first.
     half
@@ -203,6 +206,7 @@ def road_graph(
     more, outputs = _output(last, output, sizes, half=half)
     nodes += more
     others = []
+    aux = (only_aux,) if only_aux else aux
     for number, factor in enumerate(aux):
         shape = [
             sizes["N"],
@@ -217,6 +221,8 @@ def road_graph(
         ]
         others.append(_value(f"aux{number}", TensorProto.FLOAT, shape))
     initializers = [numpy_helper.from_array(array, name) for name, array in constants.items()]
+    if only_aux:
+        outputs = []
     found = helper.make_graph(nodes, "road", inputs, others + outputs if aux_first else outputs + others, initializers)
     model = helper.make_model(found, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
     onnx.checker.check_model(model)

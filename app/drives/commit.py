@@ -16,6 +16,7 @@ from app.jobs.queue import active_job, submit
 from app.schemas.drives import CommitRequest, DriveModel, DriveOptionsModel
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
+from app.work import models
 from interloc.drives.inspect import DriveReport
 
 
@@ -55,12 +56,19 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         if request.options is not None:
             given = request.options.model_dump(mode="json", exclude_unset=True)
             drive.options = {**DriveOptionsModel.model_validate(drive.options).model_dump(mode="json"), **given}
+            _check_model(context, drive.options.get("model"))
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
         limit = job_limit(context, owner)
         job = queue_commit(session, context, drive, owner, check_only=request.check_only, limit=limit)
     context.jobs_changed.set()
     return job
+
+
+def _check_model(context: Context, name: str | None) -> None:
+    """Refuse a network that the service does not have."""
+    if name is not None:
+        models.find(context.settings.models, name)
 
 
 def queue_commit(

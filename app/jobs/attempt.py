@@ -68,7 +68,8 @@ class Attempt:
         self._stopped: Future[None] = Future()  # ends with the stop, so that whoever waits for work wakes up
         self._at_work: set[Future[Any]] = set()
         self._began = time.monotonic()
-        self._stage = self._kind.stages[0]
+        self._stages = self._kind.stages_of(claim.job.request)
+        self._stage = self._stages[0]
         self._done: dict[int, int] = {}  # units of the parts that have ended
         self._total: int | None = None
         self._reported: dict[str, Any] = {"done": claim.job.done}  # as it is in the database
@@ -205,7 +206,7 @@ class Attempt:
             self._write(attempts=tries + 1)
 
     def _enter(self, phase: int) -> None:
-        self._stage = self._kind.stages[phase]
+        self._stage = self._stages[phase]
         self._progress.forget_stage()
         self._report()
 

@@ -37,8 +37,8 @@ def _limits(context: Context, slots: int) -> dict[str, Any]:
     settings = context.settings
     by_name = settings.model_dump(mode="json", exclude={"token", "database_url"})
     limits = {name: value for name, value in by_name.items() if name.startswith(("max_", "min_"))}
-    cache = str(context.storage.folder("cache"))
-    return {**limits, "workers": slots, "cache": cache, "overpass_url": settings.overpass_url}
+    cache, models = str(context.storage.folder("cache")), by_name["models"]
+    return {**limits, "workers": slots, "cache": cache, "models": models, "overpass_url": settings.overpass_url}
 
 
 def without_paths(problem: Problem, task: Task) -> Problem:

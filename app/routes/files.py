@@ -15,7 +15,7 @@ from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.problems import ProblemDocument
-from app.paths import MAX_PATH, PATH_PATTERN, check_path
+from app.paths import MAX_PATH, PATH_PATTERN, check_path, is_recording
 from app.routes.drives import DriveId
 from app.schemas.drives import FileList, UploadedFile
 from app.security import ClientDep
@@ -95,7 +95,8 @@ async def put_file(
     """
     check_path(path)
     sha256 = sha256_of(request.headers)
-    limit = context.settings.max_file_bytes
+    settings = context.settings
+    limit = settings.max_recording_bytes if is_recording(path) else settings.max_file_bytes
     length = declared_length(request, limit, path)
     if length is None or length > PIECE_BYTES:  # a small body is read sooner than the drive is looked up
         await run_in_threadpool(check_upload, context, drive_id, path, length or 0)

@@ -34,6 +34,13 @@ LabelCounts = Annotated[
 """Label id -> number of points that carry it."""
 
 
+def _checked_path(path: str) -> str:
+    try:
+        return check_path(path)
+    except BadNameError as error:
+        raise ValueError(str(error)) from error
+
+
 class DriveOptionsModel(ReadingOptions):
     """How the files are read; the same choices as on the command line."""
 
@@ -44,13 +51,30 @@ class DriveOptionsModel(ReadingOptions):
         json_schema_extra={"pattern": PATH_PATTERN, "maxLength": MAX_PATH},
     )
 
+    poses: str | None = Field(
+        None,
+        max_length=MAX_PATH,
+        description="Poses among the files (KITTI, TUM), the trajectory of LAS files, or the topic of a bag, which "
+        "begins with a slash.",
+        examples=["poses.tum", "/odometry"],
+    )
+    model: str | None = Field(
+        None,
+        max_length=255,
+        pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$",
+        description="Network of the service (GET /models) that labels the scans; label files do not count.",
+        examples=["salsanext"],
+    )
+
     @field_validator("oxts", mode="before")
     @classmethod
     def _check_oxts(cls, oxts: object) -> object:
-        try:
-            return check_path(oxts.removesuffix("/")) if isinstance(oxts, str) else oxts
-        except BadNameError as error:
-            raise ValueError(str(error)) from error
+        return _checked_path(oxts.removesuffix("/")) if isinstance(oxts, str) else oxts
+
+    @field_validator("poses")
+    @classmethod
+    def _check_poses(cls, poses: str | None) -> str | None:
+        return poses if poses is None or poses.startswith("/") else _checked_path(poses)
 
 
 class NewDrive(BaseModel):

@@ -6,17 +6,18 @@ from typing import get_args
 
 from pydantic import BaseModel, Field
 
-from app.paths import ARCHIVE_ENDINGS, MAP_ENDINGS
+from app.paths import ARCHIVE_ENDINGS, MAP_ENDINGS, RECORDING_ENDINGS
 from app.settings import Settings
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
-from interloc.drives.layouts import SCAN_FOLDERS
+from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
 from interloc.drives.options import LabelFolder
 from interloc.osm.policies import POLICIES
 from interloc.output.layers import LAYERS
 
 _LIMITS = (
     "max_file_bytes",
+    "max_recording_bytes",
     "max_archive_bytes",
     "max_batch_bytes",
     "max_batch_files",
@@ -62,6 +63,10 @@ class FileKinds(BaseModel):
 
     maps: list[str] = Field(description="Endings of OSM files, in lower case.", examples=[[".osm", ".osm.gz"]])
     archives: list[str] = Field(description="Endings of archives that hold a whole drive.", examples=[[".zip"]])
+    recordings: list[str] = Field(description="Endings of files that hold many scans.", examples=[[".bag", ".mcap"]])
+    scans: list[str] = Field(
+        description="Endings of scans that only the service reads: they are sent as they are.", examples=[[".pcd"]]
+    )
     scan_folders: list[str] = Field(description="Folders of scans.", examples=[["velodyne"]])
     label_folders: list[str] = Field(description="Folders of labels.", examples=[["labels", "predictions"]])
 
@@ -131,6 +136,8 @@ _LABEL_SCHEMES = [
 _FILE_KINDS = FileKinds(
     maps=list(MAP_ENDINGS),
     archives=list(ARCHIVE_ENDINGS),
+    recordings=list(RECORDING_ENDINGS),
+    scans=list(PCD_ENDINGS),
     scan_folders=list(SCAN_FOLDERS),
     label_folders=list(get_args(LabelFolder)),
 )

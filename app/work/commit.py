@@ -17,13 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from app.paths import is_map, without_folder
+from app.work import models
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Outcome, Part, Plan, Report, Task
+from interloc.config import DEFAULT
 from interloc.drive import GroundPoints
 from interloc.drives.findings import DriveFileError, Finding, Findings
 from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.drives.open import open_drive
-from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced import GroundFiles
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.errors import InterLocError
@@ -33,6 +35,9 @@ from interloc.output.write import trajectory_feature
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction
 
 PART_SCANS = 200
+PART_LABELLED_SCANS = 20
+"""A scan that a network labels takes a hundred times as long."""
+
 MAX_PROBLEMS = 500
 """Maximum number of problems in a report: some of 9,000 bad scans are enough."""
 
@@ -51,8 +56,9 @@ def prepare(task: Task) -> Plan:
         frames = _frames(task)
     except InterLocError as error:  # not covered by the check: files that cannot be gathered
         return Plan([], 0, {"report": _with_errors(report, _problems_of(error), task).to_dict()})
-    edges = range(0, len(frames), PART_SCANS)
-    parts = [Part(number, start, min(start + PART_SCANS, len(frames))) for number, start in enumerate(edges)]
+    size = PART_SCANS if _model(task) is None else PART_LABELLED_SCANS
+    edges = range(0, len(frames), size)
+    parts = [Part(number, start, min(start + size, len(frames))) for number, start in enumerate(edges)]
     return Plan(parts, len(frames), {"report": report.to_dict(), "began": time.time()})
 
 
@@ -67,6 +73,7 @@ def run(task: Task, part: Part, report: Report) -> None:
     do = _scan_check(task) if is_reduced(task.drive / "files") else _scan_reduction(task, folder)
     frames = _frames(task)[part.start : part.stop]
     problems: list[list[str]] = []
+    began = time.monotonic()
     for done, frame in enumerate(frames, start=1):
         try:
             do(frame)
@@ -76,6 +83,8 @@ def run(task: Task, part: Part, report: Report) -> None:
             else:
                 raise
         report(done)
+    if (model := _model(task)) is not None and frames:
+        models.note_time(Path(task.limits["cache"]), model, (time.monotonic() - began) / len(frames))
     (folder / _PROBLEMS).write_text(json.dumps(problems[:MAX_PROBLEMS]))
     os.sync()  # the scans themselves will be removed: one wait per part is better than one per file
     with suppress(OSError):  # another attempt was faster
@@ -189,17 +198,36 @@ def _problems_of(error: InterLocError) -> list[Finding]:
 
 def reading_options(given: dict[str, Any], root: Path, name: str) -> DriveOptions:
     """Return how the uploaded files in `root` are read, by the options and the name of the drive."""
-    options = ReadingOptions.model_validate(given)
-    oxts = None if options.oxts is None else root / options.oxts
-    return DriveOptions.of(options, oxts=oxts, name=name.replace("/", "_"))
+    options = ReadingOptions.model_validate({field: value for field, value in given.items() if field != "model"})
+    changed: DriveArguments = {"name": name.replace("/", "_")}
+    if options.oxts is not None:
+        changed["oxts"] = root / options.oxts
+    if options.poses is not None:
+        if options.poses.startswith("/"):  # a topic: nothing but a bag may look at it, or it would be a path of ours
+            changed["layout"] = "rosbag"
+        else:
+            changed["poses"] = str(root / options.poses)
+    return DriveOptions.of(options, **changed)
 
 
 def _options(task: Task) -> DriveOptions:
-    return reading_options(task.request["options"], task.drive / "files", task.drive_name)
+    options = reading_options(task.request["options"], task.drive / "files", task.drive_name)
+    model = _model(task)
+    return options if model is None else DriveOptions.of(options, model=model)
+
+
+def _model(task: Task) -> Path | None:
+    """Return the folder of the network that labels the scans."""
+    name = task.request["options"].get("model")
+    if name is None or is_reduced(task.drive / "files"):
+        return None
+    return models.find(task.limits.get("models"), name)
 
 
 def _label_folders(task: Task) -> tuple[LabelFolder, ...]:
     root = task.drive / "files"
+    if _model(task) is not None:
+        return ("predictions",)
     if not is_reduced(root):
         return label_folders_in(root)
     return tuple(labels.folder for labels in read_manifest(root).labels) or ("labels",)
@@ -216,7 +244,8 @@ def _frames(task: Task) -> list[int]:
 @lru_cache(maxsize=2)
 def _reduction(root: str, options: DriveOptions, job_id: str) -> Reduction:  # noqa: ARG001 - files may differ for another job
     """Prepare the reduction of a drive once for all parts of a job in this process."""
-    return prepare_reduction(root, options)
+    # A network is asked about the keyframes only; label files are cheap enough to keep every scan.
+    return prepare_reduction(root, options, keyframes=None if options.model is None else DEFAULT.keyframes)
 
 
 def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:

@@ -6,6 +6,7 @@ import socket
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
+from typing import Any
 
 from app.states import JobKind
 from app.work.progress import ProgressFiles
@@ -23,6 +24,8 @@ class Kind:
         It has the functions `prepare`, `run` and `finish` (see `app.work.task`).
     stages : tuple of str
         What the work is doing in each of the three calls, for the client.
+    labelling : str
+        What the second call is doing where a network labels the scans.
     urgent : bool
         Somebody waits for it: it goes first, and never behind long work.
     changes_drive : bool
@@ -31,8 +34,15 @@ class Kind:
 
     module: str
     stages: tuple[str, str, str]
+    labelling: str = ""
     urgent: bool = True
     changes_drive: bool = True
+
+    def stages_of(self, request: dict[str, Any]) -> tuple[str, str, str]:
+        """Return what the work is doing in each of the three calls for a request."""
+        first, second, third = self.stages
+        labels = bool(self.labelling) and (request.get("options") or {}).get("model") is not None
+        return first, self.labelling if labels else second, third
 
     def load(self) -> ModuleType:
         """Import the module; workers do that, the server need not."""
@@ -43,7 +53,7 @@ KINDS: dict[str, Kind] = {
     JobKind.INTERSECTIONS: Kind(
         "app.work.intersections", ("preparing", "detecting", "mapping"), urgent=False, changes_drive=False
     ),
-    JobKind.COMMIT: Kind("app.work.commit", ("checking", "reducing", "storing")),
+    JobKind.COMMIT: Kind("app.work.commit", ("checking", "reducing", "storing"), labelling="labelling"),
     JobKind.UNPACK: Kind("app.work.unpack", ("checking", "unpacking", "storing")),
     JobKind.DEMO: Kind("app.work.demo", ("preparing", "simulating", "storing")),
 }

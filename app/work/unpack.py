@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO
 
-from app.paths import BadNameError, check_path, is_map
+from app.paths import BadNameError, check_path, is_map, is_recording
 from app.work.archive_files import ArchiveError, Member, members, too_many_files
 from app.work.places import LISTING, place_unpacked
 from app.work.task import Outcome, Part, Plan, Report, Task
@@ -169,7 +169,7 @@ class _Unpacking:
         return listing
 
     def _check_file(self, name: str, size: int) -> None:
-        limit = int(self._limits["max_file_bytes"])
+        limit = int(self._limits["max_recording_bytes" if is_recording(name) else "max_file_bytes"])
         if size > limit:
             raise ArchiveError(f"{name}: is larger than {limit / _MB:,.0f} MB, the limit of a file.")
 

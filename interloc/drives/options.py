@@ -52,7 +52,8 @@ class ReadingOptions(BaseModel):
     fix: str | None = Field(None, max_length=1000, description="Topic of the GNSS fixes in a bag.", examples=["/fix"])
     crs: str | None = Field(
         None,
-        max_length=1000,
+        max_length=100,
+        pattern=r"^[A-Za-z]+:[0-9]+$",
         description="Coordinate system of LAS files that do not name theirs.",
         examples=["EPSG:25832"],
     )

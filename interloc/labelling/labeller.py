@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ class Labeller:
     """Gives every point of a scan a label.
 
     The network is loaded when the first scan comes, once per process: a labeller that is sent to another process, or
-    inherited by a forked one, loads its own there. One labeller serves one thread at a time.
+    inherited by a forked one, loads its own there. Several threads may label at the same time.
 
     Parameters
     ----------
@@ -30,13 +31,14 @@ class Labeller:
     provider : str
         What runs the network: "cpu", or "cuda" and others where this onnxruntime has them.
     threads : int, optional
-        Processor threads per scan. All cores by default; 1 where several processes label at the same time.
+        Processor threads per scan. All cores by default; 1 where several scans are labelled at the same time.
 
     Attributes
     ----------
     model : Model
     stopwatch : Stopwatch
-        Time spent on "projection", "network" and "neighbours" in this process; loading the network does not count.
+        Time spent on "projection", "network" and "neighbours" in this process, summed over its threads; loading the
+        network does not count.
 
     Raises
     ------
@@ -54,6 +56,7 @@ class Labeller:
         self._ids = np.array(model.class_ids, np.uint32)
         self._network: Network | None = None
         self._process = 0
+        self._lock = Lock()
 
     def load(self) -> None:
         """Load the network, where this process has not done so yet: to have what is wrong with it reported early.
@@ -89,41 +92,46 @@ class Labeller:
             The provider is not installed or does not start.
         """
         points = _checked(points)
-        network, model, lap = self._loaded(), self.model, self.stopwatch.lap
-        self.stopwatch.start()
+        network, model, stopwatch = self._loaded(), self.model, Stopwatch()
         projection = project(points, model.height, model.width, model.fov_up_rad, model.fov_down_rad)  # III-A
         if not projection.filled.any():
             return np.full(len(points), self._ids[0], np.uint32)
         image = range_image(points, projection)
         given = normalise(image, projection, model.form.channels, model.means, model.stds)
-        lap("projection")
+        stopwatch.lap("projection")
         classes = network.run(given, projection.filled)  # III-B
-        lap("network")
+        stopwatch.lap("network")
         if model.knn is None:
             found = by_pixel(classes, projection)
         else:
             found = vote(classes, projection, model.knn, first_class=model.first_class)  # III-D
         labels: UInt32Array = self._ids[found]
-        lap("neighbours")
+        stopwatch.lap("neighbours")
+        with self._lock:
+            self.stopwatch.add(stopwatch.seconds)
         return labels
 
     def _loaded(self) -> Network:
-        if self._network is None or self._process != os.getpid():
-            model = self.model
-            self._network = Network(
-                model.graph,
-                model.form,
-                height=model.height,
-                width=model.width,
-                classes=len(model.class_ids),
-                provider=self._provider,
-                threads=self._threads or cores(),
-            )
-            self._process = os.getpid()
-        return self._network
+        with self._lock:
+            if self._network is None or self._process != os.getpid():
+                model = self.model
+                self._network = Network(
+                    model.graph,
+                    model.form,
+                    height=model.height,
+                    width=model.width,
+                    classes=len(model.class_ids),
+                    provider=self._provider,
+                    threads=self._threads or cores(),
+                )
+                self._process = os.getpid()
+            return self._network
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_network": None, "stopwatch": Stopwatch()}
+        return self.__dict__ | {"_network": None, "_lock": None, "stopwatch": Stopwatch()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state | {"_lock": Lock()})
 
 
 def _checked(points: Float32Array) -> Float32Array:

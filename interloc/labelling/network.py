@@ -108,18 +108,19 @@ class Network:
         if self._form.mask is not None:
             feed[self._form.mask.name] = _laid_out(filled[None], self._form.mask)
         try:
-            found = self._session.run(self._outputs, feed)
+            outputs = self._outputs
+            found = self._session.run(outputs, feed)
         except Exception as error:  # onnxruntime's errors have no common base
             raise ModelError(
                 f"{self._path} failed on a range image: {_first_line(error)} "
                 "Usual cause: sizes inside of the network that fit another image, or too little memory."
             ) from error
-        for name, output in zip(self._outputs, found, strict=True):
+        for name, output in zip(outputs, found, strict=True):
             layout = output_layout(_TYPES.get(output.dtype, ""), output.shape, self._sizes)
             if layout is not None:
                 self._outputs = [name]  # the others need not be fetched again
                 return self._classes_of(output, layout)
-        shapes = ", ".join(f"{name!r} {array.shape}" for name, array in zip(self._outputs, found, strict=True))
+        shapes = ", ".join(f"{name!r} {array.shape}" for name, array in zip(outputs, found, strict=True))
         raise ModelError(
             f"{self._path} gives {shapes} for an image of {self._sizes['H']} x {self._sizes['W']} pixels; expected "
             f"{self._classes} scores or one class per pixel. Usual cause: an export that lacks the last layers."
@@ -175,7 +176,7 @@ def _open_session(path: Path, provider: str, *, threads: int, optimise: bool) ->
     runtime = _onnxruntime()
     chosen = _provider(provider)
     options = runtime.SessionOptions()
-    options.log_severity_level = 3  # errors; its warnings are about the making of the graph
+    options.log_severity_level = 4  # what goes wrong comes as an exception as well
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     if not optimise:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from interloc.files import reason_of
 
 MAX_BYTES = 64 * 1024
 """Of a file of settings; published ones have 3 to 6 KB."""
+
+MAX_DEPTH = 20
 
 _MISSING = object()
 
@@ -33,6 +36,10 @@ class SettingsFile:
     def has(self, field: str) -> bool:
         """Return whether a field such as ``post.KNN.use`` is there and not empty."""
         return self._find(field) not in (_MISSING, None)
+
+    def is_whole(self, field: str) -> bool:
+        """Return whether a field is a whole number."""
+        return isinstance(self._find(field), int)
 
     def whole(self, field: str, lowest: int, highest: int) -> int:
         """Return a whole number.
@@ -192,16 +199,24 @@ def read_settings(path: Path) -> SettingsFile:
 
     data = _read_bytes(path)
     try:
-        if any(isinstance(event, yaml.events.AliasEvent) for event in yaml.parse(data, yaml.SafeLoader)):
-            raise ModelError(f"{path} uses aliases (*name), which can unfold without bounds. Write the values out.")
+        _check_structure(path, yaml.parse(data, yaml.SafeLoader), yaml)
         values = yaml.safe_load(data)
-    except RecursionError:
-        raise ModelError(f"{path} is nested more deeply than any file of settings.") from None
     except (yaml.YAMLError, ValueError, OverflowError, TypeError, AttributeError, KeyError, IndexError) as error:
         raise ModelError(f"{path} is not YAML that can be read: {' '.join(str(error).split())[:300]}") from None
     if not isinstance(values, dict):
-        raise ModelError(f"{path}: expected a table of settings (name: value), found {_shown(values)}.")
+        raise ModelError(f"{path}: expected a table of settings (name: value); {_shown(values)}.")
     return SettingsFile(path, values)
+
+
+def _check_structure(path: Path, events: Iterator[Any], yaml: Any) -> None:  # noqa: ANN401 - a module without types
+    """Refuse, before anything is made of it, what could unfold or take very long."""
+    depth = 0
+    for event in events:
+        if isinstance(event, yaml.events.AliasEvent):
+            raise ModelError(f"{path} uses aliases (*name), which can unfold without bounds. Write the values out.")
+        depth += isinstance(event, yaml.events.CollectionStartEvent) - isinstance(event, yaml.events.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise ModelError(f"{path} is nested more than {MAX_DEPTH} deep, which no file of settings is.")
 
 
 def _read_bytes(path: Path) -> bytes:

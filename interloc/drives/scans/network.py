@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from interloc.arrays import UInt32Array
 from interloc.drives.findings import Findings
 from interloc.drives.scans.recorded import Recording, ScanPoints
@@ -60,7 +58,8 @@ class NetworkLabels:
             return known
         values = points.values
         if self.remission_scale != 1:
-            values = values / np.array([1, 1, 1, self.remission_scale], np.float32)
+            values = values.copy()
+            values[:, 3] /= self.remission_scale
         labels: UInt32Array = self.labeller.label(values)
         self._recent[frame] = labels
         while len(self._recent) > _REMEMBERED:

@@ -198,9 +198,11 @@ class SourceScans(_Model):
     """The scans that a reduced drive was made of."""
 
     scan_bytes: _Total
-    points_per_scan: _Total = Field(description="Median number of points per scan.")
-    least_points: _Total
-    most_points: _Total
+    points_per_scan: _Total | None = Field(
+        None, description="Median number of points per scan; null where it was not known without reading them."
+    )
+    least_points: _Total | None = None
+    most_points: _Total | None = None
 
 
 class ReducedManifest(_Model):

@@ -1,0 +1,216 @@
+"""The vote of neighbours, against a plain twin that can also do what the published code does."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from interloc.arrays import Float32Array, Int32Array, UInt8Array
+from interloc.kernels.neighbours import spread_extremes, vote_of_neighbours
+from interloc.kernels.projection import project_points
+from interloc.labelling.neighbours import KnnSettings, by_pixel, vote, window_weights
+from interloc.labelling.projection import Projection
+
+HEIGHT, WIDTH = 8, 24
+UP, DOWN = math.radians(3.0), math.radians(25.0)
+CAR, ROAD, WALL = 1, 9, 13
+
+
+def plain_vote(
+    classes: UInt8Array,
+    index: Int32Array,
+    pixel: Int32Array,
+    depth: Float32Array,
+    settings: KnnSettings,
+    *,
+    as_published: bool = False,
+) -> list[int]:
+    """Loop over points and windows; `as_published`: azimuth is not wrapped, and what is beyond an edge has range 0."""
+    height, width = index.shape
+    weights = window_weights(settings.search, settings.sigma)
+    reach = settings.search // 2
+    found = []
+    for at, own_depth in zip(pixel, depth, strict=True):
+        if at < 0:
+            found.append(0)
+            continue
+        row, column = divmod(int(at), width)
+        candidates = []
+        for dy in range(-reach, reach + 1):
+            for dx in range(-reach, reach + 1):
+                weight = weights[dy + reach, dx + reach]
+                y, x = row + dy, column + dx if as_published else (column + dx) % width
+                inside = 0 <= y < height and 0 <= x < width
+                own = dy == dx == 0
+                if inside:
+                    i = index[y, x]
+                    their_depth = own_depth if own else depth[i] if i >= 0 else np.float32(np.inf)
+                else:
+                    their_depth = np.float32(0 if as_published else np.inf)
+                distance = np.float32(abs(their_depth - own_depth)) * weight
+                class_ = int(classes[y, x]) if inside else 0
+                if as_published or own or (inside and i >= 0):
+                    candidates.append((float(distance), not own, float(weight), dy, dx, class_))
+        nearest = sorted(candidates)[: settings.neighbours]
+        if settings.cutoff > 0:
+            nearest = [each for each in nearest if each[0] <= np.float32(settings.cutoff)]
+        votes = Counter(each[-1] for each in nearest if each[-1] >= 1)
+        if votes:
+            found.append(min(votes, key=lambda class_: (-votes[class_], class_)))
+        else:
+            found.append(1 if as_published else int(classes[row, column]))
+    return found
+
+
+def random_scene(seed: int, kinds: int = 4) -> tuple[UInt8Array, Int32Array, Int32Array, Float32Array]:
+    """Some 150 points on walls at a few distances, so that many are equally near, and classes of the pixels."""
+    generator = np.random.default_rng(seed)
+    azimuth, pitch = generator.uniform(-np.pi, np.pi, 200), generator.uniform(-0.5, 0.1, 200)
+    distance = generator.choice([2.0, 5.0, 5.25, 6.0, 20.0], 200)
+    xyz = np.column_stack([np.cos(azimuth) * np.cos(pitch), np.sin(azimuth) * np.cos(pitch), np.sin(pitch)])
+    points = np.column_stack([xyz * distance[:, None], np.zeros(200)]).astype(np.float32)
+    points[::19] = np.nan
+    classes = generator.integers(0, kinds, (HEIGHT, WIDTH)).astype(np.uint8)
+    return classes, *project_points(points, HEIGHT, WIDTH, UP, DOWN)
+
+
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1, 3, 5, 7]),
+    st.integers(1, 9),
+    st.sampled_from([0.0, 0.25, 1.0]),
+    st.sampled_from([0.5, 1.0, 3.0]),
+    st.sampled_from([1, 2, 4]),
+)
+def test_equals_the_plain_twin(seed: int, search: int, knn: int, cutoff: float, sigma: float, kinds: int) -> None:
+    scene = random_scene(seed, kinds)
+    settings = KnnSettings(min(knn, search * search), search, sigma, cutoff)
+    found = vote(scene[0], Projection(*scene[1:]), settings)
+    assert found.tolist() == plain_vote(*scene, settings)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([3, 5, 7]))
+def test_away_from_the_edges_it_is_the_published_vote(seed: int, search: int) -> None:
+    scene = random_scene(seed)
+    classes, _, pixel, _ = scene
+    classes += 1  # where every pixel has a class, somebody votes
+    settings = KnnSettings(5, search, 1.0, 1.0)
+    found, published = vote(classes, Projection(*scene[1:]), settings), plain_vote(*scene, settings, as_published=True)
+    row, column = pixel // WIDTH, pixel % WIDTH
+    reach = search // 2
+    inner = (row >= reach) & (row < HEIGHT - reach) & (column >= reach) & (column < WIDTH - reach) & (pixel >= 0)
+    assert found[inner].tolist() == np.array(published)[inner].tolist()
+
+
+def scene_of(ranges: list[list[float]], classes: list[list[int]]) -> tuple[UInt8Array, Projection]:
+    """One point per pixel; no point where the range is 0."""
+    depth = np.array(ranges, np.float32)
+    pixel = np.flatnonzero(depth.ravel()).astype(np.int32)
+    index = np.full(depth.size, -1, np.int32)
+    index[pixel] = np.arange(len(pixel))
+    return np.array(classes, np.uint8), Projection(index.reshape(depth.shape), pixel, depth.ravel()[pixel])
+
+
+def with_point(projection: Projection, pixel: int, depth_m: float) -> Projection:
+    """Add a point that is hidden in its pixel."""
+    return Projection(
+        projection.index,
+        np.append(projection.pixel, np.int32(pixel)),
+        np.append(projection.depth, np.float32(depth_m)),
+    )
+
+
+def test_wall_behind_a_pole_is_wall() -> None:
+    ranges = [[20.0] * 9 for _ in range(5)]
+    classes = [[WALL] * 9 for _ in range(5)]
+    for row in range(5):
+        ranges[row][4], classes[row][4] = 5.0, 18
+    image, projection = scene_of(ranges, classes)
+    projection = with_point(projection, 2 * 9 + 4, 20.0)
+    found = vote(image, projection, KnnSettings())
+    assert found[-1] == WALL
+    assert by_pixel(image, projection)[-1] == 18
+    np.testing.assert_array_equal(found[:-1], image.ravel())  # nobody else changes
+
+
+def test_neighbours_are_found_across_the_seam() -> None:
+    ranges = [[0.0] * 24 for _ in range(3)]
+    classes = [[0] * 24 for _ in range(3)]
+    for row in range(3):
+        for column in (22, 23):
+            ranges[row][column], classes[row][column] = 10.0, ROAD
+    ranges[1][0], classes[1][0] = 10.0, CAR  # one wrong pixel, on the seam
+    image, projection = scene_of(ranges, classes)
+    settings = KnnSettings(7, 3, 1.0, 1.0)
+    where = projection.pixel.tolist().index(24)
+    scene = (image, projection.index, projection.pixel, projection.depth)
+    assert vote(image, projection, settings)[where] == ROAD
+    assert plain_vote(*scene, settings, as_published=True)[where] == CAR
+
+
+def test_where_nobody_votes_a_point_keeps_the_class_of_its_pixel() -> None:
+    image, projection = scene_of([[0, 0, 0], [0, 10, 0], [0, 0, 0]], [[CAR] * 3, [CAR, 0, CAR], [CAR] * 3])
+    settings = KnnSettings(5, 3, 1.0, 1.0)
+    assert vote(image, projection, settings).tolist() == [0]
+    scene = (image, projection.index, projection.pixel, projection.depth)
+    assert plain_vote(*scene, settings, as_published=True) == [1]
+
+
+def test_equal_votes_go_to_the_lowest_class() -> None:
+    image, projection = scene_of([[10, 10, 0, 0, 0]], [[WALL, ROAD, 0, 0, 0]])
+    assert vote(image, projection, KnnSettings(2, 3, 1.0, 1.0)).tolist() == [ROAD, ROAD]
+
+
+@pytest.mark.parametrize(("cutoff", "expected"), [(0.5, CAR), (4.0, ROAD), (0.0, ROAD)])
+def test_cutoff_keeps_those_that_are_far_from_voting(cutoff: float, expected: int) -> None:
+    image, projection = scene_of([[12, 12, 10, 12, 12]], [[ROAD, ROAD, CAR, ROAD, ROAD]])
+    assert vote(image, projection, KnnSettings(5, 3, 1.0, cutoff))[2] == expected
+
+
+def test_class_0_votes_where_it_is_a_class() -> None:
+    image, projection = scene_of([[10, 10, 10, 0, 0]], [[0, CAR, 0, 0, 0]])
+    settings = KnnSettings(3, 3, 1.0, 1.0)
+    assert vote(image, projection, settings)[1] == CAR
+    assert vote(image, projection, settings, first_class=0)[1] == 0
+
+
+def test_points_without_a_pixel_get_class_0() -> None:
+    image, projection = scene_of([[10, 10, 10]], [[ROAD] * 3])
+    projection = with_point(projection, -1, -1.0)
+    assert vote(image, projection, KnnSettings(3, 3, 1.0, 1.0)).tolist() == [ROAD] * 3 + [0]
+    assert by_pixel(image, projection).tolist() == [ROAD] * 3 + [0]
+
+
+def test_window_weights_are_those_published() -> None:
+    weights = window_weights(3, 1.0)
+    bell = [[math.exp(-(x * x + y * y) / 2) for x in (-1, 0, 1)] for y in (-1, 0, 1)]
+    np.testing.assert_allclose(weights, 1 - np.array(bell) / np.sum(bell), atol=1e-7)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1, 3, 7]))
+def test_extremes_of_windows_equal_the_plain_twin(seed: int, side: int) -> None:
+    classes, index, *_ = random_scene(seed)
+    lowest, highest = spread_extremes(classes, index, side)
+    reach = side // 2
+    for row in range(HEIGHT):
+        for column in range(WIDTH):
+            window = [
+                int(classes[y, x % WIDTH])
+                for y in range(max(row - reach, 0), min(row + reach + 1, HEIGHT))
+                for x in range(column - reach, column + reach + 1)
+                if index[y, x % WIDTH] >= 0
+            ]
+            assert lowest[row, column] == min(window, default=255)
+            assert highest[row, column] == max(window, default=0)
+
+
+def test_window_as_wide_as_the_image() -> None:
+    image, projection = scene_of([[10, 10, 10]], [[ROAD, ROAD, CAR]])
+    weights = window_weights(3, 1.0)
+    found = vote_of_neighbours(image, projection.index, projection.pixel, projection.depth, weights, 3, 1.0, 1)
+    assert found.tolist() == [ROAD] * 3
