@@ -295,11 +295,19 @@ def test_local_coordinates_without_a_system_have_no_georeference(tmp_path: Path)
     np.testing.assert_allclose(drive.T_world_lidar[-1, :3, 3], [59, 0, 0], atol=1.5)
 
 
+def test_files_of_different_systems_are_refused(tmp_path: Path) -> None:
+    street(tmp_path)
+    xyz, times, _ = straight_cloud()
+    write_las(tmp_path / "other.las", xyz, times_s=times, labels=11, crs="EPSG:25833")
+    with pytest.raises(DriveError, match=r"other.las: is in ETRS89 / UTM zone 33N, and another .* UTM zone 32N"):
+        interloc.open_drive(tmp_path)
+
+
 def test_the_system_can_be_named(tmp_path: Path) -> None:
     street(tmp_path, crs=None)
     assert interloc.open_drive(tmp_path, crs=UTM32).georeference is not None
-    with pytest.raises(DriveError, match="crs 'nonsense': is not known"):
-        interloc.open_drive(tmp_path, crs="nonsense")
+    with pytest.raises(DriveError, match="crs 'EPSG:1': is not known"):
+        interloc.open_drive(tmp_path, crs="EPSG:1")
 
 
 @pytest.mark.parametrize("compressed", [True, False])

@@ -54,7 +54,7 @@ def open_mapping(
     track = _find_track(clouds, parts, options)
     sample, has_intensity = _sample(clouds, folder)
     grid = _grid(clouds, options, findings)
-    vehicle = _vehicle(track, sample, grid, clouds[0].file, findings)
+    vehicle = _vehicle(track, sample, grid, clouds[0], findings)
     slices = cut(vehicle.times_s, vehicle.position)
     index = index_clouds(clouds, slices, folder, findings)
     _check_outside(index, track, findings)
@@ -147,7 +147,7 @@ def _find_track(clouds: tuple[CloudFile, ...], parts: DriveParts, options: Drive
 
 def _sample(clouds: tuple[CloudFile, ...], folder: SourceFile) -> tuple[Sample, bool]:
     """Read some points of some files, from their beginnings and ends, and tell whether they have an intensity."""
-    chosen = np.unique(np.linspace(0, len(clouds) - 1, _SAMPLED_FILES).astype(int))
+    chosen = _some_of(clouds)
     times, xyz, has_intensity = [], [], False
     for at in chosen:
         for block in sorted({0, clouds[at].blocks - 1}):
@@ -168,12 +168,23 @@ def _sample(clouds: tuple[CloudFile, ...], folder: SourceFile) -> tuple[Sample, 
     return Sample(all_times, all_xyz, clouds[0].time_offset_s), has_intensity
 
 
+def _some_of(clouds: tuple[CloudFile, ...]) -> list[int]:
+    """Return the positions of the files that are looked into before all are read: the first, the last, some between."""
+    return sorted(set(np.linspace(0, len(clouds) - 1, _SAMPLED_FILES).astype(int).tolist()))
+
+
 def _grid(clouds: tuple[CloudFile, ...], options: DriveOptions, findings: Findings) -> Grid | None:
     """Return the coordinate system that was named, or that the files state; None where none is stated."""
     file = clouds[0].file
     if options.crs is not None:
         return named_grid(options.crs, file)
-    crs = clouds[0].crs()
+    stated = [clouds[at].crs() for at in _some_of(clouds)]
+    crs = stated[0]
+    if different := next((other for other in stated if other != crs), None):
+        raise file.fault(
+            f"is in {crs.name if crs else 'no stated system'}, and another of the files in {different.name}. Expected "
+            "files of one coordinate system; reproject them, or name the one that is right (--crs EPSG:25832)."
+        )
     if crs is None:
         if max(abs(value) for cloud in clouds for value in (*cloud.minimum[:2], *cloud.maximum[:2])) > 100_000:
             raise file.fault(
@@ -188,9 +199,9 @@ def _grid(clouds: tuple[CloudFile, ...], options: DriveOptions, findings: Findin
     return grid_of(crs, f"stated in {file.name}", file)
 
 
-def _vehicle(track: Track, sample: Sample, grid: Grid | None, cloud: SourceFile, findings: Findings) -> Vehicle:
+def _vehicle(track: Track, sample: Sample, grid: Grid | None, first: CloudFile, findings: Findings) -> Vehicle:
     """Bring the trajectory into the clock and the coordinates of the cloud."""
-    position = track.position.copy()
+    position, cloud = track.position.copy(), first.file
     if track.geographic:
         if grid is None:
             raise cloud.fault(
@@ -202,12 +213,13 @@ def _vehicle(track: Track, sample: Sample, grid: Grid | None, cloud: SourceFile,
             raise outside(track.file, grid, "the trajectory")
     if grid is not None and not np.isfinite(grid.axes(position[[0, -1]])).all():
         raise outside(track.file, grid, "the trajectory")
+    header = "adjusted standard time" if first.standard_time else "seconds of the GPS week"
     match = match_clocks(sample, track.times_s, position[:, :2], track.file, cloud.name)
     times = track.times_s + match.offset_s
     findings.note(
         track.file.name,
         f"{match.reason}: {match.offset_s:+.0f} s are added; by that the points are {match.distance_m:.0f} m away "
-        "from the vehicle when they were measured (median).",
+        f"from the vehicle when they were measured (median). The header states {header}.",
     )
     position[:, 2] += _height_offset(times, position, sample, track.file, findings)
     heading, reason = _heading(track, position, grid, findings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.poses.motion import rows_apart
-from interloc.drives.scans.las.clouds import BLOCK_POINTS, ROAD_SURFACE, Block, CloudFile, Field
+from interloc.drives.scans.las.clouds import BLOCK_POINTS, ROAD_SURFACE, Block, CloudFile, Field, in_words
 from interloc.drives.scans.recorded import ScanPoints
 
 SLICE_M = 2.1
@@ -26,6 +27,7 @@ MAX_GAP_M = 100.0
 MAX_SCAN_POINTS = 4_000_000
 """Of a scan with more, as where the vehicle waited, every second (third, ...) point is read."""
 
+_KEPT_BLOCKS = 4
 _MAX_PIECES = 20_000_000
 _WORTH_SAYING, _HOPELESS, _HOPELESS_POINTS = 8, 100, 5e9
 _FIELDS: frozenset[Field] = frozenset({"xyz", "labels", "intensity", "time"})
@@ -243,8 +245,18 @@ class SlicedClouds:
         return mine
 
     def _blocks(self, frame: int) -> Iterator[Block]:
+        """Yield the blocks of a scan; the first is often the last of the scan before, and is at hand."""
         for at, start, count in self._runs(frame):
-            yield from self.clouds[at].read(start, count, _FIELDS)
+            cloud, number, end = self.clouds[at], start, start + count
+            state = _state(cloud)
+            while number < end and (known := _recent.blocks.get((state, number))) is not None:
+                yield known
+                number += 1
+            if number < end:
+                for block in cloud.read(number, end - number, _FIELDS):
+                    _recent.keep((state, number), block)
+                    yield block
+                    number += 1
 
     def _runs(self, frame: int) -> Iterator[tuple[int, int, int]]:
         """Yield the blocks of a scan: position of the file, first block in it, and how many follow each other."""
@@ -255,6 +267,31 @@ class SlicedClouds:
         for run in np.split(np.arange(len(blocks)), breaks):
             at = int(files[run[0]])
             yield at, int(blocks[run[0]] - begins[at]), len(run)
+
+
+_State = tuple[Path, int, int]
+
+
+class _Recent(threading.local):
+    """The blocks that a thread read last; scans are mostly read one after the other, and share them."""
+
+    def __init__(self) -> None:
+        self.blocks: dict[tuple[_State, int], Block] = {}
+
+    def keep(self, key: tuple[_State, int], block: Block) -> None:
+        while len(self.blocks) >= _KEPT_BLOCKS:
+            del self.blocks[next(iter(self.blocks))]
+        self.blocks[key] = block
+
+
+_recent = _Recent()
+
+
+def _state(cloud: CloudFile) -> _State:
+    """Return what changes when a file does."""
+    with in_words(cloud.file):
+        stat = cloud.file.path.stat()
+    return cloud.file.path, stat.st_mtime_ns, stat.st_size
 
 
 def without_empty(slices: Slices, index: SliceIndex) -> tuple[Slices, SliceIndex, IntArray]:
