@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, Literal
 
@@ -165,6 +165,12 @@ class Block:
             times_s=np.array(points["gps_time"] if "time" in fields and with_time else [], dtype=np.float64),
             withheld=np.array(points["withheld"], dtype=bool) if count else np.zeros(0, dtype=bool),
         )
+
+
+def all_of(clouds: Sequence[CloudFile]) -> SourceFile:
+    """Return what messages about all files of a drive call them: the one file, or ``*.laz`` in its folder."""
+    first = clouds[0].file
+    return first if len(clouds) == 1 else replace(first, path=first.path.with_name(f"*{first.path.suffix}"))
 
 
 def require_laspy(name: str) -> ModuleType:

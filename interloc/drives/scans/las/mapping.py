@@ -15,7 +15,7 @@ from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.las.clocks import Sample, match_clocks
-from interloc.drives.scans.las.clouds import ROAD_SURFACE, CloudFile
+from interloc.drives.scans.las.clouds import ROAD_SURFACE, CloudFile, all_of
 from interloc.drives.scans.las.grid import Grid, grid_of, named_grid, outside
 from interloc.drives.scans.las.slices import (
     MAX_SCAN_POINTS,
@@ -50,7 +50,7 @@ def open_mapping(
     DriveError
         They have no times, no trajectory or no coordinate system, or these do not fit together.
     """
-    folder = parts.file(parts.scans)
+    folder = all_of(clouds)
     track = _find_track(clouds, parts, options)
     sample, has_intensity = _sample(clouds, folder)
     grid = _grid(clouds, options, findings)
@@ -60,6 +60,7 @@ def open_mapping(
     _check_outside(index, track, findings)
     slices, index, _ = without_empty(slices, index)
     _note_labels(index, folder, findings)
+    _note_large(index, folder, findings)
     origin = _at(slices.times_s, vehicle.times_s, vehicle.position)
     heading = vehicle.headings_at(slices.times_s)
     axes = np.tile(np.eye(2), (len(origin), 1, 1)) if grid is None else grid.axes(origin)
@@ -73,7 +74,7 @@ def open_mapping(
         SlicedClouds(clouds, slices, index, origin, to_lidar, index.has_road),
         np.arange(len(origin), dtype=np.int64),
         scan_bytes=sum(cloud.size for cloud in clouds),
-        point_counts=np.minimum(index.counts, MAX_SCAN_POINTS) if _thinned(index, folder, findings) else index.counts,
+        point_counts=-(-index.counts // index.steps),
         carries_labels=index.has_road,
         scheme="las" if index.has_road else None,
         has_remission=has_intensity,
@@ -121,7 +122,7 @@ def _courses(position: FloatArray) -> FloatArray:
 
 def _find_track(clouds: tuple[CloudFile, ...], parts: DriveParts, options: DriveOptions) -> Track:
     """Read the trajectory that was named, or the one that lies beside."""
-    folder = parts.file(parts.scans)
+    folder = all_of(clouds)
     timeless = next((cloud for cloud in clouds if not cloud.has_time), None)
     reason = "A map cloud has no scans: points need the time at which they were measured (gps_time), and a trajectory "
     reason += "says where the vehicle was then."
@@ -305,16 +306,14 @@ def _note_labels(index: SliceIndex, folder: SourceFile, findings: Findings) -> N
         )
 
 
-def _thinned(index: SliceIndex, folder: SourceFile, findings: Findings) -> bool:
-    """Return whether scans hold more points than are read of one, and say so."""
-    large = np.flatnonzero(index.counts > MAX_SCAN_POINTS)
-    if len(large):
+def _note_large(index: SliceIndex, folder: SourceFile, findings: Findings) -> None:
+    """Say so where scans hold more points than are read of one."""
+    if large := int(np.count_nonzero(index.steps > 1)):
         findings.note(
             folder.name,
-            f"{len(large):,} scans hold more than {MAX_SCAN_POINTS:,} points, up to {index.counts.max():,}: of these "
-            "every second, third, ... is read. Usual cause: the vehicle waited there.",
+            f"{large:,} scans hold more than {MAX_SCAN_POINTS:,} points, up to {index.counts.max():,}: of these every "
+            "second, third, ... is read. Usual cause: the vehicle waited there.",
         )
-    return bool(len(large))
 
 
 def _trajectory(slices: Slices, origin: FloatArray, yaw: FloatArray, grid: Grid | None, vehicle: Vehicle) -> Trajectory:

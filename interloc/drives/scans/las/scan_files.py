@@ -12,7 +12,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.poses.tum import looks_like_tum
-from interloc.drives.scans.las.clouds import ROAD_SURFACE, CloudFile, Field
+from interloc.drives.scans.las.clouds import ROAD_SURFACE, CloudFile, Field, all_of
 from interloc.drives.scans.las.slices import MAX_SCAN_POINTS
 from interloc.drives.scans.pcd import number_scans
 from interloc.drives.scans.recorded import Recording, ScanPoints
@@ -103,7 +103,7 @@ def open_scan_clouds(
         A file holds more points than any scan, or one that is looked into is damaged; where `findings` stops at it.
     """
     parts = replace(parts, poses=_pose_file(parts, options))
-    folder = parts.file(parts.scans)
+    folder = all_of(clouds)
     order, frames, times_s, how = number_scans([f"{cloud.file.path.stem}.pcd" for cloud in clouds])
     if how:
         findings.note(folder.name, how)

@@ -114,6 +114,11 @@ class SliceIndex:
     outside: int
 
     @property
+    def steps(self) -> IntArray:
+        """(S,) int64: 1 where all points of a slice are read, 2 where every second is, ..., to `MAX_SCAN_POINTS`."""
+        return np.maximum(-(-self.counts // MAX_SCAN_POINTS), 1)
+
+    @property
     def has_road(self) -> bool:
         """Whether any point is classified as road surface."""
         return bool(self.classes[ROAD_SURFACE])
@@ -224,7 +229,7 @@ class SlicedClouds:
         DriveError
             A file is missing or damaged.
         """
-        step = max(-(-int(self.index.counts[frame]) // MAX_SCAN_POINTS), 1)
+        step = int(self.index.steps[frame])
         values, labels, seen = [], [], 0
         for block in self._blocks(frame):
             rows = np.flatnonzero(self._mine(block, frame))
