@@ -7,7 +7,7 @@ from pathlib import Path
 
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.layouts import DriveParts
+from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.las.clouds import CloudFile, read_header, require_laspy
 from interloc.drives.scans.las.mapping import open_mapping
@@ -38,7 +38,8 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
         laspy is not installed; a file is damaged; or there is no trajectory, time or coordinate system where one is
         needed, or these do not fit together.
     """
-    if options.layout not in {"auto", "las"}:
+    other = any((root / folder).is_dir() for folder in SCAN_FOLDERS)  # a map may lie beside the scans
+    if options.layout != "las" and (options.layout != "auto" or other):
         return None
     found = _find(root)
     if found is None:

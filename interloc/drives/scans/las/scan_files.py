@@ -14,6 +14,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.poses.tum import looks_like_tum
 from interloc.drives.scans.las.clouds import ROAD_SURFACE, CloudFile, Field, all_of
 from interloc.drives.scans.las.slices import MAX_SCAN_POINTS
+from interloc.drives.scans.las.tracks import find_tracks, is_table
 from interloc.drives.scans.pcd import number_scans
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.trajectory import Trajectory, read_trajectory
@@ -75,16 +76,22 @@ class ScanClouds:
 
 
 def is_one_per_scan(clouds: tuple[CloudFile, ...], parts: DriveParts, options: DriveOptions) -> bool:
-    """Return whether files hold one scan each: several, all around the origin, or one pose per file beside."""
+    """Return whether files hold one scan each: all around the origin, and several or with a single pose beside.
+
+    Of a map in local coordinates the same may be true; what tells it is a trajectory in place of poses.
+    """
     around = all(
         max(abs(value) for value in (*cloud.minimum[:2], *cloud.maximum[:2])) < SENSOR_RANGE_M for cloud in clouds
     )
-    return around and options.crs is None and (len(clouds) > 1 or _has_one_pose(parts, options))
-
-
-def _has_one_pose(parts: DriveParts, options: DriveOptions) -> bool:
-    """Return whether a single file has a single pose: a drive of one scan."""
+    if not around or options.crs is not None:
+        return False
     path = _pose_file(parts, options)
+    if not path.is_file():
+        return len(clouds) > 1 and not (clouds[0].has_time and find_tracks([parts.root, parts.scans]))
+    return not is_table(path) if len(clouds) > 1 else _holds_one_pose(path)
+
+
+def _holds_one_pose(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             return len(file.read(4096).split()) in {8, 12, 13, 16, 17}

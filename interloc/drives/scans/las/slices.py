@@ -27,6 +27,7 @@ MAX_GAP_M = 100.0
 MAX_SCAN_POINTS = 4_000_000
 """Of a scan with more, as where the vehicle waited, every second (third, ...) point is read."""
 
+_MARGIN_S = 0.5  # points measured a little before the first pose, or after the last, are used; at most half a slice
 _KEPT_BLOCKS = 4
 _MAX_PIECES = 20_000_000
 _WORTH_SAYING, _HOPELESS, _HOPELESS_POINTS = 8, 100, 5e9
@@ -83,7 +84,8 @@ def cut(times_s: FloatArray, position: FloatArray) -> Slices:
     ]
     centres = np.concatenate([*inner, time[-1:]])
     middle = (centres[:-1] + centres[1:]) / 2
-    start, end = np.r_[times_s[0], middle], np.r_[middle, np.nextafter(times_s[-1], np.inf)]
+    margin = np.minimum(np.diff(centres) / 2, _MARGIN_S) if len(centres) > 1 else np.full(1, _MARGIN_S)
+    start, end = np.r_[times_s[0] - margin[0], middle], np.r_[middle, times_s[-1] + margin[-1]]
     for gap in np.searchsorted(centres, time[:-1][step >= MAX_GAP_M]):  # nothing in there
         end[gap], start[gap + 1] = np.nextafter(centres[gap], np.inf), centres[gap + 1]
     return Slices(centres, start, end)

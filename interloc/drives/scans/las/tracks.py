@@ -72,9 +72,14 @@ def find_tracks(folders: list[Path]) -> list[Path]:
 def _is_track(path: Path) -> bool:
     if path.suffix.lower() in SBET_SUFFIXES:
         return path.stat().st_size % SBET_BYTES == 0 and path.stat().st_size > 0
+    return looks_like_tum(path) or is_table(path)
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file is a table with a header that names a time and a place."""
     header = _header_of(path)
     columns = set() if header is None else set(_columns(header))
-    return looks_like_tum(path) or any({"time", *place} <= columns for place in (("x", "y"), ("lat", "lon")))
+    return any({"time", *place} <= columns for place in (("x", "y"), ("lat", "lon")))
 
 
 def read_track(file: SourceFile) -> Track:
