@@ -97,10 +97,11 @@ def vote_of_neighbours(
     distance 0 whichever point fills it, so that its class always votes. Of equally near candidates the own pixel goes
     first, then those of the lowest weight, then row by row; of classes with equal votes the lowest wins, as published.
 
-    Three things differ from the published code, and only at edges (1 point in 10,000 of real scans). Columns continue on the other side of the image,
-    which covers the full circle; published, what is beyond an edge has range 0. Pixels without a point, and rows
-    beyond the image, never vote; published, they do where there is no cutoff. Where no neighbour votes the point keeps
-    the class of its own pixel, which then is below `first_class`; published, it gets class 1 (car).
+    Three things differ from the published code, and only at edges (1 point in 10,000 of real scans). Columns continue
+    on the other side of the image, which covers the full circle; published, what is beyond an edge has range 0. Pixels
+    without a point, and rows beyond the image, never vote; published, they do where there is no cutoff. Where no
+    neighbour votes the point keeps the class of its own pixel, which then is below `first_class`; published, it gets
+    class 1 (car).
 
     Most windows are of one class, and there the vote is known without a count.
     """

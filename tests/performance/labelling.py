@@ -3,7 +3,8 @@
 From the project's folder, with PYTHONPATH=. there. Without --model, a network of a few operations stands in: its time
 says nothing about real ones, but the steps around it cost the same. Best and median over all scans and rounds are
 shown, time by the clock unless it says processor time. The target, 25 ms for projection and neighbours together, is
-meant for a scan of 120,000 points on 64 x 2048 pixels. "No two pixels alike" is the worst case of the vote: labels by chance.
+meant for a scan of 120,000 points on 64 x 2048 pixels. "No two pixels alike" is the worst case of the vote: labels by
+chance.
 """
 
 from __future__ import annotations
