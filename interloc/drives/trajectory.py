@@ -12,6 +12,7 @@ from interloc.drive import Georeference
 from interloc.drives.files import SourceFile, gaps, is_number, listed, missing_numbers, rows_by_frame
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
+from interloc.drives.georeference.kitti360 import georeference_of_kitti360
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
@@ -34,11 +35,14 @@ class LidarPoses:
         Whose poses the pose file holds.
     reason : str
         Why that is thought.
+    T_file_world : (4, 4) float64 or None
+        W in the world of the pose file.
     """
 
     T_world_lidar: FloatArray
     frame: PoseOwner
     reason: str
+    T_file_world: FloatArray | None = None
 
     @property
     def steps_m(self) -> FloatArray:
@@ -116,6 +120,10 @@ def read_trajectory(
             lines = _read_timed(file, times_s, frames, findings) if looks_like_tum(file.path) else read_poses(file)
             pose_count = len(lines.poses)
             poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
+    if georeference is None and poses is not None and poses.T_file_world is not None and parts.in_kitti360_world:
+        assert parts.poses is not None
+        source = f"{parts.file(parts.poses).name}, in the world of KITTI-360"
+        georeference = georeference_of_kitti360(poses.T_file_world @ poses.T_world_lidar, source)
     return Trajectory(poses, pose_count, times_s, georeference, reason)
 
 
@@ -137,7 +145,7 @@ def _poses_of_scans(
     lines: PoseLines, file: SourceFile, parts: DriveParts, frames: IntArray, declared: PoseFrame, findings: Findings
 ) -> LidarPoses:
     """Find the pose of the LiDAR at every scan among the poses of a file."""
-    if parts.layout == "pcd" and lines.frames is None and len(lines.poses) == len(frames):
+    if parts.layout in {"pcd", "las"} and lines.frames is None and len(lines.poses) == len(frames):
         lines = PoseLines(lines.poses, frames)  # the numbers in their names are whatever their maker chose
     missing = int(frames[-1] - frames[0]) + 1 - len(frames)
     if lines.frames is None and missing:
@@ -163,7 +171,54 @@ def _poses_of_scans(
     elif frames[0] > 0 and lines.frames is None:
         findings.note(file.name, f"the scans start at {frames[0]}, and there is one pose per scan: taken one to one.")
     lidar, frame, reason = to_lidar(lines.poses, parts, file, declared, findings)
-    return LidarPoses(_from_first(lidar[rows]), frame, reason)
+    return LidarPoses(_from_first(lidar[rows]), frame, reason, lidar[rows[0]])
+
+
+def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> IntArray:
+    """Leave out the scans of KITTI-360 that have no pose: it has none where the GNSS failed, and at the ends.
+
+    Parameters
+    ----------
+    frames : (N,) int64
+        Scan numbers, ascending.
+
+    Returns
+    -------
+    (M,) int64
+        Numbers of the scans to use; all of them in any other layout, and where the poses cannot be read (which their
+        reader says later).
+
+    Raises
+    ------
+    DriveError
+        None of them has a pose, and `findings` stops at that.
+    """
+    if parts.layout != "kitti360" or parts.poses is None:
+        return frames
+    file = parts.file(parts.poses)
+    try:
+        numbers = read_poses(file).frames
+    except InterLocError:
+        return frames
+    if numbers is None:
+        return frames
+    posed = frames[np.isin(frames, numbers)]
+    if not len(posed):
+        findings.error(
+            file.fault(
+                f"has poses for the frames {numbers[0]} to {numbers[-1]}, and none for the scans {frames[0]} to "
+                f"{frames[-1]}. Usual cause: the poses of another drive."
+            )
+        )
+        return frames
+    if len(posed) < len(frames):
+        missing = missing_numbers(numbers, frames)
+        findings.note(
+            file.name,
+            f"{len(missing):,} of {len(frames):,} scans have no pose (frames {listed(missing)}) and are left out: "
+            "KITTI-360 has none where the GNSS failed.",
+        )
+    return posed
 
 
 def _rows_of(numbers: IntArray, frames: IntArray, file: SourceFile) -> IntArray:
@@ -199,7 +254,9 @@ def _from_first(poses: FloatArray) -> FloatArray:
 
 def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> FloatArray | None:
     """Read the time of every scan, seconds; None where there is none that fits."""
-    lines = [text.strip() for text in file.lines() if text.strip()]
+    lines = [text.strip() for text in file.lines()]
+    while lines and not lines[-1]:
+        lines.pop()
     rows = rows_by_frame(frames, len(lines))
     if rows is None:
         findings.warning(
