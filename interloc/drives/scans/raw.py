@@ -326,7 +326,7 @@ def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) 
     if folder.is_dir():
         return LabelFiles(list_numbered(parts.file(folder), ".label"))
     if recording.carries_labels:
-        return PointLabels(parts.file(parts.scans).name, recording.scheme)
+        return PointLabels("labels of the points", recording.scheme)
     other = parts.root / ("predictions" if folder.name == "labels" else "labels")
     hint = (
         f"There is {other.name}/: choose it as the label folder."
