@@ -29,8 +29,6 @@ from interloc.errors import DriveError
 from interloc.geometry import invert_transform, rotation_from_rpy, yaw_of
 from tests.las_files import UTM32, straight_cloud, write_las, write_mapping, write_scan_files, write_track
 
-pytest.importorskip("lazrs")
-
 
 @pytest.fixture(autouse=True)
 def _known_format(monkeypatch: pytest.MonkeyPatch) -> None:
