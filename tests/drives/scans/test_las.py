@@ -15,7 +15,6 @@ from pyproj import Transformer
 from scipy.spatial import cKDTree
 
 import interloc
-from interloc.drives import open as opening
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
@@ -28,12 +27,6 @@ from interloc.drives.scans.las.slices import cut
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform, rotation_from_rpy, yaw_of
 from tests.las_files import UTM32, straight_cloud, write_las, write_mapping, write_scan_files, write_track
-
-
-@pytest.fixture(autouse=True)
-def _known_format(monkeypatch: pytest.MonkeyPatch) -> None:
-    if open_las not in opening._FORMATS:
-        monkeypatch.setattr(opening, "_FORMATS", (open_las, *opening._FORMATS))
 
 
 def street(folder: Path, *, name: str = "strip.laz", header: str = "time,x,y,z", **points: Any) -> Path:
