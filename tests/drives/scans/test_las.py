@@ -193,6 +193,15 @@ def test_a_trajectory_of_another_place_is_refused(tmp_path: Path) -> None:
         interloc.open_drive(tmp_path)
 
 
+def test_a_trajectory_that_jumps_is_refused(tmp_path: Path) -> None:
+    street(tmp_path)
+    _, _, track = straight_cloud()
+    track[40, 1] += 8000
+    write_track(tmp_path / "trajectory.csv", track)
+    with pytest.raises(DriveError, match=r"jumps by 8,000 m between 320000001.950 s and 320000002.000 s"):
+        interloc.open_drive(tmp_path)
+
+
 def test_points_beyond_the_trajectory_are_left_out_and_counted(tmp_path: Path) -> None:
     street(tmp_path)
     _, _, track = straight_cloud()
