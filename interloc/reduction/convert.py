@@ -18,6 +18,7 @@ from interloc.drives.scans.raw import RawStore
 from interloc.drives.scans.reduced_format import is_reduced
 from interloc.errors import ConfigError
 from interloc.files import atomic_folder
+from interloc.labelling.remission import remission_scale
 from interloc.processes import cores
 from interloc.reduction.small_files import make_small_files
 
@@ -87,7 +88,7 @@ def convert_drive(
     numbers = frames if _is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
     label_folder: LabelFolder = "predictions" if chosen.model is not None else chosen.labels
     copies = make_small_files(reading.trajectory, numbers)
-    scale = np.array([1, 1, 1, store.recording.remission_scale()], np.float32)
+    scale = np.array([1, 1, 1, remission_scale(store.recording.sampled_remission())], np.float32)
 
     def write(row: int, folder: Path) -> None:
         frame, stem = int(frames[row]), f"{int(numbers[row]):06d}"
