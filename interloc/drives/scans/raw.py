@@ -334,6 +334,8 @@ def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) 
         else "Any semantic segmentation that writes SemanticKITTI .label files will do, or a network on the way "
         "(--model, see `interloc label --help`)."
     )
+    if parts.layout == "kitti360":
+        hint = f"KITTI-360 publishes none per scan. {hint}"
     raise parts.file(folder).fault(f"is missing. Expected one .label file per scan, with one uint32 per point. {hint}")
 
 
