@@ -154,7 +154,9 @@ def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DrivePa
         scans=scans,
         labels=root / labels,
         poses=pose_file,
-        times=_existing(root / "times.txt", scans.parent / "timestamps.txt"),
+        times=_existing(
+            root / "times.txt", scans.parent / "timestamps.txt", *(folder / "timestamps.txt" for folder in oxts)
+        ),
         calibration=(root, root / "calibration", *calibration),
         oxts=_existing(*oxts),
         geo=_existing(root / "geo.csv"),

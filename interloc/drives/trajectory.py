@@ -12,7 +12,7 @@ from interloc.drive import Georeference
 from interloc.drives.files import SourceFile, gaps, is_number, listed, missing_numbers, rows_by_frame
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
-from interloc.drives.georeference.kitti360 import georeference_of_kitti360
+from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
@@ -20,7 +20,10 @@ from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
 from interloc.drives.poses.tum import looks_like_tum, read_tum
 from interloc.errors import InterLocError
-from interloc.geometry import invert_transform
+from interloc.geometry import enu_from_lonlat, invert_transform
+
+_FIX_ERROR_M = 50.0
+"""OXTS of KITTI-360 and its poses lie at most some metres apart, where both are as published."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,9 @@ def read_trajectory(
             georeference = read_georeference(parts, frames, options.oxts)
         except InterLocError as error:
             reason = str(error)
-            raise
+            if options.oxts is not None or not parts.in_kitti360_world:  # its poses may tell
+                raise
+            findings.note("oxts", f"is not used: {reason}")
     with findings.stage():
         if times_s is None and parts.times is not None:
             times_s = _read_times(parts.file(parts.times), frames, findings)
@@ -120,11 +125,30 @@ def read_trajectory(
             lines = _read_timed(file, times_s, frames, findings) if looks_like_tum(file.path) else read_poses(file)
             pose_count = len(lines.poses)
             poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
-    if georeference is None and poses is not None and poses.T_file_world is not None and parts.in_kitti360_world:
-        assert parts.poses is not None
-        source = f"{parts.file(parts.poses).name}, in the world of KITTI-360"
-        georeference = georeference_of_kitti360(poses.T_file_world @ poses.T_world_lidar, source)
+    if options.oxts is None and parts.geo is None and parts.in_kitti360_world and poses is not None:
+        georeference = _in_kitti360_world(poses, parts, georeference, findings)
     return Trajectory(poses, pose_count, times_s, georeference, reason)
+
+
+def _in_kitti360_world(
+    poses: LidarPoses, parts: DriveParts, oxts: Georeference | None, findings: Findings
+) -> Georeference | None:
+    """Return the georeference that the poses of KITTI-360 are themselves, and which is smoother than its OXTS.
+
+    Poses that were moved elsewhere (the first is the identity, or OXTS says so) are none: then it is that of OXTS.
+    """
+    assert parts.poses is not None
+    assert poses.T_file_world is not None
+    name = parts.file(parts.poses).name
+    world = georeference_of_kitti360(poses.T_file_world @ poses.T_world_lidar, f"{name}, in the world of KITTI-360")
+    if oxts is None:
+        return world if is_karlsruhe(world) else None
+    east_north = enu_from_lonlat(oxts.lat_deg, oxts.lon_deg, np.stack([world.lon_deg, world.lat_deg], axis=1))
+    apart = float(np.median(np.linalg.norm(east_north, axis=1)))
+    if apart > _FIX_ERROR_M:
+        findings.note(name, f"the poses are {apart:,.0f} m away from OXTS in the world of KITTI-360: OXTS counts.")
+        return oxts
+    return world
 
 
 def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, findings: Findings) -> PoseLines:

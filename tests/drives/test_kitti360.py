@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from interloc import open_drive
+from interloc.drive import Georeference
 from interloc.drives.findings import Findings
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.georeference.kitti360 import ORIGIN_LAT_DEG, ORIGIN_LON_DEG, georeference_of_kitti360
@@ -78,24 +79,54 @@ def test_camera_poses_will_do(published: Path, make: ModuleType) -> None:
     np.testing.assert_allclose(drive.T_world_lidar, make.lidar_poses()[:11], atol=1e-5)
 
 
-def test_a_georeference_can_be_given(published: Path) -> None:
+def write_oxts(published: Path, *, lat_offset_deg: float = 0.0) -> Georeference:
+    """Write the OXTS of the poses, as it would be without errors, and return the georeference of the poses."""
     world = open_drive(published, labels="predictions").georeference
     assert world is not None
     oxts = published / "data_poses" / DRIVE / "oxts" / "data"
     oxts.mkdir(parents=True)
-    T_imu_lidar = T_IMU_CAM @ np.linalg.inv(
-        np.vstack([np.loadtxt(published / "calibration" / "calib_cam_to_velo.txt").reshape(3, 4), [0, 0, 0, 1]])
-    )
+    cam_to_velo = np.loadtxt(published / "calibration" / "calib_cam_to_velo.txt").reshape(3, 4)
+    T_imu_lidar = T_IMU_CAM @ np.linalg.inv(np.vstack([cam_to_velo, [0, 0, 0, 1]]))
     R_enu_up = world.R_enu_lidar @ T_imu_lidar[:3, :3].T @ np.diag([1.0, -1, -1])
     for row, frame in enumerate(range(100, 111)):
         rpy = [0.0, 0.0, float(yaw_of(R_enu_up[row]))]
-        values = [world.lat_deg[row], world.lon_deg[row], 116.0, *rpy, *[0.0] * 24]
+        values = [world.lat_deg[row] + lat_offset_deg, world.lon_deg[row], 116.0, *rpy, *[0.0] * 24]
         (oxts / f"{frame:010d}.txt").write_text(" ".join(f"{value:.12g}" for value in values))
-    given = open_drive(published, labels="predictions", oxts=oxts.parent).georeference
+    return world
+
+
+def test_oxts_can_be_given(published: Path) -> None:
+    world = write_oxts(published)
+    oxts = published / "data_poses" / DRIVE / "oxts"
+    assert find_layout(published, DriveOptions()).oxts == oxts
+    given = open_drive(published, labels="predictions", oxts=oxts).georeference
     assert given is not None
     assert given.source.endswith("lever arm of calib_cam_to_pose.txt")
     np.testing.assert_allclose(given.R_enu_lidar, world.R_enu_lidar, atol=1e-6)
-    assert find_layout(published, DriveOptions()).oxts == oxts.parent
+
+
+def test_the_poses_are_smoother_than_oxts(published: Path) -> None:
+    world = write_oxts(published)
+    found = open_drive(published, labels="predictions").georeference
+    assert found is not None
+    assert found.source == world.source
+    (published / "data_poses" / DRIVE / "oxts" / "data" / "0000000105.txt").unlink()  # a gap is not fatal
+    found = open_drive(published, labels="predictions").georeference
+    assert found is not None
+    assert found.source == world.source
+
+
+def test_poses_that_were_moved_are_placed_by_oxts(published: Path) -> None:
+    write_oxts(published, lat_offset_deg=0.01)
+    found = open_drive(published, labels="predictions").georeference
+    assert found is not None
+    assert found.source.endswith("lever arm of calib_cam_to_pose.txt")
+
+
+def test_poses_from_the_identity_are_no_georeference(published: Path, make: ModuleType) -> None:
+    text = make.pose_text(make.lidar_poses(), frames=list(range(100, 112)))
+    (published / "data_poses" / DRIVE / "poses.txt").write_text(text)
+    assert open_drive(published, labels="predictions", pose_frame="lidar").georeference is None
 
 
 def test_scans_without_a_pose_are_left_out_and_counted(published: Path) -> None:

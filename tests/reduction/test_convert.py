@@ -88,6 +88,16 @@ def test_remission_is_scaled_to_one(tmp_path: Path) -> None:
     assert 0.98 < written[:, 3].max() <= 1
 
 
+def test_ids_that_only_their_maker_knows_become_those_of_semantickitti(sequence: Path, tmp_path: Path) -> None:
+    for path in (sequence / "labels").iterdir():
+        ids = np.fromfile(path, "<u4") & 0xFFFF
+        np.where(ids == 40, 7, 900).astype("<u4").tofile(path)
+    convert_drive(sequence, tmp_path / "out", DriveOptions.of(label_scheme="7"))
+    before, after = open_drive(sequence, label_scheme="7"), open_drive(tmp_path / "out")
+    assert after.scheme.name == "semantickitti"
+    np.testing.assert_array_equal(after.ground_points(4).xyz, before.ground_points(4).xyz)
+
+
 def test_labels_of_a_network(sequence: Path, tmp_path: Path, model: Path) -> None:
     shutil.rmtree(sequence / "labels")
     folder, reading = label_drive(sequence, None, DriveOptions.of(model=model))

@@ -38,3 +38,8 @@ def georeference_of_kitti360(T_file_lidar: FloatArray, source: str) -> Georefere
         R_enu_lidar=T_file_lidar[:, :3, :3].copy(),
         source=source,
     )
+
+
+def is_karlsruhe(fixes: Georeference) -> bool:
+    """Return whether fixes lie at heights where KITTI-360 was driven, 100 to 250 m: poses from the identity do not."""
+    return bool(50 < np.median(fixes.alt_m) < 400)

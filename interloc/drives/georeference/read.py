@@ -70,7 +70,7 @@ def locate_georeference(parts: DriveParts, frames: IntArray, given: Path | None)
         return _locate_given(given, parts, frames)
     if parts.geo is not None:
         return GeoreferenceFiles("geo", parts.geo)
-    if parts.oxts is None or parts.in_kitti360_world:  # its poses are the better georeference
+    if parts.oxts is None:
         return None
     imu = locate_imu_calibration(parts)
     if parts.oxts.is_file():

@@ -15,7 +15,6 @@ from pyproj import Transformer
 from scipy.spatial import cKDTree
 
 import interloc
-from interloc.drives import open as opening
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive
@@ -28,14 +27,6 @@ from interloc.drives.scans.las.slices import cut
 from interloc.errors import DriveError
 from interloc.geometry import invert_transform, rotation_from_rpy, yaw_of
 from tests.las_files import UTM32, straight_cloud, write_las, write_mapping, write_scan_files, write_track
-
-pytest.importorskip("lazrs")
-
-
-@pytest.fixture(autouse=True)
-def _known_format(monkeypatch: pytest.MonkeyPatch) -> None:
-    if open_las not in opening._FORMATS:
-        monkeypatch.setattr(opening, "_FORMATS", (open_las, *opening._FORMATS))
 
 
 def street(folder: Path, *, name: str = "strip.laz", header: str = "time,x,y,z", **points: Any) -> Path:
@@ -199,6 +190,15 @@ def test_a_trajectory_of_another_place_is_refused(tmp_path: Path) -> None:
     _, _, track = straight_cloud()
     write_track(tmp_path / "trajectory.csv", track + np.array([0, 5000, 0, 0]))
     with pytest.raises(DriveError, match=r"was 5,0\d\d m away from the points of strip.laz"):
+        interloc.open_drive(tmp_path)
+
+
+def test_a_trajectory_that_jumps_is_refused(tmp_path: Path) -> None:
+    street(tmp_path)
+    _, _, track = straight_cloud()
+    track[40, 1] += 8000
+    write_track(tmp_path / "trajectory.csv", track)
+    with pytest.raises(DriveError, match=r"jumps by 8,000 m between 320000001.950 s and 320000002.000 s"):
         interloc.open_drive(tmp_path)
 
 

@@ -37,6 +37,7 @@ SENSOR_HEIGHT_M = 2.0
 _SAMPLED_FILES, _SAMPLED_EVERY = 20, 25
 _NEAR_M, _HEIGHTS_M = 15.0, (-1.0, 8.0)
 _MAX_OUTSIDE, _OUTSIDE_WORTH_SAYING = 0.5, 0.01
+_JUMP_M, _JUMP_MPS = 50.0, 1000.0
 _HEADING_OFF_RAD = np.radians(30)
 
 
@@ -214,6 +215,7 @@ def _vehicle(track: Track, sample: Sample, grid: Grid | None, first: CloudFile, 
             raise outside(track.file, grid, "the trajectory")
     if grid is not None and not np.isfinite(grid.axes(position[[0, -1]])).all():
         raise outside(track.file, grid, "the trajectory")
+    _check_speed(track, position)
     header = "adjusted standard time" if first.standard_time else "seconds of the GPS week"
     match = match_clocks(sample, track.times_s, position[:, :2], track.file, cloud.name)
     times = track.times_s + match.offset_s
@@ -225,6 +227,18 @@ def _vehicle(track: Track, sample: Sample, grid: Grid | None, first: CloudFile, 
     position[:, 2] += _height_offset(times, position, sample, track.file, findings)
     heading, reason = _heading(track, position, grid, findings)
     return Vehicle(times, position, heading, f"{track.file.name}; heading from {reason}")
+
+
+def _check_speed(track: Track, position: FloatArray) -> None:
+    """Refuse a trajectory that jumps."""
+    step = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    jumps = (step > _JUMP_M) & (step > _JUMP_MPS * np.diff(track.times_s))
+    if jumps.any():
+        row = int(np.argmax(jumps))
+        raise track.file.fault(
+            f"jumps by {step[row]:,.0f} m between {track.times_s[row]:.3f} s and {track.times_s[row + 1]:.3f} s, as no "
+            "vehicle does. Usual cause: a damaged line, or fixes without a solution; leave them out."
+        )
 
 
 def _height_offset(
