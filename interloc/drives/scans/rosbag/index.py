@@ -7,11 +7,13 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
+from interloc.drives.scans.rosbag.chunks import ChunkStream
 from interloc.drives.scans.rosbag.wire import Encoding
 
 MAX_MESSAGES = 20_000_000
@@ -76,6 +78,24 @@ class BagIndex:
 
     channels: list[Channel]
     damage: str = ""
+
+
+def streams_at(path: Path, places: IntArray) -> Iterator[ChunkStream]:
+    """Yield a stream for each of the (N, 4) places, which stands there; every chunk is unpacked once if they ascend.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
+    with path.open("rb") as file:
+        stream, chunk = None, -1
+        for place in places:
+            if stream is None or place[CHUNK_START] != chunk or place[OFFSET] < stream.position:
+                chunk = int(place[CHUNK_START])
+                stream = ChunkStream(file, chunk, int(place[CHUNK_BYTES]), int(place[CODEC]))
+            stream.skip_to(int(place[OFFSET]))
+            yield stream
 
 
 def ros2_spelling(name: str) -> str:

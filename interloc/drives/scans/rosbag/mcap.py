@@ -20,11 +20,7 @@ from interloc.drives.scans.rosbag.chunks import (
     largest_unpacked,
 )
 from interloc.drives.scans.rosbag.index import (
-    CHUNK_BYTES,
-    CHUNK_START,
-    CODEC,
     MAX_MESSAGES,
-    OFFSET,
     BagIndex,
     Channel,
     reading,
@@ -274,21 +270,15 @@ def read_messages(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) 
     ValueError, struct.error
         The file is damaged.
     """
-    with path.open("rb") as file:
-        stream, chunk = None, -1
-        for place in places:
-            if stream is None or place[CHUNK_START] != chunk or place[OFFSET] < stream.position:
-                chunk = int(place[CHUNK_START])
-                stream = ChunkStream(file, chunk, int(place[CHUNK_BYTES]), int(place[CODEC]))
-            stream.skip_to(int(place[OFFSET]))
-            kind, length = _PREFIX.unpack(stream.exactly(_PREFIX.size))
-            if kind != _MESSAGE or length < _MESSAGE_HEAD.size:
-                raise DamagedChunkError("its index leads to a place where no message is")
-            stream.exactly(_MESSAGE_HEAD.size)
-            size = length - _MESSAGE_HEAD.size
-            if size > MAX_MESSAGE_BYTES:
-                raise DamagedChunkError(f"announces a message of {size:,} bytes; none is larger than 512 MB")
-            yield stream.exactly(min(size, limit))
+    for stream in streams_at(path, places):
+        kind, length = _PREFIX.unpack(stream.exactly(_PREFIX.size))
+        if kind != _MESSAGE or length < _MESSAGE_HEAD.size:
+            raise DamagedChunkError("its index leads to a place where no message is")
+        stream.exactly(_MESSAGE_HEAD.size)
+        size = length - _MESSAGE_HEAD.size
+        if size > MAX_MESSAGE_BYTES:
+            raise DamagedChunkError(f"announces a message of {size:,} bytes; none is larger than 512 MB")
+        yield stream.exactly(min(size, limit))
 
 
 def _text(content: bytes, at: int) -> tuple[str, int]:

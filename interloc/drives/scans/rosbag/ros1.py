@@ -13,11 +13,7 @@ from interloc.arrays import IntArray
 from interloc.drives.files import SourceFile
 from interloc.drives.scans.rosbag.chunks import MAX_MESSAGE_BYTES, ChunkStream, DamagedChunkError, codec_number
 from interloc.drives.scans.rosbag.index import (
-    CHUNK_BYTES,
-    CHUNK_START,
-    CODEC,
     MAX_MESSAGES,
-    OFFSET,
     BagIndex,
     Channel,
     reading,
@@ -99,14 +95,8 @@ def read_messages(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) 
     ValueError, struct.error
         The bag is damaged.
     """
-    with path.open("rb") as file:
-        stream, chunk = None, -1
-        for place in places:
-            if stream is None or place[CHUNK_START] != chunk or place[OFFSET] < stream.position:
-                chunk = int(place[CHUNK_START])
-                stream = ChunkStream(file, chunk, int(place[CHUNK_BYTES]), int(place[CODEC]))
-            stream.skip_to(int(place[OFFSET]))
-            yield _message(stream, limit)
+    for stream in streams_at(path, places):
+        yield _message(stream, limit)
 
 
 def _message(stream: ChunkStream, limit: int) -> bytes:
