@@ -25,6 +25,7 @@ from interloc.drives.scans.rosbag.index import (
     Channel,
     reading,
     ros2_spelling,
+    streams_at,
 )
 from interloc.drives.scans.rosbag.wire import Encoding
 

@@ -17,6 +17,7 @@ from interloc.drives.scans.rosbag.index import (
     BagIndex,
     Channel,
     reading,
+    streams_at,
 )
 
 MAGIC = b"#ROSBAG V2.0\n"
