@@ -12,22 +12,33 @@ from interloc.drives.checks import check_flat_road, check_georeference, sample_i
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, ScanStore
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
+from interloc.drives.layouts import find_layout
 from interloc.drives.options import DriveArguments, DriveOptions, ReadingOptions
+from interloc.drives.scans.bin_files import open_bin_files
 from interloc.drives.scans.las.open import open_las
+from interloc.drives.scans.pcd import open_pcd_files
 from interloc.drives.scans.raw import RawStore
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedStore
 from interloc.drives.scans.rosbag.open import open_rosbag
-from interloc.drives.scans.scan_files import open_scan_files
 from interloc.drives.trajectory import Trajectory
 
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
 
+
+def _open_scan_files(root: Path, options: DriveOptions, findings: Findings) -> Recording:
+    """Open a folder with one file per scan."""
+    parts = find_layout(root, options)
+    if parts.layout == "pcd":
+        return open_pcd_files(parts, options, findings)
+    return open_bin_files(parts, findings, check=options.check)
+
+
 _FORMATS: tuple[Callable[[Path, DriveOptions, Findings], Recording | None], ...] = (
     open_rosbag,
     open_las,
-    open_scan_files,  # the last: it refuses a folder that is not a drive, with the usual mistake
+    _open_scan_files,  # the last: it refuses a folder that is not a drive, with the usual mistake
 )
 """Formats of scans; the first that knows a folder or file reads it. A new one is a module of `scans` and a line."""
 
