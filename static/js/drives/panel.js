@@ -76,8 +76,8 @@ async function runDemo() {
 
 function emptyNote() {
   const text =
-    "A drive is a folder of LiDAR scans with a label for every point, and poses: SemanticKITTI, KITTI raw, " +
-    "KITTI-360. The demo shows what comes out.";
+    "A drive is LiDAR scans with poses, and with a label for every point or a network that makes them: SemanticKITTI, " +
+    "KITTI raw, KITTI-360, PCD files, ROS bags, LAS. The demo shows what comes out.";
   return el("div", { class: "empty quiet" }, el("h3", {}, "No drive yet"), el("p", {}, text));
 }
 
