@@ -327,7 +327,7 @@ const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
 /** @param {DriveFolder} drive @param {string | null} model @returns {string} Why its scans are sent as they are. */
 function reasonOf({ scans, recorded }, model) {
   const all = formatBytes(scans?.bytes ?? bytesOf(recorded.values()));
-  const why = scans ? `Only the service has ${model}` : "The browser cannot reduce these files";
+  const why = model ? `${model} runs on the service` : "The browser cannot reduce these files";
   return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
 }
 
@@ -358,7 +358,10 @@ function factsOf(drive, folders, groundBytes, sending) {
     ["Layout", LAYOUTS[layout]],
     scans && ["Scans", `${plural(numbers.length, "scan")}, ${numbers[0]} to ${numbers.at(-1)}`],
     scans && ["Points", `about ${formatCount(scans.bytes / 16 / numbers.length)} per scan`],
-    recorded.size > 0 && [layout === "pcd" ? "Scans" : "Files", `${formatCount(recorded.size)}, ${formatBytes(taken)}`],
+    recorded.size > 0 && [
+      layout === "pcd" ? "Scans" : "Files",
+      `${plural(recorded.size, layout === "pcd" ? "scan" : "file")}, ${formatBytes(taken)}`,
+    ],
     ground.size > 0 && ["Files of ground points", formatCount(ground.size)],
     ["Georeference", georeferenceOf(drive)],
     maps.size > 0 && ["Maps", [...maps.keys()].join(", ")],

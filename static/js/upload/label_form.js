@@ -67,13 +67,16 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const usual = choices.some(({ value }) => value === wanted) ? wanted : choices[0].value;
   const source = radios("Where labels come from", choices, usual, () => (show(), onChange()));
   const title = unseen && !usable.length && el("p", {}, unseen.title, el("small", { class: "block" }, unseen.hint));
-  const chooser = usable.length ? source.element : el("div", {}, title);
+  const ofKeyframes = "A network labels the keyframes only, about one scan per two metres.";
+  const chooser = usable.length ? [source.element, el("small", {}, ofKeyframes)] : el("div", {}, title);
   const damaged = networks.filter(({ problem }) => problem !== null);
   const ofDamaged = damaged.map(({ name, problem }) =>
     el("small", {}, `The network ${name} cannot be used: ${problem}`),
   );
   const offered = el("div", { class: "stack-s" }, chooser, ofDamaged);
 
+  // Of a bag or of LAS files only the service knows which scans there are; labels that lie beside are sent all the same.
+  const hasPlace = drive?.layout === "pcd" || (drive?.scans && !usable.length);
   const hasFolders = () => boxes.size > 0;
   const model = () =>
     !hasFolders() && usable.length && source.value().startsWith(OF_NETWORK)
@@ -92,7 +95,7 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   show();
 
   return {
-    element: section("Labels", drive && rows, offered, drive && (unseen || !usable.length) && picker, meaning.element),
+    element: section("Labels", drive && rows, offered, hasPlace && picker, meaning.element),
     canLabel: usable.length > 0,
     setKeyframes,
 
@@ -137,12 +140,14 @@ function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }, keyfr
     );
   } else {
     const each = seconds < 0.05 ? "less than 0.1 s" : formatDuration(seconds);
-    const all = keyframes === null ? "" : `: about ${formatDuration(Math.max(1, seconds * keyframes))} for ${count}`;
+    const all = keyframes === null ? "" : `: about ${roughly(seconds * keyframes)} for ${count}`;
     facts.push(`It takes ${each} per scan on one core${all}.`);
   }
-  facts.push(" Only keyframes are labelled, about one scan per two metres.");
   return facts.join("");
 }
+
+/** @param {number} seconds @returns {string} */
+const roughly = (seconds) => (seconds < 60 ? `${Math.max(1, Math.round(seconds))}\u00a0s` : formatDuration(seconds));
 
 /**
  * What the ids of labels mean.

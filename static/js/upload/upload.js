@@ -158,7 +158,7 @@ export class Upload {
       await this.#commit();
       if (this.settings.job) await this.#startJob(this.settings.job);
       if (this.driveId) forget(this.driveId);
-      this.#update({ status: "done" });
+      this.#update({ status: "done", message: "" });
     } catch (error) {
       this.#fail(error);
     }
