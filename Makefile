@@ -19,7 +19,7 @@ install: $(READY)
 $(READY): pyproject.toml constraints.txt static/package-lock.json
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "InterLoc needs Python 3.11 or newer; PYTHON=... chooses one")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[service,dask,dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[service,dask,label,ros,las,dev]"
 	@if command -v npm >/dev/null; then npm ci --silent --omit=dev --prefix static; \
 	else echo "npm was not found: the web service will run without its page."; fi
 	@touch $(READY)

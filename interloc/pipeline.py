@@ -16,6 +16,7 @@ from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
 from interloc.drive import Drive, read_ahead, scans_of
+from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
@@ -191,6 +192,7 @@ def assemble(
         "versions": versions(),
         "scans": len(drive.frames),
         "keyframes": len(keyframes),
+        "labels": drive.label_source if isinstance(drive, FolderDrive) else None,
         "georeference": None if drive.georeference is None else drive.georeference.source,
         "workers": workers,
         "seconds": seconds + time.perf_counter() - began,

@@ -7,16 +7,20 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
+import numpy as np
+
 from interloc import cli
 from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
+from interloc.kernels.lzf import decompress_lzf
 from interloc.osm.reader import read_osm
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
 from tests.app.street import write_street
+from tests.networks import write_model
 
 commands = iter_modules(cli.__path__)
 for name in ("app.server", "app.work.intersections", *(f"interloc.cli.{each.name}" for each in commands)):
@@ -28,5 +32,8 @@ with tempfile.TemporaryDirectory() as folder:
     for folder_name in ("street", "reduced"):
         for name in ("paper", "default"):
             result = detect(open_drive(root / folder_name), preset(name))  # numba compiles, or finds all compiled
+    write_model(root / "model", height=16, width=128)
+    detect(open_drive(root / "street", model=root / "model"), preset("default"))
+    decompress_lzf(np.zeros(1, np.uint8), 1)
     write_results(result, root / "result")
     write_report(evaluate(result, read_osm(root / "street" / "map.osm")), result, root / "result")

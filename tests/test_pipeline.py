@@ -12,7 +12,7 @@ from interloc.arrays import Float32Array, IntArray
 from interloc.config import DEFAULT, DetectorConfig, with_settings
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
-from interloc.drive import scans_of
+from interloc.drive import GroundPoints, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError
@@ -238,3 +238,36 @@ class EmptyDrive:
 def test_drive_without_scans_is_refused() -> None:
     with pytest.raises(DriveError, match="nothing: the drive holds no scans"):
         detect(EmptyDrive(), CONFIG)
+
+
+class CountingDrive:
+    """A drive of scans without points, which records what was read; scan 5 is damaged."""
+
+    def __init__(self, count: int) -> None:
+        self.name, self.frames = "counted", np.arange(count)
+        self.T_world_lidar, self.times_s, self.georeference = np.tile(np.eye(4), (count, 1, 1)), None, None
+        self.is_slow = True
+        self.begun: list[int] = []
+
+    def ground_points(self, index: int) -> GroundPoints:
+        self.begun.append(index)
+        if index == 5:
+            raise DriveError("scan 5 is damaged")
+        return GroundPoints(np.full((1, 3), index, np.float32), 1)
+
+
+def test_scans_are_read_ahead_but_not_far() -> None:
+    drive = CountingDrive(20)
+    for index, scan in enumerate(read_ahead(scans_of(drive, [0, 1, 2, 3, 4, 6, 7, 8, 9, 10]), threads=3)):
+        assert len(drive.begun) <= index + 4
+        np.testing.assert_array_equal(scan.road_points, [[scan.index] * 3])
+    assert sorted(drive.begun) == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10]  # each once
+
+
+def test_a_damaged_scan_that_was_read_ahead_is_told_in_its_place() -> None:
+    scans = read_ahead(scans_of(CountingDrive(9)), threads=4)
+    for _ in range(5):
+        next(scans).road_points  # noqa: B018 - reads them
+    damaged = next(scans)
+    with pytest.raises(DriveError, match="scan 5 is damaged"):
+        damaged.road_points  # noqa: B018

@@ -122,7 +122,12 @@ _LAYERS = [
     )
     for layer in LAYERS.values()
 ]
-_SCHEME_TITLES = {"semantickitti": "SemanticKITTI", "learning": "Learning ids 0 to 19", "kitti360": "KITTI-360"}
+_SCHEME_TITLES = {
+    "semantickitti": "SemanticKITTI",
+    "learning": "Learning ids 0 to 19",
+    "kitti360": "KITTI-360",
+    "las": "LAS classification",
+}
 _LABEL_SCHEMES = [
     LabelSchemeModel(
         name=scheme.name,

@@ -232,7 +232,7 @@ def require_georeference(drive: Drive) -> None:
         raise GeoreferenceError(
             f"{drive.name}: the drive has no georeference, so its detections cannot be compared with OpenStreetMap. "
             "Give one with --oxts (a KITTI raw drive, a file of OXTS rows, a geo.csv), put oxts/data or geo.csv into "
-            "the drive, or use `interloc detect`, which needs none."
+            "the drive, place it by its roads (`interloc run --locate`), or use `interloc detect`, which needs none."
         )
 
 

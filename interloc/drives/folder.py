@@ -209,6 +209,11 @@ class FolderDrive:
         """Whether several scans should be read at once."""
         return self.ground.is_slow
 
+    @property
+    def label_source(self) -> str:
+        """Where the labels come from, in words."""
+        return self.ground.label_source
+
     def without_georeference(self) -> Self:
         """Return the drive as if it had no GNSS."""
         return replace(self, georeference=None)

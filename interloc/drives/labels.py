@@ -74,7 +74,13 @@ KITTI360 = LabelScheme(
     confusable=frozenset({6, 8, 9}),  # ground, sidewalk, parking
     known=frozenset({*range(45), 65535}),  # 65535: -1, the licence plates
 )
-SCHEMES = {scheme.name: scheme for scheme in (SEMANTICKITTI, LEARNING, KITTI360)}
+LAS = LabelScheme(
+    name="las",
+    road=frozenset({11}),  # road surface (ASPRS LAS 1.4)
+    confusable=frozenset({2}),  # ground
+    known=frozenset(range(256)),
+)
+SCHEMES = {scheme.name: scheme for scheme in (SEMANTICKITTI, LEARNING, KITTI360, LAS)}
 
 
 def named_scheme(choice: str) -> LabelScheme | None:
@@ -217,7 +223,7 @@ def check_labels(folder: str, judgement: LabelJudgement, findings: Findings) -> 
     if scheme is None or not total:
         return
     ids = sorted(counts)
-    if scheme.name not in {"custom", "learning"} and _looks_like_learning(counts):
+    if scheme.name not in {"custom", "learning", "las"} and _looks_like_learning(counts):
         findings.error(
             DriveFileError(
                 folder,

@@ -29,6 +29,10 @@ SCAN_FOLDERS: tuple[ScanFolder, ...] = ("velodyne", "velodyne_points/data")
 PCD_ENDINGS = (".pcd", ".pcd.bin")
 """Of scans in PCD files, and of nuScenes' (five float32 per point)."""
 
+KITTI360_SCANS = "data_3d_raw"
+"""Folder of the drives in KITTI-360 as it is published."""
+
+_KITTI360_POSES = ("poses.txt", "cam0_to_world.txt")
 _PCD_FOLDERS = ("pcd", "clouds", "velodyne", "velodyne_points/data", ".")
 _POSE_FILES = ("poses.txt", "poses.tum", "trajectory.tum", "trajectory.txt")
 
@@ -70,6 +74,11 @@ class DriveParts:
     geo: Path | None
     name: str = ""
     pose_frame: tuple[PoseOwner, str] | None = None
+
+    @property
+    def in_kitti360_world(self) -> bool:
+        """Whether the poses are in the world of KITTI-360: its pose file, where it is published."""
+        return self.layout == "kitti360" and self.poses is not None and self.poses.parent.parent.name == "data_poses"
 
     @property
     def drive_name(self) -> str:
@@ -116,23 +125,64 @@ def _kitti_raw(root: Path, labels: str, scan_folders: Collection[str]) -> DriveP
 
 
 def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
-    """KITTI-360: pose lines that start with the frame number, those of the left camera or of the IMU (poses.txt)."""
-    scans = next((root / folder for folder in SCAN_FOLDERS if folder in scan_folders), None)
-    poses = _existing(root / "poses.txt", root / "cam0_to_world.txt")
-    if scans is None or poses is None or _fields_of_first_line(poses) not in INDEXED_LENGTHS:
+    """KITTI-360: pose lines that start with the frame number, those of the left camera or of the IMU (poses.txt).
+
+    They lie beside the scans, or as published: scans in data_3d_raw/DRIVE, poses in data_poses/DRIVE, calibration/; of
+    such a data set its root will do, where it holds one drive.
+    """
+    scans: Path | None
+    if (published := _published_kitti360(root)) is not None:
+        dataset, root = published
+        poses = dataset / "data_poses" / root.name
+        scans, pose_folders, calibration = root / "velodyne_points" / "data", [root, poses], [dataset / "calibration"]
+        oxts = [root / "oxts", poses / "oxts", dataset / "data_poses_oxts" / root.name / "oxts"]
+    else:
+        above = root.absolute().parent
+        scans = next((root / folder for folder in SCAN_FOLDERS if folder in scan_folders), None)
+        pose_folders, calibration = [root], [above, above / "calibration", above.parent / "calibration"]
+        oxts = [root / "oxts"]
+    if scans is None or (published and not scans.is_dir()):
         return None
-    above = root.absolute().parent
+    pose_file = _existing(*(folder / name for folder in pose_folders for name in _KITTI360_POSES))
+    if pose_file is None or _fields_of_first_line(pose_file) not in INDEXED_LENGTHS:
+        if published is None:
+            return None
+        pose_file = pose_folders[-1] / _KITTI360_POSES[0]  # its reader says that it is missing, or what is wrong
     return DriveParts(
         layout="kitti360",
         root=root,
         scans=scans,
         labels=root / labels,
-        poses=poses,
-        times=_existing(root / "times.txt", scans.parent / "timestamps.txt"),
-        calibration=(root, root / "calibration", above, above / "calibration", above.parent / "calibration"),
-        oxts=_existing(root / "oxts"),
+        poses=pose_file,
+        times=_existing(
+            root / "times.txt", scans.parent / "timestamps.txt", *(folder / "timestamps.txt" for folder in oxts)
+        ),
+        calibration=(root, root / "calibration", *calibration),
+        oxts=_existing(*oxts),
         geo=_existing(root / "geo.csv"),
     )
+
+
+def _published_kitti360(root: Path) -> tuple[Path, Path] | None:
+    """Return the root of a KITTI-360 data set and the drive in it that a folder stands for; None where it is neither.
+
+    Raises
+    ------
+    DriveError
+        It is the root of a data set with several drives, or none.
+    """
+    here = root.absolute()
+    if here.parent.name == KITTI360_SCANS:
+        return here.parent.parent, root
+    scans = here if here.name == KITTI360_SCANS else here / KITTI360_SCANS
+    if not scans.is_dir():
+        return None
+    drives = sorted(folder.name for folder in scans.iterdir() if (folder / "velodyne_points" / "data").is_dir())
+    if len(drives) != 1:
+        listed = f"the drives {', '.join(drives)}: give one of them" if drives else "no drive with velodyne_points/data"
+        example = f", such as {KITTI360_SCANS}/{drives[0]}" if drives else ""
+        raise DriveFileError(str(root), f"is the root of KITTI-360, and holds {listed}{example}.")
+    return scans.parent, scans / drives[0]
 
 
 def _pcd(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:  # noqa: ARG001 - a `_Find`
@@ -187,7 +237,7 @@ _LAYOUTS: dict[LayoutName, tuple[_Find, str]] = {  # the first that fits, in thi
     "pcd": (_pcd, "000000.pcd, 000001.pcd, ... (directly in it, or in pcd/, clouds/, velodyne/) with poses.txt (PCD)"),
     "kitti360": (  # the others know nothing of frame numbers in pose lines
         _kitti360,
-        "velodyne/ or velodyne_points/data/ with pose lines that start with the frame number (KITTI-360)",
+        "velodyne/ or data_3d_raw/DRIVE/velodyne_points/ with pose lines that start with the frame number (KITTI-360)",
     ),
     "semantickitti": (
         _semantickitti,

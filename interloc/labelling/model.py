@@ -288,7 +288,7 @@ def _read_knn(arch: SettingsFile, sensor: _Sensor) -> KnnSettings | None:
 def _listed_channels(arch: SettingsFile) -> tuple[str, ...]:
     """Return the channels that the settings list; nothing where they list none."""
     for field in _CHANNEL_FIELDS:
-        if arch.has(field):
+        if arch.has(field) and not arch.is_whole(field):  # a number would be that of the laser beams
             names = tuple(_SYNONYMS.get(word.lower(), word.lower()) for word in arch.words(field))
             unknown = [name for name in names if name not in CHANNELS]
             if unknown or not names or len(set(names)) < len(names):

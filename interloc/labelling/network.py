@@ -24,6 +24,7 @@ _DTYPES = {
     "tensor(int8)": np.int8,
     "tensor(uint8)": np.uint8,
 }
+_SUFFIX = "ExecutionProvider"
 _TYPES = {np.dtype(dtype): name for name, dtype in _DTYPES.items()}
 
 
@@ -35,7 +36,7 @@ def available_providers() -> list[str]:
     ModelError
         onnxruntime is not installed.
     """
-    return [name.removesuffix("ExecutionProvider").lower() for name in _onnxruntime().get_available_providers()]
+    return [name.removesuffix(_SUFFIX).lower() for name in _providers()]
 
 
 def describe_graph(path: Path) -> tuple[list[Tensor], list[Tensor]]:
@@ -159,7 +160,7 @@ def _laid_out(image: Any, form: GraphInput) -> Any:  # noqa: ANN401 - any type o
 
 
 def _tensor(value: Any) -> Tensor:  # noqa: ANN401 - onnxruntime's NodeArg
-    sizes = tuple(size if isinstance(size, int) and size >= 0 else None for size in value.shape)
+    sizes = tuple(size if isinstance(size, int) and size >= 0 else None for size in value.shape or ())
     return Tensor(value.name, value.type, sizes)
 
 
@@ -176,7 +177,7 @@ def _open_session(path: Path, provider: str, *, threads: int, optimise: bool) ->
     runtime = _onnxruntime()
     chosen = _provider(provider)
     options = runtime.SessionOptions()
-    options.log_severity_level = 3  # errors; its warnings are about the making of the graph
+    options.log_severity_level = 4  # what goes wrong comes as an exception as well
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     if not optimise:
@@ -197,6 +198,11 @@ def _open_session(path: Path, provider: str, *, threads: int, optimise: bool) ->
     return session
 
 
+def _providers() -> list[str]:
+    """Return the full names of what can run networks on this machine; one of onnxruntime's asks a remote service."""
+    return [str(name) for name in _onnxruntime().get_available_providers() if name != "AzureExecutionProvider"]
+
+
 def _provider(choice: str) -> str:
     """Return the full name of a provider.
 
@@ -205,9 +211,9 @@ def _provider(choice: str) -> str:
     ConfigError
         It is not installed.
     """
-    for name in _onnxruntime().get_available_providers():
-        if choice.lower() in {name.lower(), name.removesuffix("ExecutionProvider").lower()}:
-            return str(name)
+    for name in _providers():
+        if choice.lower() in {name.lower(), name.removesuffix(_SUFFIX).lower()}:
+            return name
     raise ConfigError(
         f"provider {choice!r} is not available; this onnxruntime has {', '.join(available_providers())}. "
         "Usual cause: onnxruntime without that device: cuda comes with the package onnxruntime-gpu instead."

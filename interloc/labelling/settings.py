@@ -37,6 +37,10 @@ class SettingsFile:
         """Return whether a field such as ``post.KNN.use`` is there and not empty."""
         return self._find(field) not in (_MISSING, None)
 
+    def is_whole(self, field: str) -> bool:
+        """Return whether a field is a whole number."""
+        return isinstance(self._find(field), int)
+
     def whole(self, field: str, lowest: int, highest: int) -> int:
         """Return a whole number.
 

@@ -10,14 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from interloc.arrays import IntArray
+from interloc.arrays import IntArray, UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.labels import LabelScheme
 from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.drives.scans.raw import RawStore
 from interloc.drives.scans.reduced_format import is_reduced
 from interloc.errors import ConfigError
 from interloc.files import atomic_folder
+from interloc.labelling.remission import remission_scale
 from interloc.processes import cores
 from interloc.reduction.small_files import make_small_files
 
@@ -25,6 +27,7 @@ Progress = Callable[[int, int], None]
 """Called with the scans done and the scans in all."""
 
 _POSES = "poses.txt"
+_ROAD, _OTHER_GROUND = 40, 49  # ids of SemanticKITTI
 _READING_THREADS = 4
 
 
@@ -60,7 +63,8 @@ def convert_drive(
     """Write a drive of any format as a SemanticKITTI sequence, which appears whole or not at all.
 
     It holds velodyne/NNNNNN.bin, labels/ or predictions/NNNNNN.label where there are labels (or a network to make
-    them), poses.txt (LiDAR frame), times.txt and geo.csv where times and fixes are known.
+    them), poses.txt (LiDAR frame), times.txt and geo.csv where times and fixes are known. Label ids that only their
+    format knows, or that were given as those of road, become SemanticKITTI's: road, other-ground, or unlabelled.
 
     Parameters
     ----------
@@ -87,7 +91,8 @@ def convert_drive(
     numbers = frames if _is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
     label_folder: LabelFolder = "predictions" if chosen.model is not None else chosen.labels
     copies = make_small_files(reading.trajectory, numbers)
-    scale = np.array([1, 1, 1, store.recording.remission_scale()], np.float32)
+    ids_of = _ids_in_semantickitti(reading.labels.scheme)
+    scale = np.array([1, 1, 1, remission_scale(store.recording.sampled_remission())], np.float32)
 
     def write(row: int, folder: Path) -> None:
         frame, stem = int(frames[row]), f"{int(numbers[row]):06d}"
@@ -97,6 +102,8 @@ def convert_drive(
         values.astype("<f4").tofile(folder / "velodyne" / f"{stem}.bin")
         if labels is not None:
             ids = labels.of(frame, points, source.name(frame))
+            if ids_of is not None:
+                ids = ids_of[ids & 0xFFFF]
             ids[has_return].astype("<u4").tofile(folder / label_folder / f"{stem}.label")
 
     names = ("velodyne", *((label_folder,) if labels is not None else ()))
@@ -196,6 +203,13 @@ def _in_threads(work: Callable[[int], None], items: Iterable[int], threads: int,
                 progress(done, len(items))
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _ids_in_semantickitti(scheme: LabelScheme | None) -> UInt32Array | None:
+    """Return the (65536,) table from the ids of a scheme to SemanticKITTI's; None where they are known anyway."""
+    if scheme is None or scheme.name not in {"las", "custom"}:
+        return None
+    return np.array([0, _ROAD, _OTHER_GROUND], np.uint32)[scheme.groups()]
 
 
 def _is_contiguous(frames: IntArray) -> bool:

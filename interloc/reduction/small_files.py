@@ -96,7 +96,7 @@ def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopie
         copies.sources["times.txt"] = "".join(f"{time!r}\n" for time in times.tolist()).encode()
     if trajectory.georeference is not None:
         copies.files["geo"] = "geo.csv"
-        copies.sources["geo.csv"] = geo_csv_text(frames, trajectory.georeference).encode()
+        copies.sources["geo.csv"] = geo_csv_text(frames, trajectory.georeference, exact=True).encode()
     return copies
 
 

@@ -16,6 +16,7 @@ def test_road_of_every_scheme() -> None:
         "semantickitti": [40, 60],
         "learning": [9],
         "kitti360": [7],
+        "las": [11],
     }
 
 
@@ -25,6 +26,7 @@ def test_confusable_ground_of_every_scheme() -> None:
         "semantickitti": [44, 48, 49],
         "learning": [10, 11, 12],
         "kitti360": [6, 8, 9],
+        "las": [2],
     }
 
 

@@ -55,7 +55,7 @@ def plain_vote(
                 distance = np.float32(abs(their_depth - own_depth)) * weight
                 class_ = int(classes[y, x]) if inside else 0
                 if as_published or own or (inside and i >= 0):
-                    candidates.append((float(distance), not own, float(weight), dy, dx, class_))
+                    candidates.append((float(distance), not own, dy, dx, class_))
         nearest = sorted(candidates)[: settings.neighbours]
         if settings.cutoff > 0:
             nearest = [each for each in nearest if each[0] <= np.float32(settings.cutoff)]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -269,3 +271,31 @@ def test_real_scans(tmp_path: Path, data: Callable[[str], Path], name: str) -> N
         labels = labeller.label(points)
         assert labels.shape == (len(points),)
         assert np.mean(labels == truth(points)) > 0.97  # hidden points, and those beside the border
+
+
+def test_number_of_threads_does_not_change_labels(tmp_path: Path) -> None:
+    model = read_model(write_model(tmp_path / "m", **ALL_ROWS, smooth=True, output="softmax"))
+    one, two = (Labeller(model, threads=threads).label(street()) for threads in (1, 2))
+    np.testing.assert_array_equal(one, two)
+
+
+FORK = """
+import os, sys
+import numpy as np
+from interloc.labelling.labeller import Labeller
+from interloc.labelling.model import read_model
+
+points = np.random.default_rng(0).normal(0, 5, (500, 4)).astype(np.float32)
+labeller = Labeller(read_model(sys.argv[1]), threads=2)
+expected = labeller.label(points)
+child = os.fork()
+if not child:
+    os._exit(not np.array_equal(labeller.label(points), expected))
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork processes")
+def test_a_forked_process_loads_a_network_of_its_own(tmp_path: Path) -> None:
+    folder = write_model(tmp_path / "m", **ALL_ROWS)
+    subprocess.run([sys.executable, "-W", "ignore", "-c", FORK, folder], check=True, timeout=60)

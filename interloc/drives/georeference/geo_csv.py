@@ -16,6 +16,8 @@ from interloc.geometry import rotation_from_rpy, rpy_from_rotation
 
 GEO_COLUMNS = ("frame", "lat_deg", "lon_deg", "alt_m", "roll_rad", "pitch_rad", "yaw_rad")
 
+_DIGITS = (".9f", ".9f", ".3f", ".6f", ".6f", ".6f")
+
 
 def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
     """Read a geo.csv: frame, position and attitude of the LiDAR itself.
@@ -59,13 +61,20 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
     )
 
 
-def geo_csv_text(frames: IntArray, georeference: Georeference) -> str:
-    """Return the text of a geo.csv with one row per scan: what `read_geo_csv` reads."""
+def geo_csv_text(frames: IntArray, georeference: Georeference, *, exact: bool = False) -> str:
+    """Return the text of a geo.csv with one row per scan: what `read_geo_csv` reads.
+
+    Parameters
+    ----------
+    exact : bool
+        Write all digits, for a copy that gives the same results; else a tenth of a millimetre.
+    """
+    columns = (georeference.lat_deg, georeference.lon_deg, georeference.alt_m)
     angles = rpy_from_rotation(georeference.R_enu_lidar)
     rows = [",".join(GEO_COLUMNS)]
-    fixes = zip(frames, georeference.lat_deg, georeference.lon_deg, georeference.alt_m, angles, strict=True)
-    for frame, lat, lon, alt, (roll, pitch, yaw) in fixes:
-        rows.append(f"{frame},{lat:.9f},{lon:.9f},{alt:.3f},{roll:.6f},{pitch:.6f},{yaw:.6f}")
+    for frame, *values in np.column_stack([frames, *columns, angles]).tolist():
+        texts = map(repr, values) if exact else map(format, values, _DIGITS)
+        rows.append(",".join([str(int(frame)), *texts]))
     return "\n".join(rows) + "\n"
 
 

@@ -13,7 +13,13 @@ from interloc.drives.files import GeoreferenceFile
 from interloc.drives.georeference.geo_csv import read_geo_csv
 from interloc.drives.georeference.oxts import georeference_of_lidar, raw_offset, read_oxts_folder, read_oxts_rows
 from interloc.drives.layouts import DriveParts
-from interloc.drives.poses.calibration import IMU_CALIBRATION, KITTI_T_VELO_IMU, locate_imu_calibration, read_rt
+from interloc.drives.poses.calibration import (
+    IMU_CALIBRATION,
+    KITTI_T_VELO_IMU,
+    find_kitti360_imu,
+    locate_imu_calibration,
+    read_rt,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -87,6 +93,8 @@ def read_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -
     if files.kind == "geo":
         return read_geo_csv(file, frames)
     rows = read_oxts_rows(file, frames) if files.kind == "rows" else read_oxts_folder(file, frames + files.first)
+    if files.imu_calibration is None and (T_lidar_imu := find_kitti360_imu(parts)) is not None:
+        return georeference_of_lidar(rows, T_lidar_imu, f"{file.name}, lever arm of calib_cam_to_pose.txt")
     if files.imu_calibration is None:
         _log.info("%s: no calib_imu_to_velo.txt; the lever arm that KITTI publishes is used", parts.root.name)
         return georeference_of_lidar(rows, KITTI_T_VELO_IMU, f"{file.name}, lever arm as published by KITTI")

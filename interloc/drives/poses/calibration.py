@@ -77,6 +77,19 @@ def find_camera_to_pose(parts: DriveParts) -> tuple[SourceFile, FloatArray] | No
     return None if path is None else (parts.file(path), _read_keyed(parts.file(path), ("image_00",)))
 
 
+def find_kitti360_imu(parts: DriveParts) -> FloatArray | None:
+    """Return T_lidar_imu of a drive of KITTI-360, or None where its calibration is not there.
+
+    The angles of its OXTS are those of an IMU with y left and z up, its poses and calib_cam_to_pose.txt those of one
+    with y right and z down: half a turn about x lies between.
+    """
+    camera, to_pose = find_camera_calibration(parts), find_camera_to_pose(parts)
+    if parts.layout != "kitti360" or camera is None or to_pose is None:
+        return None
+    T_down_lidar = to_pose[1] @ camera[1]
+    return invert_transform(np.diag([1.0, -1.0, -1.0, 1.0]) @ T_down_lidar)
+
+
 def read_rt(file: SourceFile) -> FloatArray:
     """Read the lines "R: 9 numbers" and "T: 3 numbers" of a KITTI raw calibration, such as calib_imu_to_velo.txt."""
     lines = _keyed_lines(file)

@@ -134,7 +134,8 @@ def quaternions_from_rotations(rotations: FloatArray) -> FloatArray:
     largest = np.argmax(np.diagonal(outer, axis1=1, axis2=2), axis=1)
     column = outer[np.arange(len(r)), largest]
     unit = column / np.linalg.norm(column, axis=1, keepdims=True)
-    return np.where(unit[:, 3:] < 0, -unit, unit)
+    upward: FloatArray = np.where(unit[:, 3:] < 0, -unit, unit)
+    return upward
 
 
 def _slerp(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:

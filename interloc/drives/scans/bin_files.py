@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,9 @@ from interloc.arrays import Float32Array
 from interloc.drives.files import NumberedFiles, SourceFile, list_numbered
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
+from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording, ScanPoints
+from interloc.drives.trajectory import Trajectory, posed_frames, read_trajectory
 
 POINT_BYTES = 16
 """float32 x y z remission."""
@@ -70,6 +72,8 @@ def open_bin_files(parts: DriveParts, findings: Findings, *, check: bool) -> Rec
     if scans is None:
         return Recording(parts, None, None)
     point_bytes = _bytes_per_point(scans)
+    posed = np.isin(scans.numbers, posed_frames(parts, scans.numbers, findings))
+    scans = replace(scans, numbers=scans.numbers[posed], sizes=scans.sizes[posed])
     usable = np.arange(len(scans.numbers), dtype=np.int64)
     if check:
         wrong = (scans.sizes % point_bytes != 0) | (scans.sizes == 0)
@@ -87,13 +91,19 @@ def open_bin_files(parts: DriveParts, findings: Findings, *, check: bool) -> Rec
         usable = usable[~wrong]
     if point_bytes == RING_POINT_BYTES:
         findings.note(scans.folder.name, "20 bytes per point: read as x y z intensity ring (nuScenes).")
+    frames = scans.numbers
+
+    def trajectory(options: DriveOptions, faults: Findings) -> Trajectory:
+        return read_trajectory(parts, frames, options, faults)
+
     return Recording(
         parts,
         BinScans(scans, point_bytes),
-        scans.numbers,
+        frames,
         scan_bytes=int(scans.sizes.sum()),
         usable=usable,
         point_counts=scans.sizes // point_bytes,
+        read_trajectory=trajectory if parts.in_kitti360_world else None,  # no files of the drive's folder
     )
 
 

@@ -12,6 +12,7 @@ from interloc.drives.findings import Findings
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.labelling.labeller import Labeller
 from interloc.labelling.model import read_model
+from interloc.labelling.remission import remission_scale
 
 _REMEMBERED = 16  # scans: those that the checks look into come up again
 
@@ -77,11 +78,16 @@ def open_network(folder: Path, provider: str, recording: Recording, findings: Fi
     DriveError
         A scan is damaged.
     """
-    labeller = Labeller(read_model(folder), provider, threads=1)  # several scans are labelled at once
-    scale, where = recording.remission_scale(), recording.parts.file(recording.parts.scans).name
+    model, where = read_model(folder), recording.parts.file(recording.parts.scans).name
+    for note in model.notes:
+        findings.note(model.name, note)
+    labeller = Labeller(model, provider, threads=1)  # several scans are labelled at once
+    labeller.load()  # what is wrong with it is told now
+    remission = recording.sampled_remission()
+    scale = remission_scale(remission)
     if scale != 1:
         findings.note(where, f"the remission is not 0 to 1; it is divided by {scale:,.0f} for the network.")
-    if not recording.has_remission:
+    if not remission.any():
         findings.warning(
             where, "the points have no remission, which networks need: expect far worse labels than with it."
         )

@@ -326,7 +326,7 @@ def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) 
     if folder.is_dir():
         return LabelFiles(list_numbered(parts.file(folder), ".label"))
     if recording.carries_labels:
-        return PointLabels(parts.file(parts.scans).name, recording.scheme)
+        return PointLabels("labels of the points", recording.scheme)
     other = parts.root / ("predictions" if folder.name == "labels" else "labels")
     hint = (
         f"There is {other.name}/: choose it as the label folder."
@@ -334,6 +334,8 @@ def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) 
         else "Any semantic segmentation that writes SemanticKITTI .label files will do, or a network on the way "
         "(--model, see `interloc label --help`)."
     )
+    if parts.layout == "kitti360":
+        hint = f"KITTI-360 publishes none per scan. {hint}"
     raise parts.file(folder).fault(f"is missing. Expected one .label file per scan, with one uint32 per point. {hint}")
 
 

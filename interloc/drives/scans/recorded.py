@@ -19,7 +19,6 @@ from interloc.drives.folder import Topic
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import Trajectory
-from interloc.labelling.remission import remission_scale
 
 _SAMPLED = 3  # scans
 
@@ -107,8 +106,8 @@ class Recording:
     read_trajectory: Callable[[DriveOptions, Findings], Trajectory] | None = None
     topics: tuple[Topic, ...] = ()
 
-    def remission_scale(self) -> float:
-        """Return what the remission is divided by to lie between 0 and 1, judged from some scans.
+    def sampled_remission(self) -> Float32Array:
+        """Return the remission of the points of some scans; empty where the format has none.
 
         Raises
         ------
@@ -116,6 +115,6 @@ class Recording:
             One of them is damaged.
         """
         if self.points is None or self.frames is None or not self.has_remission:
-            return 1.0
+            return np.empty(0, np.float32)
         rows = np.unique(np.linspace(0, len(self.frames) - 1, _SAMPLED).round().astype(int))
-        return remission_scale(np.concatenate([self.points.read(int(self.frames[row])).values[:, 3] for row in rows]))
+        return np.concatenate([self.points.read(int(self.frames[row])).values[:, 3] for row in rows])

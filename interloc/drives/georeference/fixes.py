@@ -1,0 +1,143 @@
+"""Georeference from positions alone: GNSS fixes without attitude, and poses that tell how the vehicle moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.drive import Georeference
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotation_from_rpy
+
+MIN_FIXES = 3
+MIN_EXTENT_M = 10.0
+"""Less than this shows no heading."""
+
+_AROUND_M = 50.0
+"""Fixes count for a scan by how far was driven between the two: this is the standard deviation."""
+
+_BIN_M = 1.0
+_ROUNDS = 4
+_USUAL_ERROR_M = 0.5
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Positions of a GNSS antenna.
+
+    Attributes
+    ----------
+    lat_deg, lon_deg, alt_m : (K,) float64
+        On WGS84.
+    position : (K, 3) float64
+        Where the antenna was in the world of the poses, metres.
+    distance_m : (K,) float64
+        Distance driven until then, ascending.
+    """
+
+    lat_deg: FloatArray
+    lon_deg: FloatArray
+    alt_m: FloatArray
+    position: FloatArray
+    distance_m: FloatArray
+
+
+def extent_m(fixes: Fixes) -> float:
+    """Return how far the fixes reach, metres: the diagonal of the box around them."""
+    if not len(fixes.lat_deg):
+        return 0.0
+    enu = enu_from_lonlat(fixes.lat_deg[0], fixes.lon_deg[0], np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1))
+    return float(np.linalg.norm(np.ptp(enu, axis=0)))
+
+
+def georeference_from_fixes(
+    fixes: Fixes, T_world_lidar: FloatArray, distance_m: FloatArray, source: str
+) -> Georeference:
+    """Lay the poses on the fixes, anew for every scan.
+
+    Parameters
+    ----------
+    fixes : Fixes
+        At least `MIN_FIXES` over at least `MIN_EXTENT_M`.
+    T_world_lidar : (N, 4, 4) float64
+        Poses of the LiDAR in the world of the poses, whose z axis points up.
+    distance_m : (N,) float64
+        Distance driven until each.
+    source : str
+        Where the fixes came from, in words.
+
+    Notes
+    -----
+    Around each scan, the poses are turned about the vertical and moved so that they lie on the fixes with the least sum
+    of weighted squares (closed form). The weights fall with the distance driven, so that drift of an odometry does not
+    matter, and with the error of a fix, so that one that jumped does not either (Cauchy weights, some rounds). Roll and
+    pitch are those of the poses.
+    """
+    fixes = _averaged(fixes)
+    lonlat = np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1)
+    count = len(T_world_lidar)
+    placed, altitude, yaw = np.empty((count, 2)), np.empty(count), np.empty(count)
+    for row in range(count):
+        around, weights = _around(fixes.distance_m, float(distance_m[row]))
+        origin = lonlat[around][int(np.argmax(weights))]
+        enu = enu_from_lonlat(origin[1], origin[0], lonlat[around])
+        ours = fixes.position[around]
+        for _ in range(_ROUNDS):
+            angle, turn, move = _fit(ours[:, :2], enu, weights)
+            error = np.linalg.norm(ours[:, :2] @ turn.T + move - enu, axis=1)
+            scale = max(_USUAL_ERROR_M, 2.0 * float(np.median(error)))
+            robust = weights / (1.0 + (error / scale) ** 2)
+            angle, turn, move = _fit(ours[:, :2], enu, robust)
+            weights = robust
+        here = T_world_lidar[row, :3, 3]
+        placed[row] = lonlat_from_enu(origin[1], origin[0], turn @ here[:2] + move)
+        altitude[row] = np.average(fixes.alt_m[around] - ours[:, 2], weights=weights) + here[2]
+        yaw[row] = angle
+    zero = np.zeros(count)
+    return Georeference(
+        lat_deg=placed[:, 1].copy(),
+        lon_deg=placed[:, 0].copy(),
+        alt_m=altitude,
+        R_enu_lidar=rotation_from_rpy(zero, zero, yaw) @ T_world_lidar[:, :3, :3],
+        source=source,
+    )
+
+
+def _averaged(fixes: Fixes) -> Fixes:
+    """Average the fixes of every metre driven: a stop at a light counts once."""
+    _, member = np.unique(np.floor(fixes.distance_m / _BIN_M), return_inverse=True)
+    count = np.bincount(member)
+
+    def mean(values: FloatArray) -> FloatArray:
+        average: FloatArray = np.bincount(member, weights=values) / count
+        return average
+
+    return Fixes(
+        mean(fixes.lat_deg),
+        mean(fixes.lon_deg),
+        mean(fixes.alt_m),
+        np.stack([mean(fixes.position[:, axis]) for axis in range(3)], axis=-1),
+        mean(fixes.distance_m),
+    )
+
+
+def _around(distance_m: FloatArray, here_m: float) -> tuple[slice, FloatArray]:
+    """Return which fixes lie around a scan, and their weights; wider where there are few."""
+    apart = np.abs(distance_m - here_m)
+    spread = max(_AROUND_M, 1.5 * float(np.sort(apart)[min(MIN_FIXES, len(apart)) - 1]))
+    first, last = np.searchsorted(distance_m, [here_m - 3 * spread, here_m + 3 * spread])
+    around = slice(int(first), int(last))
+    return around, np.exp(-0.5 * (apart[around] / spread) ** 2)
+
+
+def _fit(ours: FloatArray, theirs: FloatArray, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return angle, (2, 2) rotation and (2,) shift that lay (K, 2) points on others with least weighted squares."""
+    share = weights / weights.sum()
+    our_mean, their_mean = share @ ours, share @ theirs
+    a, b = ours - our_mean, theirs - their_mean
+    cosine = float(share @ (a * b).sum(axis=1))
+    sine = float(share @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    angle = float(np.arctan2(sine, cosine))
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return angle, turn, their_mean - turn @ our_mean

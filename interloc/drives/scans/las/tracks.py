@@ -1,0 +1,253 @@
+"""The trajectory of a mobile mapping vehicle: a table with a header (CSV), SBET, or TUM poses in world coordinates."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.drives.files import SourceFile, is_number
+from interloc.drives.poses.tum import looks_like_tum, read_tum
+from interloc.geometry import yaw_of
+
+SBET_BYTES = 136
+"""17 float64: time, latitude, longitude, altitude, three velocities, roll, pitch, heading, wander angle, ..."""
+
+SBET_SUFFIXES = frozenset({".sbet", ".out"})
+TRACK_SUFFIXES = SBET_SUFFIXES | {".csv", ".txt", ".tum"}
+
+_MAX_SBET_ROWS = 1_000_000
+_HEAD_BYTES = 65536
+
+_NAMES = {  # in lower case, without units
+    "time": "time times t timestamp gps_time gpstime gps_seconds seconds sec sow gps_sow unix_time utc_time",
+    "x": "x easting east e pos_x utm_x utm_easting",
+    "y": "y northing north n pos_y utm_y utm_northing",
+    "z": "z height elevation h alt altitude up pos_z h_ell hell ellipsoidal_height ortho_height orthometric_height",
+    "lat": "lat latitude",
+    "lon": "lon lng long longitude",
+    "yaw": "yaw heading azimuth",
+}
+_UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
+
+
+@dataclass(frozen=True)
+class Track:
+    """Where the vehicle was, and when.
+
+    Attributes
+    ----------
+    file : SourceFile
+    times_s : (P,) float64
+        Strictly ascending, in whichever clock.
+    position : (P, 3) float64
+        Easting, northing and height; or longitude, latitude in degrees and altitude where `geographic`.
+    geographic : bool
+    headings : dict of str to (P,) float64
+        Directions of the vehicle, radians counter-clockwise from the east, by what would have been meant by the
+        numbers of the file; the motion shows which it is. Empty where it states none.
+    """
+
+    file: SourceFile
+    times_s: FloatArray
+    position: FloatArray
+    geographic: bool
+    headings: dict[str, FloatArray] = field(default_factory=dict)
+
+
+def find_tracks(folders: list[Path]) -> list[Path]:
+    """Return the files in some folders that look like a trajectory."""
+    found = [
+        path
+        for folder in folders
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in TRACK_SUFFIXES and path.is_file() and _is_track(path)
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _is_track(path: Path) -> bool:
+    if path.suffix.lower() in SBET_SUFFIXES:
+        return path.stat().st_size % SBET_BYTES == 0 and path.stat().st_size > 0
+    return looks_like_tum(path) or is_table(path)
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file is a table with a header that names a time and a place."""
+    header = _header_of(path)
+    columns = set() if header is None else set(_columns(header))
+    return any({"time", *place} <= columns for place in (("x", "y"), ("lat", "lon")))
+
+
+def read_track(file: SourceFile) -> Track:
+    """Read a trajectory, whichever its format.
+
+    Raises
+    ------
+    DriveError
+        It is missing, of no known format, damaged, or its times run backwards.
+    """
+    if not file.path.is_file():
+        raise file.fault(
+            "is missing. Expected the trajectory of the vehicle: a table with a header "
+            "(time,x,y,z or time,lat,lon,alt), SBET, or TUM poses."
+        )
+    if file.path.suffix.lower() in SBET_SUFFIXES:
+        return _read_sbet(file)
+    if looks_like_tum(file.path):
+        timed = read_tum(file)
+        yaw = yaw_of(timed.poses[:, :3, :3])
+        track = Track(file, timed.times_s, timed.poses[:, :3, 3], geographic=False, headings={"its quaternions": yaw})
+    else:
+        track = _read_table(file)
+    if len(track.times_s) < 2:
+        raise file.fault("holds one pose only. Expected the trajectory of a drive.")
+    return track
+
+
+def _header_of(path: Path) -> list[str] | None:
+    """Return the names of the columns in the first line of a table; None where it holds numbers or is no text."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError:
+        return None
+    text = head.decode("utf-8-sig", errors="replace").lstrip()
+    return _names(text.splitlines()[0]) if text and "\0" not in text else None
+
+
+def _names(line: str) -> list[str] | None:
+    """Return the names in a header, in lower case without units in brackets; None where it is a line of numbers."""
+    fields = _split(re.sub(r"^[#%/\s]+", "", line.strip()))
+    if any(is_number(text) for text in fields):
+        return None
+    names = [re.sub(r"[\[(]([a-z]+)[\])]", r"_\1", text.lower()) for text in fields]
+    return [re.sub(r"[^a-z0-9]+", "_", name).strip("_") for name in names]
+
+
+def _split(line: str) -> list[str]:
+    separator = next((each for each in ",;\t" if each in line), None)
+    return [text.strip().strip('"') for text in line.split(separator)]
+
+
+def _columns(names: list[str]) -> dict[str, int]:
+    """Return the column of every quantity that the names tell."""
+    columns: dict[str, int] = {}
+    for quantity, known in _NAMES.items():
+        at = next((column for column, name in enumerate(names) if _UNIT.sub("", name) in known.split()), None)
+        if at is not None:
+            columns[quantity] = at
+    return columns
+
+
+def _read_table(file: SourceFile) -> Track:
+    """Read a table with a header."""
+    lines = file.lines()
+    start = next(row for row, text in enumerate(lines) if text.strip())
+    names = _names(lines[start])
+    expected = "Expected a header such as time,x,y,z or time,lat,lon,alt, and optionally heading_deg."
+    if names is None:
+        raise file.fault(
+            f"starts with {len(_split(lines[start]))} numbers, and nothing says what they are. {expected}",
+            start + 1,
+        )
+    columns = _columns(names)
+    geographic = not {"x", "y"} <= set(columns)
+    place = ("lon", "lat") if geographic else ("x", "y")
+    missing = [quantity for quantity in ("time", *place, "z") if quantity not in columns]
+    if missing:
+        raise file.fault(
+            f"has no column for {', '.join(missing)} among {', '.join(names)[:200]}. {expected}", start + 1
+        )
+    quantities = ["time", *place, "z", *(["yaw"] if "yaw" in columns else [])]
+    wanted = [columns[quantity] for quantity in quantities]
+    values, at = [], []
+    for number, text in enumerate(lines[start + 1 :], start=start + 2):
+        if not text.strip() or text.lstrip().startswith(("#", "%")):
+            continue
+        fields = _split(text)
+        if len(fields) != len(names):
+            raise file.fault(f"{len(fields)} fields; expected {len(names)} as in the header.", number)
+        values.append(file.numbers([fields[column] for column in wanted], number))
+        at.append(number)
+    if not values:
+        raise file.fault(f"holds a header only. {expected}")
+    table = np.array(values)
+    table = table[_ascending(table, file, at)]
+    _check_place(table[:, 1:4], file, geographic=geographic)
+    headings = {}
+    if "yaw" in columns:
+        headings = _meanings(table[:, 4], names[columns["yaw"]])
+    return Track(file, table[:, 0].copy(), table[:, 1:4].copy(), geographic, headings)
+
+
+def _meanings(angle: FloatArray, name: str) -> dict[str, FloatArray]:
+    """Return the directions that an angle could mean: a bearing or a mathematical angle, in degrees or radians."""
+    units = {"degrees": np.radians(angle), "radians": angle}
+    if re.search(r"_deg(rees)?$", name) or np.abs(angle).max() > 2 * np.pi + 0.01:
+        del units["radians"]
+    elif re.search(r"_rad(ians)?$", name):
+        del units["degrees"]
+    meanings = {}
+    for unit, radians in units.items():
+        meanings[f"column {name} as a bearing in {unit}"] = np.pi / 2 - radians
+        meanings[f"column {name} as an angle in {unit} from the east, counter-clockwise"] = radians
+    return meanings
+
+
+def _read_sbet(file: SourceFile) -> Track:
+    """Read an SBET: smoothed best estimate of trajectory of Applanix, binary."""
+    try:
+        size = file.path.stat().st_size
+        if not size or size % SBET_BYTES:
+            raise file.fault(
+                f"{size:,} bytes, which is no multiple of {SBET_BYTES}. Expected an SBET: 17 float64 per record. "
+                "Usual cause: a file cut short, or another format under this name."
+            )
+        records = np.memmap(file.path, dtype="<f8", mode="r").reshape(-1, SBET_BYTES // 8)
+        step = -(-len(records) // _MAX_SBET_ROWS)
+        table = np.array(records[::step, :11])
+    except OSError as error:
+        raise file.unreadable(error) from error
+    if not np.isfinite(table).all():
+        raise file.fault(f"record {int(np.argmin(np.isfinite(table).all(axis=1))) * step:,} holds no finite numbers.")
+    at = [row * step for row in range(len(table))]
+    table = table[_ascending(table, file, at, "record")]
+    if np.abs(table[:, 1]).max() > np.pi / 2 or np.abs(table[:, 2]).max() > 2 * np.pi:
+        raise file.fault("latitudes and longitudes are no radians. Expected an SBET. Usual cause: degrees, or text.")
+    position = np.stack([np.degrees(table[:, 2]), np.degrees(table[:, 1]), table[:, 3]], axis=1)
+    _check_place(position, file, geographic=True)
+    heading, wander = table[:, 9], table[:, 10]
+    headings = {"its heading": np.pi / 2 - heading}
+    if np.abs(wander).max() > 1e-3:
+        headings["its heading less the wander angle"] = np.pi / 2 - (heading - wander)
+        headings["its heading and the wander angle"] = np.pi / 2 - (heading + wander)
+    return Track(file, table[:, 0].copy(), position, geographic=True, headings=headings)
+
+
+def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "line") -> FloatArray:
+    """Return the rows to keep: those of a time that the row before does not have; refuse times that run backwards."""
+    steps = np.diff(table[:, 0])
+    if (steps < 0).any():
+        row = int(np.argmax(steps < 0)) + 1
+        week = " Usual cause: seconds of the GPS week, which begin anew on Saturday night; split the drive there."
+        usual = " Usual cause: two trajectories in one file." if table[row - 1, 0] < 600_000 else week
+        before, after = table[row - 1, 0], table[row, 0]
+        raise file.fault(f"{what} {at[row]}: time runs backwards ({before:.3f} s, then {after:.3f} s).{usual}")
+    kept: FloatArray = np.concatenate([[True], steps > 0])
+    return kept
+
+
+def _check_place(position: FloatArray, file: SourceFile, *, geographic: bool) -> None:
+    """Refuse positions that are nowhere."""
+    if not geographic:
+        if np.abs(position).max() > 1e8:
+            raise file.fault("a position is more than 100,000 km from the origin. Expected metres.")
+        return
+    if np.abs(position[:, 1]).max() > 89 or np.abs(position[:, 0]).max() > 360 or np.abs(position[:, 2]).max() > 20_000:
+        raise file.fault("a latitude, longitude or altitude is no place to drive. Expected degrees and metres.")
+    if ((position[:, 0] == 0) & (position[:, 1] == 0)).any():
+        raise file.fault("latitude and longitude are 0 somewhere: the receiver had no fix. Leave those rows out.")

@@ -1,0 +1,165 @@
+"""The tree of coordinate frames of a bag: /tf and /tf_static."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.drives.files import MAX_NUMBER
+from interloc.drives.poses.timed import TimedPoses, rotations_from_quaternions
+from interloc.drives.scans.rosbag.bag import Bag, BagTopic
+from interloc.drives.scans.rosbag.messages import read_transforms
+from interloc.geometry import invert_transform
+
+LONGEST_GAP_S = 2.0
+"""Between two poses; in a longer one nobody knows where the vehicle was."""
+
+_EARTH = {"earth", "ecef", "utm"}
+_MOVED = 1e-9
+_MAX_FRAMES = 10_000
+_OFF_UNIT = 0.05
+
+
+@dataclass(frozen=True)
+class Edge:
+    """How one frame lies in another, over time.
+
+    Attributes
+    ----------
+    parent, child : str
+    moves : TimedPoses
+        T_parent_child.
+    """
+
+    parent: str
+    child: str
+    moves: TimedPoses
+
+    @property
+    def fixed(self) -> bool:
+        """True where it never changes."""
+        return bool(np.ptp(self.moves.poses, axis=0).max() < _MOVED)
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """Return (N, 4, 4) T_parent_child at some times."""
+        if self.fixed:
+            return np.repeat(self.moves.poses[:1], len(times_s), axis=0)
+        return self.moves.at(times_s)
+
+    def covers(self, times_s: FloatArray) -> BoolArray:
+        """Tell at which of (N,) times it is known."""
+        if self.fixed:
+            return np.ones(len(times_s), dtype=np.bool_)
+        return self.moves.covers(times_s, longest_gap_s=LONGEST_GAP_S)
+
+
+@dataclass(frozen=True)
+class FrameTree:
+    """All transforms of a bag.
+
+    Attributes
+    ----------
+    edges : dict of str to Edge
+        By their child; a frame has one parent.
+    messages : int
+        Transforms that were read.
+    """
+
+    edges: dict[str, Edge] = field(default_factory=dict)
+    messages: int = 0
+
+    def upwards(self, frame: str) -> list[Edge]:
+        """Return the edges from a frame to the root of its tree; frames that span the Earth do not count."""
+        edges: list[Edge] = []
+        seen = {frame}
+        while (edge := self.edges.get(frame)) is not None and edge.parent not in seen | _EARTH:
+            edges.append(edge)
+            frame = edge.parent
+            seen.add(frame)
+        return edges
+
+    def between(self, target: str, source: str) -> FloatArray | None:
+        """Return (4, 4) T_target_source, where both are fixed to each other; else None."""
+        if target == source:
+            return np.eye(4)
+        to_source = self._fixed_above(source)
+        to_target = self._fixed_above(target)
+        common = next((frame for frame in to_source if frame in to_target), None)
+        if common is None:
+            return None
+        relative: FloatArray = invert_transform(to_target[common]) @ to_source[common]
+        return relative
+
+    def _fixed_above(self, frame: str) -> dict[str, FloatArray]:
+        """Return the frames above that a frame is fixed to, with T_above_frame; itself first."""
+        above = {frame: np.eye(4)}
+        pose = np.eye(4)
+        for edge in self.upwards(frame):
+            if not edge.fixed:
+                break
+            pose = edge.moves.poses[0] @ pose
+            above[edge.parent] = pose
+        return above
+
+
+def read_tree(bag: Bag, topics: list[BagTopic]) -> FrameTree:
+    """Read all transforms of a bag, of all of its files, before anything is made of them.
+
+    Raises
+    ------
+    DriveError
+        A file is damaged.
+    WireError
+        A message is damaged.
+    """
+    found: dict[tuple[str, str], list[tuple[float, tuple[float, ...]]]] = {}
+    count = 0
+    for topic in topics:
+        if topic.encoding is None:
+            continue
+        for message, log_ns in zip(bag.messages(topic), topic.log_ns, strict=True):
+            for transform in read_transforms(message, topic.encoding):
+                count += 1
+                key = (transform.header.frame_id, transform.child_frame)
+                if key not in found and len(found) >= _MAX_FRAMES:
+                    continue
+                time_s = (transform.header.stamp_ns or int(log_ns)) / 1e9
+                found.setdefault(key, []).append((time_s, transform.values))
+    edges: dict[str, Edge] = {}
+    for (parent, child), rows in sorted(found.items(), key=lambda item: len(item[1])):  # the most messages count
+        moves = timed_poses([row[0] for row in rows], [row[1] for row in rows], f"{parent} -> {child}")
+        if moves is not None:
+            edges[child] = Edge(parent, child, moves)
+    return FrameTree(edges, count)
+
+
+def timed_poses(times_s: list[float] | FloatArray, values: list[tuple[float, ...]], source: str) -> TimedPoses | None:
+    """Make poses of (P,) times and (P, 7) values x y z, quaternion x y z w, without those that are none.
+
+    They are sorted by time; of several at one time the last counts. None where none is left.
+    """
+    if not len(values):
+        return None
+    numbers, times = np.array(values, dtype=np.float64), np.asarray(times_s, dtype=np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        unit = np.abs(np.linalg.norm(numbers[:, 3:], axis=1) - 1.0) < _OFF_UNIT
+        near = np.abs(numbers[:, :3]).max(axis=1) < MAX_NUMBER
+    sound = unit & near & np.isfinite(times)
+    numbers, times = numbers[sound], times[sound]
+    if not len(times):
+        return None
+    rows = latest_of_each(times)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3, :3] = rotations_from_quaternions(numbers[rows, 3:])
+    poses[:, :3, 3] = numbers[rows, :3]
+    return TimedPoses(times[rows], poses, source)
+
+
+def latest_of_each(times: FloatArray) -> IntArray:
+    """Return the rows of (P,) times in ascending order, of equal ones the last."""
+    order = np.argsort(times, kind="stable")
+    last = np.diff(times[order], append=np.inf) > 0
+    rows: IntArray = order[last]
+    return rows

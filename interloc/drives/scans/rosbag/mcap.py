@@ -1,0 +1,288 @@
+"""MCAP files: by their index, or from the beginning to the end where they have none or were cut short."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from interloc.arrays import IntArray
+from interloc.drives.files import SourceFile
+from interloc.drives.scans.rosbag.chunks import (
+    MAX_MESSAGE_BYTES,
+    ChunkStream,
+    DamagedChunkError,
+    codec_number,
+    largest_unpacked,
+)
+from interloc.drives.scans.rosbag.index import (
+    CHUNK_BYTES,
+    CHUNK_START,
+    CODEC,
+    MAX_MESSAGES,
+    OFFSET,
+    BagIndex,
+    Channel,
+    reading,
+    ros2_spelling,
+)
+from interloc.drives.scans.rosbag.wire import Encoding
+
+MAGIC = b"\x89MCAP0\r\n"
+
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = range(1, 9)
+_DATA_END = 0x0F
+_PREFIX = struct.Struct("<BQ")  # of every record: its kind, its size
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, unpacked size, checksum
+_FOOTER_BYTES = _PREFIX.size + 20 + len(MAGIC)
+_SMALL_RECORD = 64 * 1024 * 1024
+_ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
+
+
+@dataclass
+class _Contents:
+    """What was found so far.
+
+    Attributes
+    ----------
+    schemas : dict of int to (str, bool)
+        Name of each type, and whether its definition is there.
+    channels : dict of int to (str, int, str)
+        Topic, number of the schema, encoding.
+    found : dict of int to list of (N, 5) int64
+        Log time and place of the messages of each channel.
+    count : int
+        Messages found.
+    """
+
+    schemas: dict[int, tuple[str, bool]] = field(default_factory=dict)
+    channels: dict[int, tuple[str, int, str]] = field(default_factory=dict)
+    found: dict[int, list[IntArray]] = field(default_factory=dict)
+    count: int = 0
+
+    def add_record(self, kind: int, content: bytes) -> None:
+        """Take in a schema or a channel."""
+        if kind == _SCHEMA:
+            (number,) = struct.unpack_from("<H", content)
+            name, at = _text(content, 2)
+            _, at = _text(content, at)
+            self.schemas[number] = (name, struct.unpack_from("<I", content, at)[0] > 0)
+        elif kind == _CHANNEL:
+            number, schema = struct.unpack_from("<HH", content)
+            topic, at = _text(content, 4)
+            self.channels[number] = (topic, schema, _text(content, at)[0])
+
+    def add_messages(self, channel: int, messages: IntArray) -> None:
+        """Take in (N, 5) messages of a channel."""
+        self.count += len(messages)
+        if self.count > MAX_MESSAGES:
+            raise ValueError(f"it holds more than {MAX_MESSAGES:,} messages")
+        self.found.setdefault(channel, []).append(messages)
+
+    def index(self, damage: str = "") -> BagIndex:
+        """Return all that was found, by topic."""
+        channels = []
+        for number, (topic, schema, encoding) in self.channels.items():
+            name, defined = self.schemas.get(schema, ("", False))
+            rows = np.concatenate([np.empty((0, 5), np.int64), *self.found.get(number, [])])
+            channels.append(
+                Channel(
+                    topic,
+                    ros2_spelling(name),
+                    _ENCODINGS.get(encoding),
+                    rows[:, 0].copy(),
+                    rows[:, 1:].copy(),
+                    defined,
+                )
+            )
+        return BagIndex(channels, damage)
+
+
+def read_index(file: SourceFile) -> BagIndex:
+    """Read where the messages of a file lie, from its index.
+
+    A file that has none, or was cut short, is looked through from its beginning: chunks are unpacked one after the
+    other, and what could be read until the damage counts.
+
+    Raises
+    ------
+    DriveError
+        It is no MCAP file, or nothing could be read.
+    """
+    with reading(file), file.path.open("rb") as raw:
+        magic = raw.read(len(MAGIC))
+        if magic != MAGIC:
+            raise file.fault(
+                f"is not an MCAP file (it starts with {magic!r}; expected {MAGIC!r}). "
+                "Usual cause: another file under this name, or a copy cut short."
+            )
+        size = raw.seek(0, 2)
+        try:
+            contents = _by_summary(raw, size)
+        except (ValueError, struct.error, OverflowError):
+            contents = None
+        if contents is not None:
+            return contents.index()
+        contents = _Contents()
+        damage = _look_through(raw, size, contents)
+        if damage and not contents.count:
+            raise ValueError(damage)
+        return contents.index(damage)
+
+
+def _by_summary(raw: BinaryIO, size: int) -> _Contents | None:
+    """Read the summary at the end, and the indexes of the chunks; None where there is no complete one."""
+    raw.seek(max(0, size - _FOOTER_BYTES))
+    footer = raw.read()
+    if len(footer) != _FOOTER_BYTES or not footer.endswith(MAGIC) or footer[0] != _FOOTER:
+        return None
+    (start,) = struct.unpack_from("<Q", footer, _PREFIX.size)
+    end = size - _FOOTER_BYTES
+    if not 0 < start <= end:
+        return None
+    contents = _Contents()
+    chunks: list[tuple[int, int, int]] = []
+    raw.seek(start)
+    while raw.tell() < end:
+        kind, length = _PREFIX.unpack(raw.read(_PREFIX.size))
+        if length > end - raw.tell():
+            raise DamagedChunkError("a record of the summary is longer than the summary")
+        content = raw.read(length)
+        contents.add_record(kind, content)
+        if kind == _CHUNK_INDEX:
+            chunk_start, chunk_length = struct.unpack_from("<QQ", content, 16)
+            (offsets,) = struct.unpack_from("<I", content, 32)
+            (index_length,) = struct.unpack_from("<Q", content, 36 + offsets)
+            if chunk_start + chunk_length + index_length > size:
+                raise DamagedChunkError("the index of a chunk lies outside of the file")
+            chunks.append((chunk_start, chunk_start + chunk_length, index_length))
+    if not contents.channels or not chunks or not all(length for *_, length in chunks):
+        return None
+    for chunk_start, index_start, index_length in chunks:
+        _read_message_index(raw, chunk_start, index_start, index_length, contents)
+    return contents
+
+
+def _read_message_index(raw: BinaryIO, chunk_start: int, start: int, length: int, contents: _Contents) -> None:
+    """Read which messages a chunk holds, from the records that follow it."""
+    raw.seek(chunk_start)
+    kind, _ = _PREFIX.unpack(raw.read(_PREFIX.size))
+    if kind != _CHUNK:
+        raise DamagedChunkError("the index leads to a place where no chunk is")
+    place = _chunk_place(raw)[0]
+    raw.seek(start)
+    records = raw.read(length)
+    at = 0
+    while at < len(records):
+        kind, size = _PREFIX.unpack_from(records, at)
+        at += _PREFIX.size
+        if kind == _MESSAGE_INDEX:
+            channel, entries = struct.unpack_from("<HI", records, at)
+            pairs = np.frombuffer(records, "<u8", entries // 16 * 2, at + 6).reshape(-1, 2).astype(np.int64)
+            rows = np.empty((len(pairs), 5), dtype=np.int64)
+            rows[:, 0], rows[:, 1:4], rows[:, 4] = pairs[:, 0], place, pairs[:, 1]
+            contents.add_messages(channel, rows)
+        at += size
+
+
+def _chunk_place(raw: BinaryIO) -> tuple[tuple[int, int, int], int]:
+    """Return where the bytes of a chunk lie, their size and compression, and their size when unpacked."""
+    _, _, unpacked, _ = _CHUNK_HEAD.unpack(raw.read(_CHUNK_HEAD.size))
+    (length,) = struct.unpack("<I", raw.read(4))
+    name = raw.read(min(length, 100))
+    codec = codec_number(name.decode())
+    (size,) = struct.unpack("<Q", raw.read(8))
+    if codec and unpacked > largest_unpacked(size):
+        raise DamagedChunkError(f"a chunk of {size:,} bytes is said to unpack to {unpacked:,} bytes")
+    return (raw.tell(), size, codec), unpacked
+
+
+def _look_through(raw: BinaryIO, size: int, contents: _Contents) -> str:
+    """Read a file from its beginning; return what ended that too early, or nothing."""
+    at = len(MAGIC)
+    try:
+        while at < size:
+            raw.seek(at)
+            kind, length = _PREFIX.unpack(raw.read(_PREFIX.size))
+            if kind in {_FOOTER, _DATA_END}:
+                return ""
+            content_at = at + _PREFIX.size
+            if kind == _CHUNK:
+                (start, packed, codec), unpacked = _chunk_place(raw)
+                there = min(packed, size - start)
+                _look_through_chunk(ChunkStream(raw, start, there, codec), unpacked, (start, there, codec), contents)
+            elif kind == _MESSAGE:
+                channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(raw.read(_MESSAGE_HEAD.size))
+                if content_at + length <= size:
+                    contents.add_messages(channel, np.array([[log_ns, at, _PREFIX.size + length, 0, 0]], np.int64))
+            elif kind in {_SCHEMA, _CHANNEL}:
+                contents.add_record(kind, raw.read(min(length, _SMALL_RECORD)))
+            at = content_at + length
+        if at > size:
+            raise DamagedChunkError(f"its last record was cut short, {at - size:,} bytes before its end")
+    except (ValueError, struct.error, OverflowError) as error:
+        reason = str(error) if isinstance(error, DamagedChunkError) else "it ends in the middle of a record"
+        return f"{reason} (after {min(at, size):,} of {size:,} bytes)"
+    return "it has no end (the footer is missing)"
+
+
+def _look_through_chunk(stream: ChunkStream, unpacked: int, place: tuple[int, int, int], contents: _Contents) -> None:
+    """Find the messages of one chunk."""
+    while stream.position < unpacked:
+        at = stream.position
+        prefix = stream.read(_PREFIX.size)
+        if not prefix:
+            raise DamagedChunkError("a chunk ends too early")
+        kind, length = _PREFIX.unpack(prefix)
+        end = stream.position + length
+        if end > unpacked:
+            raise DamagedChunkError("a record is longer than its chunk")
+        if kind == _MESSAGE:
+            channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(stream.exactly(_MESSAGE_HEAD.size))
+            if place[2]:
+                stream.skip_to(end)
+            elif end > place[1]:
+                raise DamagedChunkError("a record is longer than its chunk")
+            contents.add_messages(channel, np.array([[log_ns, *place, at]], np.int64))
+        elif kind in {_SCHEMA, _CHANNEL}:
+            contents.add_record(kind, stream.exactly(length))
+        stream.skip_to(end)
+
+
+def read_messages(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) -> Iterator[bytes]:
+    """Read messages in the order of their places; parameters as of `ros1.read_messages`.
+
+    Raises
+    ------
+    ValueError, struct.error
+        The file is damaged.
+    """
+    with path.open("rb") as file:
+        stream, chunk = None, -1
+        for place in places:
+            if stream is None or place[CHUNK_START] != chunk or place[OFFSET] < stream.position:
+                chunk = int(place[CHUNK_START])
+                stream = ChunkStream(file, chunk, int(place[CHUNK_BYTES]), int(place[CODEC]))
+            stream.skip_to(int(place[OFFSET]))
+            kind, length = _PREFIX.unpack(stream.exactly(_PREFIX.size))
+            if kind != _MESSAGE or length < _MESSAGE_HEAD.size:
+                raise DamagedChunkError("its index leads to a place where no message is")
+            stream.exactly(_MESSAGE_HEAD.size)
+            size = length - _MESSAGE_HEAD.size
+            if size > MAX_MESSAGE_BYTES:
+                raise DamagedChunkError(f"announces a message of {size:,} bytes; none is larger than 512 MB")
+            yield stream.exactly(min(size, limit))
+
+
+def _text(content: bytes, at: int) -> tuple[str, int]:
+    """Read a string of a record; return it and where the next field starts."""
+    (length,) = struct.unpack_from("<I", content, at)
+    end = at + 4 + length
+    if end > len(content):
+        raise DamagedChunkError("a record ends in the middle of a text")
+    return content[at + 4 : end].decode("utf-8", "replace"), end

@@ -1,0 +1,204 @@
+"""Which topics of a bag are scans, poses and fixes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from interloc.drives.findings import DriveFileError, Findings
+from interloc.drives.scans.rosbag.bag import Bag, BagTopic
+from interloc.drives.scans.rosbag.messages import FIX, ODOMETRY, POSE, POSE_WITH_COVARIANCE, POSES, TRANSFORMS
+from interloc.drives.scans.rosbag.pointcloud2 import LIVOX, POINT_CLOUD, read_layout
+from interloc.drives.scans.rosbag.wire import WireError
+
+POINTS = (POINT_CLOUD, *LIVOX)
+
+_DRIVERS = {  # raw packets, and what makes points of them
+    "velodyne_msgs/msg/VelodyneScan": "velodyne_pointcloud",
+    "ouster_ros/msg/PacketMsg": "ouster_ros",
+    "ouster_msgs/msg/PacketMsg": "ouster_ros",
+    "ouster_sensor_msgs/msg/PacketMsg": "ouster_ros",
+    "hesai_ros_driver/msg/UdpFrame": "hesai_ros_driver",
+    "pandar_msgs/msg/PandarScan": "hesai_pandar",
+    "hesai_lidar/msg/PandarScan": "hesai_lidar",
+    "rslidar_msgs/msg/rslidarScan": "rslidar_sdk",
+    "rslidar_msg/msg/RslidarPacket": "rslidar_sdk",
+    "nebula_msgs/msg/NebulaPackets": "nebula",
+}
+_FIXED_FRAMES = {"map", "odom", "world", "earth", "utm", "global", "camera_init"}
+_SIMILAR = 0.8
+_USUAL_ORDER = {kind: place for place, kind in enumerate((ODOMETRY, POSE, POSE_WITH_COVARIANCE, *TRANSFORMS))}
+
+
+@dataclass(frozen=True)
+class PointsTopic:
+    """The scans of a bag.
+
+    Attributes
+    ----------
+    topic : BagTopic
+    frame_id : str
+        Coordinate frame of the points.
+    has_labels, has_remission : bool
+        What each point carries.
+    """
+
+    topic: BagTopic
+    frame_id: str
+    has_labels: bool
+    has_remission: bool
+
+
+def choose_points(bag: Bag, given: str | None, findings: Findings) -> PointsTopic:
+    """Choose the topic of the scans.
+
+    Of several, one whose points carry labels comes first; scans of a sensor come before those that were moved into a
+    fixed frame; then the one with the most points counts.
+
+    Raises
+    ------
+    DriveError
+        There is none, it is empty or damaged, or two are as good.
+    """
+    candidates = [topic for topic in bag.topics if topic.type in POINTS and topic.encoding is not None]
+    if given is not None:
+        return _judged(bag, named(bag, given, POINTS, "points"))[1]
+    filled = [topic for topic in candidates if len(topic)]
+    if not filled:
+        raise DriveFileError(bag.name, _no_points(bag, candidates))
+    judged = []
+    for topic in filled:
+        try:
+            judged.append(_judged(bag, topic))
+        except DriveFileError as error:
+            if len(filled) == 1:
+                raise
+            findings.warning(error.path, error.message)
+    if not judged:
+        raise DriveFileError(bag.name, f"{len(filled)} topics of points, and the first message of each is damaged.")
+    judged.sort(key=lambda each: each[0], reverse=True)
+    (rank, best), others = judged[0], judged[1:]
+    if others and others[0][0][:2] == rank[:2] and others[0][0][2] > _SIMILAR * rank[2]:
+        raise DriveFileError(
+            bag.name,
+            f"both {best.topic.name} ({len(best.topic):,} messages) and {others[0][1].topic.name} "
+            f"({len(others[0][1].topic):,} messages) could be the scans. Name one: "
+            f"--points {best.topic.name} (points={best.topic.name!r}).",
+        )
+    if others:
+        findings.note(
+            bag.name,
+            f"the scans are taken from {best.topic.name} ({best.topic.type}); other topics of points: "
+            f"{', '.join(each.topic.name for _, each in others[:5])}. Choose with --points.",
+        )
+    return best
+
+
+def _judged(bag: Bag, topic: BagTopic) -> tuple[tuple[bool, bool, int], PointsTopic]:
+    """Look into the first message that has points; return how good a topic is."""
+    if not len(topic):
+        raise DriveFileError(bag.name, f"the topic {topic.name} holds no messages. Usual cause: a driver that was off.")
+    assert topic.encoding is not None
+    layout = None
+    for row, head in enumerate(bag.heads(topic)):
+        try:
+            layout = read_layout(head, topic.type, topic.encoding, complete=False)
+        except WireError as error:
+            raise DriveFileError(bag.name, f"{topic.name}, message {row}: {error}.") from error
+        if layout.count or row > 100:
+            break
+    assert layout is not None
+    rank = (layout.has_labels, layout.header.frame_id not in _FIXED_FRAMES, len(topic) * layout.count)
+    return rank, PointsTopic(topic, layout.header.frame_id, layout.has_labels, layout.has_remission)
+
+
+def _no_points(bag: Bag, empty: list[BagTopic]) -> str:
+    """Return why a bag has no scans."""
+    if empty:
+        names = ", ".join(topic.name for topic in empty)
+        return f"{names}: no messages. Expected one per scan. Usual cause: a driver that was off while recording."
+    packets = [(topic, _DRIVERS[topic.type]) for topic in bag.topics if topic.type in _DRIVERS]
+    if packets:
+        topic, driver = packets[0]
+        return (
+            f"{topic.name} holds the raw packets of the sensor ({topic.type}), not points. Expected "
+            f"sensor_msgs/PointCloud2: play the bag through the driver {driver} and record its points."
+        )
+    return (
+        "holds no points. Expected a topic of sensor_msgs/PointCloud2 or Livox's CustomMsg. "
+        f"It holds: {topic_list(bag)}."
+    )
+
+
+def pose_topics(bag: Bag, given: str | None) -> list[BagTopic]:
+    """Return the topics that may be the poses, the best first: Odometry before poses, and both before /tf.
+
+    Raises
+    ------
+    DriveError
+        The given one is not there.
+    """
+    if given is not None:
+        return [named(bag, given, (*POSES, *TRANSFORMS), "poses")]
+    candidates = [
+        topic
+        for topic in bag.topics
+        if topic.encoding is not None
+        and len(topic)
+        and ((topic.type in POSES and len(topic) > 1) or (topic.type in TRANSFORMS and not is_static(topic)))
+    ]
+    return sorted(candidates, key=lambda topic: (_USUAL_ORDER[topic.type], -len(topic), topic.name))
+
+
+def choose_fix(bag: Bag, given: str | None, findings: Findings) -> BagTopic | None:
+    """Choose the topic of the GNSS fixes, that with the most; None where there is none.
+
+    Raises
+    ------
+    DriveError
+        The given one is not there.
+    """
+    if given is not None:
+        return named(bag, given, (FIX,), "fix")
+    candidates = [topic for topic in bag.topics if topic.type == FIX and topic.encoding is not None and len(topic)]
+    candidates.sort(key=lambda topic: (-len(topic), topic.name))
+    if len(candidates) > 1:
+        findings.note(
+            bag.name,
+            f"the fixes are taken from {candidates[0].name}; others are in "
+            f"{', '.join(topic.name for topic in candidates[1:6])}. Choose with --fix.",
+        )
+    return candidates[0] if candidates else None
+
+
+def named(bag: Bag, name: str, kinds: Collection[str], option: str) -> BagTopic:
+    """Return the topic that an option names.
+
+    Raises
+    ------
+    DriveError
+        There is none, or it is of another type.
+    """
+    fitting = [topic for topic in bag.topics if topic.type in kinds]
+    same = [topic for topic in bag.topics if topic.name.lstrip("/") == name.lstrip("/")]
+    for topic in same:
+        if topic in fitting and topic.encoding is not None:
+            return topic
+    there = ", ".join(f"{topic.name} ({len(topic):,} messages)" for topic in fitting[:20]) or "none"
+    found = f"is of type {same[0].type}" if same else "is not in the bag"
+    raise DriveFileError(
+        bag.name,
+        f"the topic {name!r} {found}. Topics that --{option} can name: {there}. All topics: {topic_list(bag)}.",
+    )
+
+
+def is_static(topic: BagTopic) -> bool:
+    """Return whether a topic holds transforms that never change."""
+    return topic.type in TRANSFORMS and topic.name.endswith("tf_static")
+
+
+def topic_list(bag: Bag) -> str:
+    """Write the topics of a bag, with their types."""
+    texts = [f"{topic.name} ({topic.type or 'no type'}, {len(topic):,})" for topic in bag.topics[:15]]
+    more = len(bag.topics) - len(texts)
+    return (", ".join(texts) or "nothing") + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,120 @@
+"""Messages as bytes: the serialization of ROS 1, and CDR, that of ROS 2.
+
+Only standard messages are read, and their layout is the same in all distributions of ROS 1 and of ROS 2; so nothing
+depends on the definitions that a bag holds or lacks, nor on the types of other topics.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Literal
+
+Encoding = Literal["ros1", "cdr"]
+
+_CDR_HEADER = 4
+_SIZES = {"b": 1, "B": 1, "H": 2, "i": 4, "I": 4, "f": 4, "d": 8, "Q": 8}
+
+
+class WireError(ValueError):
+    """Bytes that are not the message that they should be; its text says what was found."""
+
+
+class Wire:
+    """Reads one message from its first byte on.
+
+    Parameters
+    ----------
+    data : bytes
+        The message, or its beginning.
+    encoding : {"ros1", "cdr"}
+
+    Raises
+    ------
+    WireError
+        It ends early, or is in another encoding.
+    """
+
+    def __init__(self, data: bytes, encoding: Encoding) -> None:
+        self.data = data
+        self.ros1 = encoding == "ros1"
+        self._order = "<"
+        self._start = self._at = 0
+        if not self.ros1:
+            if len(data) < _CDR_HEADER or data[0] != 0 or data[1] > 1:
+                raise WireError(f"starts with {data[:_CDR_HEADER].hex(' ') or 'nothing'}, which is not plain CDR")
+            self._order = "<" if data[1] else ">"
+            self._start = self._at = _CDR_HEADER
+
+    def numbers(self, code: str, count: int) -> tuple[float, ...]:
+        """Read numbers of one type: b B H i I f d Q, as in `struct`."""
+        size = _SIZES[code]
+        self._align(size)
+        if self._at + size * count > len(self.data):
+            raise WireError(f"ends after {len(self.data):,} bytes, in the middle of its fields")
+        values = struct.unpack_from(f"{self._order}{count}{code}", self.data, self._at)
+        self._at += size * count
+        return values
+
+    def integer(self, code: str) -> int:
+        """Read one integer."""
+        return int(self.numbers(code, 1)[0])
+
+    def count(self, bytes_each: int = 1) -> int:
+        """Read how many elements a sequence has, each of at least some bytes."""
+        count = self.integer("I")
+        if count * bytes_each > len(self.data) - self._at:
+            raise WireError(f"announces {count:,} elements, and only {len(self.data) - self._at:,} bytes follow")
+        return count
+
+    def text(self) -> str:
+        """Read a string."""
+        size = self.count()
+        raw = self.data[self._at : self._at + size]
+        self._at += size
+        return raw.rstrip(b"\0").decode("utf-8", "replace")
+
+    def block(self, *, complete: bool = True) -> memoryview:
+        """Read a sequence of bytes; what there is of it, where it need not be complete."""
+        size = self.count() if complete else self.integer("I")
+        block = memoryview(self.data)[self._at : self._at + size]
+        self._at += size
+        return block
+
+    def rest(self) -> memoryview:
+        """Return what follows, aligned to four bytes in CDR."""
+        self._align(4)
+        return memoryview(self.data)[self._at :]
+
+    @property
+    def order(self) -> str:
+        """Byte order, "<" or ">"."""
+        return self._order
+
+    def _align(self, size: int) -> None:
+        if not self.ros1:
+            self._at += -(self._at - self._start) % size
+
+
+@dataclass(frozen=True)
+class Header:
+    """A std_msgs/Header.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        0 where it was not set.
+    frame_id : str
+        Without the slash in front of it that old drivers write.
+    """
+
+    stamp_ns: int
+    frame_id: str
+
+
+def read_header(wire: Wire) -> Header:
+    """Read the header that stamped messages start with."""
+    if wire.ros1:
+        wire.integer("I")  # seq
+    seconds, nanoseconds = (wire.integer("I" if wire.ros1 else "i"), wire.integer("I"))
+    return Header(seconds * 1_000_000_000 + nanoseconds, wire.text().lstrip("/"))

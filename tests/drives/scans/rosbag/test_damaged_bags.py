@@ -1,0 +1,247 @@
+"""Damaged, truncated and hostile bags are refused in words; what can still be read of a recording is used."""
+
+import bz2
+import shutil
+import sqlite3
+import struct
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+from interloc.drives.findings import Findings
+from interloc.drives.options import DriveOptions
+from interloc.drives.scans.rosbag.open import open_rosbag
+from interloc.errors import DriveError, InterLocError
+from tests.bags import FORMATS, BagWriter, cells_of, write_bag
+
+START = 1.6e9
+ZSTD = (CompressionMode.STORAGE, CompressionFormat.ZSTD)
+
+
+def small_bag(path: Path, form: str, compression: Any = None, count: int = 8) -> Path:
+    """Write a small bag; return its one file."""
+    rng = np.random.default_rng(1)
+    scans = [rng.normal(size=(40, 4)).astype(np.float32) for _ in range(count)]
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, 0, 3] = 3.0 * np.arange(count)
+    times = [START + 0.1 * row for row in range(count)]
+    fixes = [(each, (49.0 + 2.7e-5 * row, 8.0, 100.0)) for row, each in enumerate(times)]
+    written = write_bag(path, form, scans, times, poses=poses, fixes=fixes, compression=compression)
+    return written if written.is_file() else next(written.glob(f"*.{form}"))
+
+
+def read_all(path: Path) -> tuple[int, Findings]:
+    """Read everything of a bag; return how many scans there are."""
+    findings = Findings(stop_at_first=True)
+    recording = open_rosbag(path, DriveOptions(), findings)
+    assert recording is not None
+    assert recording.points is not None
+    assert recording.frames is not None
+    assert recording.read_trajectory is not None
+    recording.read_trajectory(DriveOptions(), findings)
+    for frame in recording.frames:
+        recording.points.read(int(frame))
+    return len(recording.frames), findings
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(DriveError) as error:
+        read_all(path)
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("form", "compression"),
+    [
+        ("bag", None),
+        ("bag", (Writer1.CompressionFormat.BZ2,)),
+        ("bag", (Writer1.CompressionFormat.LZ4,)),
+        ("db3", None),
+        ("db3", (CompressionMode.MESSAGE, CompressionFormat.ZSTD)),
+        ("mcap", None),
+        ("mcap", ZSTD),
+    ],
+)
+def test_nothing_but_words_comes_out_of_a_damaged_bag(tmp_path: Path, form: str, compression: Any) -> None:
+    file = small_bag(tmp_path / "sound", form, compression)
+    sound, rng = file.read_bytes(), np.random.default_rng(11)
+    damaged = tmp_path / f"damaged.{form}"
+    for trial in range(60):
+        data = bytearray(sound)
+        if trial % 3 == 0:
+            del data[int(rng.integers(0, len(data))) :]
+        elif trial % 3 == 1:
+            for at in rng.integers(0, len(data), 4):
+                data[int(at)] = int(rng.integers(0, 256))
+        else:
+            at = int(rng.integers(0, len(data) - 8))
+            data[at : at + 8] = b"\xff" * 8
+        damaged.write_bytes(data)
+        started = time.monotonic()
+        try:
+            read_all(damaged)
+        except InterLocError as error:
+            assert len(str(error)) > 30  # noqa: PT017
+        assert time.monotonic() - started < 10
+
+
+@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("content", [b"", b"\0", b"PK\3\4" + b"x" * 1000, b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"])
+def test_other_files_under_the_name_of_a_bag_are_refused(tmp_path: Path, form: str, content: bytes) -> None:
+    file = tmp_path / f"other.{form}"
+    file.write_bytes(content)
+    assert refusal(file).startswith(f"other.{form}: ")
+
+
+@pytest.mark.parametrize("compression", [None, ZSTD])
+def test_a_truncated_mcap_is_read_as_far_as_it_goes(tmp_path: Path, compression: Any) -> None:
+    rng = np.random.default_rng(2)
+    with BagWriter(tmp_path / "drive", "mcap", compression=compression) as bag:
+        for row in range(40):
+            pose = np.eye(4)
+            pose[0, 3] = row
+            bag.odometry("/odom", START + row, pose)
+            bag.cloud("/points", START + row, cells_of(rng.normal(size=(5000, 4))))
+    file = tmp_path / "drive/drive.mcap"
+    data = file.read_bytes()
+    file.write_bytes(data[: int(0.6 * len(data))])
+    count, findings = read_all(file)
+    assert 15 <= count <= 24
+    (warning,) = [each for each in findings.found if each.severity == "warning"]
+    assert "messages over" in warning.message
+    assert "not ended properly" in warning.message
+
+
+def test_an_mcap_without_a_summary_is_read_whole(tmp_path: Path) -> None:
+    file = small_bag(tmp_path / "drive", "mcap")
+    data = bytearray(file.read_bytes())
+    footer = len(data) - 37
+    data[footer + 9 : footer + 17] = bytes(8)
+    file.write_bytes(data)
+    count, findings = read_all(file)
+    assert count == 8
+    assert not [each for each in findings.found if each.severity == "warning"]
+
+
+def test_a_bag_without_an_index_is_refused_with_the_cure(tmp_path: Path) -> None:
+    file = small_bag(tmp_path / "drive", "bag")
+    data = file.read_bytes()
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    file.write_bytes(data[:at] + bytes(8) + data[at + 8 :])
+    assert "rosbag reindex" in refusal(file)
+
+
+@pytest.mark.parametrize("form", ["db3", "mcap"])
+def test_a_bag_that_is_compressed_as_a_whole_is_refused_with_the_command(tmp_path: Path, form: str) -> None:
+    file = small_bag(tmp_path / "drive", form)
+    packed = file.with_name(file.name + ".zstd")
+    file.rename(packed)
+    metadata = file.parent / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace(file.name, packed.name))
+    assert f"`zstd -d {packed.name}`" in refusal(packed)
+    assert f"`zstd -d {packed.name}`" in refusal(file.parent)
+    packed.rename(file)  # as if it had been unpacked
+    assert read_all(file.parent)[0] == 8
+
+
+def test_metadata_that_is_missing_or_of_no_use_does_no_harm(tmp_path: Path) -> None:
+    file = small_bag(tmp_path / "drive", "db3")
+    metadata = file.parent / "metadata.yaml"
+    for text in ("rosbag2_bagfile_information: [", "relative_file_paths:\n  - gone.db3\n", "\0\xff"):
+        metadata.write_text(text)
+        assert read_all(file.parent)[0] == 8
+    metadata.unlink()
+    assert read_all(file.parent)[0] == 8
+
+
+def test_several_bags_in_a_folder_are_refused(tmp_path: Path) -> None:
+    first = small_bag(tmp_path / "first", "bag")
+    shutil.copy(first, tmp_path / "second.bag")
+    assert "holds several bags (first.bag, second.bag)" in refusal(tmp_path)
+
+
+def test_a_bag_in_the_folder_of_a_drive_is_found(tmp_path: Path) -> None:
+    small_bag(tmp_path / "drive" / "recording", "mcap")
+    assert read_all(tmp_path / "drive")[0] == 8
+
+
+@pytest.mark.parametrize("name", ["velodyne", "velodyne_points/data"])
+def test_a_drive_of_another_layout_is_left_to_its_reader(tmp_path: Path, name: str) -> None:
+    small_bag(tmp_path / "drive", "bag")
+    (tmp_path / name).mkdir(parents=True)
+    assert open_rosbag(tmp_path, DriveOptions(), Findings(stop_at_first=True)) is None
+    assert open_rosbag(tmp_path, DriveOptions(layout="rosbag"), Findings(stop_at_first=True)) is not None
+    assert open_rosbag(tmp_path / name, DriveOptions(), Findings(stop_at_first=True)) is None
+
+
+def test_a_database_without_messages_is_refused(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "other.db3") as database:
+        database.execute("CREATE TABLE notes (text)")
+    database.close()
+    assert "without the tables of a bag (it has notes)" in refusal(tmp_path / "other.db3")
+
+
+def test_views_that_never_end_are_not_asked(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "other.db3") as database:
+        database.execute("CREATE TABLE topics (id, name, type, serialization_format)")
+        database.execute(
+            "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
+            "SELECT id, 1 AS topic_id, 2 AS timestamp, 3 AS data FROM n"
+        )
+    database.close()
+    assert "without the tables of a bag" in refusal(tmp_path / "other.db3")
+
+
+def test_a_bag_of_before_ros_2_iron_has_no_definitions_and_is_read(tmp_path: Path) -> None:
+    file = small_bag(tmp_path / "drive", "db3")
+    with sqlite3.connect(file) as database:
+        database.execute("DROP TABLE message_definitions")
+        database.execute("DROP TABLE schema")
+    database.close()
+    count, findings = read_all(file)
+    assert count == 8
+    assert any("no definitions" in each.message for each in findings.found)
+
+
+def test_a_chunk_that_unpacks_to_much_more_is_refused(tmp_path: Path) -> None:
+    file = small_bag(tmp_path / "drive", "bag", (Writer1.CompressionFormat.BZ2,))
+    data = bytearray(file.read_bytes())
+    bomb = bz2.compress(bytes(100_000_000), 1)
+    chunk = data.index(b"BZh")
+    (size,) = struct.unpack_from("<I", data, chunk - 4)
+    assert len(bomb) < size
+    data[chunk : chunk + len(bomb)] = bomb
+    file.write_bytes(data)
+    started = time.monotonic()
+    assert "is damaged" in refusal(file)
+    assert time.monotonic() - started < 5
+
+
+def test_sizes_that_a_chunk_cannot_have_are_refused(tmp_path: Path) -> None:
+    file = small_bag(tmp_path / "drive", "mcap", ZSTD)
+    data = bytearray(file.read_bytes())
+    chunk = data.index(b"\x06", 8 + 9 + 20)
+    struct.pack_into("<Q", data, chunk + 9 + 16, 2**60)
+    file.write_bytes(data)
+    assert "is said to unpack to 1,152,921,504,606,846,976 bytes" in refusal(file)
+
+
+def test_an_empty_topic_is_named(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive.bag", "bag") as bag:
+        bag.odometry("/odom", START, np.eye(4))
+        bag.writer.add_connection("/points", "sensor_msgs/msg/PointCloud2", typestore=bag.store)
+    assert "/points: no messages. Expected one per scan" in refusal(tmp_path / "drive.bag")
+
+
+def test_a_file_that_is_no_bag_is_left_to_others(tmp_path: Path) -> None:
+    (tmp_path / "cloud.las").write_bytes(b"LASF")
+    assert open_rosbag(tmp_path / "cloud.las", DriveOptions(), Findings(stop_at_first=True)) is None
+    assert open_rosbag(tmp_path, DriveOptions(), Findings(stop_at_first=True)) is None
+    assert open_rosbag(tmp_path / "nothing", DriveOptions(), Findings(stop_at_first=True)) is None
+    with pytest.raises(DriveError, match="is not a bag by its name"):
+        open_rosbag(tmp_path / "cloud.las", DriveOptions(layout="rosbag"), Findings(stop_at_first=True))
