@@ -1,4 +1,4 @@
-"""Uploads of drives that only the service can read or label: as they are, labelled there, or told how labels are made."""
+"""Uploads of drives that only the service can read or label: sent as they are, labelled there, or refused in words."""
 
 from __future__ import annotations
 
@@ -64,9 +64,11 @@ def at_stage(server: ServerProcess, stage: str) -> Iterator[None]:
     workers = server.workers()
     for worker in workers:
         worker.suspend()
-    yield
-    for worker in workers:
-        worker.resume()
+    try:
+        yield
+    finally:
+        for worker in workers:
+            worker.resume()
 
 
 def test_pcd_files_are_sent_as_they_are(upload: Upload, server: ServerProcess, street: Path, tmp_path: Path) -> None:
@@ -96,16 +98,26 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
     upload.pick(unlabelled)
     upload.page.get_by_text(f"It labels about {SCANS} keyframes; the time was not measured here yet").wait_for()
     assert upload.page.get_by_label("Label the scans on the service with flat").is_checked()
-    assert "flat runs on the service: all" in upload.text()
-    assert "range image of 32 × 256" in upload.text()
+    assert "The network flat runs on the service: all" in upload.text()
+    assert "range image of 32 \N{MULTIPLICATION SIGN} 256" in upload.text()
     upload.choose("With label files of mine")
     assert "There is neither labels/ nor predictions/" in upload.text()
     assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
     upload.choose("Label the scans on the service with flat")
+    spacing = upload.page.get_by_label("Distance between keyframes")
+    spacing.fill("1")
+    assert upload.page.get_by_text("A network labels the keyframes of 2 m and 5°").is_visible()
+    assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    spacing.fill("2")
     upload.press("Upload and run")
     with at_stage(server, "labelling"):
         upload.page.get_by_text("Labelling the scans").wait_for()
         upload.page.get_by_text(re.compile(rf"^\d+ of {SCANS}$")).wait_for()
+        upload.page.reload()
+        upload.page.wait_for_selector("text=Uploads that were begun")
+        upload.pick(unlabelled)
+        upload.press("Continue that upload")
+        upload.page.get_by_text("Labelling the scans").wait_for()
     job = ended(server.client, upload.job())
     assert job["state"] == "successful", job["error"]
     assert job["request"]["labels"] == "predictions"
@@ -120,8 +132,13 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
 
 
 def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Path) -> None:
-    (tmp_path / "town.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(40_000))
-    upload.page.set_input_files("input[name=files]", tmp_path / "town.mcap")
+    upload.page.evaluate(
+        """() => {
+            const dataTransfer = new DataTransfer();
+            dataTransfer.items.add(new File([new Uint8Array(40000)], "town.mcap"));
+            dispatchEvent(new DragEvent("drop", { dataTransfer, cancelable: true }));
+        }"""
+    )
     upload.page.wait_for_selector(".upload-form")
     form = upload.page.locator(".upload-form")
     assert "ROS bag" in upload.text()

@@ -92,6 +92,7 @@ function driveCard(drive) {
   if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
   facts.push(formatBytes(drive.stored_bytes || drive.size_bytes), formatAgo(drive.created_at));
   const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
+  const network = report?.label_folder?.startsWith("network ") ? report.label_folder : null;
   const open = () =>
     drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id);
   const run = () => openRunDialog(drive.id).catch(showError);
@@ -102,6 +103,7 @@ function driveCard(drive) {
     el("p", { class: "small cut" }, facts.join(" · ")),
     drive.state !== "ready" && el("p", {}, stateBadge(drive.state)),
     current && report && el("p", { class: "small" }, place),
+    current && network && el("p", { class: "small" }, `Labels: ${network}`),
   );
   return el(
     "article",

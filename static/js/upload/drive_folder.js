@@ -24,6 +24,7 @@ import { sizeComplaint } from "./reduce.js";
  * @typedef {object} DriveFolder
  * @property {string} name
  * @property {string} root Its path inside what was picked; "" where it is the folder itself.
+ * @property {boolean} isLoose Its files were picked or dropped by themselves, without their folder.
  * @property {"semantickitti" | "kitti_raw" | "kitti360" | "reduced" | import("./recordings.js").RecordedLayout} layout
  * @property {NumberedFiles | null} scans null of a reduced drive, and of one that only the service reads.
  * @property {Map<string, File>} recorded Of a drive that only the service reads: its scans, by path inside the drive.
@@ -111,6 +112,7 @@ async function readDrive({ folder, root, inside, kind, calibration }) {
   const drive = {
     name: root ? /** @type {string} */ (root.split("/").pop()) : folder.name,
     root,
+    isLoose: folder.isLoose ?? false,
     layout: kind === "scans" ? "semantickitti" : kind,
     scans: null,
     recorded: new Map(),

@@ -7,6 +7,7 @@ import { isArchive } from "../api.js";
  * @property {string} name
  * @property {Map<string, File>} files By path inside the folder, parts joined by "/".
  * @property {FileSystemDirectoryHandle | null} handle To come back to it after a reload, where the browser can.
+ * @property {boolean} [isLoose] It is no folder: the files were picked or dropped by themselves.
  */
 
 /** @typedef {(count: number) => void} OnCount Called now and then with the number of files found. */
@@ -24,12 +25,13 @@ const STILL_MS = 24;
 export function folderOfInput(list) {
   const files = new Map();
   let name = nameOfFiles([...list]);
+  const isLoose = ![...list].some((file) => file.webkitRelativePath);
   for (const file of list) {
     const [top, ...rest] = (file.webkitRelativePath || file.name).split("/");
     name = rest.length ? top : name;
     put(files, rest.length ? rest.join("/") : top, file);
   }
-  return { name, files, handle: null };
+  return { name, files, handle: null, isLoose };
 }
 
 /** @param {File[]} files @returns {string} The name of the largest, without its ending: that of a drive in loose files. */
@@ -143,8 +145,9 @@ async function readItems(handles, entries, plain, onCount) {
   if (!entries.some(Boolean)) {
     plain.forEach((file) => put(files, file.name, file));
   }
-  const loose = entries.some((entry) => entry?.isDirectory) ? "drive" : nameOfFiles(plain);
-  return { folder: { name: single?.name ?? loose, files, handle: null } };
+  const isLoose = !entries.some((entry) => entry?.isDirectory);
+  const name = single?.name ?? (isLoose ? nameOfFiles(plain) : "drive");
+  return { folder: { name, files, handle: null, isLoose } };
 }
 
 /** @param {FileSystemEntry} entry @param {string} path @param {Map<string, File>} files @param {OnCount} onCount */

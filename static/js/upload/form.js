@@ -101,6 +101,8 @@ export function formView(
   };
   const job = jobForm(known, refresh);
 
+  /** The service labels the keyframes by these settings. @type {Settings["keyframes"]} */
+  const usualKeyframes = presets.presets[0].config.keyframes;
   /** @type {JudgedLabels[]} */
   let judged = [];
   /** @type {FileProblem[]} */
@@ -175,8 +177,7 @@ export function formView(
       labels.setFolders(drive.labels);
       reading.setFiles();
       judge();
-      if (labels.canLabel)
-        estimateKeyframes(drive, presets.presets[0].config.keyframes.distance_m).then(labels.setKeyframes);
+      if (labels.canLabel) estimateKeyframes(drive, usualKeyframes.distance_m).then(labels.setKeyframes);
     }
     refresh();
   }
@@ -210,8 +211,10 @@ export function formView(
         : (job.complaint() ??
           reading.complaint() ??
           (isOpen && !isWhole() && !folders.length ? "Choose a folder of labels." : null));
-    run.disabled = only.disabled = complaint !== null;
-    why.textContent = complaint ?? "";
+    const ofRun = model ? keyframesComplaint(job.keyframes(), usualKeyframes) : null;
+    only.disabled = complaint !== null;
+    run.disabled = (complaint ?? ofRun) !== null;
+    why.textContent = complaint ?? ofRun ?? "";
   }
 
   /** @param {boolean} withJob */
@@ -321,13 +324,24 @@ function labelNames(drive) {
 /** @param {File | null} archive */
 const baseName = (archive) => archive?.name.replace(/\.(zip|tgz|tzst|tar(\.\w+)?)$/i, "") ?? "";
 
+/**
+ * @param {Settings["keyframes"]} wanted By the settings of the job.
+ * @param {Settings["keyframes"]} labelled Those that a network labels.
+ * @returns {string | null} Why the job could not run.
+ */
+function keyframesComplaint(wanted, labelled) {
+  if (wanted.distance_m === labelled.distance_m && wanted.angle_deg === labelled.angle_deg) return null;
+  const usual = `${labelled.distance_m} m and ${labelled.angle_deg}°`;
+  return `A network labels the keyframes of ${usual}: leave these two settings, or use label files of your own.`;
+}
+
 /** @param {Iterable<File>} files */
 const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
 
 /** @param {DriveFolder} drive @param {string | null} model @returns {string} Why its scans are sent as they are. */
 function reasonOf({ scans, recorded }, model) {
   const all = formatBytes(scans?.bytes ?? bytesOf(recorded.values()));
-  const why = model ? `${model} runs on the service` : "The browser cannot reduce these files";
+  const why = model ? `The network ${model} runs on the service` : "The browser cannot reduce these files";
   return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
 }
 
@@ -335,7 +349,7 @@ function reasonOf({ scans, recorded }, model) {
 function georeferenceOf(drive) {
   if (hasFix(drive)) return drive.small.has("geo.csv") ? "geo.csv" : "oxts/";
   if (drive.layout === "rosbag") return "the fixes in the bag, if it has any";
-  return drive.layout === "las" ? "the coordinate system of the files" : "none in the folder";
+  return drive.layout === "las" ? "the coordinate system, if the files name one" : "none in the folder";
 }
 
 /**

@@ -66,9 +66,10 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const wanted = before?.options.model ? OF_NETWORK + before.options.model : unseen || before ? "own" : "";
   const usual = choices.some(({ value }) => value === wanted) ? wanted : choices[0].value;
   const source = radios("Where labels come from", choices, usual, () => (show(), onChange()));
-  const title = unseen && !usable.length && el("p", {}, unseen.title, el("small", { class: "block" }, unseen.hint));
   const ofKeyframes = "A network labels the keyframes only, about one scan per two metres.";
-  const chooser = usable.length ? [source.element, el("small", {}, ofKeyframes)] : el("div", {}, title);
+  const chooser = usable.length
+    ? [source.element, el("small", {}, ofKeyframes)]
+    : unseen && [el("p", {}, unseen.title), el("small", {}, unseen.hint)];
   const damaged = networks.filter(({ problem }) => problem !== null);
   const ofDamaged = damaged.map(({ name, problem }) =>
     el("small", {}, `The network ${name} cannot be used: ${problem}`),

@@ -96,7 +96,11 @@ async function showStart(message = null, begun = null) {
       el("div", { class: "cut" }, title, el("br"), el("small", {}, formatAgo(at), has)),
       handles[i]
         ? el("button", { onClick: () => run(() => continueByHandle(upload)) }, "Continue")
-        : el("button", { onClick: () => input.click() }, "Pick it again"),
+        : el(
+            "button",
+            { onClick: () => (upload.isLoose ? pickFiles.querySelector("input") : input)?.click() },
+            "Pick it again",
+          ),
       iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
     );
   });

@@ -207,7 +207,8 @@ export class Upload {
     const { settings } = this;
     const root = drive?.root ?? "";
     schemes ??= before?.schemes;
-    remember({ driveId, fingerprint, name: settings.name, at, root, settings, schemes }, handle);
+    const isLoose = drive?.isLoose;
+    remember({ driveId, fingerprint, name: settings.name, at, root, isLoose, settings, schemes }, handle);
   }
 
   async #send() {
