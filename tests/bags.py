@@ -152,12 +152,19 @@ class BagWriter:
         self.write(topic, "tf2_msgs/msg/TFMessage", time_s, self.make("tf2_msgs/msg/TFMessage", messages))
 
     def fix(
-        self, topic: str, time_s: float, position: Sequence[float], *, status: int = 0, frame: str = "gnss"
+        self,
+        topic: str,
+        time_s: float,
+        position: Sequence[float],
+        *,
+        status: int = 0,
+        frame: str = "gnss",
+        header_s: float | None = None,
     ) -> None:
         """Write a fix: latitude, longitude in degrees, altitude in metres."""
         message = self.make(
             "sensor_msgs/msg/NavSatFix",
-            self.header(time_s, frame),
+            self.header(time_s if header_s is None else header_s, frame),
             self.make("sensor_msgs/msg/NavSatStatus", status, 1),
             *map(float, position),
             np.zeros(9),

@@ -41,6 +41,9 @@ PART_LABELLED_SCANS = 20
 MAX_PROBLEMS = 500
 """Maximum number of problems in a report: some of 9,000 bad scans are enough."""
 
+_READ_WHOLE = ("pcd", "rosbag", "las")
+"""Layouts whose scans have names of any kind: no file is called needless."""
+
 _PROBLEMS = "problems.json"
 _MAX_NAMES_SHOWN = 3
 
@@ -141,7 +144,8 @@ def check(task: Task) -> DriveReport:
     reports = [inspect_drive(root, _options(task), labels=folder) for folder in folders]
     first = reports[0]
     problems = list(dict.fromkeys(problem for report in reports for problem in report.problems))
-    problems += _unknown_files(task, problems)
+    if first.layout not in _READ_WHOLE:
+        problems += _unknown_files(task, problems)
     name = first.name if first.layout else task.drive_name
     return first.model_copy(update={"path": name, "name": name, "problems": _tidied(problems, root, task.drive_name)})
 

@@ -174,7 +174,7 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
     plan, manifest = reduction.plan, reduction.manifest
     if manifest.layout in {"rosbag", "las"}:
         raise ConfigError(
-            f"{root}: --raw sends drives that have one file per scan; a {manifest.layout} is reduced here."
+            f"{root}: --raw sends drives with one file per scan. Leave it out: bags and LAS files are reduced here."
         )
     scans: dict[str, Path] = {}
     for source in reduction.scans.values():

@@ -177,7 +177,9 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     drive, store = reading.drive, reading.store
     if drive is None or store is None:
         return reading
-    pose_file = "oxts" if store.parts.poses is None else store.parts.file(store.parts.poses).name
+    pose_file = "oxts" if drive.pose_frame == "oxts" else "poses"  # those of a bag are in no file
+    if store.parts.poses is not None:
+        pose_file = store.parts.file(store.parts.poses).name
     for index in reading.sample:
         with findings.stage():
             drive.ground_points(index)

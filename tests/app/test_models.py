@@ -10,13 +10,16 @@ import httpx
 import numpy as np
 import pytest
 
+from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.reduction.reduce import reduce_drive
 from tests.app.conftest import running_server
 from tests.app.processes import ended
 from tests.app.street import write_street
 from tests.app.test_commit import commit, refused, upload
+from tests.bags import write_bag
 from tests.drives.scans.test_pcd import as_pcd
+from tests.las_files import write_mapping
 from tests.networks import write_model
 
 
@@ -112,12 +115,36 @@ def test_pcd_files_are_read_by_the_service(client: httpx.Client, tmp_path: Path)
     assert {name: ours["report"][name] for name in same} == {name: theirs["report"][name] for name in same}
 
 
+@pytest.mark.parametrize("form", ["bag", "db3", "mcap", "laz"])
+def test_bags_and_las_files_are_read_by_the_service(client: httpx.Client, tmp_path: Path, form: str) -> None:
+    street = open_drive(write_street(tmp_path / "07", 20))
+    folder = tmp_path / "recorded"
+    folder.mkdir()
+    points = [street.ground_points(index) for index in range(20)]
+    if form == "laz":
+        write_mapping(street, folder)
+    else:
+        scans = [np.column_stack([each.xyz, np.zeros(len(each.xyz))]).astype(np.float32) for each in points]
+        labels = [np.where(each.is_road, 40, 48).astype(np.uint32) for each in points]
+        times = (1.7e9 + 0.1 * np.arange(20)).tolist()
+        path = write_bag(folder / "drive", form, scans, times, labels=labels, poses=list(street.T_world_lidar))
+        assert path.exists()
+    report = commit(client, upload(client, folder))["report"]
+    assert report["layout"] == ("las" if form == "laz" else "rosbag")
+    assert not [each for each in report["problems"] if "not needed" in each["message"]]
+    if form != "laz":
+        assert report["scans"] == 20
+        share = sum(each.road_count for each in points) / sum(len(each.xyz) for each in points)
+        assert report["road_share"] == pytest.approx(share, abs=0.02)
+        assert {each["name"]: each["role"] for each in report["topics"]} == {"/points": "points", "/odom": "poses"}
+
+
 @pytest.mark.parametrize("poses", ["/etc/passwd", "/etc/hostname"])
 def test_the_name_of_a_topic_is_no_path_of_the_server(client: httpx.Client, tmp_path: Path, poses: str) -> None:
     root = as_pcd(write_street(tmp_path / "07", 4), tmp_path / "pcd-street")
     problems = refused(client, upload(client, root), options={"poses": poses})
     assert all("root:" not in each["message"] and poses not in each["path"] for each in problems)
-    assert any("rosbag" in each["message"] for each in problems)
+    assert any(".mcap" in each["message"] for each in problems)
 
 
 def test_poses_among_the_files(client: httpx.Client, tmp_path: Path) -> None:

@@ -19,6 +19,9 @@ import pytest
 
 from interloc.drives.scans.reduced_format import decode_ground
 from tests.app.processes import ServerProcess, started, wait_until
+from tests.bags import write_bag
+from tests.networks import write_model
+from tests.small_drives import lidar_poses, scan_at
 
 API = "/api/v1"
 RIGHT = "the-right-one-for-this-server"
@@ -337,3 +340,28 @@ def test_stopping_does_not_wait_for_a_server_that_does_not_answer(
         _, err = process.communicate(timeout=30)
     over.set()
     assert "the same command sends the rest" in err
+
+
+def test_a_network_labels_what_is_pushed(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+    unlabelled = tmp_path / "07"
+    shutil.copytree(street, unlabelled, ignore=shutil.ignore_patterns("labels", "predictions"))
+    model = write_model(tmp_path / "flat", height=32, width=256, road_half_width_m=4.0)
+    pushed = here("push", unlabelled, "--model", model, "--json").json
+    assert here("push", unlabelled, "--model", model, "--json").json["files_sent"] == 0
+    files = files_on(server, pushed["drive_id"])
+    assert {path.split("/")[1] for path in files if path.startswith("ground/")} == {"predictions"}
+    other = write_model(tmp_path / "wide", height=32, width=256, road_half_width_m=8.0)
+    assert here("push", unlabelled, "--model", other, "--json").json["drive_id"] != pushed["drive_id"]
+
+
+def test_a_bag_is_reduced_on_the_way(here: Any, server: ServerProcess, tmp_path: Path) -> None:
+    poses = lidar_poses()
+    scans, labels = zip(*(scan_at(pose, (40, 48, 70)) for pose in poses), strict=True)
+    times = (1.7e9 + 0.1 * np.arange(12)).tolist()
+    bag = write_bag(tmp_path / "drive", "bag", scans, times, labels=labels, poses=list(poses))
+    pushed = here("push", bag, "--json").json
+    assert (pushed["name"], pushed["scans"]) == ("drive", 12)
+    files = files_on(server, pushed["drive_id"])
+    assert {"poses.txt", "times.txt", "reduced.json"} <= set(files)
+    assert not [path for path in files if path.endswith(".bag")]
+    assert "Leave it out" in here("push", bag, "--raw").err

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
-from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotation_from_rpy
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 
 MIN_FIXES = 3
 MIN_EXTENT_M = 10.0
@@ -18,6 +18,7 @@ _AROUND_M = 50.0
 """Fixes count for a scan by how far was driven between the two: this is the standard deviation."""
 
 _BIN_M = 1.0
+_STATION_M = 5.0
 _ROUNDS = 4
 _USUAL_ERROR_M = 0.5
 
@@ -54,7 +55,7 @@ def extent_m(fixes: Fixes) -> float:
 def georeference_from_fixes(
     fixes: Fixes, T_world_lidar: FloatArray, distance_m: FloatArray, source: str
 ) -> Georeference:
-    """Lay the poses on the fixes, anew for every scan.
+    """Lay the poses on the fixes, anew every few metres.
 
     Parameters
     ----------
@@ -69,39 +70,74 @@ def georeference_from_fixes(
 
     Notes
     -----
-    Around each scan, the poses are turned about the vertical and moved so that they lie on the fixes with the least sum
+    Every few metres, the poses are turned about the vertical and moved so that they lie on the fixes with the least sum
     of weighted squares (closed form). The weights fall with the distance driven, so that drift of an odometry does not
-    matter, and with the error of a fix, so that one that jumped does not either (Cauchy weights, some rounds). Roll and
-    pitch are those of the poses.
+    matter, and with the error of a fix, so that one that jumped does not either (Cauchy weights, some rounds). Between
+    two such places, position and heading are interpolated. Roll and pitch are those of the poses.
     """
     fixes = _averaged(fixes)
-    lonlat = np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1)
-    count = len(T_world_lidar)
-    placed, altitude, yaw = np.empty((count, 2)), np.empty(count), np.empty(count)
-    for row in range(count):
-        around, weights = _around(fixes.distance_m, float(distance_m[row]))
-        origin = lonlat[around][int(np.argmax(weights))]
-        enu = enu_from_lonlat(origin[1], origin[0], lonlat[around])
-        ours = fixes.position[around]
-        for _ in range(_ROUNDS):
-            angle, turn, move = _fit(ours[:, :2], enu, weights)
-            error = np.linalg.norm(ours[:, :2] @ turn.T + move - enu, axis=1)
-            scale = max(_USUAL_ERROR_M, 2.0 * float(np.median(error)))
-            robust = weights / (1.0 + (error / scale) ** 2)
-            angle, turn, move = _fit(ours[:, :2], enu, robust)
-            weights = robust
-        here = T_world_lidar[row, :3, 3]
-        placed[row] = lonlat_from_enu(origin[1], origin[0], turn @ here[:2] + move)
-        altitude[row] = np.average(fixes.alt_m[around] - ours[:, 2], weights=weights) + here[2]
-        yaw[row] = angle
-    zero = np.zeros(count)
+    cell = np.floor(distance_m / _STATION_M)
+    stations = np.unique(np.concatenate([cell, cell + 1]))
+    before, after = np.searchsorted(stations, cell), np.searchsorted(stations, cell + 1)
+    share = distance_m / _STATION_M - cell
+    laid = [_laid_around(fixes, float(station) * _STATION_M) for station in stations]
+    angle = np.unwrap([each.angle_rad for each in laid])
+    first, second = (_placed(laid, rows, T_world_lidar[:, :3, 3]) for rows in (before, after))
+    placed = first + share[:, None] * (second - first)
+    yaw = angle[before] + share * (angle[after] - angle[before])
+    zero = np.zeros(len(yaw))
     return Georeference(
         lat_deg=placed[:, 1].copy(),
         lon_deg=placed[:, 0].copy(),
-        alt_m=altitude,
+        alt_m=placed[:, 2].copy(),
         R_enu_lidar=rotation_from_rpy(zero, zero, yaw) @ T_world_lidar[:, :3, :3],
         source=source,
     )
+
+
+@dataclass(frozen=True)
+class _Laid:
+    """How the poses are turned and moved at one place.
+
+    Attributes
+    ----------
+    lonlat : (2,) float64
+        Origin of the tangent plane, degrees.
+    angle_rad : float
+    move : (2,) float64
+        East, north, metres.
+    up_m : float
+    """
+
+    lonlat: FloatArray
+    angle_rad: float
+    move: FloatArray
+    up_m: float
+
+
+def _laid_around(fixes: Fixes, here_m: float) -> _Laid:
+    """Lay the poses on the fixes around a place on the way."""
+    around, weights = _around(fixes.distance_m, here_m)
+    lonlat = np.stack([fixes.lon_deg[around], fixes.lat_deg[around]], axis=-1)
+    origin = lonlat[int(np.argmax(weights))]
+    enu = enu_from_lonlat(origin[1], origin[0], lonlat)
+    ours, robust = fixes.position[around], weights
+    for _ in range(_ROUNDS):
+        _, turn, move = _fit(ours[:, :2], enu, robust)
+        error = np.linalg.norm(ours[:, :2] @ turn.T + move - enu, axis=1)
+        scale = max(_USUAL_ERROR_M, 2.0 * float(np.median(error)))
+        robust = weights / (1.0 + (error / scale) ** 2)
+    angle, _, move = _fit(ours[:, :2], enu, robust)
+    return _Laid(origin, angle, move, float(np.average(fixes.alt_m[around] - ours[:, 2], weights=robust)))
+
+
+def _placed(laid: list[_Laid], rows: IntArray, position: FloatArray) -> FloatArray:
+    """Return (N, 3) longitude, latitude, altitude of (N, 3) positions, each by the place of its row."""
+    origin = np.array([each.lonlat for each in laid])[rows]
+    angle = np.array([each.angle_rad for each in laid])[rows]
+    enu = rotate_2d(position[:, :2], angle) + np.array([each.move for each in laid])[rows]
+    up = np.array([each.up_m for each in laid])[rows]
+    return np.column_stack([lonlat_from_enu(origin[:, 1], origin[:, 0], enu), position[:, 2] + up])
 
 
 def _averaged(fixes: Fixes) -> Fixes:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -51,6 +52,11 @@ def read_index(file: SourceFile) -> BagIndex:
                 defined = {name for (name,) in database.execute("SELECT topic_type FROM message_definitions")}
             topics = database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
             rows = _rows(database)
+        return BagIndex(_channels(topics, rows, defined))
+
+
+def _channels(topics: list[tuple[Any, ...]], rows: IntArray, defined: set[str]) -> list[Channel]:
+    """Sort the messages by their topics."""
     order = np.argsort(rows[:, 1], kind="stable")
     rows = rows[order]
     channels = []
@@ -68,7 +74,7 @@ def read_index(file: SourceFile) -> BagIndex:
                 kind in defined,
             )
         )
-    return BagIndex(channels)
+    return channels
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +17,9 @@ from interloc.geometry import invert_transform
 
 LONGEST_GAP_S = 2.0
 """Between two poses; in a longer one nobody knows where the vehicle was."""
+
+ROW = 8
+"""Numbers of a transform: time, x y z, quaternion x y z w."""
 
 _EARTH = {"earth", "ecef", "utm"}
 _MOVED = 1e-9
@@ -37,7 +42,7 @@ class Edge:
     child: str
     moves: TimedPoses
 
-    @property
+    @cached_property
     def fixed(self) -> bool:
         """True where it never changes."""
         return bool(np.ptp(self.moves.poses, axis=0).max() < _MOVED)
@@ -61,20 +66,37 @@ class FrameTree:
 
     Attributes
     ----------
-    edges : dict of str to Edge
-        By their child; a frame has one parent.
-    messages : int
-        Transforms that were read.
+    parents : dict of str to str
+        The parent of each frame.
+    rows : dict of str to array
+        Time in seconds, x y z in metres and quaternion x y z w of all transforms of each frame, one after the other.
     """
 
-    edges: dict[str, Edge] = field(default_factory=dict)
-    messages: int = 0
+    parents: dict[str, str] = field(default_factory=dict)
+    rows: dict[str, array[float]] = field(default_factory=dict)
+    _edges: dict[str, Edge | None] = field(default_factory=dict)
+
+    def edge(self, child: str) -> Edge | None:
+        """Return how a frame lies in its parent; None where no transform tells."""
+        if child not in self._edges:
+            moves = None
+            if child in self.parents:
+                rows = np.frombuffer(self.rows[child]).reshape(-1, ROW)
+                moves = timed_poses(rows[:, 0], rows[:, 1:], f"{self.parents[child]} -> {child}")
+            self._edges[child] = None if moves is None else Edge(self.parents[child], child, moves)
+        return self._edges[child]
+
+    @property
+    def moving(self) -> list[Edge]:
+        """All edges that change over time."""
+        edges = (self.edge(child) for child in self.parents)
+        return [edge for edge in edges if edge is not None and not edge.fixed]
 
     def upwards(self, frame: str) -> list[Edge]:
         """Return the edges from a frame to the root of its tree; frames that span the Earth do not count."""
         edges: list[Edge] = []
         seen = {frame}
-        while (edge := self.edges.get(frame)) is not None and edge.parent not in seen | _EARTH:
+        while (edge := self.edge(frame)) is not None and edge.parent not in seen | _EARTH:
             edges.append(edge)
             frame = edge.parent
             seen.add(frame)
@@ -114,35 +136,29 @@ def read_tree(bag: Bag, topics: list[BagTopic]) -> FrameTree:
     WireError
         A message is damaged.
     """
-    found: dict[tuple[str, str], list[tuple[float, tuple[float, ...]]]] = {}
-    count = 0
+    found: dict[tuple[str, str], array[float]] = {}
     for topic in topics:
         if topic.encoding is None:
             continue
         for message, log_ns in zip(bag.messages(topic), topic.log_ns, strict=True):
             for transform in read_transforms(message, topic.encoding):
-                count += 1
                 key = (transform.header.frame_id, transform.child_frame)
                 if key not in found and len(found) >= _MAX_FRAMES:
                     continue
-                time_s = (transform.header.stamp_ns or int(log_ns)) / 1e9
-                found.setdefault(key, []).append((time_s, transform.values))
-    edges: dict[str, Edge] = {}
+                rows = found.setdefault(key, array("d"))
+                rows.append((transform.header.stamp_ns or int(log_ns)) / 1e9)
+                rows.extend(transform.values)
+    tree = FrameTree()
     for (parent, child), rows in sorted(found.items(), key=lambda item: len(item[1])):  # the most messages count
-        moves = timed_poses([row[0] for row in rows], [row[1] for row in rows], f"{parent} -> {child}")
-        if moves is not None:
-            edges[child] = Edge(parent, child, moves)
-    return FrameTree(edges, count)
+        tree.parents[child], tree.rows[child] = parent, rows
+    return tree
 
 
-def timed_poses(times_s: list[float] | FloatArray, values: list[tuple[float, ...]], source: str) -> TimedPoses | None:
+def timed_poses(times: FloatArray, numbers: FloatArray, source: str) -> TimedPoses | None:
     """Make poses of (P,) times and (P, 7) values x y z, quaternion x y z w, without those that are none.
 
     They are sorted by time; of several at one time the last counts. None where none is left.
     """
-    if not len(values):
-        return None
-    numbers, times = np.array(values, dtype=np.float64), np.asarray(times_s, dtype=np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         unit = np.abs(np.linalg.norm(numbers[:, 3:], axis=1) - 1.0) < _OFF_UNIT
         near = np.abs(numbers[:, :3]).max(axis=1) < MAX_NUMBER

@@ -41,6 +41,7 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish t
 _CHUNK_HEAD = struct.Struct("<QQQI")  # first and last time, unpacked size, checksum
 _FOOTER_BYTES = _PREFIX.size + 20 + len(MAGIC)
 _SMALL_RECORD = 64 * 1024 * 1024
+_Place = tuple[int, int, int]  # where the bytes of a chunk start, their size, their compression
 _ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
@@ -146,7 +147,7 @@ def _by_summary(raw: BinaryIO, size: int) -> _Contents | None:
     if not 0 < start <= end:
         return None
     contents = _Contents()
-    chunks: list[tuple[int, int, int]] = []
+    chunks: list[tuple[_Place, int, int]] = []
     raw.seek(start)
     while raw.tell() < end:
         kind, length = _PREFIX.unpack(raw.read(_PREFIX.size))
@@ -158,23 +159,22 @@ def _by_summary(raw: BinaryIO, size: int) -> _Contents | None:
             chunk_start, chunk_length = struct.unpack_from("<QQ", content, 16)
             (offsets,) = struct.unpack_from("<I", content, 32)
             (index_length,) = struct.unpack_from("<Q", content, 36 + offsets)
+            compression, at = _text(content, 44 + offsets)
+            (packed,) = struct.unpack_from("<Q", content, at)
             if chunk_start + chunk_length + index_length > size:
                 raise DamagedChunkError("the index of a chunk lies outside of the file")
-            chunks.append((chunk_start, chunk_start + chunk_length, index_length))
+            data_start = chunk_start + _PREFIX.size + _CHUNK_HEAD.size + 4 + len(compression) + 8
+            place = (data_start, packed, codec_number(compression))
+            chunks.append((place, chunk_start + chunk_length, index_length))
     if not contents.channels or not chunks or not all(length for *_, length in chunks):
         return None
-    for chunk_start, index_start, index_length in chunks:
-        _read_message_index(raw, chunk_start, index_start, index_length, contents)
+    for place, index_start, index_length in chunks:
+        _read_message_index(raw, place, index_start, index_length, contents)
     return contents
 
 
-def _read_message_index(raw: BinaryIO, chunk_start: int, start: int, length: int, contents: _Contents) -> None:
+def _read_message_index(raw: BinaryIO, place: _Place, start: int, length: int, contents: _Contents) -> None:
     """Read which messages a chunk holds, from the records that follow it."""
-    raw.seek(chunk_start)
-    kind, _ = _PREFIX.unpack(raw.read(_PREFIX.size))
-    if kind != _CHUNK:
-        raise DamagedChunkError("the index leads to a place where no chunk is")
-    place = _chunk_place(raw)[0]
     raw.seek(start)
     records = raw.read(length)
     at = 0
@@ -190,7 +190,7 @@ def _read_message_index(raw: BinaryIO, chunk_start: int, start: int, length: int
         at += size
 
 
-def _chunk_place(raw: BinaryIO) -> tuple[tuple[int, int, int], int]:
+def _chunk_place(raw: BinaryIO) -> tuple[_Place, int]:
     """Return where the bytes of a chunk lie, their size and compression, and their size when unpacked."""
     _, _, unpacked, _ = _CHUNK_HEAD.unpack(raw.read(_CHUNK_HEAD.size))
     (length,) = struct.unpack("<I", raw.read(4))
@@ -203,19 +203,20 @@ def _chunk_place(raw: BinaryIO) -> tuple[tuple[int, int, int], int]:
 
 
 def _look_through(raw: BinaryIO, size: int, contents: _Contents) -> str:
-    """Read a file from its beginning; return what ended that too early, or nothing."""
-    at = len(MAGIC)
+    """Read a file from its beginning, past chunks that are damaged; return the first damage, or nothing."""
+    at, damage = len(MAGIC), ""
     try:
         while at < size:
             raw.seek(at)
             kind, length = _PREFIX.unpack(raw.read(_PREFIX.size))
             if kind in {_FOOTER, _DATA_END}:
-                return ""
+                return damage
             content_at = at + _PREFIX.size
             if kind == _CHUNK:
-                (start, packed, codec), unpacked = _chunk_place(raw)
-                there = min(packed, size - start)
-                _look_through_chunk(ChunkStream(raw, start, there, codec), unpacked, (start, there, codec), contents)
+                error = _look_through_chunk(raw, size, contents)
+                if error is not None and content_at + length > size:
+                    raise error
+                damage = damage or ("" if error is None else f"{error} (at byte {at:,} of {size:,})")
             elif kind == _MESSAGE:
                 channel, _, log_ns, _ = _MESSAGE_HEAD.unpack(raw.read(_MESSAGE_HEAD.size))
                 if content_at + length <= size:
@@ -227,11 +228,22 @@ def _look_through(raw: BinaryIO, size: int, contents: _Contents) -> str:
             raise DamagedChunkError(f"its last record was cut short, {at - size:,} bytes before its end")
     except (ValueError, struct.error, OverflowError) as error:
         reason = str(error) if isinstance(error, DamagedChunkError) else "it ends in the middle of a record"
-        return f"{reason} (after {min(at, size):,} of {size:,} bytes)"
-    return "it has no end (the footer is missing)"
+        return damage or f"{reason} (after {min(at, size):,} of {size:,} bytes)"
+    return damage or "it has no end (the footer is missing)"
 
 
-def _look_through_chunk(stream: ChunkStream, unpacked: int, place: tuple[int, int, int], contents: _Contents) -> None:
+def _look_through_chunk(raw: BinaryIO, size: int, contents: _Contents) -> Exception | None:
+    """Find the messages of the chunk that a file of some bytes stands at; return what ended that too early."""
+    try:
+        (start, packed, codec), unpacked = _chunk_place(raw)
+        there = min(packed, size - start)
+        _find_messages(ChunkStream(raw, start, there, codec), unpacked, (start, there, codec), contents)
+    except (ValueError, struct.error, OverflowError) as error:
+        return error
+    return None
+
+
+def _find_messages(stream: ChunkStream, unpacked: int, place: _Place, contents: _Contents) -> None:
     """Find the messages of one chunk."""
     while stream.position < unpacked:
         at = stream.position

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from array import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
-from interloc.drives.scans.rosbag.frames import Edge, FrameTree, timed_poses
+from interloc.drives.scans.rosbag.frames import ROW, Edge, FrameTree, timed_poses
 from interloc.drives.scans.rosbag.messages import TRANSFORMS, read_pose
 from interloc.drives.scans.rosbag.wire import WireError
 
@@ -109,31 +109,35 @@ def read_motion(
 def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -> tuple[Edge, int]:
     """Read the poses of a topic of Odometry or poses."""
     assert topic.encoding is not None
-    poses = []
+    stamps, values, pairs = array("q"), array("d"), array("q")
+    frames: dict[tuple[str, str], int] = {}
     for number, message in enumerate(bag.messages(topic)):
         try:
-            poses.append(read_pose(message, topic.type, topic.encoding))
+            pose = read_pose(message, topic.type, topic.encoding)
         except WireError as error:
             raise DriveFileError(bag.name, f"{topic.name}, message {number}: {error}.") from error
-    if not poses:
+        pairs.append(frames.setdefault((pose.header.frame_id, pose.child_frame), len(frames)))
+        stamps.append(pose.header.stamp_ns)
+        values.extend(pose.values)
+    if not stamps:
         raise DriveFileError(bag.name, f"the topic {topic.name} holds no messages. Expected poses of the LiDAR.")
-    frames = Counter((pose.header.frame_id, pose.child_frame) for pose in poses)
-    (parent, child), _ = frames.most_common(1)[0]
+    usual = int(np.bincount(np.frombuffer(pairs, dtype=np.int64)).argmax())
+    parent, child = list(frames)[usual]
     if len(frames) > 1:
         findings.warning(
             bag.name, f"{topic.name} mixes poses of {len(frames)} pairs of frames; only {parent} -> {child} is used."
         )
-    rows = [row for row, pose in enumerate(poses) if (pose.header.frame_id, pose.child_frame) == (parent, child)]
-    stamps = np.array([poses[row].header.stamp_ns for row in rows], dtype=np.int64)
-    if not by_log and (stamps <= 0).any():
+    rows = np.flatnonzero(np.frombuffer(pairs, dtype=np.int64) == usual)
+    stamp_ns = np.frombuffer(stamps, dtype=np.int64)[rows]
+    if not by_log and (stamp_ns <= 0).any():
         findings.note(bag.name, f"{topic.name}: stamps of 0; the times at which the poses were recorded are used.")
         by_log = True
-    times_s = (topic.log_ns[rows] if by_log else stamps) / 1e9
-    moves = timed_poses(times_s, [poses[row].values for row in rows], topic.name)
+    times_s = (topic.log_ns[rows] if by_log else stamp_ns) / 1e9
+    moves = timed_poses(times_s, np.frombuffer(values).reshape(-1, ROW - 1)[rows], topic.name)
     if moves is None:
         raise DriveFileError(
             bag.name,
-            f"{topic.name}: none of {len(poses):,} poses is one. Expected finite positions, and unit quaternions. "
+            f"{topic.name}: none of {len(stamps):,} poses is one. Expected finite positions, and unit quaternions. "
             "Usual cause: an odometry that never started.",
         )
     if len(moves.times_s) < len(rows):
@@ -142,7 +146,7 @@ def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -
             f"{topic.name}: {len(rows) - len(moves.times_s):,} of {len(rows):,} poses repeat a time, or are none, "
             "and are not used.",
         )
-    return Edge(parent, child, moves), len(poses)
+    return Edge(parent, child, moves), len(stamps)
 
 
 def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings) -> Motion:
@@ -150,13 +154,13 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
     chain = tree.upwards(points_frame)
     extrinsic, how = np.eye(4), "up to the fixed frame"
     if all(edge.fixed for edge in chain):
-        if any(edge.parent == points_frame and not edge.fixed for edge in tree.edges.values()):
+        if any(edge.parent == points_frame for edge in tree.moving):
             raise _moved_already(bag, points_frame, topic.name)
-        moving = {edge.child for edge in tree.edges.values() if not edge.fixed}
+        moving = {edge.child for edge in tree.moving}
         body = next((name for name in _BODIES if name in moving), None)
         body = next(iter(moving)) if body is None and len(moving) == 1 else body
         if body is None:
-            frames = ", ".join(f"{edge.parent} -> {edge.child}" for edge in list(tree.edges.values())[:10]) or "none"
+            frames = ", ".join(f"{parent} -> {child}" for child, parent in list(tree.parents.items())[:10]) or "none"
             raise DriveFileError(
                 bag.name,
                 f"{topic.name} does not say how {points_frame or 'the points'} moves. Transforms in the bag: {frames}. "

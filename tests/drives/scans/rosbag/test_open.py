@@ -13,7 +13,6 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 import interloc
-from interloc.drives import open as opening
 from interloc.drives.findings import Findings
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.recorded import Recording
@@ -151,17 +150,7 @@ def test_the_sample_rewritten_as_a_bag_is_the_same_drive(
     assert np.degrees(np.abs(turned).max()) < 0.3
 
 
-@pytest.fixture
-def with_bags(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read bags in `open_drive`, also where it does not yet."""
-    formats = opening._FORMATS
-    if open_rosbag not in formats:
-        monkeypatch.setattr(opening, "_FORMATS", (open_rosbag, *formats))
-
-
-def test_a_bag_gives_the_detections_of_the_original(
-    tmp_path: Path, data: Callable[[str], Path], with_bags: None
-) -> None:
+def test_a_bag_gives_the_detections_of_the_original(tmp_path: Path, data: Callable[[str], Path]) -> None:
     folder = data("kitti360_0009")
     original = interloc.open_drive(folder)
     frames = original.frames
@@ -512,7 +501,7 @@ def test_poses_of_no_use_are_passed_over(tmp_path: Path) -> None:
     assert "without a frame of their own" in said(findings)
 
 
-def test_a_lone_file_is_a_drive(tmp_path: Path, with_bags: None) -> None:
+def test_a_lone_file_is_a_drive(tmp_path: Path) -> None:
     road = np.column_stack([np.random.default_rng(1).uniform(-20, 20, (400, 2)), np.full((400, 2), -1.7)])
     labels = [np.full(400, 40, np.uint32)] * COUNT
     path = write_bag(
@@ -533,3 +522,15 @@ def test_a_missing_package_is_named_with_its_extra(tmp_path: Path, monkeypatch: 
         "interloc.drives.scans.rosbag.bag.find_spec", lambda name: None if name == "rosbags" else find(name)
     )
     assert 'pip install "interloc[ros]"' in refused(path)
+
+
+def test_fixes_of_another_clock_are_taken_at_the_times_of_recording(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "drive", "mcap") as bag:
+        for row, time in enumerate(times_of()):
+            bag.odometry("/odom", time, straight(step_m=3.0)[row])
+            bag.cloud("/points", time, cells_of(scans_of()[row]))
+            bag.fix("/fix", time, (49.0, 8.0 + 4e-5 * row, 100.0), header_s=time - START + 5.0)
+    _, trajectory, findings = opened(tmp_path / "drive")
+    assert trajectory.georeference is not None
+    assert np.allclose(yaw_of(trajectory.georeference.R_enu_lidar), 0.0, atol=1e-3)
+    assert "/fix are of another clock" in said(findings)

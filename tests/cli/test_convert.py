@@ -1,0 +1,86 @@
+"""`interloc label`, `interloc convert`, and --model of the commands that read drives."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.drives.open import open_drive
+from tests.bags import write_bag
+from tests.networks import write_model
+from tests.small_drives import lidar_poses, scan_at, write_semantickitti
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_model(tmp_path_factory.mktemp("model") / "flat", height=32, width=512, road_half_width_m=5.0)
+
+
+@pytest.fixture
+def unlabelled(tmp_path: Path) -> Path:
+    root = write_semantickitti(tmp_path / "07")
+    shutil.rmtree(root / "labels")
+    return root
+
+
+def test_label_then_detect(interloc: Callable, unlabelled: Path, model: Path, tmp_path: Path) -> None:
+    assert "interloc label" in interloc("detect", unlabelled, "-o", tmp_path / "out").complaint
+    labelled = interloc("label", unlabelled, "--model", model)
+    assert labelled.code == 0
+    assert "12 scans by network flat" in labelled.out
+    assert len(list((unlabelled / "predictions").glob("*.label"))) == 12
+    assert "was not touched" in interloc("label", unlabelled, "--model", model).complaint
+    ours = interloc("detect", unlabelled, "-o", tmp_path / "a", "--labels", "predictions", "--json").json
+    theirs = interloc("detect", unlabelled, "-o", tmp_path / "b", "--model", model, "--json").json
+    assert ours["keyframes"] == theirs["keyframes"] > 5
+    assert (tmp_path / "a/detections.local.json").read_bytes() == (tmp_path / "b/detections.local.json").read_bytes()
+    assert '"network flat"' in (tmp_path / "b/run.json").read_text()
+    elsewhere = interloc("label", unlabelled, "--model", model, "-o", tmp_path / "labels-of-07", "--json").json
+    assert elsewhere["out"] == str(tmp_path / "labels-of-07" / "predictions")
+    assert 0.5 < elsewhere["road_share"] < 1
+
+
+def test_info_of_an_unlabelled_drive(interloc: Callable, unlabelled: Path, model: Path) -> None:
+    assert interloc("info", unlabelled).code == 1
+    outcome = interloc("info", unlabelled, "--model", model)
+    assert outcome.code == 0
+    assert "network flat, scheme semantickitti" in outcome.out
+
+
+def test_reduced_by_a_network(interloc: Callable, unlabelled: Path, model: Path, tmp_path: Path) -> None:
+    assert interloc("reduce", unlabelled, "-o", tmp_path / "small", "--model", model, "--quiet").code == 0
+    assert open_drive(tmp_path / "small", labels="predictions").ground_points(0).road_count > 500
+
+
+def test_no_model_there(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
+    complaint = interloc("label", unlabelled, "--model", tmp_path / "nothing").complaint
+    assert "nothing" in complaint
+    assert not (unlabelled / "predictions").exists()
+    assert "cuda" in interloc("label", unlabelled, "--model", tmp_path / "nothing", "--help").out
+
+
+def test_a_bag_to_semantickitti(interloc: Callable, tmp_path: Path) -> None:
+    poses = lidar_poses()
+    scans, labels = zip(*(scan_at(pose, (40, 48, 70)) for pose in poses), strict=True)
+    times = (1.7e9 + 0.1 * np.arange(12)).tolist()
+    bag = write_bag(tmp_path / "drive", "mcap", scans, times, labels=labels, poses=list(poses))
+    report = interloc("info", bag, "--json").json
+    assert {topic["name"]: topic["role"] for topic in report["topics"]} == {"/odom": "poses", "/points": "points"}
+    assert "topic /points" in interloc("info", bag).out
+    assert "/nothing" in interloc("info", bag, "--points", "/nothing").out
+    outcome = interloc("convert", bag, "-o", tmp_path / "out")
+    assert outcome.code == 0
+    assert "drive: 12 scans" in outcome.out
+    before, after = open_drive(bag), open_drive(tmp_path / "out")
+    np.testing.assert_allclose(after.T_world_lidar, before.T_world_lidar, atol=1e-9)
+    np.testing.assert_array_equal(after.ground_points(7).xyz, before.ground_points(7).xyz)
+
+
+def test_pushed_models_and_labels_do_not_go_together(interloc: Callable, unlabelled: Path, model: Path) -> None:
+    outcome = interloc("push", unlabelled, "--model", model, "--labels", "labels")
+    assert outcome.code == 2
+    assert "--model labels the scans here" in outcome.complaint
