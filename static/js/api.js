@@ -337,7 +337,7 @@ function save(url, name) {
  * @property {{name: string, title: string, description: string}[]} policies The first is the usual one.
  * @property {{name: string, description: string, is_osm: boolean}[]} layers Of a result.
  * @property {{name: string, title: string, road: number[]}[]} label_schemes
- * @property {{maps: string[], archives: string[]}} file_kinds Endings of names, in lower case.
+ * @property {{maps: string[], archives: string[], recordings: string[], scans: string[]}} file_kinds Endings of names.
  * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.
  */
 
@@ -352,7 +352,7 @@ let config = {
   policies: [],
   layers: [],
   label_schemes: [],
-  file_kinds: { maps: [], archives: [] },
+  file_kinds: { maps: [], archives: [], recordings: [], scans: [] },
   raw_first_frames: {},
 };
 

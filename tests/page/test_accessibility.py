@@ -256,7 +256,7 @@ def test_from_a_drive_to_its_report_by_keyboard(page: Any, done: Done, tmp_path:
     keys.tab_to("^Upload a drive", 4)
     keys.press("Enter")
     page.wait_for_selector(".drop")
-    keys.tab_to("^Choose an archive", 12)
+    keys.tab_to("^Choose files", 12)
     with page.expect_file_chooser() as chooser:
         keys.press("Enter")
     chooser.value.set_files(archive)

@@ -275,7 +275,7 @@ def test_an_archive_is_unpacked_and_run(upload: Upload, server: ServerProcess, s
     archive = tmp_path / "street.tar.gz"
     with tarfile.open(archive, "w:gz") as packed:
         packed.add(street, "street")
-    upload.page.set_input_files("input[name=archive]", archive)
+    upload.page.set_input_files("input[name=files]", archive)
     upload.page.wait_for_selector(".upload-form")
     assert "street.tar.gz" in upload.text()
     upload.press("Upload and run")

@@ -76,8 +76,8 @@ async function runDemo() {
 
 function emptyNote() {
   const text =
-    "A drive is a folder of LiDAR scans with a label for every point, and poses: SemanticKITTI, KITTI raw, " +
-    "KITTI-360. The demo shows what comes out.";
+    "A drive is LiDAR scans with poses, and with a label for every point or a network that makes them: SemanticKITTI, " +
+    "KITTI raw, KITTI-360, PCD files, ROS bags, LAS. The demo shows what comes out.";
   return el("div", { class: "empty quiet" }, el("h3", {}, "No drive yet"), el("p", {}, text));
 }
 
@@ -92,6 +92,7 @@ function driveCard(drive) {
   if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
   facts.push(formatBytes(drive.stored_bytes || drive.size_bytes), formatAgo(drive.created_at));
   const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
+  const network = report?.label_folder?.startsWith("network ") ? report.label_folder : null;
   const open = () =>
     drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id);
   const run = () => openRunDialog(drive.id).catch(showError);
@@ -102,6 +103,7 @@ function driveCard(drive) {
     el("p", { class: "small cut" }, facts.join(" · ")),
     drive.state !== "ready" && el("p", {}, stateBadge(drive.state)),
     current && report && el("p", { class: "small" }, place),
+    current && network && el("p", { class: "small" }, `Labels: ${network}`),
   );
   return el(
     "article",

@@ -7,6 +7,15 @@
 
 import { getConfig, isMap } from "../api.js";
 import { formatCount, plural } from "../dom.js";
+import {
+  findRecorded,
+  isBeside,
+  isRecorded,
+  isRecordedLayout,
+  mayBePoses,
+  recordedLayoutOf,
+  recordingFaults,
+} from "./recordings.js";
 import { sizeComplaint } from "./reduce.js";
 
 /** @typedef {import("../api.js").FileProblem} FileProblem */
@@ -15,8 +24,10 @@ import { sizeComplaint } from "./reduce.js";
  * @typedef {object} DriveFolder
  * @property {string} name
  * @property {string} root Its path inside what was picked; "" where it is the folder itself.
- * @property {"semantickitti" | "kitti_raw" | "kitti360" | "reduced"} layout
- * @property {NumberedFiles | null} scans null of a reduced drive.
+ * @property {boolean} isLoose Its files were picked or dropped by themselves, without their folder.
+ * @property {"semantickitti" | "kitti_raw" | "kitti360" | "reduced" | import("./recordings.js").RecordedLayout} layout
+ * @property {NumberedFiles | null} scans null of a reduced drive, and of one that only the service reads.
+ * @property {Map<string, File>} recorded Of a drive that only the service reads: its scans, by path inside the drive.
  * @property {Record<string, NumberedFiles>} labels By folder: labels, predictions.
  * @property {Map<string, File>} small What else of it is sent, by path inside the drive: poses, calibration, times, OXTS.
  * @property {Map<string, File>} maps OSM files.
@@ -30,6 +41,9 @@ export const LAYOUTS = {
   semantickitti: "SemanticKITTI / KITTI odometry",
   kitti_raw: "KITTI raw",
   kitti360: "KITTI-360",
+  pcd: "PCD files",
+  rosbag: "ROS bag",
+  las: "LAS or LAZ files",
   reduced: "reduced drive",
 };
 const SCAN_FOLDERS = ["velodyne", "velodyne_points/data"];
@@ -54,13 +68,18 @@ const INDEXED_LENGTHS = [13, 17]; // numbers per pose line that starts with its 
  * @returns {Promise<DriveFolder[]>} In the order of their paths.
  */
 export async function findDrives(folder) {
+  /** @type {Map<string, "scans" | "reduced" | import("./recordings.js").RecordedLayout>} */
   const roots = new Map();
   for (const path of folder.files.keys()) {
     const match = /^(?:(.*)\/)?(?:(velodyne|velodyne_points\/data)\/[^/]+\.bin|(reduced\.json))$/.exec(path);
-    if (match) {
-      const root = match[1] ?? "";
-      roots.set(root, roots.get(root) || Boolean(match[3]));
-    }
+    if (!match || recordedLayoutOf(path)) continue;
+    const root = match[1] ?? "";
+    if (roots.get(root) !== "reduced") roots.set(root, match[3] ? "reduced" : "scans");
+  }
+  const usual = [...roots.keys()];
+  for (const [root, layout] of findRecorded(folder.files)) {
+    // What lies in, or around, a drive that the browser can reduce is that drive's: a map as a point cloud, its bag.
+    if (!usual.some((other) => isWithin(other, root) || isWithin(root, other))) roots.set(root, layout);
   }
   const byRoot = new Map([...roots.keys()].map((root) => [root, new Map()]));
   for (const [path, file] of folder.files) {
@@ -74,26 +93,29 @@ export async function findDrives(folder) {
   );
   const sorted = [...roots].sort(([a], [b]) => (a < b ? -1 : 1));
   return Promise.all(
-    sorted.map(([root, isReduced]) =>
-      readDrive({ folder, root, inside: byRoot.get(root) ?? new Map(), isReduced, calibration }),
-    ),
+    sorted.map(([root, kind]) => readDrive({ folder, root, inside: byRoot.get(root) ?? new Map(), kind, calibration })),
   );
 }
 
+/** @param {string} path @param {string} folder @returns {boolean} Whether it is the folder, or lies in it. */
+const isWithin = (path, folder) => folder === "" || path === folder || path.startsWith(`${folder}/`);
+
 /**
- * @param {{folder: import("./folder.js").Folder, root: string, inside: Map<string, File>, isReduced: boolean,
- *   calibration: string[]}} found `inside`: its files by path inside it; `calibration`: paths of all such files.
+ * @param {{folder: import("./folder.js").Folder, root: string, inside: Map<string, File>,
+ *   kind: "scans" | "reduced" | import("./recordings.js").RecordedLayout, calibration: string[]}} found `inside`: its files by path inside it; `calibration`: paths of all such files.
  * @returns {Promise<DriveFolder>}
  */
-async function readDrive({ folder, root, inside, isReduced, calibration }) {
+async function readDrive({ folder, root, inside, kind, calibration }) {
   /** @type {FileProblem[]} */
   const problems = [];
   /** @type {DriveFolder} */
   const drive = {
     name: root ? /** @type {string} */ (root.split("/").pop()) : folder.name,
     root,
-    layout: isReduced ? "reduced" : "semantickitti",
+    isLoose: folder.isLoose ?? false,
+    layout: kind === "scans" ? "semantickitti" : kind,
     scans: null,
+    recorded: new Map(),
     labels: {},
     small: new Map(),
     maps: new Map(),
@@ -102,16 +124,16 @@ async function readDrive({ folder, root, inside, isReduced, calibration }) {
     unused: { files: 0, bytes: 0 },
     problems,
   };
-  const numbered = sortFiles(drive, inside, isReduced);
-  if (!isReduced) {
-    for (const name of SCAN_FOLDERS) {
+  const numbered = sortFiles(drive, inside);
+  if (kind !== "reduced") {
+    for (const name of kind === "scans" ? SCAN_FOLDERS : []) {
       drive.scans ??= numberedFiles(numbered.get(name) ?? new Map(), name, ".bin", problems);
     }
     for (const name of Object.keys(LABEL_FOLDERS)) {
       const labels = numberedFiles(numbered.get(name) ?? new Map(), name, ".label", problems);
       if (labels) drive.labels[name] = labels;
     }
-    borrowBeside(drive, folder, calibration);
+    if (kind === "scans" || kind === "pcd") borrowBeside(drive, folder, calibration);
     drive.layout = await layoutOf(drive);
   }
   return drive;
@@ -122,19 +144,23 @@ async function readDrive({ folder, root, inside, isReduced, calibration }) {
  *
  * @param {DriveFolder} drive
  * @param {Map<string, File>} inside
- * @param {boolean} isReduced
  * @returns {Map<string, Map<string, File>>} Files of the folders of scans and labels, by their names.
  */
-function sortFiles(drive, inside, isReduced) {
+function sortFiles(drive, inside) {
+  const { layout } = drive;
+  const isReduced = layout === "reduced";
+  const recorded = isRecordedLayout(layout) ? layout : null;
   const numbered = new Map([...SCAN_FOLDERS, ...Object.keys(LABEL_FOLDERS)].map((name) => [name, new Map()]));
   for (const [path, file] of inside) {
     const cut = path.lastIndexOf("/");
     const folder = numbered.get(path.slice(0, Math.max(0, cut)));
     if (isReduced && /^ground\/[^/]+\/\d+\.ground$/.test(path)) drive.ground.set(path, file);
+    else if (recorded && isRecorded(path, recorded)) drive.recorded.set(path, file);
     else if (folder && !isReduced && /\.(bin|label)$/.test(path)) folder.set(path.slice(cut + 1), file);
     else if (!path.includes("/") && isMap(path)) drive.maps.set(path, file);
     else if ((isReduced && path === "reduced.json") || SMALL.some((pattern) => pattern.test(path)))
       drive.small.set(path, file);
+    else if (recorded && isBeside(path, recorded)) drive.small.set(path, file);
     else if (isReduced && /\.(txt|csv|gz)$/.test(path)) drive.small.set(path, file);
     else {
       drive.unused.files += 1;
@@ -179,6 +205,7 @@ function borrowBeside(drive, folder, calibration) {
 
 /** @param {DriveFolder} drive @returns {Promise<DriveFolder["layout"]>} */
 export async function layoutOf(drive) {
+  if (isRecordedLayout(drive.layout)) return drive.layout;
   const poses = drive.small.get("poses.txt") ?? drive.small.get("cam0_to_world.txt");
   if (poses) {
     const [line] = (await poses.slice(0, 4096).text()).split("\n", 1);
@@ -273,6 +300,35 @@ export const error = (path, message) => ({ severity: "error", path, message });
 /** @param {string} path @param {string} message @returns {FileProblem} */
 const note = (path, message) => ({ severity: "note", path, message });
 
+const MAX_POSE_BYTES = 64e6;
+
+/**
+ * Estimate the number of keyframes from the poses of a drive.
+ *
+ * @param {DriveFolder} drive
+ * @param {number} distance_m Between keyframes.
+ * @returns {Promise<number | null>} null where only the service can read the poses.
+ */
+export async function estimateKeyframes({ small }, distance_m) {
+  const file = ["poses.txt", "cam0_to_world.txt", "poses.tum", "trajectory.tum"].flatMap(
+    (name) => small.get(name) ?? [],
+  )[0];
+  if (!file || file.size > MAX_POSE_BYTES) return null;
+  const places = { 8: [1, 2, 3], 12: [3, 7, 11], 13: [4, 8, 12], 17: [4, 8, 12] }; // by numbers per line
+  let count = 0;
+  /** @type {number[] | null} */
+  let last = null;
+  for (const line of (await file.text()).split("\n")) {
+    const numbers = line.trim().split(/\s+/).map(Number);
+    const at = places[/** @type {keyof typeof places} */ (numbers.length)]?.map((i) => numbers[i]);
+    if (!at?.every(Number.isFinite)) continue;
+    if (last && Math.hypot(at[0] - last[0], at[1] - last[1], at[2] - last[2]) < distance_m) continue;
+    last = at;
+    count += 1;
+  }
+  return count || null;
+}
+
 const ORDER = ["error", "warning", "note"];
 
 /** @param {FileProblem[]} problems @returns {FileProblem[]} Errors first. */
@@ -283,7 +339,14 @@ export function sorted(problems) {
 const MAX_SHOWN = 20;
 const EXPECTED =
   "Expected the folder of one drive: velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI), " +
-  "or velodyne_points/data/ and oxts/ (KITTI raw).";
+  "velodyne_points/data/ and oxts/ (KITTI raw), PCD files with poses.txt, a ROS bag (.bag, .db3, .mcap), or LAS or LAZ " +
+  "files with their trajectory.";
+const NO_LABELS =
+  "There is neither labels/ nor predictions/. The method needs a road label for every point: any semantic " +
+  "segmentation that writes SemanticKITTI .label files will do. Add the folder of its files below.";
+const NO_NETWORKS =
+  "Or let a network label the scans: with interloc label on your machine, or on this service as soon as whoever runs " +
+  "it puts one there (INTERLOC_MODELS).";
 
 /**
  * List what is wrong with, or worth knowing of, a drive, as far as names and sizes show.
@@ -291,30 +354,61 @@ const EXPECTED =
  * @param {DriveFolder} drive
  * @param {string[]} folders Label folders that are to be sent.
  * @param {boolean} hasOxts A georeference was given beside the drive.
+ * @param {{model: string | null, canLabel: boolean}} [labelling] `model`: the network that labels the scans; `canLabel`:
+ *   whether the service has any.
  * @returns {FileProblem[]} Errors first.
  */
-export function checkDrive(drive, folders, hasOxts) {
+export function checkDrive(drive, folders, hasOxts, { model, canLabel } = { model: null, canLabel: false }) {
   if (drive.layout === "reduced") {
     if (drive.ground.size) return [];
     return [error("ground", "holds no scan. Expected ground/labels/000000.ground and so on, as of interloc reduce.")];
   }
   const problems = [...drive.problems];
+  if (isRecordedLayout(drive.layout)) {
+    problems.push(...checkRecorded(drive, drive.layout, folders));
+    return sorted([...problems, ...checkSmall(drive, hasOxts)]);
+  }
   if (!drive.scans) {
     return [
       ...problems,
       error(drive.root || drive.name, "holds no scan (.bin). Expected velodyne/000000.bin and so on."),
     ];
   }
-  if (!Object.keys(drive.labels).length) {
-    const text =
-      "There is neither labels/ nor predictions/. The method needs a road label for every point: any semantic " +
-      "segmentation that writes SemanticKITTI .label files will do. Add the folder of its files below.";
-    problems.push(error("labels", text));
+  if (!Object.keys(drive.labels).length && !model) {
+    problems.push(error("labels", canLabel ? NO_LABELS : `${NO_LABELS} ${NO_NETWORKS}`));
   }
   for (const folder of folders) {
     if (drive.labels[folder]) problems.push(...checkLabels(drive.scans, drive.labels[folder]));
   }
   return sorted([...problems, ...checkSmall(drive, hasOxts)]);
+}
+
+/**
+ * @param {DriveFolder} drive
+ * @param {import("./recordings.js").RecordedLayout} layout
+ * @param {string[]} folders
+ * @returns {FileProblem[]}
+ */
+function checkRecorded({ recorded, small, labels }, layout, folders) {
+  const problems = atMost(
+    recordingFaults(recorded, small, layout).map(([path, message]) => error(path, message)),
+    "that cannot be sent",
+  );
+  for (const folder of layout === "pcd" ? folders : []) {
+    const missing = recorded.size - (labels[folder]?.files.size ?? recorded.size);
+    if (missing > 0) {
+      const counts = `has no labels for ${formatCount(missing)} of ${plural(recorded.size, "scan")}`;
+      problems.push(error(folder, `${counts}. Usual cause: an archive that was not unpacked to the end.`));
+    }
+  }
+  return problems;
+}
+
+/** @param {FileProblem[]} problems @param {string} what @returns {FileProblem[]} The first, and how many more there are. */
+function atMost(problems, what) {
+  const more = problems.length - MAX_SHOWN;
+  if (more <= 0) return problems;
+  return [...problems.slice(0, MAX_SHOWN), error("files", `and ${plural(more, "more file")} ${what}.`)];
 }
 
 /** @param {NumberedFiles} scans @param {NumberedFiles} labels @returns {FileProblem[]} */
@@ -336,17 +430,33 @@ function checkLabels(scans, labels) {
     const complaint = own && sizeComplaint(file.size, own.size, pathOf(scans, number), pathOf(labels, number));
     if (complaint) wrong.push(error(complaint.path, complaint.message));
   }
-  const more = wrong.length - MAX_SHOWN;
-  if (more > 0)
-    wrong.splice(MAX_SHOWN, more, error(folder, `and ${plural(more, "more file")} whose sizes do not fit.`));
-  return [...problems, ...wrong];
+  return [...problems, ...atMost(wrong, "whose sizes do not fit")];
 }
+
+const NO_POSES = /** @type {Record<"pcd" | "las", [path: string, message: string]>} */ ({
+  pcd: [
+    "poses.txt",
+    "is missing. Expected one pose of the LiDAR per scan: 12 numbers per line (KITTI), or TUM (poses.tum). Add the " +
+      "file below.",
+  ],
+  las: [
+    "trajectory",
+    "is missing. Expected a file with where the LiDAR was, beside the points: a table with a header (time,x,y,z or " +
+      "time,lat,lon,alt; .csv or .txt), SBET (.sbet, .out) or TUM. Add the file below.",
+  ],
+});
 
 /** @param {DriveFolder} drive @param {boolean} hasOxts @returns {FileProblem[]} */
 function checkSmall({ small, layout }, hasOxts) {
+  if (layout === "rosbag") return []; // it holds poses and fixes itself
   const hasFolder = [...small.keys()].some((path) => path.startsWith("oxts/"));
   const problems = [];
-  const hasPoses = small.has("poses.txt") || (layout === "kitti360" && small.has("cam0_to_world.txt"));
+  if (isRecordedLayout(layout)) {
+    if (![...small.keys()].some((path) => mayBePoses(path, layout))) problems.push(error(...NO_POSES[layout]));
+    if (layout === "las") return problems; // its coordinate system is the georeference
+  }
+  const hasPoses =
+    isRecordedLayout(layout) || small.has("poses.txt") || (layout === "kitti360" && small.has("cam0_to_world.txt"));
   if (!hasPoses && !(layout === "kitti_raw" && hasFolder)) {
     const text =
       "is missing. Expected one line of 12 numbers per scan: the pose of the camera (KITTI) or of the LiDAR (kiss-icp). " +
@@ -375,6 +485,8 @@ export function noDriveReason({ name, files }) {
   const reasons = /** @type {[RegExp, string][]} */ ([
     [/^[^/]+\.bin$/, "holds the scans themselves: pick the folder above it"],
     [/^[^/]+\.label$/, "holds labels only: pick the folder above it"],
+    [/\.(bag|db3|mcap)\.(zst|zstd|gz|lz4)$/i, "holds a bag that is compressed as a whole: unpack it first"],
+    [/\.bag\.active$/, "holds a recording that was not ended properly: make a bag of it with rosbag reindex"],
     [/\.(zip|tar|tgz|tar\.\w+)$/i, "holds an archive: pick the archive itself, or unpack it first"],
     [/\.label$/, "holds labels but no scans: pick the folder that has velodyne/ too"],
   ]);

@@ -7,6 +7,7 @@ import { isArchive } from "../api.js";
  * @property {string} name
  * @property {Map<string, File>} files By path inside the folder, parts joined by "/".
  * @property {FileSystemDirectoryHandle | null} handle To come back to it after a reload, where the browser can.
+ * @property {boolean} [isLoose] It is no folder: the files were picked or dropped by themselves.
  */
 
 /** @typedef {(count: number) => void} OnCount Called now and then with the number of files found. */
@@ -16,20 +17,27 @@ const READ_AT_ONCE = 32;
 const STILL_MS = 24;
 
 /**
- * The folder of `<input type="file" webkitdirectory>`.
+ * The folder of `<input type="file" webkitdirectory>`; files that were picked by themselves are one, too.
  *
  * @param {FileList} list
  * @returns {Folder}
  */
 export function folderOfInput(list) {
   const files = new Map();
-  let name = "drive";
+  let name = nameOfFiles([...list]);
+  const isLoose = ![...list].some((file) => file.webkitRelativePath);
   for (const file of list) {
     const [top, ...rest] = (file.webkitRelativePath || file.name).split("/");
     name = rest.length ? top : name;
     put(files, rest.length ? rest.join("/") : top, file);
   }
-  return { name, files, handle: null };
+  return { name, files, handle: null, isLoose };
+}
+
+/** @param {File[]} files @returns {string} The name of the largest, without its ending: that of a drive in loose files. */
+function nameOfFiles(files) {
+  const largest = files.reduce((/** @type {File | null} */ a, b) => (a && a.size >= b.size ? a : b), null);
+  return largest?.name.replace(/(\.[A-Za-z]\w*)+$/, "") || "drive";
 }
 
 /**
@@ -94,7 +102,7 @@ async function walkHandle(handle, above, files, onCount) {
 }
 
 /**
- * What was dropped: one archive, or a folder (several things dropped together are one folder without a name).
+ * What was dropped: one archive, or a folder (several things dropped together are one folder).
  *
  * Must be called in the drop event itself: its items are gone afterwards.
  *
@@ -137,7 +145,9 @@ async function readItems(handles, entries, plain, onCount) {
   if (!entries.some(Boolean)) {
     plain.forEach((file) => put(files, file.name, file));
   }
-  return { folder: { name: single?.name ?? "drive", files, handle: null } };
+  const isLoose = !entries.some((entry) => entry?.isDirectory);
+  const name = single?.name ?? (isLoose ? nameOfFiles(plain) : "drive");
+  return { folder: { name, files, handle: null, isLoose } };
 }
 
 /** @param {FileSystemEntry} entry @param {string} path @param {Map<string, File>} files @param {OnCount} onCount */

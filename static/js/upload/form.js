@@ -1,22 +1,24 @@
 /** The form between picking a folder and sending it: what was found, how to read it, what to do with it. */
 
-import { ApiError, getConfig, isMap, sendJson } from "../api.js";
-import { factRows, field, filePicker, problemList, radios, section, select } from "../controls.js";
-import { el, fill, formatBytes, formatCount, formatPercent, icon, plural } from "../dom.js";
+import { ApiError, isMap, sendJson } from "../api.js";
+import { factRows, field, filePicker, problemList, radios, select } from "../controls.js";
+import { el, fill, formatBytes, formatCount, icon, plural } from "../dom.js";
 import {
   checkDrive,
   error,
-  LABEL_FOLDERS,
+  estimateKeyframes,
   LAYOUTS,
   layoutOf,
   numberedFiles,
-  oxtsRows,
   sampleOf,
   sorted,
 } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
 import { jobForm } from "./job_form.js";
+import { labelForm } from "./label_form.js";
 import { fingerprintOf } from "./memory.js";
+import { readingForm } from "./reading_form.js";
+import { isBeside, isRecordedLayout } from "./recordings.js";
 import { countFolders, groundBytesOf } from "./upload.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
@@ -26,11 +28,13 @@ import { countFolders, groundBytesOf } from "./upload.js";
 
 const ADDED = /^(poses|cam0_to_world|times|calib[^/]*)\.txt$|^geo\.csv$/;
 
-const POSE_FRAMES = {
-  auto: "From the motion",
-  camera: "Camera (KITTI, SemanticKITTI)",
-  lidar: "LiDAR (kiss-icp and others)",
-};
+/** What may be added to a drive, by layout. */
+const MORE_FILES = /** @type {Record<string, string>} */ ({
+  semantickitti: "poses.txt, calib*.txt, times.txt or geo.csv",
+  pcd: "poses.txt, poses.tum, times.txt or geo.csv",
+  rosbag: "metadata.yaml or geo.csv",
+  las: "a trajectory (.csv, .txt, .tum, .sbet, .out)",
+});
 
 const SENDING = {
   keyframes: ["What the method needs", "The ground points of keyframes: the smallest, with the same results."],
@@ -45,6 +49,7 @@ const SENDING = {
  * @param {File | null} picked.archive
  * @param {FileSystemDirectoryHandle | null} picked.handle
  * @param {any} picked.presets
+ * @param {import("./label_form.js").Network[]} picked.networks Of the service; none where the drive has labels.
  * @param {import("./memory.js").Remembered | null} picked.begun The upload of the same folder that was begun before.
  * @param {Settings | null} picked.before Settings to start from.
  * @param {object} actions
@@ -54,7 +59,7 @@ const SENDING = {
  * @param {(begun: import("./memory.js").Remembered) => void} actions.onContinue
  */
 export function formView(
-  { drive, drives, archive, handle, presets, begun, before },
+  { drive, drives, archive, handle, presets, networks, begun, before },
   { onStart, onBack, onChoose, onContinue },
 ) {
   const value = before?.name ?? drive?.name ?? baseName(archive);
@@ -63,31 +68,41 @@ export function formView(
   const problems = el("div", { "aria-live": "polite" });
   const added = el("span", { class: "small", role: "status" });
   const isReduced = drive?.layout === "reduced";
-  const isOpen = drive !== null && !isReduced; // not sent as it is: there are a scheme and folders to choose
+  const isOpen = drive !== null && !isReduced; // there are a scheme and folders to choose
+  const recorded = drive && isRecordedLayout(drive.layout) ? drive.layout : null;
   const canReduce = typeof CompressionStream === "function" && typeof Worker === "function";
 
-  const labels = labelSection(before, !drive, { onChange: () => (judge(), refresh()), onFolder: addPredictions });
-  const reading = readingSection(before, refresh);
+  const listeners = { onChange: () => (judge(), refresh()), onFolder: addPredictions };
+  const labels = labelForm({ drive, networks, before }, listeners);
+  const reading = readingForm(drive, before, refresh);
   const usual = canReduce ? (before?.sending ?? "keyframes") : "raw";
   const keepRaw = el("input", { type: "checkbox", checked: before?.keepRaw ?? false });
   const keep = el("label", { class: "check" }, keepRaw, el("span", {}, "Let the service keep the whole scans"));
+  const keepPlace = el("div", {});
   const choices = Object.entries(SENDING).filter(([value]) => canReduce || value === "raw");
-  const sending = radios(
+  const parts = radios(
     "What is sent",
-    choices.map(([value, [title, hint]]) => ({ value, title, hint, more: value === "raw" ? keep : null })),
+    choices.map(([value, [title, hint]]) => ({ value, title, hint, more: value === "raw" ? keepPlace : null })),
     usual,
     refresh,
   );
+  const wholly = el("div", {});
+  /** @returns {boolean} Whether the scans are sent as they are because only the service reads or labels them. */
+  const isWhole = () => recorded !== null || labels.model() !== null;
+  const sending = () => (isWhole() ? "raw" : parts.value());
+  const whyWhole = el("p", { class: "small" });
   const known = {
     maps: drive ? [...drive.maps.keys()] : [],
     isArchive: !drive,
     folders: drive ? labelNames(drive) : [],
-    hasGeoreference: Boolean(drive && hasFix(drive)),
+    hasGeoreference: Boolean(drive && mayHaveFix(drive)),
     presets,
     before: before?.job ?? null,
   };
   const job = jobForm(known, refresh);
 
+  /** The service labels the keyframes by these settings. @type {Settings["keyframes"]} */
+  const usualKeyframes = presets.presets[0].config.keyframes;
   /** @type {JudgedLabels[]} */
   let judged = [];
   /** @type {FileProblem[]} */
@@ -98,9 +113,10 @@ export function formView(
     if (!drive || !isOpen) return;
     asked += 1;
     const mine = asked;
-    const frames = sampleOf([...(drive.scans?.files.keys() ?? [])]);
+    const folders = labels.folders();
+    const numbered = drive.scans ?? drive.labels[folders[0]]; // of a recording, the names of its labels tell the numbers
     try {
-      const label_counts = await countFolders(drive, labels.folders(), frames);
+      const label_counts = await countFolders(drive, folders, sampleOf([...(numbered?.files.keys() ?? [])]));
       const options = { ...reading.read(), label_scheme: labels.scheme() };
       if (options.layout === "auto") options.layout = drive.layout;
       const answer = await sendJson("POST", "drives/labels", { label_counts, options });
@@ -146,9 +162,9 @@ export function formView(
     const refused = [];
     for (const file of list) {
       if (isMap(file.name)) refused.push(`${file.name}: choose it under Map.`);
-      else if (ADDED.test(file.name)) drive.small.set(file.name, file);
+      else if (ADDED.test(file.name) || (recorded && isBeside(file.name, recorded))) drive.small.set(file.name, file);
       else if (/^\d\d\.txt$/.test(file.name)) drive.small.set("poses.txt", file);
-      else refused.push(`${file.name}: expected poses.txt, calib*.txt, times.txt or geo.csv.`);
+      else refused.push(`${file.name}: expected ${MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti}.`);
     }
     drive.layout = await layoutOf(drive);
     added.textContent = refused.join(" ");
@@ -159,7 +175,9 @@ export function formView(
   function update() {
     if (drive) {
       labels.setFolders(drive.labels);
+      reading.setFiles();
       judge();
+      if (labels.canLabel) estimateKeyframes(drive, usualKeyframes.distance_m).then(labels.setKeyframes);
     }
     refresh();
   }
@@ -167,15 +185,20 @@ export function formView(
   function refresh() {
     const fix = reading.georeference();
     const folders = isOpen ? labels.folders() : [];
+    const model = labels.model();
+    (isWhole() ? wholly : keepPlace).append(keep);
+    parts.element.hidden = isWhole();
+    whyWhole.textContent = drive && isWhole() ? reasonOf(drive, model) : "";
+    job.setFolders(model ? ["predictions"] : drive && isReduced ? labelNames(drive) : folders);
     if (drive) {
-      job.setFolders(isReduced ? labelNames(drive) : folders);
-      job.setGeoreference(hasFix(drive) || fix !== null);
-      fill(facts, factRows(factsOf(drive, folders, groundBytesOf(drive, judged), sending.value())));
+      job.setGeoreference(mayHaveFix(drive) || fix !== null);
+      fill(facts, factRows(factsOf(drive, folders, groundBytesOf(drive, judged), sending())));
     } else if (archive) {
       const size = /** @type {[string, string]} */ (["Size", formatBytes(archive.size)]);
       fill(facts, factRows([["Archive", archive.name], size]));
     }
-    const list = drive ? sorted([...checkDrive(drive, folders, fix !== null), ...labelProblems]) : [];
+    const labelling = { model, canLabel: labels.canLabel };
+    const list = drive ? sorted([...checkDrive(drive, folders, fix !== null, labelling), ...labelProblems]) : [];
     fill(
       problems,
       problemList(list),
@@ -185,9 +208,13 @@ export function formView(
       ? "Correct what is listed as an error first: the service would refuse the drive."
       : !name.value.trim()
         ? "Give the drive a name."
-        : (job.complaint() ?? reading.complaint() ?? (isOpen && !folders.length ? "Choose a folder of labels." : null));
-    run.disabled = only.disabled = complaint !== null;
-    why.textContent = complaint ?? "";
+        : (job.complaint() ??
+          reading.complaint() ??
+          (isOpen && !isWhole() && !folders.length ? "Choose a folder of labels." : null));
+    const ofRun = model ? keyframesComplaint(job.keyframes(), usualKeyframes) : null;
+    only.disabled = complaint !== null;
+    run.disabled = (complaint ?? ofRun) !== null;
+    why.textContent = complaint ?? ofRun ?? "";
   }
 
   /** @param {boolean} withJob */
@@ -200,15 +227,16 @@ export function formView(
     if (fix) extras.set(oxts, fix);
     const own = request.osm && "file" in request.osm ? drive?.maps.get(request.osm.file) : null;
     if (own) extras.set(/** @type {{file: string}} */ (request.osm).file, own);
-    const isRaw = sending.value() === "raw";
+    const isRaw = sending() === "raw";
+    const model = labels.model();
     onStart(
       { drive, archive, extras, handle, fingerprint: drive ? fingerprintOfDrive(drive) : "" },
       {
         name: name.value.trim(),
         folders: isOpen ? labels.folders() : [],
-        sending: isReduced ? "raw" : /** @type {any} */ (sending.value()),
+        sending: isReduced ? "raw" : /** @type {any} */ (sending()),
         keepRaw: isRaw && keepRaw.checked,
-        options: { label_scheme: labels.scheme(), ...reading.read(), oxts },
+        options: { label_scheme: labels.scheme(), ...reading.read(), oxts, model },
         keyframes: job.keyframes(),
         job: withJob ? request : null,
       },
@@ -220,11 +248,11 @@ export function formView(
   const why = el("small", { role: "status" });
   const files = filePicker("Add files …", addFiles, {
     multiple: true,
-    accept: ".txt,.csv",
+    accept: ".txt,.csv,.tum,.sbet,.out,.yaml",
     class: "link",
     name: "more-files",
   });
-  const howToRead = el("div", { class: "stack-s" }, !drive && labels.element, reading.element);
+  const ofSending = el("summary", {}, "What is sent");
   const other = el("button", { class: "plain", onClick: onBack }, "Choose another");
   const element = el(
     "div",
@@ -236,15 +264,16 @@ export function formView(
       "div",
       { class: "box stack-s" },
       facts,
-      isOpen && el("div", {}, files, " ", el("small", {}, "poses, calibration, times, geo.csv")),
+      whyWhole,
+      isOpen && el("div", {}, files, " ", el("small", {}, MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti)),
       added,
     ),
     problems,
     field("Name", name, "Shown in lists and results."),
-    isOpen && labels.element,
+    !isReduced && labels.element,
     job.element,
-    !isReduced && el("details", {}, el("summary", {}, "How the files are read"), howToRead),
-    isOpen && el("details", { open: usual !== "keyframes" }, el("summary", {}, "What is sent"), sending.element),
+    !isReduced && el("details", {}, el("summary", {}, "How the files are read"), reading.element),
+    isOpen && el("details", { open: usual !== "keyframes" }, ofSending, parts.element, wholly),
     el("div", { class: "stack-s foot" }, why, el("div", { class: "row" }, run, only)),
   );
   update();
@@ -261,8 +290,8 @@ function resumeNote(onContinue) {
 
 /** @param {DriveFolder} drive @param {DriveFolder[]} drives @param {(drive: DriveFolder) => void} onChoose */
 function driveChooser(drive, drives, onChoose) {
-  const text = (/** @type {DriveFolder} */ { root, name, scans, ground }) =>
-    `${root || name} (${plural(scans?.files.size ?? ground.size, "scan")})`;
+  const text = (/** @type {DriveFolder} */ { root, name, scans, ground, recorded }) =>
+    `${root || name} (${recorded.size ? plural(recorded.size, "file") : plural(scans?.files.size ?? ground.size, "scan")})`;
   const options = Object.fromEntries(drives.map((each, i) => [String(i), text(each)]));
   const choice = select(options, String(drives.indexOf(drive)), (i) => onChoose(drives[Number(i)]));
   return field(`${drives.length} drives are in the folder: which one?`, choice);
@@ -272,7 +301,7 @@ function driveChooser(drive, drives, onChoose) {
 export function fingerprintOfDrive(drive) {
   const numbered = [drive.scans, ...Object.values(drive.labels)].filter((each) => each !== null);
   /** @type {[string, File][]} */
-  const files = [...drive.small, ...drive.ground];
+  const files = [...drive.small, ...drive.ground, ...drive.recorded];
   for (const { folder, files: own } of numbered)
     for (const [number, file] of own) files.push([`${folder}/${number}`, file]);
   return fingerprintOf(files);
@@ -282,6 +311,9 @@ export function fingerprintOfDrive(drive) {
 function hasFix({ small }) {
   return small.has("geo.csv") || [...small.keys()].some((path) => /^(oxts|georeference)\//.test(path));
 }
+
+/** @param {DriveFolder} drive @returns {boolean} Whether it has a georeference, or only the service can tell. */
+const mayHaveFix = (drive) => hasFix(drive) || drive.layout === "rosbag" || drive.layout === "las";
 
 /** @param {DriveFolder} drive */
 function labelNames(drive) {
@@ -293,6 +325,34 @@ function labelNames(drive) {
 const baseName = (archive) => archive?.name.replace(/\.(zip|tgz|tzst|tar(\.\w+)?)$/i, "") ?? "";
 
 /**
+ * @param {Settings["keyframes"]} wanted By the settings of the job.
+ * @param {Settings["keyframes"]} labelled Those that a network labels.
+ * @returns {string | null} Why the job could not run.
+ */
+function keyframesComplaint(wanted, labelled) {
+  if (wanted.distance_m === labelled.distance_m && wanted.angle_deg === labelled.angle_deg) return null;
+  const usual = `${labelled.distance_m} m and ${labelled.angle_deg}°`;
+  return `A network labels the keyframes of ${usual}: leave these two settings, or use label files of your own.`;
+}
+
+/** @param {Iterable<File>} files */
+const bytesOf = (files) => [...files].reduce((sum, file) => sum + file.size, 0);
+
+/** @param {DriveFolder} drive @param {string | null} model @returns {string} Why its scans are sent as they are. */
+function reasonOf({ scans, recorded }, model) {
+  const all = formatBytes(scans?.bytes ?? bytesOf(recorded.values()));
+  const why = model ? `The network ${model} runs on the service` : "The browser cannot reduce these files";
+  return `${why}: all ${all} are sent as they are, and the service keeps what the method needs.`;
+}
+
+/** @param {DriveFolder} drive @returns {string} */
+function georeferenceOf(drive) {
+  if (hasFix(drive)) return drive.small.has("geo.csv") ? "geo.csv" : "oxts/";
+  if (drive.layout === "rosbag") return "the fixes in the bag, if it has any";
+  return drive.layout === "las" ? "the coordinate system, if the files name one" : "none in the folder";
+}
+
+/**
  * @param {DriveFolder} drive
  * @param {string[]} folders
  * @param {number} groundBytes What is left of a scan.
@@ -300,147 +360,26 @@ const baseName = (archive) => archive?.name.replace(/\.(zip|tgz|tzst|tar(\.\w+)?
  * @returns {Parameters<typeof factRows>[0]}
  */
 function factsOf(drive, folders, groundBytes, sending) {
-  const { scans, labels, ground, maps, unused, small, layout } = drive;
+  const { scans, recorded, labels, ground, maps, unused, layout } = drive;
   const numbers = [...(scans?.files.keys() ?? [])];
   const labelBytes = folders.reduce((sum, folder) => sum + (labels[folder]?.bytes ?? 0), 0);
-  const packed = [...ground.values()].reduce((sum, file) => sum + file.size, 0);
-  const whole = formatBytes(scans ? scans.bytes + labelBytes : packed);
+  const packed = bytesOf(ground.values());
+  const taken = bytesOf(recorded.values());
+  const whole = formatBytes(scans || taken ? (scans?.bytes ?? taken) + labelBytes : packed);
   const part = `${formatBytes(scans ? groundBytes * scans.files.size : packed)} of ${whole}`;
   const sent = { keyframes: `at most about ${part}`, scans: `about ${part}` }[sending] ?? whole;
   return [
     ["Layout", LAYOUTS[layout]],
     scans && ["Scans", `${plural(numbers.length, "scan")}, ${numbers[0]} to ${numbers.at(-1)}`],
     scans && ["Points", `about ${formatCount(scans.bytes / 16 / numbers.length)} per scan`],
+    recorded.size > 0 && [
+      layout === "pcd" ? "Scans" : "Files",
+      `${plural(recorded.size, layout === "pcd" ? "scan" : "file")}, ${formatBytes(taken)}`,
+    ],
     ground.size > 0 && ["Files of ground points", formatCount(ground.size)],
-    ["Georeference", hasFix(drive) ? (small.has("geo.csv") ? "geo.csv" : "oxts/") : "none in the folder"],
+    ["Georeference", georeferenceOf(drive)],
     maps.size > 0 && ["Maps", [...maps.keys()].join(", ")],
     ["To be sent", layout === "reduced" ? formatBytes(packed) : sent],
     unused.files > 0 && ["Not needed", `${plural(unused.files, "file")}, ${formatBytes(unused.bytes)}`],
   ];
-}
-
-/**
- * Which label folders are sent, and what their ids mean.
- *
- * @param {Settings | null} before
- * @param {boolean} isUnknown The folders are not known yet, as those of an archive.
- * @param {{onChange: () => void, onFolder: (files: FileList) => void}} listeners `onFolder`: predictions from elsewhere.
- */
-function labelSection(before, isUnknown, { onChange, onFolder }) {
-  const rows = el("div", { class: "stack-s" });
-  /** @type {Map<string, HTMLInputElement>} */
-  const boxes = new Map();
-  const schemes = getConfig().label_schemes.map(({ name, title, road }) => [
-    name,
-    `${title} (road = ${road.join(", ")})`,
-  ]);
-  const choices = { auto: "From the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
-  const chosen = before?.options.label_scheme ?? "auto";
-  const isCustom = !(chosen in choices);
-  const ids = el("input", { type: "text", placeholder: "40, 60", value: isCustom ? chosen : "", onInput: onChange });
-  ids.setAttribute("aria-label", "Ids of road");
-  ids.hidden = !isCustom;
-  const scheme = select(choices, isCustom ? "custom" : chosen, (value) => {
-    ids.hidden = value !== "custom";
-    onChange();
-  });
-  const verdict = el("small", {});
-  const elsewhere = { folder: true, class: "link", name: "prediction-folder" };
-  const picker = filePicker("Predictions from another folder …", onFolder, elsewhere);
-  const meaning = el("div", { class: "stack-s" }, field("What their ids mean", scheme), ids, verdict);
-
-  return {
-    element: section("Labels", !isUnknown && [rows, el("div", {}, picker)], meaning),
-
-    /** @param {DriveFolder["labels"]} folders */
-    setFolders(folders) {
-      const names = Object.keys(folders);
-      const wasOff = new Set([...boxes].filter(([, box]) => !box.checked).map(([name]) => name));
-      boxes.clear();
-      const items = names.map((name) => {
-        const isOn = before ? before.folders.includes(name) || !boxes.size : !wasOff.has(name);
-        const isOnly = names.length === 1;
-        const box = el("input", { type: "checkbox", checked: isOn || isOnly, disabled: isOnly, onChange });
-        boxes.set(name, box);
-        const count = plural(folders[name].files.size, "file");
-        if (isOnly) return el("p", {}, `${LABEL_FOLDERS[name]}, ${count}`);
-        return el("label", { class: "check" }, box, el("span", {}, LABEL_FOLDERS[name], el("small", {}, count)));
-      });
-      fill(rows, items, !names.length && el("p", { class: "quiet" }, "None in the folder."));
-    },
-
-    folders: () => [...boxes].filter(([, box]) => box.checked).map(([name]) => name),
-    scheme: () => (scheme.value === "custom" ? ids.value.trim() || "custom" : scheme.value),
-
-    /** @param {JudgedLabels[]} judged */
-    setVerdict(judged) {
-      const found = judged.filter((each) => each.scheme !== null);
-      const text = (/** @type {JudgedLabels} */ { folder, scheme: name, road_share }) =>
-        `${folder}: read as ${name === "custom" ? "given" : name}, ${formatPercent(road_share)} road.`;
-      verdict.textContent = found.map(text).join(" ");
-    },
-  };
-}
-
-/**
- * How the files are read: poses, layout, georeference from elsewhere.
- *
- * @param {Settings | null} before
- * @param {() => void} onChange
- */
-function readingSection(before, onChange) {
-  /** @type {File | null} */
-  let fix = null;
-  const status = el("span", { class: "small quiet" }, "None chosen yet");
-  /** @param {Promise<File> | File} picked */
-  async function take(picked) {
-    fix = null;
-    try {
-      const file = await picked;
-      if (!/\.(txt|csv)(\.gz)?$/i.test(file.name)) {
-        throw new Error(`${file.name}: expected a file of OXTS rows (.txt, .txt.gz) or a geo.csv.`);
-      }
-      fix = file;
-      status.textContent = file.name;
-    } catch (error) {
-      status.textContent = error instanceof Error ? error.message : String(error);
-    }
-    onChange();
-  }
-  const progress = (/** @type {number} */ done, /** @type {number} */ total) =>
-    (status.textContent = `Reading ${formatCount(done)} of ${formatCount(total)} fixes`);
-  const asFile = filePicker("A file …", ([file]) => take(file), {
-    accept: ".txt,.csv,.gz",
-    name: "georeference-file",
-  });
-  const asFolder = filePicker("A KITTI raw drive …", (list) => take(oxtsRows(folderOfInput(list), progress)), {
-    folder: true,
-    name: "raw-drive",
-  });
-  const pickers = el("div", { class: "stack-s" }, el("div", { class: "row" }, asFile, asFolder), status);
-  const ofDrive = "oxts/ or geo.csv; without them, local metres only.";
-  const ofOthers = "One row of OXTS per frame, a geo.csv, or the KITTI raw drive of an odometry sequence.";
-  const source = radios(
-    "Georeference",
-    [
-      { value: "drive", title: "From the folder", hint: ofDrive },
-      { value: "other", title: "From elsewhere", hint: ofOthers, more: pickers },
-    ],
-    "drive",
-    onChange,
-  );
-  const poseFrame = select(POSE_FRAMES, before?.options.pose_frame ?? "auto", onChange);
-  const { reduced: _, ...layouts } = LAYOUTS;
-  const layout = select({ auto: "From the folder", ...layouts }, before?.options.layout ?? "auto", onChange);
-  const poses = field("Poses are those of", poseFrame, "A wrong choice is noticed: the road would not be flat.");
-  const grid = el("div", { class: "grid-2" }, poses, field("Layout", layout));
-  const isMissing = () => source.value() === "other" && !fix;
-
-  return {
-    element: el("div", { class: "stack-s" }, source.element, grid),
-    read: () => ({ pose_frame: poseFrame.value, layout: layout.value }),
-    georeference: () => (source.value() === "other" ? fix : null),
-    /** @returns {string | null} */
-    complaint: () => (isMissing() ? "Choose the georeference from elsewhere, or use that of the folder." : null),
-  };
 }

@@ -7,6 +7,7 @@
  * @property {string} name
  * @property {string} at When it was begun, ISO.
  * @property {string} root Of the drive inside the folder that was picked.
+ * @property {boolean} [isLoose] Its files were picked by themselves, without their folder.
  * @property {import("./upload.js").Settings} settings
  * @property {Record<string, string>} [schemes] Label scheme of the .ground files that were sent, by folder.
  */

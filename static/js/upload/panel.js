@@ -31,7 +31,13 @@ const EXAMPLE = `07/
   labels/000000.label, …     or predictions/
   poses.txt   calib.txt   times.txt
   oxts/data/… or geo.csv     optional
-  map.osm.gz                 optional`;
+  map.osm.gz                 optional
+
+Others: KITTI raw, KITTI-360, and as recorded
+  pcd/000000.pcd, …   poses.txt
+  drive.mcap, drive.bag, or .db3 with metadata.yaml
+  street.laz, …       trajectory.csv`;
+const COMPANIONS = [".txt", ".csv", ".tum", ".out", ".sbet", ".yaml", ".osm", ".pbf", ".gz", ".bz2", ".zst"];
 
 /** @type {Upload | null} */
 let current = null;
@@ -72,10 +78,13 @@ async function showStart(message = null, begun = null) {
     });
     if (handle) run(async () => showFolder(await folderOfHandle(handle, counter()), begun));
   };
-  const kinds = getConfig().file_kinds.archives;
-  const pickArchive = filePicker("Choose an archive", ([file]) => run(() => showArchive(file)), {
-    accept: [...kinds, ".gz", ".zst"].join(","),
-    name: "archive",
+  const { archives, recordings, scans } = getConfig().file_kinds;
+  const takeFiles = (/** @type {FileList} */ list) =>
+    run(() => (isArchive(list[0].name) ? showArchive(list[0], begun) : showFolder(folderOfInput(list), begun)));
+  const pickFiles = filePicker("Choose files", takeFiles, {
+    accept: [...archives, ...recordings, ...scans, ...COMPANIONS].join(","),
+    multiple: true,
+    name: "files",
   });
   const open = uploads.map((upload, i) => {
     const { name, at, arrived } = upload;
@@ -87,16 +96,21 @@ async function showStart(message = null, begun = null) {
       el("div", { class: "cut" }, title, el("br"), el("small", {}, formatAgo(at), has)),
       handles[i]
         ? el("button", { onClick: () => run(() => continueByHandle(upload)) }, "Continue")
-        : el("button", { onClick: () => input.click() }, "Pick it again"),
+        : el(
+            "button",
+            { onClick: () => (upload.isLoose ? pickFiles.querySelector("input") : input)?.click() },
+            "Pick it again",
+          ),
       iconButton("trash", `Remove ${name}`, () => run(() => remove(upload)), "Remove it from the service"),
     );
   });
   const call = el("strong", {}, "Drop the folder of a drive here");
-  const or = el("span", { class: "quiet" }, "or an archive: .zip, .tar, .tar.gz, .tar.zst");
-  const buttons = [el("button", { class: "primary", onClick: pick }, "Choose a folder"), pickArchive];
+  const kinds = `or files: ${recordings.join(", ")}; archives: .zip, .tar, .tar.gz, .tar.zst`;
+  const or = el("span", { class: "quiet" }, kinds);
+  const buttons = [el("button", { class: "primary", onClick: pick }, "Choose a folder"), pickFiles];
   const note =
     "No file is sent before you press a button. Scans are reduced to their ground points in the browser, so that a " +
-    "drive of 11 GB becomes some hundred MB.";
+    "drive of 11 GB becomes some hundred MB. Bags, LAS and PCD files are sent as they are.";
   fill(
     panel,
     el(
@@ -165,14 +179,9 @@ async function showFolder(folder, begun) {
   await showForm({ drive: match ?? drives[0], drives, archive: null, handle: folder.handle }, begun);
 }
 
-/** @param {File} file */
-async function showArchive(file) {
-  if (!isArchive(file.name)) {
-    const detail = `${file.name} is not an archive: expected .zip, .tar, .tar.gz or .tar.zst.`;
-    await showStart(problemNote({ title: "Not an archive", detail }));
-    return;
-  }
-  await showForm({ drive: null, drives: [], archive: file, handle: null }, null);
+/** @param {File} file @param {Begun | null} begun */
+async function showArchive(file, begun) {
+  await showForm({ drive: null, drives: [], archive: file, handle: null }, begun);
 }
 
 /**
@@ -180,12 +189,16 @@ async function showArchive(file) {
  * @param {Begun | null} begun The upload that this is to go on with.
  */
 async function showForm(picked, begun) {
-  const presets = await getJson("presets");
+  const isUnlabelled = !picked.drive || (picked.drive.layout !== "reduced" && !Object.keys(picked.drive.labels).length);
+  const [presets, { models }] = await Promise.all([
+    getJson("presets"),
+    isUnlabelled ? getJson("models") : { models: [] },
+  ]);
   const fingerprint = picked.drive && fingerprintOfDrive(picked.drive);
   const match =
     begun || !fingerprint ? null : ((await stillOpen()).find((upload) => upload.fingerprint === fingerprint) ?? null);
   const view = formView(
-    { ...picked, presets, begun: match, before: begun?.settings ?? null },
+    { ...picked, presets, networks: models, begun: match, before: begun?.settings ?? null },
     {
       onStart: (source, settings) => start(picked, new Upload(source, settings, () => {}, begun?.driveId ?? null)),
       onBack: () => run(() => showStart()),
@@ -310,7 +323,7 @@ function listenToDrops() {
     const dropped = readDrop(event.dataTransfer, counter());
     run(async () => {
       const found = await dropped;
-      if ("archive" in found) await showArchive(found.archive);
+      if ("archive" in found) await showArchive(found.archive, null);
       else await showFolder(found.folder, null);
     });
   });

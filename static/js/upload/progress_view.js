@@ -65,7 +65,7 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     line.textContent =
       transfer.waiting ?? (transfer.isPaused ? "Paused. What is being sent still arrives." : upload.message);
     fill(figures, figuresOf(upload, isSending));
-    drawPlan(upload.plan);
+    drawPlan(upload.plan, upload.settings);
     plan.hidden = status === "failed" && step === "plan";
     const faults = JSON.stringify(error);
     if (faults !== shownFault) fill(fault, error && problemNote(error));
@@ -101,17 +101,19 @@ export function progressView({ onChange, onCorrect, onLeave }) {
     announce(BADGES[status][1]);
   }
 
-  /** @param {any} found */
-  function drawPlan(found) {
+  /** @param {any} found @param {import("./upload.js").Settings} settings */
+  function drawPlan(found, { sending, options }) {
     if (!found || plan.childElementCount) return;
     const owner = POSE_OWNERS[/** @type {keyof typeof POSE_OWNERS} */ (found.pose_frame)] ?? found.pose_frame;
     const why = (/** @type {string | null} */ text) => text && el("small", { class: "why" }, text);
+    const keyframes = `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`;
     const rows = factRows([
       ["Layout", LAYOUTS[/** @type {keyof typeof LAYOUTS} */ (found.layout)] ?? found.layout],
       owner && ["Poses", [owner, why(found.pose_frame_reason)]],
       ["Georeference", [found.georeference ?? "none", why(found.georeference_reason)]],
       typeof found.length_m === "number" && ["Distance", formatMetres(found.length_m)],
-      ["To be sent", `${formatCount(found.frames.length)} of ${plural(found.scans, "scan")}`],
+      ["To be sent", sending === "raw" ? `all ${plural(found.scans, "scan")}` : keyframes],
+      options.model && ["To be labelled", `about ${keyframes}`],
     ]);
     fill(plan, el("dl", { class: "figures box wordy" }, rows));
   }
@@ -152,12 +154,13 @@ function stepItem(step, state) {
 function figuresOf(upload, isSending) {
   const { transfer, done, total, step, source } = upload;
   const { meter } = transfer;
-  const isReducing = step === "scans" && source.drive?.scans && upload.settings.sending !== "raw";
+  const isOfScans = step === "check" || (step === "scans" && source.drive?.scans && upload.settings.sending !== "raw");
   const isUnderWay = isSending && upload.status === "running";
   const all = formatBytes(Math.max(meter.total, meter.sent));
-  const left = isUnderWay && step !== "files" && meter.secondsLeft !== null && formatDuration(meter.secondsLeft);
+  const seconds = isUnderWay && step !== "files" ? meter.secondsLeft : step === "check" ? upload.secondsLeft : null;
+  const left = seconds !== null && formatDuration(seconds);
   return factRows([
-    total && [isReducing ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
+    total && [isOfScans ? "Scans" : "Files", `${formatCount(done)} of ${formatCount(total)}`],
     (meter.sent || meter.skipped) && ["Sent", `${formatBytes(meter.sent)} of about ${all}`],
     meter.skipped && ["There already", formatBytes(meter.skipped)],
     isUnderWay && meter.speed !== null && ["Speed", `${formatBytes(meter.speed)}/s`],

@@ -2,7 +2,7 @@
 
 import { getConfig, sha256 } from "../api.js";
 import { pathOf } from "./drive_folder.js";
-import { PARALLEL } from "./transfer.js";
+import { DIGEST_MAX_BYTES, PARALLEL } from "./transfer.js";
 
 /** @typedef {import("./transfer.js").Transfer} Transfer */
 /** @typedef {import("./drive_folder.js").NumberedFiles} NumberedFiles */
@@ -80,10 +80,10 @@ async function sendBatch(transfer, batch) {
 /**
  * @param {Blob} file
  * @param {{size_bytes: number, sha256: string} | undefined} there
- * @returns {Promise<boolean>} True where the service has the same bytes.
+ * @returns {Promise<boolean>} True where the service has the same bytes; false where the file is too large to tell.
  */
 async function isPresent(file, there) {
-  if (!there || there.size_bytes !== file.size) return false;
+  if (!there || there.size_bytes !== file.size || file.size > DIGEST_MAX_BYTES) return false;
   const own = await sha256(await file.arrayBuffer(), "hex");
   return own === null || own === there.sha256;
 }
@@ -118,8 +118,13 @@ export async function sendFiles(transfer, files, present, isTrusted, onDone) {
 
 /** @param {import("./drive_folder.js").DriveFolder} drive @param {string[]} folders @returns {[string, File][]} Scan by scan. */
 export function rawFiles(drive, folders) {
-  const kinds = [drive.scans, ...folders.map((folder) => drive.labels[folder])].filter((each) => each !== null);
-  return [.../** @type {NumberedFiles} */ (drive.scans).files.keys()].flatMap((frame) =>
+  const labels = folders.map((folder) => drive.labels[folder]);
+  if (!drive.scans) {
+    const ofLabels = labels.flatMap((kind) => [...kind.files].map(([frame, file]) => [pathOf(kind, frame), file]));
+    return [...drive.recorded, .../** @type {[string, File][]} */ (ofLabels)];
+  }
+  const kinds = [drive.scans, ...labels];
+  return [...drive.scans.files.keys()].flatMap((frame) =>
     kinds.flatMap((kind) => {
       const file = kind.files.get(frame);
       return file ? [/** @type {[string, File]} */ ([pathOf(kind, frame), file])] : [];

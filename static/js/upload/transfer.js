@@ -10,7 +10,8 @@ import { readWhole } from "./reduce.js";
 /** One connection less than browsers open to a server, so that the page can still ask for something. */
 export const PARALLEL = 5;
 
-const DIGEST_MAX_BYTES = 512 * 1024 * 1024;
+/** Larger files are sent without a digest: to compute one, the whole file is read into memory. */
+export const DIGEST_MAX_BYTES = 512 * 1024 * 1024;
 const GIVE_UP_MS = 15 * 60_000;
 const MAX_WAIT_MS = 30_000;
 const DAMAGED_TRIES = 3;

@@ -16,9 +16,22 @@ import { Transfer } from "./transfer.js";
  * @property {string[]} folders Label folders that are sent.
  * @property {"keyframes" | "scans" | "raw"} sending Ground points of keyframes, of every scan, or everything as it is.
  * @property {boolean} keepRaw
- * @property {{label_scheme: string, pose_frame: string, layout: string, oxts: string | null}} options
+ * @property {ReadingOptions} options
  * @property {{distance_m: number, angle_deg: number}} keyframes
  * @property {JobSettings | null} job null: only upload.
+ */
+
+/**
+ * @typedef {object} ReadingOptions How the service reads the files.
+ * @property {string} label_scheme
+ * @property {string} pose_frame
+ * @property {string} layout
+ * @property {string | null} oxts
+ * @property {string | null} poses File of the poses, or their topic in a bag.
+ * @property {string | null} points Topic of the scans in a bag.
+ * @property {string | null} fix Topic of the GNSS fixes in a bag.
+ * @property {string | null} crs Coordinate system of LAS files.
+ * @property {string | null} model Network of the service that labels the scans.
  */
 
 /**
@@ -60,6 +73,13 @@ import { Transfer } from "./transfer.js";
 
 const COMMIT_WAIT_S = 3;
 const POLL_MS = 700;
+/** What the service does in the stages of a commit. */
+const STAGES = /** @type {Record<string, string>} */ ({
+  waiting: "Waiting for the service to begin",
+  labelling: "Labelling the scans",
+  reducing: "Reducing the scans",
+  storing: "Storing the drive",
+});
 const GROUND_POINT_BYTES = 7; // packed without loss, scans of 64 beams
 
 export class Upload {
@@ -81,6 +101,8 @@ export class Upload {
     /** Scans done and in all, in the step of scans; or what the service counts while it checks. */
     this.done = 0;
     this.total = 0;
+    /** Of what the service does, while it checks. @type {number | null} */
+    this.secondsLeft = null;
     /** What is going on, in words. */
     this.message = "";
     /** @type {FileProblem[]} */
@@ -100,7 +122,7 @@ export class Upload {
     /** @type {Step[]} */
     const sending = archive
       ? ["archive"]
-      : drive?.layout === "reduced"
+      : drive && !drive.scans // nothing to plan: only the service reads it, or it is reduced
         ? ["files", "scans"]
         : ["files", "plan", "scans"];
     return [...sending, "check", ...(this.settings.job ? [/** @type {Step} */ ("run")] : [])];
@@ -136,7 +158,7 @@ export class Upload {
       await this.#commit();
       if (this.settings.job) await this.#startJob(this.settings.job);
       if (this.driveId) forget(this.driveId);
-      this.#update({ status: "done" });
+      this.#update({ status: "done", message: "" });
     } catch (error) {
       this.#fail(error);
     }
@@ -185,7 +207,8 @@ export class Upload {
     const { settings } = this;
     const root = drive?.root ?? "";
     schemes ??= before?.schemes;
-    remember({ driveId, fingerprint, name: settings.name, at, root, settings, schemes }, handle);
+    const isLoose = drive?.isLoose;
+    remember({ driveId, fingerprint, name: settings.name, at, root, isLoose, settings, schemes }, handle);
   }
 
   async #send() {
@@ -206,6 +229,7 @@ export class Upload {
     const isSame = remembered(/** @type {string} */ (this.driveId))?.fingerprint === this.source.fingerprint;
     if (!isSame) this.#remember(""); // old and new files are mixed until all is sent
     if (drive.layout === "reduced") await this.#sendAll([...drive.ground], present, isSame);
+    else if (!drive.scans) await this.#sendAll(rawFiles(drive, this.settings.folders), present, isSame);
     else await this.#sendScans(drive, present, isSame);
     const manifest = drive.small.get("reduced.json");
     if (drive.layout === "reduced" && manifest) await this.transfer.put("reduced.json", manifest);
@@ -217,6 +241,10 @@ export class Upload {
     const { folders, sending } = this.settings;
     this.#update({ step: "plan", message: "Reading poses and georeference" });
     const { frames_to_look_into } = await this.#askPlan(drive, {});
+    if (this.settings.options.model) {
+      await this.#sendAll(rawFiles(drive, []), present, isSame);
+      return;
+    }
     const plan = await this.#askPlan(drive, await countFolders(drive, folders, frames_to_look_into));
     if (sending === "raw") {
       await this.#sendAll(rawFiles(drive, folders), present, isSame);
@@ -256,7 +284,7 @@ export class Upload {
     const [[first, count], ...others] = runsOf(files.keys());
     const json = {
       scans: others.length ? [...files.keys()] : { first, last: first + count - 1 },
-      label_folders: folders,
+      label_folders: options.model ? ["predictions"] : folders,
       label_counts,
       options,
       keyframes: sending === "scans" ? null : this.settings.keyframes,
@@ -302,7 +330,7 @@ export class Upload {
 
   /** Let the service check and reduce the drive. */
   async #commit() {
-    this.#update({ step: "check", message: "Checking the drive", done: 0, total: 0 });
+    this.#update({ step: "check", message: "Checking the drive", done: 0, total: 0, secondsLeft: null });
     const json = { options: this.settings.options, keep_raw: this.settings.keepRaw };
     const headers = { Prefer: `wait=${COMMIT_WAIT_S}` }; // the same commit again joins the one that runs
     for (;;) {
@@ -312,8 +340,9 @@ export class Upload {
       if (status !== 202) return this.#update({ problems: sorted(body.report?.problems ?? []) });
       const job = await this.#latestJob("commit");
       if (!job) continue;
-      const { progress, message } = job;
-      this.#update({ done: progress.done, total: progress.total ?? 0, message: message ?? "Checking the drive" });
+      const { progress, stage } = job;
+      const message = job.message ?? STAGES[stage] ?? "Checking the drive";
+      this.#update({ done: progress.done, total: progress.total ?? 0, secondsLeft: progress.seconds_left, message });
     }
   }
 
@@ -325,7 +354,7 @@ export class Upload {
 
   /** @param {JobSettings} settings */
   async #startJob({ key, osm: map, ...settings }) {
-    this.#update({ step: "run", message: "Starting the job", done: 0, total: 0 });
+    this.#update({ step: "run", message: "Starting the job", done: 0, total: 0, secondsLeft: null });
     const osm = map && "inside" in map ? await this.#mapInside() : map;
     const placing = osm ? {} : { georeference: "drive", near: null }; // an archive without a map
     const json = { drive_id: this.driveId, ...settings, osm, ...placing };

@@ -4,6 +4,7 @@ import { test } from "node:test";
 import { setConfig } from "../../../static/js/api.js";
 import {
   checkDrive,
+  estimateKeyframes,
   findDrives,
   noDriveReason,
   oxtsRows,
@@ -13,7 +14,13 @@ import {
 import { fingerprintOf } from "../../../static/js/upload/memory.js";
 
 setConfig({
-  file_kinds: { maps: [".osm", ".osm.gz", ".osm.bz2", ".osm.pbf"], archives: [".zip"] },
+  file_kinds: {
+    maps: [".osm", ".osm.gz", ".osm.bz2", ".osm.pbf"],
+    archives: [".zip"],
+    recordings: [".bag", ".db3", ".mcap", ".las", ".laz"],
+    scans: [".pcd", ".pcd.bin"],
+  },
+  limits: { max_file_bytes: 1000, max_recording_bytes: 2000, max_drive_bytes: 2500, max_drive_files: 10 },
   raw_first_frames: { "2011_09_30_drive_0028": 1100 },
 });
 
@@ -68,6 +75,91 @@ test("a SemanticKITTI sequence is found with all its parts", async () => {
   assert.deepEqual([...drive.maps.keys()], ["map.osm.gz"]);
   assert.deepEqual(drive.unused, { files: 1, bytes: 100 });
   assert.deepEqual(checkDrive(drive, ["labels", "predictions"], false), []);
+});
+
+test("recordings that only the service reads are found with what lies beside them", async () => {
+  const found = async (files) => {
+    const [drive, ...others] = await findDrives(folder(files));
+    assert.deepEqual(others, []);
+    return [drive.layout, drive.root, [...drive.recorded.keys()], [...drive.small.keys()]];
+  };
+  assert.deepEqual(await found({ "a/drive_0.db3": 9, "a/drive_1.db3": 9, "a/metadata.yaml": "x", "a/notes.md": 1 }), [
+    ...["rosbag", "a"],
+    ["drive_0.db3", "drive_1.db3"],
+    ["metadata.yaml"],
+  ]);
+  assert.deepEqual(await found({ "las/1.laz": 9, "las/2.LAZ": 9, "track.out": 9, "map.osm": "x" }), [
+    ...["las", ""],
+    ["las/1.laz", "las/2.LAZ"],
+    ["track.out"],
+  ]);
+  for (const place of ["", "pcd/", "clouds/", "velodyne/", "velodyne_points/data/"]) {
+    const files = {
+      [`07/${place}a_1.pcd`]: 9,
+      [`07/${place}a_2.pcd.bin`]: 9,
+      "07/poses.tum": "x",
+      "07/oxts/1.txt": "1",
+    };
+    assert.deepEqual(await found(files), [
+      ...["pcd", "07"],
+      [`${place}a_1.pcd`, `${place}a_2.pcd.bin`],
+      ["poses.tum", "oxts/1.txt"],
+    ]);
+  }
+  assert.equal((await found({ "drive.bag": 90, "map.pcd": 20 }))[0], "rosbag"); // the larger of two kinds
+  assert.equal((await found({ ...scans("07/", [0]), "map.pcd": 20, "07/drive.bag": 90 }))[0], "semantickitti");
+});
+
+test("what is wrong with recordings is listed before anything is sent", async () => {
+  const errors = async (files, folders = []) => {
+    const [drive] = await findDrives(folder(files));
+    return texts(checkDrive(drive, folders, false), "error");
+  };
+  const labels = { "labels/000000.label": 4 };
+  assert.deepEqual(await errors({ "a.mcap": 9 }), []);
+  assert.deepEqual(await errors({ "a.pcd": 9, "poses.txt": POSE, ...labels }, ["labels"]), []);
+  assert.deepEqual(await errors({ "a.laz": 9, "track.csv": "time,x,y,z" }), []);
+  assert.match((await errors({ "a.laz": 9, "times.txt": "1" }))[0], /trajectory is missing/);
+  assert.match((await errors({ "a.pcd": 9 }))[0], /poses\.txt is missing/);
+  assert.match(
+    (await errors({ "a.mcap": 2001 }))[0],
+    /a\.mcap is too large: it has 2\.0.kB, the service takes files of/,
+  );
+  assert.match((await errors({ "a.pcd": 1001, "poses.txt": POSE }))[0], /at most 1\.0.kB \(INTERLOC_MAX_FILE_BYTES\)/);
+  assert.match((await errors({ "a_0.mcap": 1500, "a_1.mcap": 1500 }))[0], /files are too large together: 3\.0.kB/);
+  assert.match(
+    (await errors({ "a.mcap": 9, "b.mcap": 9 }))[0],
+    /a\.mcap is not the only bag of the folder \(b\.mcap\)/,
+  );
+  assert.match((await errors({ "a.bag": 0 }))[0], /a\.bag is empty/);
+  assert.match(
+    (await errors({ "1.pcd": 9, "2.pcd": 9, "poses.txt": POSE, ...labels }, ["labels"]))[0],
+    /labels has no labels for 1 of 2 scans/,
+  );
+});
+
+test("a drive without labels needs a network, or is told how labels are made", async () => {
+  const [drive] = await findDrives(folder({ ...scans("", [0, 1], { labels: null }), "poses.txt": POSE }));
+  const errors = (labelling) => texts(checkDrive(drive, [], false, labelling), "error");
+  assert.deepEqual(errors({ model: "salsanext", canLabel: true }), []);
+  assert.match(
+    errors({ model: null, canLabel: false })[0],
+    /any semantic segmentation.*interloc label.*INTERLOC_MODELS/,
+  );
+  assert.doesNotMatch(errors({ model: null, canLabel: true })[0], /INTERLOC_MODELS/);
+});
+
+test("the number of keyframes is estimated from the poses", async () => {
+  const estimate = async (files) => {
+    const [drive] = await findDrives(folder({ "0.pcd": 9, ...files }));
+    return estimateKeyframes(drive, 2);
+  };
+  const kitti = Array.from({ length: 11 }, (_, i) => `1 0 0 ${i} 0 1 0 0 0 0 1 0`).join("\n");
+  const tum = Array.from({ length: 11 }, (_, i) => `${i} 0 ${i} 0 0 0 0 1`).join("\n");
+  assert.equal(await estimate({ "poses.txt": kitti }), 6);
+  assert.equal(await estimate({ "poses.tum": `# time x y z\n${tum}` }), 6);
+  assert.equal(await estimate({ "poses.txt": "x y z" }), null);
+  assert.equal(await estimate({}), null);
 });
 
 test("several drives are told apart, each with its own files", async () => {
@@ -170,6 +262,7 @@ test("a folder that is not a drive is explained", async () => {
   for (const [files, words] of [
     [{ "000000.bin": 16 }, /the scans themselves: pick the folder above/],
     [{ "x/data.zip": 1 }, /holds an archive/],
+    [{ "drive.mcap.zst": 1 }, /compressed as a whole: unpack it first/],
     [{ "labels/000000.label": 4 }, /labels but no scans/],
     [{}, /is empty/],
     [{ "a.txt": "x" }, /is not a drive/],

@@ -1,0 +1,185 @@
+/** Where the labels of a drive come from: its label folders, its points, or a network of the service; what they mean. */
+
+import { getConfig } from "../api.js";
+import { field, filePicker, radios, section, select } from "../controls.js";
+import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plural } from "../dom.js";
+import { LABEL_FOLDERS } from "./drive_folder.js";
+
+/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
+/** @typedef {import("./upload.js").JudgedLabels} JudgedLabels */
+/**
+ * @typedef {object} Network As the service lists it.
+ * @property {string} name
+ * @property {number | null} size_bytes
+ * @property {number | null} height Rows of its range image.
+ * @property {number | null} width
+ * @property {number | null} seconds_per_scan null where it was not used on this service yet.
+ * @property {string | null} problem Why it cannot be used.
+ */
+
+const OF_NETWORK = "network:";
+const IN_FILES = {
+  title: "With label files of mine",
+  hint: "Of any segmentation that writes SemanticKITTI .label files.",
+};
+/** Labels that the browser cannot see: it does not read these files. By layout; "" is an archive. */
+const UNSEEN = /** @type {Record<string, {title: string, hint: string}>} */ ({
+  "": { title: "Those in the archive", hint: "labels/ or predictions/, or labels of the points themselves." },
+  pcd: {
+    title: "Labels of the points themselves",
+    hint: "Their field label. Without one, the service refuses the drive.",
+  },
+  rosbag: {
+    title: "Labels of the points themselves",
+    hint: "The field label of their messages. Without one, the service refuses the drive.",
+  },
+  las: { title: "Classification of the points themselves", hint: "Class 11 is road surface (ASPRS)." },
+});
+
+/**
+ * @param {object} known
+ * @param {DriveFolder | null} known.drive null: an archive, of which nothing is known yet.
+ * @param {Network[]} known.networks
+ * @param {import("./upload.js").Settings | null} known.before
+ * @param {{onChange: () => void, onFolder: (files: FileList) => void}} listeners `onFolder`: labels from elsewhere.
+ */
+export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
+  const rows = el("div", { class: "stack-s" });
+  /** @type {Map<string, HTMLInputElement>} */
+  const boxes = new Map();
+  const meaning = meaningField(before?.options.label_scheme ?? "auto", onChange);
+  const elsewhere = { folder: true, class: "link", name: "prediction-folder" };
+  const picker = el("div", {}, filePicker("Labels from another folder …", onFolder, elsewhere));
+
+  const usable = networks.filter(({ problem }) => problem === null);
+  /** Time that each takes, to be filled in. @type {Map<Network, HTMLElement>} */
+  const hints = new Map(usable.map((network) => [network, el("span", {})]));
+  const unseen = drive?.scans ? null : UNSEEN[drive?.layout ?? ""];
+  const offers = usable.map((network) => ({
+    value: OF_NETWORK + network.name,
+    title: ["Label the scans on the service with ", el("b", {}, network.name)],
+    hint: hints.get(network),
+  }));
+  const choices = unseen
+    ? [{ value: "own", ...unseen }, ...offers]
+    : [...offers, { value: "own", ...IN_FILES, more: picker }];
+  const wanted = before?.options.model ? OF_NETWORK + before.options.model : unseen || before ? "own" : "";
+  const usual = choices.some(({ value }) => value === wanted) ? wanted : choices[0].value;
+  const source = radios("Where labels come from", choices, usual, () => (show(), onChange()));
+  const ofKeyframes = "A network labels the keyframes only, about one scan per two metres.";
+  const chooser = usable.length
+    ? [source.element, el("small", {}, ofKeyframes)]
+    : unseen && [el("p", {}, unseen.title), el("small", {}, unseen.hint)];
+  const damaged = networks.filter(({ problem }) => problem !== null);
+  const ofDamaged = damaged.map(({ name, problem }) =>
+    el("small", {}, `The network ${name} cannot be used: ${problem}`),
+  );
+  const offered = el("div", { class: "stack-s" }, chooser, ofDamaged);
+
+  // Of a bag or of LAS files only the service knows which scans there are; labels that lie beside are sent all the same.
+  const hasPlace = drive?.layout === "pcd" || (drive?.scans && !usable.length);
+  const hasFolders = () => boxes.size > 0;
+  const model = () =>
+    !hasFolders() && usable.length && source.value().startsWith(OF_NETWORK)
+      ? source.value().slice(OF_NETWORK.length)
+      : null;
+  function show() {
+    offered.hidden = hasFolders();
+    meaning.element.hidden = model() !== null;
+  }
+
+  /** @param {number | null} keyframes About how many the drive has; null where only the service can tell. */
+  function setKeyframes(keyframes) {
+    for (const [network, hint] of hints) hint.textContent = factsOf(network, keyframes);
+  }
+  setKeyframes(null);
+  show();
+
+  return {
+    element: section("Labels", drive && rows, offered, hasPlace && picker, meaning.element),
+    canLabel: usable.length > 0,
+    setKeyframes,
+
+    /** @param {DriveFolder["labels"]} folders */
+    setFolders(folders) {
+      const names = Object.keys(folders);
+      const wasOff = new Set([...boxes].filter(([, box]) => !box.checked).map(([name]) => name));
+      boxes.clear();
+      const items = names.map((name) => {
+        const isOn = before ? before.folders.includes(name) || !boxes.size : !wasOff.has(name);
+        const isOnly = names.length === 1;
+        const box = el("input", { type: "checkbox", checked: isOn || isOnly, disabled: isOnly, onChange });
+        boxes.set(name, box);
+        const count = plural(folders[name].files.size, "file");
+        if (isOnly) return el("p", {}, `${LABEL_FOLDERS[name]}, ${count}`);
+        return el("label", { class: "check" }, box, el("span", {}, LABEL_FOLDERS[name], el("small", {}, count)));
+      });
+      fill(rows, items, !names.length && !unseen && el("p", { class: "quiet" }, "None in the folder."));
+      rows.hidden = !rows.childElementCount;
+      if (hasFolders() && !unseen) rows.append(picker);
+      show();
+    },
+
+    folders: () => [...boxes].filter(([, box]) => box.checked).map(([name]) => name),
+    /** The network that labels the scans; null: they have labels. */
+    model,
+    scheme: () => (model() === null ? meaning.scheme() : "auto"),
+    setVerdict: meaning.setVerdict,
+  };
+}
+
+/** @param {Network} network @param {number | null} keyframes */
+function factsOf({ size_bytes, height, width, seconds_per_scan: seconds }, keyframes) {
+  const facts = [
+    size_bytes === null ? "Network" : `Network of ${formatBytes(size_bytes)}`,
+    height && width ? `, range image of ${formatCount(height)} × ${formatCount(width)}. ` : ". ",
+  ];
+  const count = keyframes === null ? "" : `about ${plural(keyframes, "keyframe")}`;
+  if (seconds === null) {
+    facts.push(
+      count ? `It labels ${count}; the time was not measured here yet.` : "Its time was not measured here yet.",
+    );
+  } else {
+    const each = seconds < 0.05 ? "less than 0.1 s" : formatDuration(seconds);
+    const all = keyframes === null ? "" : `: about ${roughly(seconds * keyframes)} for ${count}`;
+    facts.push(`It takes ${each} per scan on one core${all}.`);
+  }
+  return facts.join("");
+}
+
+/** @param {number} seconds @returns {string} */
+const roughly = (seconds) => (seconds < 60 ? `${Math.max(1, Math.round(seconds))}\u00a0s` : formatDuration(seconds));
+
+/**
+ * What the ids of labels mean.
+ *
+ * @param {string} chosen Name of a scheme, or ids of road.
+ * @param {() => void} onChange
+ */
+function meaningField(chosen, onChange) {
+  const schemes = getConfig().label_schemes.map(({ name, title, road }) => [
+    name,
+    `${title} (road = ${road.join(", ")})`,
+  ]);
+  const choices = { auto: "From the ids", ...Object.fromEntries(schemes), custom: "My own ids of road …" };
+  const isCustom = !(chosen in choices);
+  const ids = el("input", { type: "text", placeholder: "40, 60", value: isCustom ? chosen : "", onInput: onChange });
+  ids.setAttribute("aria-label", "Ids of road");
+  ids.hidden = !isCustom;
+  const scheme = select(choices, isCustom ? "custom" : chosen, (value) => {
+    ids.hidden = value !== "custom";
+    onChange();
+  });
+  const verdict = el("small", {});
+  return {
+    element: el("div", { class: "stack-s" }, field("What their ids mean", scheme), ids, verdict),
+    scheme: () => (scheme.value === "custom" ? ids.value.trim() || "custom" : scheme.value),
+    /** @param {JudgedLabels[]} judged */
+    setVerdict(judged) {
+      const found = judged.filter((each) => each.scheme !== null);
+      const text = (/** @type {JudgedLabels} */ { folder, scheme: name, road_share }) =>
+        `${folder}: read as ${name === "custom" ? "given" : name}, ${formatPercent(road_share)} road.`;
+      verdict.textContent = found.map(text).join(" ");
+    },
+  };
+}

@@ -1,0 +1,169 @@
+"""Uploads of drives that only the service can read or label: sent as they are, labelled there, or refused in words."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.app.processes import API, ServerProcess, ended, started, wait_until
+from tests.app.street import write_street
+from tests.drives.scans.test_pcd import as_pcd
+from tests.networks import write_model
+from tests.page.browsers import Browser, needs_page
+from tests.page.results import Done
+from tests.page.test_reduction_upload import Upload, drive_of, files_of
+
+pytestmark = needs_page
+
+SCANS = 24
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """A server with a network, and with another that is damaged."""
+    folder = tmp_path_factory.mktemp("networks")
+    write_model(folder / "models" / "flat", height=32, width=256, road_half_width_m=5.0)
+    write_model(folder / "models" / "torn", height=32, width=256)
+    (folder / "models" / "torn" / "arch_cfg.yaml").unlink()
+    settings = {"models": folder / "models", "max_recording_bytes": 50_000}
+    with started(folder / "data", folder / "log", workers=1, **settings) as running:
+        yield running
+
+
+@pytest.fixture
+def upload(browser: Browser, server: ServerProcess) -> Upload:
+    return Upload(browser.new_page(), server.address)
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_street(tmp_path_factory.mktemp("drives") / "street", SCANS)
+
+
+@pytest.fixture(scope="module")
+def unlabelled(tmp_path_factory: pytest.TempPathFactory, street: Path) -> Path:
+    root = Path(shutil.copytree(street, tmp_path_factory.mktemp("unlabelled") / "07"))
+    shutil.rmtree(root / "labels")
+    return root
+
+
+@contextmanager
+def at_stage(server: ServerProcess, stage: str) -> Iterator[None]:
+    """Wait for a stage of the commit that runs, and let its workers stand still meanwhile."""
+
+    def look() -> bool:
+        jobs = server.client.get(f"{API}/jobs", params={"kind": "commit", "limit": 1}).json()["jobs"]
+        return bool(jobs) and jobs[0]["stage"] == stage
+
+    wait_until(look, f"a commit at the stage {stage}")
+    workers = server.workers()
+    for worker in workers:
+        worker.suspend()
+    try:
+        yield
+    finally:
+        for worker in workers:
+            worker.resume()
+
+
+def test_pcd_files_are_sent_as_they_are(upload: Upload, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+    root = as_pcd(street, tmp_path / "cloudy")
+    shutil.copy(street / "map.osm", root)
+    upload.pick(root)
+    text = upload.text()
+    assert "PCD files" in text
+    assert re.search(rf"Scans\s+{SCANS} scans, \d.*MB", text)
+    assert "The browser cannot reduce these files: all" in text
+    assert upload.page.get_by_label("Labels of the points themselves").is_checked()
+    assert "The network torn cannot be used" in text
+    assert "arch_cfg.yaml" in text
+    upload.press("Upload and run")
+    job = ended(server.client, upload.job())
+    assert job["state"] == "successful", job["error"]
+    assert job["summary"]["report"] is not None
+    drive = drive_of(server.client, job["id"])
+    assert (drive["name"], drive["report"]["layout"], drive["options"]["model"]) == ("cloudy", "pcd", None)
+    assert {path for path in upload.sent if path.endswith(".pcd")} == {f"pcd/{frame:06d}.pcd" for frame in range(SCANS)}
+    assert "geo.csv" in files_of(server.client, drive["id"])
+
+
+def test_a_drive_without_labels_is_labelled_by_the_service(
+    upload: Upload, server: ServerProcess, unlabelled: Path
+) -> None:
+    upload.pick(unlabelled)
+    upload.page.get_by_text(f"It labels about {SCANS} keyframes; the time was not measured here yet").wait_for()
+    assert upload.page.get_by_label("Label the scans on the service with flat").is_checked()
+    assert "The network flat runs on the service: all" in upload.text()
+    assert "range image of 32 \N{MULTIPLICATION SIGN} 256" in upload.text()
+    upload.choose("With label files of mine")
+    assert "There is neither labels/ nor predictions/" in upload.text()
+    assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    upload.choose("Label the scans on the service with flat")
+    spacing = upload.page.get_by_label("Distance between keyframes")
+    spacing.fill("1")
+    assert upload.page.get_by_text("A network labels the keyframes of 2 m and 5°").is_visible()
+    assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    spacing.fill("2")
+    upload.press("Upload and run")
+    with at_stage(server, "labelling"):
+        upload.page.get_by_text("Labelling the scans").wait_for()
+        upload.page.get_by_text(re.compile(rf"^\d+ of {SCANS}$")).wait_for()
+        upload.page.reload()
+        upload.page.wait_for_selector("text=Uploads that were begun")
+        upload.pick(unlabelled)
+        upload.press("Continue that upload")
+        upload.page.get_by_text("Labelling the scans").wait_for()
+    job = ended(server.client, upload.job())
+    assert job["state"] == "successful", job["error"]
+    assert job["request"]["labels"] == "predictions"
+    drive = drive_of(server.client, job["id"])
+    assert drive["options"]["model"] == "flat"
+    assert drive["report"]["label_folder"] == "network flat"
+    assert sum(path.endswith(".bin") for path in upload.sent) == SCANS
+
+    upload.page.goto(f"{server.address}/#panel=upload")
+    upload.pick(unlabelled)  # the time is known now
+    upload.page.get_by_text(re.compile("per scan on one core: about .* for about")).wait_for()
+
+
+def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Path) -> None:
+    upload.page.evaluate(
+        """() => {
+            const dataTransfer = new DataTransfer();
+            dataTransfer.items.add(new File([new Uint8Array(40000)], "town.mcap"));
+            dispatchEvent(new DragEvent("drop", { dataTransfer, cancelable: true }));
+        }"""
+    )
+    upload.page.wait_for_selector(".upload-form")
+    form = upload.page.locator(".upload-form")
+    assert "ROS bag" in upload.text()
+    assert "the fixes in the bag, if it has any" in upload.text()
+    assert upload.page.input_value(".upload-form input[type=text]") == "town"
+    form.get_by_text("How the files are read").click()
+    form.get_by_label("Scans", exact=True).fill("velodyne_points")
+    assert form.get_by_text("The topic velodyne_points does not begin with a slash").is_visible()
+    form.get_by_label("Scans", exact=True).fill("/velodyne_points")
+    assert form.get_by_role("button", name="Upload only").is_enabled()
+    upload.press("Choose another")
+    upload.page.wait_for_selector(".drop")
+    for name in ("town.laz", "track.csv"):
+        (tmp_path / name).write_bytes(bytes(60_000))
+    upload.page.set_input_files("input[name=files]", [tmp_path / "town.laz", tmp_path / "track.csv"])
+    upload.page.wait_for_selector(".upload-form")
+    assert "town.laz is too large" in upload.text()
+    assert "INTERLOC_MAX_RECORDING_BYTES" in upload.text()
+    assert form.get_by_role("button", name="Upload only").is_disabled()
+
+
+def test_a_service_without_networks_says_how_labels_are_made(browser: Browser, done: Done, unlabelled: Path) -> None:
+    upload = Upload(browser.new_page(), done.server.address)
+    upload.pick(unlabelled)
+    text = upload.text()
+    for words in ("any semantic segmentation", "interloc label", "INTERLOC_MODELS", "None in the folder"):
+        assert words in text
+    assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
