@@ -28,6 +28,9 @@ DATA_DIR = click.option(
 @click.option("--port", type=click.IntRange(0, 65535), help="Port to listen on; 0: any free one.  [default: 8000]")
 @DATA_DIR
 @click.option("--workers", type=click.IntRange(1, 256), help="Number of worker processes.  [default: one per core]")
+@click.option(
+    "--models", type=click.Path(path_type=Path), help="Folder of networks, one folder each, that label drives."
+)
 @click.option("--dask", metavar="ADDRESS", help="Dask scheduler that does the work instead, as tcp://host:8786.")
 @click.option("--allow-anonymous", is_flag=True, default=None, help="Serve other machines without any token.")
 @click.option("--root-path", metavar="PATH", help="Path under which a reverse proxy publishes the service.")
