@@ -331,8 +331,8 @@ def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) 
     hint = (
         f"There is {other.name}/: choose it as the label folder."
         if other.is_dir()
-        else "Any semantic segmentation that writes SemanticKITTI .label files will do, or a network on the way "
-        "(--model, see `interloc label --help`)."
+        else "Any semantic segmentation that writes SemanticKITTI .label files will do, or a network: interloc label, "
+        "--model with any command, the option model in the service."
     )
     if parts.layout == "kitti360":
         hint = f"KITTI-360 publishes none per scan. {hint}"
