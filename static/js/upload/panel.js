@@ -35,7 +35,8 @@ const EXAMPLE = `07/
 
 Others: KITTI raw, KITTI-360, and as recorded
   pcd/000000.pcd, …   poses.txt
-  drive.mcap, drive.bag, or .db3 with metadata.yaml
+  drive.mcap or drive.bag
+  drive.db3           metadata.yaml
   street.laz, …       trajectory.csv`;
 const COMPANIONS = [".txt", ".csv", ".tum", ".out", ".sbet", ".yaml", ".osm", ".pbf", ".gz", ".bz2", ".zst"];
 
@@ -128,7 +129,7 @@ async function showStart(message = null, begun = null) {
       ),
       el("p", { class: "small" }, note),
       open.length > 0 && section("Uploads that were begun", open),
-      el("details", {}, el("summary", {}, "What a drive looks like"), el("pre", { class: "code" }, EXAMPLE)),
+      el("details", {}, el("summary", {}, "What a drive looks like"), el("pre", { class: "code", tabIndex: 0 }, EXAMPLE)),
     ),
   );
 }
