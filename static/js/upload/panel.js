@@ -129,7 +129,12 @@ async function showStart(message = null, begun = null) {
       ),
       el("p", { class: "small" }, note),
       open.length > 0 && section("Uploads that were begun", open),
-      el("details", {}, el("summary", {}, "What a drive looks like"), el("pre", { class: "code", tabIndex: 0 }, EXAMPLE)),
+      el(
+        "details",
+        {},
+        el("summary", {}, "What a drive looks like"),
+        el("pre", { class: "code", tabIndex: 0 }, EXAMPLE),
+      ),
     ),
   );
 }
