@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from app.http.problem_types import described
+from app.http.problem_types import types_listed
 from app.http.problems import MEDIA_TYPE, ProblemDocument
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
@@ -38,7 +38,7 @@ Every error is a problem document (RFC 9457) whose `detail` says what was found,
 `type` tells programs what has happened. It is the same in every version and under every address of the service
 (`GET /problems` lists the same); `about:blank` stands where the HTTP status says all:
 
-{described()}
+{types_listed()}
 """
 
 TAGS = [
@@ -161,7 +161,7 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
                 responses.setdefault(status, response)
             for response in responses.values():
                 _correct_media_type(response, schemas)
-                _ease_generation(response)
+                _offer_bytes(response)
                 response["headers"] = {**response.get("headers", {}), **headers_named("X-Request-ID")}
             _leave_out_null_body(operation)
             operation["responses"] = dict(sorted(responses.items()))
@@ -172,7 +172,7 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
 
 def _common(method: str, operation: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Describe the problems that operations have in common."""
-    yield "400", _problem("The request does not keep to HTTP.")
+    yield "400", _problem("The request does not keep to HTTP, or has a parameter or a body that cannot be read.")
     yield "431", _problem("The headers are too large, or too many.")
     yield "500", _problem("A fault of the service.")
     yield "503", _problem("The service or its database is busy, or is being stopped.", _WAIT)
@@ -198,18 +198,18 @@ def _problem(description: str, headers: dict[str, Any] | None = None) -> dict[st
 def _correct_media_type(response: dict[str, Any], schemas: dict[str, Any]) -> None:
     """Give a model its own media type, where it has one: FastAPI describes every model in that of the endpoint."""
     content = response.get("content", {})
-    for media_type, described_ in list(content.items()):
-        name = described_.get("schema", {}).get("$ref", "").rpartition("/")[2]
-        own = MEDIA_TYPE if name == "ProblemDocument" else schemas.get(name, {}).get("x-media-type")
+    for each in content.values():
+        each.pop("itemSchema", None)  # of a stream of events: OpenAPI 3.2 has it, 3.1 does not
+    for media_type, described in list(content.items()):
+        name = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
+        own = schemas.get(name, {}).get("x-media-type")
         if own is not None:
             content[own] = content.pop(media_type)
 
 
-def _ease_generation(response: dict[str, Any]) -> None:
+def _offer_bytes(response: dict[str, Any]) -> None:
     """Describe files also as plain bytes: client generators leave out an answer of which they know no media type."""
     content = response.get("content", {})
-    for each in content.values():
-        each.pop("itemSchema", None)  # of a stream of events: OpenAPI 3.2 has it, 3.1 does not
     if content and not any(each.endswith("json") or each.startswith("text/") for each in content):
         content.setdefault("application/octet-stream", {"schema": {"type": "string", "format": "binary"}})
 
@@ -223,7 +223,7 @@ def _leave_out_null_body(operation: dict[str, Any]) -> None:
 
 
 def _drop_defaults_of_models(schema: dict[str, Any]) -> None:
-    """Leave out defaults that are objects: client generators know none for a model, and the words name them."""
-    for described_ in schema.get("properties", {}).values():
-        if isinstance(described_.get("default"), dict):
-            del described_["default"]
+    """Leave out defaults that are objects: client generators take none for a model."""
+    for described in schema.get("properties", {}).values():
+        if isinstance(described.get("default"), dict):
+            del described["default"]

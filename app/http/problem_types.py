@@ -94,6 +94,6 @@ def type_of(title: str) -> str:
     return f"/problems/{slug_of(title)}" if title in MEANINGS else UNTYPED
 
 
-def described() -> str:
+def types_listed() -> str:
     """Return the list of all types as Markdown."""
     return "\n".join(f"- `{type_of(title)}`: {meaning}" for title, meaning in MEANINGS.items())

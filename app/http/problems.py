@@ -42,6 +42,7 @@ class ProblemDocument(BaseModel):
     model_config = ConfigDict(
         extra="allow",
         json_schema_extra={
+            "x-media-type": MEDIA_TYPE,
             "examples": [
                 {
                     "type": "/problems/drive-not-found",
@@ -50,7 +51,7 @@ class ProblemDocument(BaseModel):
                     "detail": "There is no drive 5f0c. GET /api/v1/drives lists them.",
                     "instance": "/api/v1/drives/5f0c",
                 }
-            ]
+            ],
         },
     )
 
@@ -188,6 +189,10 @@ def _of_http_error(error: HTTPException) -> Problem:
 
 
 def _of_validation_error(error: RequestValidationError) -> Problem:
+    broken = next((each for each in error.errors() if each["type"] == "json_invalid"), None)
+    if broken is not None:
+        where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
+        return Problem(400, "Body malformed", f"The body is not JSON: {why}, at character {where}.")
     problems = [
         FileProblem(severity="error", path=".".join(str(part) for part in each["loc"]), message=each["msg"])
         for each in error.errors()

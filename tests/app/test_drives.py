@@ -41,6 +41,12 @@ def test_a_bad_drive_is_refused_by_its_field(client: httpx.Client, body: dict[st
     assert answer.json()["problems"][0]["path"] == field
 
 
+def test_a_body_that_is_not_json_is_refused(client: httpx.Client) -> None:
+    answer = client.post("/api/v1/drives", content=b'{"name": ', headers={"Content-Type": "application/json"})
+    assert (answer.status_code, answer.json()["type"]) == (400, "/problems/body-malformed")
+    assert "not JSON" in answer.json()["detail"]
+
+
 def test_drives_are_listed_newest_first_in_pages(serve: Callable[..., httpx.Client]) -> None:
     client = serve()
     ids = [client.post("/api/v1/drives", json={"name": f"drive {n}"}).json()["id"] for n in range(7)]
