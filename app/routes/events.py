@@ -21,7 +21,7 @@ _EXAMPLE = 'event: job\nid: 7\ndata: {"id": "9b1e44f00c7a2d53", "state": "runnin
 _EVENTS: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "The stream of events.",
-        "content": {"text/event-stream": {"schema": {"type": "string"}, "example": _EXAMPLE}},
+        "content": {"text/event-stream": {"schema": {}, "example": _EXAMPLE}},
     },
     **NOT_FOUND,
 }
