@@ -118,9 +118,9 @@ def lock_drive(session: Session, drive_id: str) -> Drive:
 
 
 def list_drives(
-    context: Context, conditions: Sequence[ColumnElement[bool]], after: str | None, limit: int
+    context: Context, after: str | None, limit: int, conditions: Sequence[ColumnElement[bool]] = ()
 ) -> DriveList:
-    """Return a page of drives, the newest first, without their reports."""
+    """Return a page of drives that meet conditions, the newest first, without their reports."""
     query = select(Drive).options(defer(Drive.report)).where(Drive.deleted_at.is_(None), *conditions)
     query = query.order_by(*newest_first(Drive))
     if after is not None:

@@ -74,7 +74,7 @@ def list_drives(
         conditions.append(has_part(Drive.name, name))
     if box is not None:
         conditions.append(records.lies_in(box))
-    page = records.list_drives(context, conditions, after, limit)
+    page = records.list_drives(context, after, limit, conditions)
     link_next(request, response, page.next)
     return page
 
