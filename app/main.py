@@ -18,6 +18,7 @@ from app.http.limits import make_room_to_delete
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.http.page import PageFiles
+from app.http.parameters import refuse_unknown_parameters
 from app.http.problems import ProblemDocument, add_handlers
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
@@ -115,7 +116,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     add_middleware(app, settings)
     of_drives = (drives, files, scans, archive, commit, demo, models)
     of_jobs = (jobs, events, results, keyframes, exports, compare)
-    shared = [Depends(client_of), Depends(make_room_to_delete)]
+    shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
         app.include_router(module.router, prefix=API, dependencies=shared)
     for module in (system, page):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -16,6 +17,11 @@ SQLITE_FILE = "interloc.sqlite3"
 """Name of the database in the data folder, where no other is set."""
 
 _MIN_TOKEN_CHARS = 16
+
+
+def _listed(text: str) -> list[str]:
+    """Return what a text lists with commas between."""
+    return [each for part in text.split(",") if (each := part.strip())]
 
 
 class Settings(BaseSettings):
@@ -43,6 +49,11 @@ class Settings(BaseSettings):
     trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
     allowed_hosts: str = Field(
         "", description="Names under which a reverse proxy shows the service, separated by commas."
+    )
+    cors_origins: str = Field(
+        "",
+        description="Origins of other web pages that may read the API (GET only), separated by commas, for example "
+        "https://maps.example.",
     )
     token: SecretStr | None = Field(None, description="An API token; further ones are made with `interloc token add`.")
     allow_anonymous: bool = Field(False, description="Serve other machines without any token.")
@@ -157,6 +168,23 @@ class Settings(BaseSettings):
         if path and not path.startswith("/"):
             raise ValueError("a path begins with /, for example /interloc")
         return path
+
+    @field_validator("cors_origins")
+    @classmethod
+    def _check_origins(cls, text: str) -> str:
+        for origin in _listed(text):
+            parts = urlsplit(origin)
+            if parts.scheme not in {"http", "https"} or f"{parts.scheme}://{parts.netloc}" != origin or "*" in origin:
+                raise ValueError(
+                    f"{origin!r} is not an origin: expected https://maps.example or http://localhost:3000, without "
+                    "a path or a slash at the end; * is not taken"
+                )
+        return text
+
+    @property
+    def origins(self) -> tuple[str, ...]:
+        """Origins whose pages may read the API."""
+        return tuple(_listed(self.cors_origins))
 
     @property
     def is_loopback(self) -> bool:

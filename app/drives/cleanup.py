@@ -20,7 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.records import drive_key, files_key, reduced_key
+from app.drives.records import drive_key, files_key, lock_drive, note_extent, reduced_key
 from app.drives.trash import delete_drive, empty_trash, finish_purges
 from app.http.problems import Problem
 from app.metrics import Removal
@@ -32,6 +32,7 @@ from app.store.incoming import is_old, remove_dead, size_of
 from app.store.installation import id_of_database, id_of_folder
 from app.store.models import Drive, Job
 from app.store.storage import INCOMING
+from app.work.places import TRAJECTORY
 from interloc.errors import InterLocError
 
 PERIOD_S = 3600.0
@@ -66,6 +67,7 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
         swept["archive"] = _remove_archives(context)
     swept["incoming"] = remove_incoming(context)
     _tidy_drives(context)
+    _note_extents(context)
     _write_sidecars(context)
     if swept.total():
         text = ", ".join(f"{count} {reason}" for reason, count in swept.items() if count)
@@ -237,6 +239,17 @@ def _tidy_drives(context: Context) -> None:
         found = session.execute(ready).all()
     for drive_id, keep_raw in found:
         tidy_drive(context, drive_id, keep_raw=keep_raw)
+
+
+def _note_extents(context: Context) -> None:
+    """Write where drives are that became ready under an older version, or were adopted."""
+    has_none = select(Drive.id).where(Drive.state == DriveState.READY, Drive.west.is_(None), Drive.deleted_at.is_(None))
+    with context.database.reading() as session:
+        unknown = session.scalars(has_none).all()
+    for drive_id in unknown:
+        if (context.storage.folder(drive_key(drive_id)) / TRAJECTORY[0]).is_file():
+            with context.database.writing(patient=True) as session, suppress(Problem):  # purged meanwhile
+                note_extent(lock_drive(session, drive_id), context)
 
 
 def _write_sidecars(context: Context) -> None:

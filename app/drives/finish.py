@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.drives.cleanup import tidy_drive
 from app.drives.commit import queue_commit
-from app.drives.records import drive_key, reduced_key
+from app.drives.records import drive_key, note_extent, reduced_key
 from app.drives.upload import (
     Placement,
     lock_counts,
@@ -96,6 +96,7 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
     for name in TRAJECTORY:
         with suppress(FileNotFoundError):
             (built / name).replace(target.parent / name)
+    note_extent(drive, context)
     maps = [
         size
         for path, size in session.execute(

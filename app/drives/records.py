@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, and_, or_, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.http.paging import cursor_of, newest_first, rows_after
+from app.http.parameters import Box
 from app.http.problems import Problem
-from app.jobs.queue import no_drive
+from app.jobs.queue import key_used, no_drive
 from app.paths import is_map
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.settings import Settings
@@ -21,6 +24,8 @@ from app.store.database import moment
 from app.store.models import Drive, DriveFile
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
+from interloc.errors import InterLocError
+from interloc.output.geojson import read_json
 
 
 def drive_key(drive_id: str) -> str:
@@ -40,7 +45,32 @@ def reduced_key(drive_id: str) -> str:
 
 def create_drive(context: Context, owner: str, new: NewDrive) -> DriveModel:
     """Make a drive without files."""
+    return create_drive_once(context, owner, new, None)[0]
+
+
+def create_drive_once(context: Context, owner: str, new: NewDrive, key: str | None) -> tuple[DriveModel, bool]:
+    """Make a drive without files, or return the one that an earlier request with the same key has made.
+
+    Returns
+    -------
+    DriveModel
+    bool
+        Whether it is new.
+
+    Raises
+    ------
+    Problem
+        422: the key was used for another request.
+    """
+    request = None if key is None else hashlib.sha256(new.model_dump_json().encode()).hexdigest()
     with context.database.writing() as session:
+        if key is not None:
+            context.database.lock_owner(session, owner)
+            earlier = session.scalar(select(Drive).where(Drive.owner == owner, Drive.idempotency_key == key))
+            if earlier is not None:
+                if earlier.request_sha256 != request:
+                    raise key_used(key, f"drive {earlier.id}")
+                return drive_model(earlier, context.settings), False
         now = context.database.clock(session)
         drive = Drive(
             name=new.name,
@@ -49,12 +79,14 @@ def create_drive(context: Context, owner: str, new: NewDrive) -> DriveModel:
             keep_raw=new.keep_raw,
             created_at=now,
             touched_at=now,
+            idempotency_key=key,
+            request_sha256=request,
         )
         session.add(drive)
         session.flush()
         model = drive_model(drive, context.settings)
     sidecars.write_drive(context.storage, drive)
-    return model
+    return model, True
 
 
 def find_drive(session: Session, drive_id: str) -> Drive:
@@ -85,9 +117,12 @@ def lock_drive(session: Session, drive_id: str) -> Drive:
     return drive
 
 
-def list_drives(context: Context, after: str | None, limit: int) -> DriveList:
-    """Return a page of drives, the newest first, without their reports."""
-    query = select(Drive).options(defer(Drive.report)).where(Drive.deleted_at.is_(None)).order_by(*newest_first(Drive))
+def list_drives(
+    context: Context, after: str | None, limit: int, conditions: Sequence[ColumnElement[bool]] = ()
+) -> DriveList:
+    """Return a page of drives that meet conditions, the newest first, without their reports."""
+    query = select(Drive).options(defer(Drive.report)).where(Drive.deleted_at.is_(None), *conditions)
+    query = query.order_by(*newest_first(Drive))
     if after is not None:
         query = query.where(rows_after(Drive, after))
     with context.database.reading() as session:
@@ -97,6 +132,21 @@ def list_drives(context: Context, after: str | None, limit: int) -> DriveList:
         drives=[drive_model(drive, context.settings, report=False) for drive in page],
         next=cursor_of(page[-1]) if len(drives) > limit else None,
     )
+
+
+def lies_in(box: Box) -> ColumnElement[bool]:
+    """Return the condition that a drive touches a box; one that is not ready or has no georeference touches none."""
+    join = and_ if box.west <= box.east else or_  # across the 180th meridian
+    return and_(
+        Drive.south <= box.north, Drive.north >= box.south, join(Drive.east >= box.west, Drive.west <= box.east)
+    )
+
+
+def note_extent(drive: Drive, context: Context) -> None:
+    """Write into the row of a ready drive where it is, from its trajectory."""
+    path = context.storage.folder(drive_key(drive.id)) / TRAJECTORY[0]
+    with suppress(InterLocError, ValueError):  # it has no georeference, or its files are damaged
+        drive.west, drive.south, drive.east, drive.north = read_json(path).get("bbox", [])
 
 
 def list_files(context: Context, drive_id: str, after: str | None, limit: int) -> FileList:
@@ -224,6 +274,7 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> Dri
         files=drive.file_count,
         size_bytes=drive.size_bytes,
         stored_bytes=drive.stored_bytes,
+        bbox=None if drive.west is None else [drive.west, drive.south, drive.east, drive.north],
         created_at=moment(drive.created_at),
         expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
         report=DriveReport.model_validate(drive.report) if report and drive.report else None,

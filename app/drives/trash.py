@@ -96,6 +96,7 @@ def delete_drive(
         for job in session.scalars(of_drive):
             cancel(session, context.database, job)
             job.idempotency_key = None  # a later request with the same key means another job
+        drive.idempotency_key = None
         drive.deleted_at = context.database.clock(session)
         drive.deleted_by = client
     _log.info("drive %s: deleted by %s", drive_id, client or "the clean-up", extra={"drive": drive_id})

@@ -156,6 +156,13 @@ def deliver(
     return Response(path.read_bytes(), headers=headers, media_type=media_type)
 
 
+def answer_tagged(request: Request, content: bytes, media_type: str = "application/json", **headers: str) -> Response:
+    """Answer a GET or HEAD with what was made for it, and its ETag: 200, or 304 where the client has the same."""
+    tag = hashlib.sha256(content).hexdigest()[:24]
+    headers = {"etag": f'"{tag}"', "cache-control": REVALIDATE, **headers}
+    return not_modified(request, headers) or Response(content, headers=headers, media_type=media_type)
+
+
 def not_modified(request: Request, headers: dict[str, str]) -> Response | None:
     """Return the 304 where the client has what these headers describe (If-None-Match, If-Modified-Since)."""
     known = Headers(headers)

@@ -17,12 +17,12 @@ MAX_WAIT_S = 300
 _SHA256_BYTES = 32
 
 
-def wait_of(prefer: str | None) -> int:
+def wait_of(prefer: str | None, default_s: int = DEFAULT_WAIT_S) -> int:
     """Return the seconds that a request may wait for its work: ``Prefer: wait=10`` or ``respond-async`` (RFC 7240).
 
     Preferences that are not understood are ignored.
     """
-    seconds = DEFAULT_WAIT_S
+    seconds = default_s
     for preference in (prefer or "").split(","):
         name, _, value = preference.split(";")[0].strip().lower().partition("=")
         if name.strip() == "respond-async":
@@ -32,21 +32,53 @@ def wait_of(prefer: str | None) -> int:
     return seconds
 
 
-async def _wait_seconds(
-    response: Response,
-    prefer: Annotated[
-        str | None,
-        Header(description="wait=SECONDS, at most 300, 50 by default; respond-async not to wait (RFC 7240)."),
-    ] = None,
-) -> int:
-    seconds = wait_of(prefer)
+def _granted(response: Response, prefer: str | None, default_s: int) -> int:
+    seconds = wait_of(prefer, default_s)
     if prefer:
         response.headers["Preference-Applied"] = f"wait={seconds}"
     return seconds
 
 
+async def _wait_seconds(
+    response: Response,
+    prefer: Annotated[
+        str | None,
+        Header(
+            description="wait=SECONDS, at most 300, 50 by default; respond-async not to wait (RFC 7240).",
+            examples=["wait=10"],
+        ),
+    ] = None,
+) -> int:
+    return _granted(response, prefer, DEFAULT_WAIT_S)
+
+
+async def _wait_if_asked(
+    response: Response,
+    prefer: Annotated[
+        str | None,
+        Header(description="wait=SECONDS, at most 300, to wait for the end (RFC 7240).", examples=["wait=10"]),
+    ] = None,
+) -> int:
+    return _granted(response, prefer, 0)
+
+
 WaitSeconds = Annotated[int, Depends(_wait_seconds)]
 """The time that a request may wait for its work, from its header Prefer."""
+
+WaitIfAsked = Annotated[int, Depends(_wait_if_asked)]
+"""The same where a request that does not ask for it does not wait."""
+
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        min_length=1,
+        max_length=200,
+        description="Any text; a request that is repeated with the same key (after a lost answer) makes nothing twice.",
+        examples=["8f14e45f-ceea-467f"],
+    ),
+]
 
 
 def sha256_of(headers: Headers) -> str | None:

@@ -12,10 +12,12 @@ from urllib.parse import urlsplit
 from fastapi import FastAPI
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
+from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
 from app.http.gate import Gate, path_of
+from app.http.openapi import HEADERS
 from app.http.problems import Problem, problem_of, respond
 from app.metrics import Metrics
 from app.settings import Settings
@@ -45,6 +47,8 @@ def add_middleware(app: FastAPI, settings: Settings) -> None:
     app.add_middleware(Bodies, idle_s=settings.idle_timeout_s, bytes_per_s=settings.min_body_rate)
     app.add_middleware(Gate, settings=settings)
     app.add_middleware(Faults)
+    if settings.origins:
+        app.add_middleware(OtherOrigins, origins=settings.origins)
     app.add_middleware(SecurityHeaders, settings=settings)
     app.add_middleware(RequestLog, root_path=settings.root_path)
 
@@ -190,6 +194,28 @@ def page_policy(settings: Settings) -> str:
         f"default-src 'self'; img-src 'self' data: blob:{tiles}; worker-src 'self'; connect-src 'self'; "
         "object-src 'none'; form-action 'self'; frame-src 'self'; frame-ancestors 'none'; base-uri 'none'"
     )
+
+
+class OtherOrigins:
+    """Lets pages of listed origins read the API. They send tokens themselves; browsers add nothing (no credentials)."""
+
+    def __init__(self, app: ASGIApp, origins: tuple[str, ...]) -> None:
+        self._app = app
+        self._readable = CORSMiddleware(
+            app,
+            allow_origins=origins,
+            allow_methods=("GET", "HEAD"),
+            allow_headers=("Authorization", "If-None-Match", "If-Modified-Since", "Last-Event-ID", "Range"),
+            expose_headers=tuple(HEADERS),
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Go on; with the headers of CORS where something is read, or a browser asks whether it may."""
+        is_read = scope["type"] == "http" and scope["method"] in {"GET", "HEAD", "OPTIONS"}
+        if is_read and (path_of(scope).startswith(f"{_API}/") or path_of(scope) == "/openapi.json"):
+            await self._readable(scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
 
 
 class Faults:

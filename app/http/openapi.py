@@ -9,28 +9,36 @@ from typing import Any, TypeVar
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
+from app.http.problem_types import types_listed
 from app.http.problems import MEDIA_TYPE, ProblemDocument
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
 
-DESCRIPTION = """
+DESCRIPTION = f"""
 A *drive* is uploaded file by file, checked and reduced by its *commit*; a *job* finds the intersections in it, and
 scores them against OpenStreetMap where a map is given; its *results* are GeoJSON, reports, pictures and exports.
 
 ```sh
-curl -X POST $API/drives -H 'Content-Type: application/json' -d '{"name": "07"}'        # -> id of the drive
+curl -X POST $API/drives -H 'Content-Type: application/json' -d '{{"name": "07"}}'        # -> id of the drive
 curl -T velodyne/000000.bin $API/drives/$DRIVE/files/velodyne/000000.bin                # ... and so on, in any order
 curl -X POST $API/drives/$DRIVE/commit                                                  # -> what is in it or is wrong
-curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{"drive_id": "'$DRIVE'"}'  # -> id of the job
+curl -X POST $API/jobs -H 'Content-Type: application/json' -d '{{"drive_id": "'$DRIVE'"}}'  # -> id of the job
 curl -N $API/jobs/$JOB/events                                                           # its progress as it happens
 curl $API/jobs/$JOB/intersections                                                       # the map, as GeoJSON
 ```
 
 `interloc push DRIVE --server URL --run -o OUT` does all of that, and sends only what the method needs.
 
-Every error is a problem document (RFC 9457) whose `detail` says what was found, what was expected and what to do.
-Lists come in pages: give `next` of one as `after` of the following. Times are RFC 3339, lengths metres, angles
-degrees clockwise from north. Every answer carries an `X-Request-ID`, by which its line in the log is found.
+Lists come in pages: follow `Link: <...>; rel="next"`, or give `next` of one as `after` of the following. Drives, jobs
+and results carry an `ETag`: ask again with `If-None-Match`, and the answer is 304 while nothing has changed. A query
+parameter that an address does not have is refused. Times are RFC 3339, lengths metres, angles degrees clockwise from
+north. Every answer carries an `X-Request-ID`, by which its line in the log is found.
+
+Every error is a problem document (RFC 9457) whose `detail` says what was found, what was expected and what to do. Its
+`type` tells programs what has happened. It is the same in every version and under every address of the service
+(`GET /problems` lists the same); `about:blank` stands where the HTTP status says all:
+
+{types_listed()}
 """
 
 TAGS = [
@@ -46,10 +54,53 @@ TAGS = [
 CHANGES_NOTHING = {"x-changes-nothing": True}
 """``openapi_extra`` of an operation that only answers though its method is POST: a token that may only read will do."""
 
+HEADERS: dict[str, dict[str, Any]] = {
+    "Accept-Ranges": {"description": "`bytes`: parts can be asked for (Range).", "example": "bytes"},
+    "Content-Disposition": {
+        "description": "File name to save it under.",
+        "example": 'inline; filename="town-intersections.geojson"',
+    },
+    "Content-Range": {"description": "Which part of the file it is.", "example": "bytes 0-99/2048"},
+    "ETag": {
+        "description": "Version of what is answered, for If-None-Match.",
+        "example": '"17f0a2c4b1d3e5f6a7b8c9d0"',
+    },
+    "Last-Modified": {"description": "When the file was made.", "example": "Sat, 31 Jan 2026 12:00:00 GMT"},
+    "Link": {
+        "description": 'Address of the next page, rel="next" (RFC 8288); absent on the last page.',
+        "example": '</api/v1/jobs?limit=100&after=1769860800.5_9b1e44f00c7a2d53>; rel="next"',
+    },
+    "Location": {
+        "description": "Address of what was made or is under way.",
+        "example": "/api/v1/jobs/9b1e44f00c7a2d53",
+    },
+    "Preference-Applied": {"description": "The wait that was granted to Prefer (RFC 7240).", "example": "wait=10"},
+    "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}, "example": 5},
+    "WWW-Authenticate": {"description": "How to authenticate.", "example": 'Bearer realm="interloc"'},
+    "X-Request-ID": {
+        "description": "Id of the request, also in the log; one that the client sends is kept.",
+        "example": "4be1c3a90d27f685",
+    },
+}
+"""What headers of answers mean; those that a browser may show to pages of other sites are among them."""
+
 _SAFE = {"GET", "HEAD", "OPTIONS"}
 _CLOSED = "The service needs a valid API token."
-_CHALLENGE = {"WWW-Authenticate": {"description": "How to authenticate.", "schema": {"type": "string"}}}
-_WAIT = {"Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}}}
+
+
+def headers_named(*names: str) -> dict[str, Any]:
+    """Describe headers of an answer, for `responses` of an operation."""
+    return {name: {"$ref": f"#/components/headers/{name}"} for name in names}
+
+
+TAGGED: dict[int | str, dict[str, Any]] = {
+    200: {"headers": headers_named("ETag")},
+    304: {"description": "Nothing has changed (If-None-Match).", "headers": headers_named("ETag")},
+}
+"""Answers of `app.http.delivery.answer_tagged`, for `responses` of an operation."""
+
+_CHALLENGE = headers_named("WWW-Authenticate")
+_WAIT = headers_named("Retry-After")
 
 
 def changes_something(method: str, extra: dict[str, Any] | None) -> bool:
@@ -98,6 +149,9 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
     schemas.setdefault(
         "ProblemDocument", ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
     )
+    for schema in schemas.values():
+        _drop_defaults_of_models(schema)
+    document["components"]["headers"] = {name: {"schema": {"type": "string"}, **each} for name, each in HEADERS.items()}
     for operations in document["paths"].values():
         for method, operation in operations.items():
             responses = operation["responses"]
@@ -106,7 +160,10 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
             for status, response in _common(method, operation):
                 responses.setdefault(status, response)
             for response in responses.values():
-                _correct_media_type(response)
+                _correct_media_type(response, schemas)
+                _offer_bytes(response)
+                response["headers"] = {**response.get("headers", {}), **headers_named("X-Request-ID")}
+            _leave_out_null_body(operation)
             operation["responses"] = dict(sorted(responses.items()))
             if operation.get("security") and not needs_token:
                 operation["security"] = [{}, *operation["security"]]
@@ -115,7 +172,7 @@ def _complete(document: dict[str, Any], *, needs_token: bool) -> dict[str, Any]:
 
 def _common(method: str, operation: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Describe the problems that operations have in common."""
-    yield "400", _problem("The request does not keep to HTTP.")
+    yield "400", _problem("The request does not keep to HTTP, or has a parameter or a body that cannot be read.")
     yield "431", _problem("The headers are too large, or too many.")
     yield "500", _problem("A fault of the service.")
     yield "503", _problem("The service or its database is busy, or is being stopped.", _WAIT)
@@ -138,9 +195,35 @@ def _problem(description: str, headers: dict[str, Any] | None = None) -> dict[st
     return described if headers is None else {**described, "headers": headers}
 
 
-def _correct_media_type(response: dict[str, Any]) -> None:
-    """Give problem documents their own media type: FastAPI describes every model in that of the endpoint."""
+def _correct_media_type(response: dict[str, Any], schemas: dict[str, Any]) -> None:
+    """Give a model its own media type, where it has one: FastAPI describes every model in that of the endpoint."""
     content = response.get("content", {})
+    for each in content.values():
+        each.pop("itemSchema", None)  # of a stream of events: OpenAPI 3.2 has it, 3.1 does not
     for media_type, described in list(content.items()):
-        if described.get("schema", {}).get("$ref", "").endswith("/ProblemDocument"):
-            content[MEDIA_TYPE] = content.pop(media_type)
+        name = described.get("schema", {}).get("$ref", "").rpartition("/")[2]
+        own = schemas.get(name, {}).get("x-media-type")
+        if own is not None:
+            content[own] = content.pop(media_type)
+
+
+def _offer_bytes(response: dict[str, Any]) -> None:
+    """Describe files also as plain bytes: client generators leave out an answer of which they know no media type."""
+    content = response.get("content", {})
+    if content and not any(each.endswith("json") or each.startswith("text/") for each in content):
+        content.setdefault("application/octet-stream", {"schema": {"type": "string", "format": "binary"}})
+
+
+def _leave_out_null_body(operation: dict[str, Any]) -> None:
+    """Describe a body that may be left out by its model alone: generated clients would send null for none."""
+    for content in operation.get("requestBody", {}).get("content", {}).values():
+        alternatives = content["schema"].get("anyOf", [])
+        if {"type": "null"} in alternatives and len(alternatives) == 2:
+            content["schema"] = next(each for each in alternatives if each != {"type": "null"})
+
+
+def _drop_defaults_of_models(schema: dict[str, Any]) -> None:
+    """Leave out defaults that are objects: client generators take none for a model."""
+    for described in schema.get("properties", {}).values():
+        if isinstance(described.get("default"), dict):
+            del described["default"]

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from datetime import datetime
 from typing import Annotated, Any
+from urllib.parse import quote, urlencode
 
-from fastapi import Query
-from sqlalchemy import ColumnElement, and_, or_
+from fastapi import Query, Request, Response
+from sqlalchemy import ColumnElement, and_, func, or_
 
+from app.http.gate import path_of
 from app.http.problems import Problem
 from app.store.models import Drive, Job
 
@@ -18,6 +22,15 @@ After = Annotated[
     Query(max_length=100, description="`next` of the previous page.", json_schema_extra={"pattern": _CURSOR}),
 ]
 """Where a page begins."""
+
+
+def link_next(request: Request, response: Response, cursor: str | None) -> None:
+    """Name the next page of a list in the header Link, with all filters of this one (RFC 8288)."""
+    if cursor is None:
+        return
+    same = [(name, value) for name, value in request.query_params.multi_items() if name != "after"]
+    path = quote(f"{request.scope.get('root_path', '')}{path_of(request.scope)}")
+    response.headers["Link"] = f'<{path}?{urlencode([*same, ("after", cursor)])}>; rel="next"'
 
 
 def cursor_of(row: Drive | Job) -> str:
@@ -50,6 +63,22 @@ def deleted_after(table: type[Drive | Job], cursor: str) -> ColumnElement[bool]:
         422: it is not a cursor.
     """
     return _after(table.deleted_at, table.id, cursor)
+
+
+def made_between(
+    table: type[Drive | Job], after: datetime | None, before: datetime | None
+) -> Iterator[ColumnElement[bool]]:
+    """Yield the conditions that a row was made at or after a time, and before another one."""
+    if after is not None:
+        yield table.created_at >= after.timestamp()
+    if before is not None:
+        yield table.created_at < before.timestamp()
+
+
+def has_part(column: Any, part: str) -> ColumnElement[bool]:  # noqa: ANN401 - a column, or a member of one
+    """Return the condition that a text holds a part, in upper or lower case."""
+    found: ColumnElement[bool] = func.lower(column).contains(part.lower(), autoescape=True)
+    return found
 
 
 def newest_first(table: type[Drive | Job]) -> tuple[Any, Any]:

@@ -19,6 +19,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.routing import Match
 
+from app.http.problem_types import UNTYPED, type_of
 from app.store.database import is_disk_full
 from interloc.errors import InterLocError
 
@@ -38,9 +39,29 @@ class FileProblem(BaseModel):
 class ProblemDocument(BaseModel):
     """An error: what happened, and what to do."""
 
-    model_config = ConfigDict(extra="allow")
+    model_config = ConfigDict(
+        extra="allow",
+        json_schema_extra={
+            "x-media-type": MEDIA_TYPE,
+            "examples": [
+                {
+                    "type": "/problems/drive-not-found",
+                    "title": "Drive not found",
+                    "status": 404,
+                    "detail": "There is no drive 5f0c. GET /api/v1/drives lists them.",
+                    "instance": "/api/v1/drives/5f0c",
+                }
+            ],
+        },
+    )
 
-    type: str = Field("about:blank", examples=["about:blank"])
+    type: str = Field(
+        UNTYPED,
+        description="Kind of the problem, the same in all versions: one of those that GET /problems lists, or "
+        "about:blank where the HTTP status says all.",
+        json_schema_extra={"format": "uri-reference"},
+        examples=["/problems/drive-not-found"],
+    )
     title: str = Field(examples=["Drive not found"])
     status: int = Field(examples=[404])
     detail: str = Field(examples=["There is no drive 5f0c. GET /api/v1/drives lists them."])
@@ -84,7 +105,7 @@ class Problem(Exception):  # noqa: N818 - the name of RFC 9457
     def document(self) -> dict[str, Any]:
         """Return the document, without its instance."""
         return {
-            "type": "about:blank",
+            "type": type_of(self.title),
             "title": self.title,
             "status": self.status,
             "detail": self.detail,
@@ -168,6 +189,10 @@ def _of_http_error(error: HTTPException) -> Problem:
 
 
 def _of_validation_error(error: RequestValidationError) -> Problem:
+    broken = next((each for each in error.errors() if each["type"] == "json_invalid"), None)
+    if broken is not None:
+        where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
+        return Problem(400, "Body malformed", f"The body is not JSON: {why}, at character {where}.")
     problems = [
         FileProblem(severity="error", path=".".join(str(part) for part in each["loc"]), message=each["msg"])
         for each in error.errors()

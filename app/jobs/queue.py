@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from sqlalchemy import CursorResult, case, func, or_, select, text, update
+from sqlalchemy import CursorResult, case, func, or_, select, update
 from sqlalchemy.orm import Session, aliased
 
 from app.http.problems import Problem
@@ -249,8 +249,7 @@ def submit(
         404 there is no such drive; 409 it is not committed; 422 the key was used for another request; 429 too many
         jobs.
     """
-    if not database.is_sqlite:  # one submission of a client at a time, so that key and limit hold
-        session.execute(text("SELECT pg_advisory_xact_lock(hashtext(:owner))"), {"owner": owner})
+    database.lock_owner(session, owner)
     if key is not None:
         earlier = session.scalar(select(Job).where(Job.owner == owner, Job.idempotency_key == key))
         if earlier is not None:
@@ -325,13 +324,17 @@ def cancel(session: Session, database: Database, job: Job) -> None:
 
 def _same(job: Job, kind: str, drive_id: str, request: dict[str, Any], key: str) -> Job:
     if (job.kind, job.drive_id) != (kind, drive_id) or _text(job.request) != _text(request):
-        raise Problem(
-            422,
-            "Idempotency key used before",
-            f"The key {key!r} was sent with another request before; that made job {job.id}. "
-            "Send a new key with a new request.",
-        )
+        raise key_used(key, f"job {job.id}")
     return job
+
+
+def key_used(key: str, what: str) -> Problem:
+    """Return the problem of an idempotency key that was sent with another request, which made something."""
+    return Problem(
+        422,
+        "Idempotency key used before",
+        f"The key {key!r} was sent with another request before; that made {what}. Send a new key with a new request.",
+    )
 
 
 def _text(value: dict[str, Any]) -> str:

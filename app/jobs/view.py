@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
+from app.http.problem_types import type_of
 from app.http.problems import Problem, ProblemDocument
 from app.jobs.outlook import outlook
 from app.schemas.jobs import JobModel, Progress
@@ -77,11 +79,16 @@ def _job_model(job: Job, drive_name: str, root_path: str, now: float, message: s
         started_at=None if job.started_at is None else moment(job.started_at),
         finished_at=None if job.finished_at is None else moment(job.finished_at),
         attempts=job.attempts,
-        error=None if job.error is None else ProblemDocument.model_validate(job.error),
+        error=None if job.error is None else _error_of(job.error),
         summary=job.summary,
         links=_links(job, f"{root_path}/api/v1/jobs/{job.id}"),
         version=job.version,
     )
+
+
+def _error_of(stored: dict[str, Any]) -> ProblemDocument:
+    """Return why a job failed; what older versions stored has no type of its own."""
+    return ProblemDocument.model_validate({**stored, "type": type_of(str(stored.get("title")))})
 
 
 def _progress(job: Job, now: float) -> Progress:

@@ -25,7 +25,6 @@ from app.store.models import Job
 router = APIRouter(prefix="/drives/{drive_id}/archive", tags=["Uploads"])
 
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
-_KINDS = ("application/octet-stream", "application/zip", "application/x-tar", "application/gzip", "application/zstd")
 _FORM = {
     "schema": {
         "type": "object",
@@ -43,7 +42,7 @@ _FORM = {
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": {**dict.fromkeys(_KINDS, _BINARY), "multipart/form-data": _FORM},
+            "content": {"application/octet-stream": _BINARY, "multipart/form-data": _FORM},
         }
     },
     summary="Upload an archive",
@@ -58,8 +57,9 @@ async def post_archive(
 ) -> UnpackedArchive:
     """Upload the files of a drive as .zip, .tar, .tar.gz or .tar.zst, and wait until it is unpacked.
 
-    A leading folder is stripped. Links, devices, encrypted files, paths that lead out of the archive and archives of
-    two drives are refused; nothing is kept of them.
+    As the body itself, whose Content-Type does not matter (its first bytes tell what it is), or as the part `archive`
+    of a form. A leading folder is stripped. Links, devices, encrypted files, paths that lead out of the archive and
+    archives of two drives are refused; nothing is kept of them.
     """
     length = declared_length(request, context.settings.max_archive_bytes, "An archive")
     await run_in_threadpool(check_upload, context, drive_id, "archive", 0)

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 
 from app.context import ContextDep
 from app.drives import records, trash
 from app.drives.plan import judge_label_counts
-from app.http.openapi import CHANGES_NOTHING
-from app.http.paging import After
+from app.http.delivery import answer_tagged
+from app.http.headers import IdempotencyKey
+from app.http.openapi import CHANGES_NOTHING, TAGGED, get_and_head, headers_named
+from app.http.paging import After, has_part, link_next, made_between
+from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.problems import ProblemDocument
 from app.results.folder import ResultsDep
 from app.schemas.drives import DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
 from app.schemas.strict import ID_PATTERN
 from app.security import ClientDep
+from app.states import DriveState
+from app.store.models import Drive
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
 
@@ -23,23 +28,55 @@ DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/dr
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such drive."}}
 
 
-@router.post("", status_code=201, summary="Make a drive")
-def create_drive(new: NewDrive, response: Response, context: ContextDep, client: ClientDep) -> DriveModel:
+@router.post(
+    "",
+    status_code=201,
+    summary="Make a drive",
+    responses={
+        200: {
+            "model": DriveModel,
+            "description": "The key was sent before: the drive of that request.",
+            "headers": headers_named("Location"),
+        },
+        201: {"headers": headers_named("Location")},
+        422: {"model": ProblemDocument, "description": "A member is refused, or the key was used for another request."},
+    },
+)
+def create_drive(
+    new: NewDrive, response: Response, context: ContextDep, client: ClientDep, key: IdempotencyKey = None
+) -> DriveModel:
     """Make a drive without files. Send its files next, then commit it."""
-    drive = records.create_drive(context, client, new)
+    drive, is_new = records.create_drive_once(context, client, new, key)
+    response.status_code = 201 if is_new else 200
     response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive.id}"
     return drive
 
 
-@router.get("", summary="List drives")
+@get_and_head(router, "", summary="List drives", responses={200: {"headers": headers_named("Link")}})
 def list_drives(
+    request: Request,
+    response: Response,
     context: ContextDep,
     _client: ClientDep,
+    box: BoxFilter,
+    state: Annotated[DriveState | None, Query(description="Only those in this state.")] = None,
+    name: NamePart = None,
+    created_after: CreatedAfter = None,
+    created_before: CreatedBefore = None,
     after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> DriveList:
     """List drives, the newest first, without their reports."""
-    return records.list_drives(context, after, limit)
+    conditions = [*made_between(Drive, created_after, created_before)]
+    if state is not None:
+        conditions.append(Drive.state == state)
+    if name is not None:
+        conditions.append(has_part(Drive.name, name))
+    if box is not None:
+        conditions.append(records.lies_in(box))
+    page = records.list_drives(context, after, limit, conditions)
+    link_next(request, response, page.next)
+    return page
 
 
 @router.post("/labels", summary="Tell what label ids mean", openapi_extra=CHANGES_NOTHING)
@@ -51,11 +88,18 @@ def judge_labels(request: LabelsRequest, _client: ClientDep) -> LabelsAnswer:
     return judge_label_counts(request)
 
 
-@router.get("/{drive_id}", responses=NOT_FOUND, summary="Show a drive")
-def show_drive(drive_id: DriveId, context: ContextDep, _client: ClientDep) -> DriveModel:
+@get_and_head(
+    router,
+    "/{drive_id}",
+    response_model=DriveModel,
+    responses={**TAGGED, **NOT_FOUND},
+    summary="Show a drive",
+)
+def show_drive(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show a drive, with the report of its last commit."""
     with context.database.reading() as session:
-        return records.drive_model(records.find_drive(session, drive_id), context.settings)
+        drive = records.drive_model(records.find_drive(session, drive_id), context.settings)
+    return answer_tagged(request, drive.model_dump_json().encode())
 
 
 @router.delete("/{drive_id}", status_code=204, responses=NOT_FOUND, summary="Delete a drive")

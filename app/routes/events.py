@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from app.context import ContextDep
 from app.jobs.watcher import Change, WatcherDep
-from app.routes.jobs import NOT_FOUND, show_job
+from app.routes.jobs import NOT_FOUND, load_job
 from app.schemas.jobs import JobModel
 
 router = APIRouter(tags=["Jobs"])
 
+_EXAMPLE = 'event: job\nid: 7\ndata: {"id": "9b1e44f00c7a2d53", "state": "running", "version": 7}\n\n'
 
-@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=NOT_FOUND, summary="Follow a job")
+
+_EVENTS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The stream of events.",
+        "content": {"text/event-stream": {"schema": {}, "example": _EXAMPLE}},
+    },
+    **NOT_FOUND,
+}
+
+
+@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_EVENTS, summary="Follow a job")
 async def follow_job(
-    job: Annotated[JobModel, Depends(show_job)],
+    job: Annotated[JobModel, Depends(load_job)],
     context: ContextDep,
     watcher: WatcherDep,
     last_event_id: Annotated[

@@ -14,6 +14,8 @@ from app.http.delivery import WholeFile
 from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import check_free_space, declared_length
+from app.http.openapi import headers_named
+from app.http.paging import link_next
 from app.http.problems import ProblemDocument
 from app.paths import MAX_PATH, PATH_PATTERN, check_path, is_recording
 from app.routes.drives import DriveId
@@ -50,9 +52,15 @@ UPLOAD: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("", responses=NOT_FOUND, summary="List the files of a drive")
+@router.get(
+    "",
+    responses={200: {"headers": headers_named("Link")}, **NOT_FOUND},
+    summary="List the files of a drive",
+)
 def list_files(
     drive_id: DriveId,
+    request: Request,
+    response: Response,
     context: ContextDep,
     _client: ClientDep,
     after: Annotated[
@@ -61,7 +69,9 @@ def list_files(
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
 ) -> FileList:
     """List what was uploaded, in the order of the paths. To resume an upload, send what is missing or differs."""
-    return records.list_files(context, drive_id, after, limit)
+    page = records.list_files(context, drive_id, after, limit)
+    link_next(request, response, page.next)
+    return page
 
 
 @router.put(

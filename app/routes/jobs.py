@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Header, Path, Query, Request, Response
-from sqlalchemy import select
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from sqlalchemy import or_, select
 
-from app.context import ContextDep
+from app.context import Context, ContextDep
+from app.drives.records import lies_in
 from app.drives.trash import delete_job as delete_ended_job
+from app.http.delivery import answer_tagged
+from app.http.headers import IdempotencyKey, WaitIfAsked
 from app.http.limits import job_limit
-from app.http.paging import After, cursor_of, newest_first, rows_after
+from app.http.openapi import TAGGED, get_and_head, headers_named
+from app.http.paging import After, cursor_of, has_part, link_next, made_between, newest_first, rows_after
+from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.problems import ProblemDocument
 from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
 from app.jobs.view import find_job, is_alive, job_models
+from app.jobs.watcher import wait_for_job
 from app.results.folder import ResultsDep
 from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
 from app.schemas.strict import ID_PATTERN
@@ -38,33 +45,45 @@ def _problem(description: str) -> dict[str, Any]:
     status_code=202,
     summary="Start a job",
     responses={
-        200: {"model": JobModel, "description": "The key was sent before: the job of that request."},
+        200: {
+            "model": JobModel,
+            "description": "The job has ended within the time of Prefer; or the job that this key has made before.",
+            "headers": headers_named("Location", "Preference-Applied"),
+        },
+        202: {"headers": headers_named("Location", "Preference-Applied")},
         404: _problem("There is no such drive."),
         409: _problem("The drive is not committed."),
         422: _problem("A setting is refused, the map is not among the files, or the key was used for another request."),
-        429: _problem("Too many jobs of this client wait or run; Retry-After says when to try again."),
+        429: {
+            **_problem("Too many jobs of this client wait or run."),
+            "headers": headers_named("Retry-After"),
+        },
         507: _problem("The disk is full."),
     },
 )
-def create_job(
+async def create_job(
     new: NewJob,
     response: Response,
     context: ContextDep,
     client: ClientDep,
-    idempotency_key: Annotated[
-        str | None,
-        Header(
-            min_length=1,
-            max_length=200,
-            description="Any text; a repeated request with the same key (after a lost answer) starts no second job.",
-        ),
-    ] = None,
+    wait_s: WaitIfAsked,
+    key: IdempotencyKey = None,
 ) -> JobModel:
     """Find the intersections of a drive, and score them where a map is given.
 
-    The job waits in a queue, and survives restarts of the service. Follow its events, or ask for it from time to
-    time. A job of a drive whose check still runs waits for it.
+    The job waits in a queue, and survives restarts of the service. Follow its events, ask for it from time to time,
+    or wait for its end right here with `Prefer: wait=SECONDS`. A job of a drive whose check still runs waits for it.
     """
+    model, is_new = await run_in_threadpool(_submit, context, client, new, key)
+    if wait_s and model.state not in FINAL:
+        await wait_for_job(context, model.id, wait_s)
+        model = await run_in_threadpool(load_job, model.id, context, client)
+    response.status_code = 202 if is_new and model.state not in FINAL else 200
+    response.headers["Location"] = model.links["self"]
+    return model
+
+
+def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tuple[JobModel, bool]:
     database = context.database
     with database.writing() as session:
         request = check_request(session, context, new)
@@ -75,53 +94,75 @@ def create_job(
             drive_id=new.drive_id,
             owner=client,
             request=request,
-            key=idempotency_key,
+            key=key,
             limit=job_limit(context, client),
         )
         _, drive_name = find_job(session, job.id)
         (model,) = job_models(session, context, [(job, drive_name)])
     context.jobs_changed.set()
-    response.status_code = 202 if is_new else 200
-    response.headers["Location"] = model.links["self"]
-    return model
+    return model, is_new
 
 
-@router.get("/jobs", summary="List jobs", responses={422: _problem("A parameter is refused.")})
+@get_and_head(
+    router,
+    "/jobs",
+    summary="List jobs",
+    responses={200: {"headers": headers_named("Link")}, 422: _problem("A parameter is refused.")},
+)
 def list_jobs(
+    request: Request,
+    response: Response,
     context: ContextDep,
     _client: ClientDep,
+    box: BoxFilter,
     drive: Annotated[str | None, Query(pattern=ID_PATTERN, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
         JobKind | Literal["all"],
         Query(description="Only those of this kind; commit and unpack are the checks of uploads."),
     ] = JobKind.INTERSECTIONS,
+    name: NamePart = None,
+    created_after: CreatedAfter = None,
+    created_before: CreatedBefore = None,
     after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
-    """List jobs, the newest first."""
+    """List jobs, the newest first; `name` is looked for in the names of jobs and of their drives."""
     query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
-    query = query.order_by(*newest_first(Job)).limit(limit + 1)
+    query = query.order_by(*newest_first(Job)).limit(limit + 1).where(*made_between(Job, created_after, created_before))
     if kind != "all":
         query = query.where(Job.kind == kind)
     if drive is not None:
         query = query.where(Job.drive_id == drive)
     if state is not None:
         query = query.where(Job.state == state)
+    if name is not None:
+        query = query.where(or_(has_part(Drive.name, name), has_part(Job.request["name"].as_string(), name)))
+    if box is not None:
+        query = query.where(lies_in(box))
     if after is not None:
         query = query.where(rows_after(Job, after))
     with context.database.reading() as session:
-        rows = [(job, name) for job, name in session.execute(query)]
+        rows = [(job, drive_name) for job, drive_name in session.execute(query)]
         jobs = job_models(session, context, rows[:limit])
-    return JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
+    page = JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
+    link_next(request, response, page.next)
+    return page
 
 
-@router.get("/jobs/{job_id}", responses=NOT_FOUND, summary="Show a job")
-def show_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
-    """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
+def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
+    """Return a job as clients see it."""
     with context.database.reading() as session:
         (model,) = job_models(session, context, [find_job(session, job_id)])
     return model
+
+
+@get_and_head(
+    router, "/jobs/{job_id}", response_model=JobModel, responses={**TAGGED, **NOT_FOUND}, summary="Show a job"
+)
+def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
+    """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
+    return answer_tagged(request, job.model_dump_json().encode())
 
 
 @router.delete(

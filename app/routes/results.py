@@ -9,11 +9,15 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from fastapi.responses import StreamingResponse
 from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 
-from app.http.delivery import REVALIDATE, deliver, media_type_of, not_modified
+from app.http.delivery import REVALIDATE, answer_tagged, deliver, media_type_of, not_modified
 from app.http.headers import prefers_html
-from app.http.openapi import get_and_head
+from app.http.openapi import get_and_head, headers_named
+from app.http.parameters import BoxFilter
 from app.http.problems import ProblemDocument
 from app.results.folder import ResultsDep
+from app.results.selection import MAX_FEATURES, select_features
+from app.schemas.features import MEDIA_TYPE as GEOJSON
+from app.schemas.features import collection_model
 from app.schemas.results import ResultFile, ResultFileList
 from app.schemas.strict import ID_PATTERN
 from interloc.output.layers import LAYERS, Layer
@@ -28,43 +32,44 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
 _PACKED = frozenset({".png", ".gz", ".zip"})  # they would not become smaller in an archive
 
 _CACHED: dict[int | str, dict[str, Any]] = {
-    206: {"description": "The range that was asked for."},
-    304: {"description": "The client has the current version (If-None-Match, If-Modified-Since)."},
+    206: {
+        "description": "The range that was asked for.",
+        "headers": headers_named("Content-Range", "ETag", "Last-Modified"),
+    },
+    304: {
+        "description": "The client has the current version (If-None-Match, If-Modified-Since).",
+        "headers": headers_named("ETag"),
+    },
     416: {"model": ProblemDocument, "description": "There is no such range."},
 }
+
+_FILE_HEADERS = headers_named("ETag", "Last-Modified", "Content-Disposition", "Accept-Ranges")
 
 
 def answers(media_type: str, schema: dict[str, Any], description: str) -> dict[int | str, dict[str, Any]]:
     """Describe the answers of an address that gives a file."""
-    return {200: {"description": description, "content": {media_type: {"schema": schema}}}, **_CACHED, **PROBLEMS}
-
-
-def _collection_of(layer: Layer) -> dict[str, Any]:
-    """Return the schema of the GeoJSON of a layer."""
-    feature = {
-        "type": "object",
-        "required": ["type", "geometry", "properties"],
-        "properties": {"type": {"const": "Feature"}, "properties": layer.properties.model_json_schema()},
-    }
-    return {
-        "type": "object",
-        "required": ["type", "features"],
-        "properties": {
-            "type": {"const": "FeatureCollection"},
-            "bbox": {"type": "array", "items": {"type": "number"}},
-            "features": {"type": "array", "items": feature},
-        },
-    }
+    content = {media_type: {"schema": schema}}
+    return {200: {"description": description, "content": content, "headers": _FILE_HEADERS}, **_CACHED, **PROBLEMS}
 
 
 router = APIRouter(tags=["Results"])
 
 
 def _add_layer(layer: Layer) -> None:
-    def read_layer(job_id: JobId, request: Request, results: ResultsDep) -> Response:
+    def read_layer(
+        job_id: JobId,
+        request: Request,
+        results: ResultsDep,
+        box: BoxFilter,
+        limit: Annotated[
+            int | None, Query(ge=1, le=MAX_FEATURES, description="Maximum number of features; all by default.")
+        ] = None,
+    ) -> Response:
         result = results.open(job_id)
-        name = f"{result.slug}-{layer.address}.geojson"
-        return deliver(request, result.layer(layer.address), gzip_copies=result.cache, name=name)
+        path, name = result.layer(layer.address), f"{result.slug}-{layer.address}.geojson"
+        if box is None and limit is None:
+            return deliver(request, path, gzip_copies=result.cache, name=name)
+        return answer_tagged(request, select_features(path, box, limit), GEOJSON)
 
     properties = "\n".join(f"- `{name}`: {field.description}" for name, field in layer.properties.model_fields.items())
     get_and_head(
@@ -72,10 +77,14 @@ def _add_layer(layer: Layer) -> None:
         f"/jobs/{{job_id}}/{layer.address}",
         summary=layer.title,
         description=f"{layer.description}\n\n{properties}\n\n{layer.attribution} "
-        "The same bytes as the command line writes: RFC 7946, longitude first.",
+        "The same bytes as the command line writes, unless `bbox` or `limit` selects: RFC 7946, longitude first.",
         operation_id=f"read_{layer.name}",
         response_class=Response,
-        responses=answers("application/geo+json", _collection_of(layer), layer.title + "."),
+        responses={
+            **_CACHED,
+            **PROBLEMS,
+            200: {"model": collection_model(layer), "description": f"{layer.title}.", "headers": _FILE_HEADERS},
+        },
     )(read_layer)
 
 

@@ -6,12 +6,13 @@ import time
 from typing import Annotated, Literal
 
 from anyio import CapacityLimiter, to_thread
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Path, Response
 from pydantic import BaseModel, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
-from app.http.problems import ProblemDocument
+from app.http.problem_types import MEANINGS, slug_of, type_of
+from app.http.problems import Problem, ProblemDocument
 from app.jobs.runner import Runner
 from app.metrics import CONTENT_TYPE
 from app.security import ClientDep
@@ -105,6 +106,46 @@ async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response
     if reasons:
         response.status_code = 503
     return Readiness(ready=not reasons, reasons=reasons)
+
+
+class ProblemType(BaseModel):
+    """A kind of problem."""
+
+    type: str = Field(description="The `type` of its problem documents.", examples=["/problems/drive-not-usable"])
+    title: str = Field(examples=["Drive not usable"])
+    meaning: str = Field(description="What has happened; `detail` of a problem says what was found in each case.")
+
+
+class ProblemTypeList(BaseModel):
+    """The kinds of problems."""
+
+    problems: list[ProblemType]
+
+
+@router.get("/problems", summary="List the kinds of problems")
+async def list_problem_types() -> ProblemTypeList:
+    """List every `type` that a problem document of this service can have, except about:blank."""
+    return ProblemTypeList(problems=list(_PROBLEM_TYPES.values()))
+
+
+@router.get(
+    "/problems/{name}",
+    summary="Explain a kind of problem",
+    responses={404: {"model": ProblemDocument, "description": "There is no such kind."}},
+)
+async def show_problem_type(
+    name: Annotated[str, Path(description="Last part of a `type`.", examples=["drive-not-usable"], max_length=100)],
+) -> ProblemType:
+    """Explain a `type`: it is the address of this, below that of the service."""
+    if name not in _PROBLEM_TYPES:
+        raise Problem(404, "Not found", f"There is no kind of problem {name!r}; GET /problems lists all.")
+    return _PROBLEM_TYPES[name]
+
+
+_PROBLEM_TYPES = {
+    slug_of(title): ProblemType(type=type_of(title), title=title, meaning=meaning)
+    for title, meaning in MEANINGS.items()
+}
 
 
 @router.get(

@@ -92,6 +92,28 @@ class NewDrive(BaseModel):
 class DriveModel(BaseModel):
     """A drive."""
 
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "id": "5f0c2b7d9a41e386",
+                    "name": "town",
+                    "state": "ready",
+                    "owner": "anonymous",
+                    "keep_raw": False,
+                    "options": {"label_scheme": "auto", "pose_frame": "auto", "layout": "auto"},
+                    "files": 849,
+                    "size_bytes": 701124052,
+                    "stored_bytes": 109221678,
+                    "bbox": [8.412, 49.001, 8.431, 49.014],
+                    "created_at": "2026-01-31T12:00:00Z",
+                    "expires_at": None,
+                    "report": None,
+                }
+            ]
+        }
+    )
+
     id: str = Field(examples=["5f0c2b7d9a41e386"])
     name: str
     state: DriveState = Field(
@@ -103,6 +125,11 @@ class DriveModel(BaseModel):
     files: int = Field(description="Number of uploaded files.")
     size_bytes: int = Field(description="Size of the files as uploaded.")
     stored_bytes: int = Field(description="Size of what is kept of them.")
+    bbox: list[float] | None = Field(
+        None,
+        description="West, south, east, north of a ready drive, degrees; null without georeference.",
+        examples=[[8.412, 49.001, 8.431, 49.014]],
+    )
     created_at: datetime
     expires_at: datetime | None = Field(None, description="When the upload goes to the trash if it is left alone.")
     report: DriveReport | None = Field(

@@ -145,6 +145,11 @@ class Database:
         now = _SQLITE_NOW if self.is_sqlite else "SELECT extract(epoch FROM clock_timestamp())"
         return float(session.execute(text(now)).scalar_one())
 
+    def lock_owner(self, session: Session, owner: str) -> None:
+        """Let one transaction of a client go on at a time, so that its keys and limits hold; SQLite does so anyway."""
+        if not self.is_sqlite:
+            session.execute(text("SELECT pg_advisory_xact_lock(hashtext(:owner))"), {"owner": owner})
+
     def upgrade(self, then: Callable[[Session], None] | None = None) -> None:
         """Bring the tables up to date (Alembic); servers that start together do it one after the other.
 
@@ -295,10 +300,15 @@ def _parse(url: str) -> URL:
 
 def _set_up_sqlite(connection: Any, _record: object) -> None:  # noqa: ANN401 - a DBAPI connection
     connection.isolation_level = None  # transactions are begun by _begin_sqlite, not by the driver
+    connection.create_function("lower", 1, _lower, deterministic=True)  # SQLite's own knows ASCII only
     cursor = connection.cursor()
     for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
+
+
+def _lower(value: object) -> object:
+    return value.lower() if isinstance(value, str) else value
 
 
 def _begin_sqlite(connection: Connection) -> None:

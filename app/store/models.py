@@ -48,8 +48,19 @@ class Drive(Base):
     """Since when it lies in the trash; everything but the trash treats it as absent then."""
     deleted_by: Mapped[str | None]
     """The client that deleted it; None for an upload that expired."""
+    idempotency_key: Mapped[str | None]
+    request_sha256: Mapped[str | None] = mapped_column(String(64))
+    """SHA-256 of the request that made it under its key: its options may change with a commit."""
+    west: Mapped[float | None]
+    """Where it is once it is ready, degrees; None without georeference, and for drives of older versions at first."""
+    south: Mapped[float | None]
+    east: Mapped[float | None]
+    north: Mapped[float | None]
 
-    __table_args__ = (Index("ix_drives_state_touched", "state", "touched_at"),)
+    __table_args__ = (
+        Index("ix_drives_idempotency", "owner", "idempotency_key", unique=True),
+        Index("ix_drives_state_touched", "state", "touched_at"),
+    )
 
 
 class DriveFile(Base):

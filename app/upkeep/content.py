@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from sqlalchemy import Select, Table, delete, insert, select
+from sqlalchemy import Select, Table, delete, insert, select, update
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
@@ -124,6 +124,9 @@ def write_content(session: Session, content: DriveContent) -> None:
         if job["idempotency_key"] is not None:  # of a job that was removed since, of whatever drive
             key = _jobs.c.owner == job["owner"], _jobs.c.idempotency_key == job["idempotency_key"]
             session.execute(delete(_jobs).where(*key))
+    if content.drive.get("idempotency_key") is not None:  # likewise of another drive
+        taken = [_drives.c[name] == content.drive[name] for name in ("owner", "idempotency_key")]
+        session.execute(update(_drives).where(*taken).values(idempotency_key=None))
     for table, rows in zip(DRIVE_TABLES, ([content.drive], content.files, content.jobs), strict=True):
         if rows:
             session.execute(insert(table), rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -199,9 +200,10 @@ def _is_whole(files: list[UploadFile], log: UploadLog, there: dict[str, FileAnsw
 
 
 def _make_drive(connection: Connection, prepared: PreparedDrive, options: PushOptions) -> DriveAnswer:
-    """Make a new drive. An answer that is lost leaves an empty drive behind, which the server removes in time."""
+    """Make a new drive; the key makes it safe to ask again when an answer is lost: there will be one."""
     new = {"name": prepared.name, "keep_raw": options.keep_raw, "options": prepared.options}
-    return connection.ask("POST", "/drives", DriveAnswer, json=new)
+    key = {"Idempotency-Key": secrets.token_hex(16)}
+    return connection.ask("POST", "/drives", DriveAnswer, json=new, headers=key)
 
 
 def _remove_others(connection: Connection, drive_id: str, files: list[UploadFile]) -> None:

@@ -13,7 +13,7 @@ from sqlalchemy import update
 from app.context import Context
 from app.drives.cleanup import Sweeper, sweep
 from app.drives.finish import finish_drive
-from app.drives.records import create_drive, delete_file, find_drive, list_drives, list_files
+from app.drives.records import create_drive, delete_file, drive_model, find_drive, list_drives, list_files
 from app.drives.trash import list_trash, restore
 from app.drives.upload import keep
 from app.http.intake import Arrival
@@ -252,3 +252,16 @@ def test_nothing_goes_for_its_age_while_the_clock_is_in_doubt(context: Context) 
     assert drives(context) == {old}
     assert sweep(context)["expired"] == 1
     assert not drives(context)
+
+
+def test_where_a_drive_of_an_older_version_is_gets_written(context: Context) -> None:
+    """Its row has no extent; one without georeference, with metres of its own frame, gets none."""
+    placed, local = make_drive(context, state="ready"), make_drive(context, state="ready")
+    for drive, name in ((placed, "trajectory.geojson"), (local, "trajectory.local.json")):
+        track = '{"type":"FeatureCollection","bbox":[8.4,49.0,8.5,49.1],"features":[]}'
+        (context.storage.folder(f"drives/{drive}") / name).write_text(track)
+    sweep(context)
+    with context.database.reading() as session:
+        rows = {drive: session.get_one(Drive, drive) for drive in (placed, local)}
+        found = drive_model(rows[placed], context.settings).bbox, drive_model(rows[local], context.settings).bbox
+    assert found == ([8.4, 49.0, 8.5, 49.1], None)

@@ -8,6 +8,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from app.schemas.drives import DriveOptionsModel
+
 
 def test_a_new_drive_is_open_for_files(client: httpx.Client) -> None:
     answer = client.post("/api/v1/drives", json={"name": " town ", "options": {"label_scheme": "40,60"}})
@@ -15,7 +17,7 @@ def test_a_new_drive_is_open_for_files(client: httpx.Client) -> None:
     drive = answer.json()
     assert answer.headers["location"] == f"/api/v1/drives/{drive['id']}"
     assert (drive["name"], drive["state"], drive["files"], drive["size_bytes"]) == ("town", "uploading", 0, 0)
-    assert drive["options"] == {"label_scheme": "40,60", "pose_frame": "auto", "layout": "auto", "oxts": None}
+    assert drive["options"] == DriveOptionsModel(label_scheme="40,60").model_dump(mode="json")
     assert drive["expires_at"] > drive["created_at"]
     assert client.get(answer.headers["location"]).json() == drive
 
@@ -37,6 +39,12 @@ def test_a_bad_drive_is_refused_by_its_field(client: httpx.Client, body: dict[st
     answer = client.post("/api/v1/drives", json=body)
     assert answer.status_code == 422
     assert answer.json()["problems"][0]["path"] == field
+
+
+def test_a_body_that_is_not_json_is_refused(client: httpx.Client) -> None:
+    answer = client.post("/api/v1/drives", content=b'{"name": ', headers={"Content-Type": "application/json"})
+    assert (answer.status_code, answer.json()["type"]) == (400, "/problems/body-malformed")
+    assert "not JSON" in answer.json()["detail"]
 
 
 def test_drives_are_listed_newest_first_in_pages(serve: Callable[..., httpx.Client]) -> None:

@@ -128,6 +128,25 @@ def nested(depth: int) -> dict[str, Any]:
     return inner
 
 
+def test_a_request_can_wait_for_its_job(client: httpx.Client, drive: str, data_dir: Path) -> None:
+    job = {"drive_id": drive}
+    done = client.post(f"{API}/jobs", json=job, headers={"Prefer": "wait=120"})
+    assert (done.status_code, done.json()["state"]) == (200, "successful")
+    assert done.headers["preference-applied"] == "wait=120"
+    gate = Gate(data_dir, drive, MIDDLE)
+    try:
+        short = client.post(f"{API}/jobs", json=job, headers={"Prefer": "wait=1"})
+        at_once = client.post(f"{API}/jobs", json=job)
+        for answer in (short, at_once):
+            assert answer.status_code == 202
+            assert answer.json()["state"] in {"accepted", "running"}
+        assert "preference-applied" not in at_once.headers
+    finally:
+        gate.open()
+    for answer in (short, at_once):
+        assert ended(client, answer.json()["id"])["state"] == "successful"
+
+
 @pytest.mark.parametrize(
     ("request_", "status", "words"),
     [

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from fastapi.routing import APIRoute
+from openapi_spec_validator import OpenAPIV31SpecValidator
 from pydantic import SecretStr
 
+import app as package
+from app.http.problem_types import MEANINGS
 from app.main import create_app
 from app.settings import Settings
 
@@ -75,6 +81,8 @@ def test_a_service_with_tokens_says_so() -> None:
         assert {name for name, security in secured.items() if security is None} == {
             "GET /config.json",
             "GET /healthz",
+            "GET /problems",
+            "GET /problems/{name}",
             "GET /readyz",
         }
         assert [security for security in secured.values() if security not in (None, [{"token": []}])] == []
@@ -107,7 +115,54 @@ def test_references_lead_somewhere(document: dict[str, Any]) -> None:
     found = set(references(document))
     assert "#/components/schemas/ProblemDocument" in found
     for reference in found:
-        assert reference.removeprefix("#/components/schemas/") in document["components"]["schemas"]
+        kind, name = reference.removeprefix("#/components/").split("/")
+        assert name in document["components"][kind]
+
+
+def test_the_document_is_valid_for_its_version(document: dict[str, Any]) -> None:
+    assert document["openapi"].startswith("3.1.")
+    assert [str(error) for error in OpenAPIV31SpecValidator(json.loads(json.dumps(document))).iter_errors()] == []
+
+
+def test_answers_describe_their_headers(document: dict[str, Any]) -> None:
+    def headers(operation: str, status: str) -> set[str]:
+        return set(dict(operations(document))[operation]["responses"][status]["headers"]) - {"X-Request-ID"}
+
+    assert headers("POST /api/v1/drives", "201") == {"Location"}
+    assert headers("GET /api/v1/drives", "200") == {"Link"}
+    assert headers("GET /api/v1/jobs/{job_id}", "200") == headers("GET /api/v1/jobs/{job_id}", "304") == {"ETag"}
+    assert headers("POST /api/v1/jobs", "429") == {"Retry-After"}
+    assert headers("GET /api/v1/jobs/{job_id}/intersections", "200") >= {"ETag", "Content-Disposition"}
+    for name, header in document["components"]["headers"].items():
+        assert header["description"], name
+        assert "example" in header, name
+    for schema in ("DriveModel", "JobModel", "ProblemDocument"):
+        assert document["components"]["schemas"][schema]["examples"], schema
+
+
+def test_every_kind_of_problem_is_listed(document: dict[str, Any], client: httpx.Client) -> None:
+    """Each title that the code gives has a type, a meaning, and its place in the documentation."""
+    raised = {
+        call.args[1].value
+        for path in Path(package.__file__).parent.rglob("*.py")
+        for call in ast.walk(ast.parse(path.read_text()))
+        if isinstance(call, ast.Call)
+        and isinstance(call.func, ast.Name)
+        and call.func.id == "Problem"
+        and len(call.args) > 1
+        and isinstance(call.args[1], ast.Constant)
+    }
+    assert raised <= set(MEANINGS)
+    listed = client.get("/problems").json()["problems"]
+    assert [each["title"] for each in listed] == list(MEANINGS)
+    assert len({each["type"] for each in listed}) == len(MEANINGS)
+    missing = client.get("/api/v1/drives/nowhere").json()
+    assert missing["type"] == "/problems/drive-not-found"
+    assert client.get(missing["type"]).json()["title"] == missing["title"]
+    for each in listed:
+        assert f"`{each['type']}`: {each['meaning']}" in document["info"]["description"]
+    assert client.get("/problems/nonsense").json()["type"] == "/problems/not-found"
+    assert client.get("/api/v1/nothing").json()["type"] == "about:blank"
 
 
 def test_nothing_of_the_api_is_left_out() -> None:
@@ -118,7 +173,7 @@ def test_nothing_of_the_api_is_left_out() -> None:
         for router in [app.router, *(included.original_router for included in included_routers(app))]
         for route in router.routes
         if isinstance(route, APIRoute) and not route.include_in_schema
-        for method in route.methods
+        for method in route.methods or ()
     }
     assert {path for method, path in hidden if method != "HEAD"} <= {
         "/",

@@ -231,3 +231,36 @@ def test_a_job_that_was_removed_has_no_results_any_more(finished: Finished) -> N
         assert (answer.status_code, answer.json()["title"]) == (404, "Job not found")
     assert finished.client.delete("/api/v1/trash/jobs/shortlived").status_code == 204
     assert not (finished.data_dir / "jobs/shortlived").exists()
+
+
+def test_a_part_of_a_layer(finished: Finished) -> None:
+    whole = finished.get("/jobs/default/detections").json()
+    lons = sorted(feature["geometry"]["coordinates"][0] for feature in whole["features"])
+    west, east = lons[1], lons[-2]
+    inside = [each for each in whole["features"] if west <= each["geometry"]["coordinates"][0] <= east]
+    box = finished.get("/jobs/default/detections", params={"bbox": f"{west},-90,{east},90"})
+    assert box.headers["content-type"] == "application/geo+json"
+    assert box.json()["features"] == inside
+    assert (box.json()["bbox"][0], box.json()["bbox"][2]) == (west, east)
+    few = finished.get("/jobs/default/detections", params={"bbox": f"{west},-90,{east},90", "limit": "2"}).json()
+    assert few["features"] == inside[:2]
+    assert (few["numberMatched"], few["numberReturned"]) == (len(inside), 2)
+    nothing = finished.get("/jobs/default/detections?bbox=170,-10,-170,10").json()
+    assert (nothing["features"], nothing["numberMatched"], "bbox" in nothing) == ([], 0, False)
+    known = {"If-None-Match": box.headers["etag"]}
+    assert finished.get("/jobs/default/detections", params=box.request.url.params, headers=known).status_code == 304
+    assert finished.get("/jobs/default/detections", headers=known).status_code == 200
+
+
+@pytest.mark.parametrize("layer", ["intersections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"])
+def test_every_layer_can_be_cut_out(finished: Finished, layer: str) -> None:
+    whole = finished.get(f"/jobs/default/{layer}").json()["features"]
+    assert finished.get(f"/jobs/default/{layer}?bbox=-180,-90,180,90&limit=9999").json()["features"] == whole
+    assert finished.get(f"/jobs/default/{layer}?bbox=8,40,9,41").json()["features"] == []
+
+
+@pytest.mark.parametrize("query", ["bbox=1,2,3", "bbox=1,2,3,nan", "limit=0", "limit=10001", "bbox=9,50,8,-91"])
+def test_a_bad_part_of_a_layer_is_refused(finished: Finished, query: str) -> None:
+    answer = finished.get(f"/jobs/default/detections?{query}")
+    assert answer.status_code == 422
+    assert answer.json()["problems"][0]["path"] == f"query.{query.partition('=')[0]}"

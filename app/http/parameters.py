@@ -1,0 +1,97 @@
+"""Query parameters that several addresses share, and the refusal of those that an address does not have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, NamedTuple
+
+from fastapi import Depends, Query, Request
+from fastapi.dependencies.models import Dependant
+from pydantic import AwareDatetime
+
+from app.http.problems import FileProblem, Problem
+
+_NUMBER = r"-?[0-9]{1,3}(\.[0-9]{1,15})?"
+_BOX = rf"^{_NUMBER}(,{_NUMBER}){{3}}$"
+
+NamePart = Annotated[
+    str | None,
+    Query(
+        max_length=200,
+        pattern=r"^[^\x00]*$",
+        description="Only those with this in their name, in upper or lower case.",
+    ),
+]
+CreatedAfter = Annotated[
+    AwareDatetime | None,
+    Query(description="Only those made at this time or later, as 2026-01-31T12:00:00Z."),
+]
+CreatedBefore = Annotated[
+    AwareDatetime | None, Query(description="Only those made before this time, as 2026-01-31T12:00:00Z.")
+]
+
+
+class Box(NamedTuple):
+    """A box of longitudes and latitudes, degrees; west is larger than east where it crosses the 180th meridian."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+
+async def _box(
+    bbox: Annotated[
+        str | None,
+        Query(
+            pattern=_BOX,
+            description="Only what touches this box: west,south,east,north in degrees (WGS 84).",
+            examples=["8.41,49.00,8.45,49.03"],
+        ),
+    ] = None,
+) -> Box | None:
+    if bbox is None:
+        return None
+    box = Box(*(float(part) for part in bbox.split(",")))
+    is_on_earth = all(abs(lon) <= 180 for lon in (box.west, box.east)) and -90 <= box.south <= box.north <= 90
+    if not is_on_earth:
+        raise _refusal(
+            422,
+            "Request not valid",
+            "query.bbox",
+            f"{bbox!r} is no box. Expected west,south,east,north in degrees: longitudes from -180 to 180, latitudes "
+            "from -90 to 90, south not above north. Usual mistake: latitude first.",
+        )
+    return box
+
+
+BoxFilter = Annotated[Box | None, Depends(_box)]
+
+
+async def refuse_unknown_parameters(request: Request) -> None:
+    """Refuse a query parameter that the address does not have: it would be a filter that does nothing.
+
+    Raises
+    ------
+    Problem
+        400, which names it.
+    """
+    if not request.query_params:
+        return
+    known = sorted(set(_names(request.scope["route"].dependant)))
+    for name in request.query_params:
+        if name not in known:
+            expected = f"Expected one of {', '.join(known)}" if known else "Expected none"
+            raise _refusal(400, "Unknown parameter", f"query.{name[:80]}", f"There is no such parameter. {expected}.")
+
+
+def _names(dependant: Dependant) -> Iterator[str]:
+    """Yield the names of the query parameters of an endpoint and of all that it depends on."""
+    yield from (field.alias for field in dependant.query_params)
+    for each in dependant.dependencies:
+        yield from _names(each)
+
+
+def _refusal(status: int, title: str, path: str, message: str) -> Problem:
+    problem = FileProblem(severity="error", path=path, message=message)
+    return Problem(status, title, f"{path}: {message}", problems=[problem])

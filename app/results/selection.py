@@ -1,0 +1,58 @@
+"""A part of a layer: the features that touch a box, or the first ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from threading import BoundedSemaphore
+from typing import Any
+
+from app.http.parameters import Box
+from interloc.output.geojson import encode, read_json
+
+MAX_FEATURES = 10_000
+
+_AT_ONCE = BoundedSemaphore(2)  # a layer takes ten times its size in memory while it is read
+
+
+def select_features(path: Path, box: Box | None, limit: int | None) -> bytes:
+    """Return a GeoJSON file with only some of its features, in the same order.
+
+    Parameters
+    ----------
+    path
+        A file of `interloc.output.geojson.write_collection`.
+    box
+        Only features whose own box touches this one; None: all.
+    limit
+        Maximum number of features; None: all.
+    """
+    with _AT_ONCE:
+        collection = read_json(path)
+        features: list[dict[str, Any]] = collection.pop("features")
+        if box is not None:
+            features = [feature for feature in features if _touches(_extent(feature), box)]
+        kept = features if limit is None else features[:limit]
+        collection.pop("bbox", None)
+        extents = [extent for feature in kept if (extent := _extent(feature)) is not None]
+        if extents:
+            west, south, east, north = zip(*extents, strict=True)
+            collection["bbox"] = [min(west), min(south), max(east), max(north)]
+        counts = {"numberMatched": len(features), "numberReturned": len(kept)}
+        return encode({**collection, **counts, "features": kept}).encode()
+
+
+def _extent(feature: dict[str, Any]) -> Box | None:
+    """Return the box around a point or line; None where it has no geometry."""
+    geometry = feature["geometry"]
+    if geometry is None:
+        return None
+    positions = [geometry["coordinates"]] if geometry["type"] == "Point" else geometry["coordinates"]
+    lon, lat = [each[0] for each in positions], [each[1] for each in positions]
+    return Box(min(lon), min(lat), max(lon), max(lat))
+
+
+def _touches(extent: Box | None, box: Box) -> bool:
+    if extent is None or extent.north < box.south or extent.south > box.north:
+        return False
+    after_west, before_east = extent.east >= box.west, extent.west <= box.east
+    return (after_west and before_east) if box.west <= box.east else (after_west or before_east)
