@@ -65,6 +65,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     assert detections["bbox"] == [8.4205, 49.010999876, 8.43, 49.02]
     assert detections["features"][1] == {
         "type": "Feature",
+        "id": "12-1",
         "geometry": {"type": "Point", "coordinates": [8.420502345, 49.010999876]},
         "properties": {
             "frame": 12,
@@ -76,6 +77,12 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "branch_bearings_deg": [1.0, 91.5, 181.25],
             "score": 0.5,
             "intersection": 1,
+            "id": "12-1",
+            "time": None,
+            "outcome": "unscored",
+            "osm_id": None,
+            "error_m": None,
+            "reason": None,
         },
     }
     assert detections["features"][2]["properties"]["intersection"] is None
@@ -99,6 +106,14 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "confidence": 0.75,
         "world_x_m": 10.0625,
         "world_y_m": 1.0,
+        "uid": "49.01110,8.42063",
+        "drive": "07",
+        "first_time": None,
+        "last_time": None,
+        "outcome": "unscored",
+        "osm_id": None,
+        "error_m": None,
+        "reason": None,
     }
     (line,) = load(tmp_path / "trajectory.geojson")["features"]
     assert line["geometry"] == {"type": "LineString", "coordinates": [[8.4203, 49.0109], [8.4204, 49.01095]]}
