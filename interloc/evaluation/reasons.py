@@ -17,9 +17,9 @@ Of something wrong, in this order (the thresholds are the constants below):
 
 Of a node that was missed:
 
-1. `merged`: a neighbour of it was found by an intersection that is near both.
+1. `merged`: the intersection of a neighbouring node lies near this one too, or holds detections that do.
 2. `misplaced`: an intersection that is assigned to no node lies near it.
-3. `too_few`: detections lie at the node, but not enough of them for an intersection of the map.
+3. `too_few`: detections lie at the node, but the fusion made no intersection of them: too few, or of low confidence.
 4. `not_driven`: the drive did not come near enough to look into its branches.
 5. `short`: fewer than three of its branches are long enough.
 6. `not_seen`: the drive passed it, and nothing was detected. Whether its road was hidden, or labelled as something
@@ -55,7 +55,7 @@ KINDS: dict[FalseKind | MissKind, str] = {
     "nothing": "nothing in OpenStreetMap near: worth a look",
     "merged": "merged with a neighbouring node",
     "misplaced": "found, but off",
-    "too_few": "seen too rarely",
+    "too_few": "detected too rarely or too weakly",
     "not_driven": "not driven near enough",
     "short": "branches too short",
     "not_seen": "passed, nothing detected",
@@ -386,7 +386,7 @@ def explain_false(
         elif node_m[row] <= NEAR_M and (group, int(node[row])) in is_taken:
             reason = Reason(
                 "second",
-                f"second one at a compound or wide junction: node {osm_id}, {node_m[row]:.1f} m away, is found",
+                f"second one at a compound or wide junction: node {osm_id}, {node_m[row]:.1f} m away, has one",
             )
         elif node_m[row] <= NEAR_M:
             reason = Reason("off", f"off by {node_m[row]:.1f} m from node {osm_id}; {limit_m:g} m are allowed")
@@ -413,6 +413,8 @@ class Sightings:
     keyframe_xy : (K, 2) float64
     detection_xy : (D, 2) float64
     detection_keyframe : (D,) int64
+    detection_intersection : (D,) int64
+        Row of the intersection that each belongs to, -1 for none.
     intersection_xy : (M, 2) float64
     intersection_id : (M,) int64
     intersection_node : (M,) int64
@@ -424,6 +426,7 @@ class Sightings:
     keyframe_xy: FloatArray
     detection_xy: FloatArray
     detection_keyframe: IntArray
+    detection_intersection: IntArray
     intersection_xy: FloatArray
     intersection_id: IntArray
     intersection_node: IntArray
@@ -443,8 +446,10 @@ def explain_missed(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
     fused_m = np.hypot(*(seen.intersection_xy - xy).T)
     is_free = seen.intersection_node < 0
     of_others = np.where(is_free, np.inf, fused_m)
-    neighbour_m = np.hypot(*(evidence.node_xy[seen.intersection_node] - xy).T) if len(fused_m) else fused_m
-    of_others[neighbour_m > COMPOUND_M] = np.inf
+    detected = np.hypot(*(seen.detection_xy - xy).T) <= seen.gate_m
+    neighbour_m = np.hypot(*(evidence.node_xy[seen.intersection_node] - xy).T)
+    holds_both = np.isin(np.arange(len(fused_m)), seen.detection_intersection[detected]) | (fused_m <= seen.gate_m)
+    of_others[(neighbour_m > COMPOUND_M) | ~holds_both] = np.inf
     unassigned_m = np.where(is_free, fused_m, np.inf)
     merged_m, misplaced_m = of_others.min(initial=np.inf), unassigned_m.min(initial=np.inf)
     if merged_m <= COMPOUND_M and merged_m <= misplaced_m:
@@ -459,11 +464,12 @@ def explain_missed(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
             "misplaced",
             f"intersection {seen.intersection_id[row]} lies {misplaced_m:.1f} m off; {seen.gate_m:g} m are allowed",
         )
-    detected = np.hypot(*(seen.detection_xy - xy).T) <= seen.gate_m
     passed_m = float(np.hypot(*(seen.keyframe_xy - xy).T).min())
     if detected.any():
         keyframes = len(np.unique(seen.detection_keyframe[detected]))
-        return Reason("too_few", f"seen at {keyframes} keyframe(s) only: too few for an intersection of the map")
+        return Reason(
+            "too_few", f"detected at keyframes: {keyframes}; too rarely or weakly for an intersection of the map"
+        )
     if passed_m > PASSED_M:
         return Reason("not_driven", f"not driven near enough: {passed_m:.1f} m at the nearest")
     lengths = evidence.branch_lengths_m(node)

@@ -142,6 +142,7 @@ def judge(
         keyframe_xy=evidence.plane(keyframes.lonlat),
         detection_xy=evidence.plane(detections.lonlat),
         detection_keyframe=detections.keyframe,
+        detection_intersection=detections.intersection,
         intersection_xy=evidence.plane(intersections.lonlat),
         intersection_id=intersections.id,
         intersection_node=level.node,
