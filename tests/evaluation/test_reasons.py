@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, get_args
 
 import numpy as np
@@ -40,11 +41,7 @@ def lonlat(xy: Any) -> np.ndarray:
 def draw_map(lines: Sequence[Line]) -> RoadGraph:
     """Ways that meet where they share a place; node ids are 100, 101, ... in the order of the places."""
     places = {place: row for row, place in enumerate(dict.fromkeys(p for _, line in lines for p in line))}
-    edges = [
-        (way, places[a], places[b])
-        for way, (_, line) in enumerate(lines)
-        for a, b in zip(line[:-1], line[1:], strict=True)
-    ]
+    edges = [(way, places[a], places[b]) for way, (_, line) in enumerate(lines) for a, b in pairwise(line)]
     return RoadGraph(
         node_id=100 + np.arange(len(places)),
         lonlat=lonlat(list(places)),
