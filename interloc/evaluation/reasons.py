@@ -8,12 +8,13 @@ Of something wrong, in this order (the thresholds are the constants below):
 
 1. `left_out`: a junction that only exists with ways that the policy leaves out, and no counted node is nearer.
 2. `slip_road`: on a slip road near its mouth. Its lanes join far from where the map puts the node.
-3. `second`: near a node that another detection (of this keyframe) or another intersection stands for already.
-4. `off`: near a node, but not near enough.
-5. `bend`: a road that turns here, without a junction.
-6. `road_end`: the end of a road.
-7. `path`: a path for walkers or cyclists meets a road.
-8. `nothing`: none of these. What the map may lack.
+3. `fork`: between two roads that leave a node at an acute angle. Their surfaces part further on than their lines.
+4. `second`: near a node that another detection (of this keyframe) or another intersection stands for already.
+5. `off`: near a node, but not near enough.
+6. `bend`: a road that turns here, without a junction.
+7. `road_end`: the end of a road.
+8. `path`: a path for walkers or cyclists meets a road.
+9. `nothing`: none of these. What the map may lack.
 
 Of a node that was missed:
 
@@ -32,6 +33,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -41,12 +43,13 @@ from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph, distinct_edges
 from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, road_ways
 
-FalseKind = Literal["left_out", "slip_road", "second", "off", "bend", "road_end", "path", "nothing"]
+FalseKind = Literal["left_out", "slip_road", "fork", "second", "off", "bend", "road_end", "path", "nothing"]
 MissKind = Literal["merged", "misplaced", "too_few", "not_driven", "short", "not_seen"]
 
 KINDS: dict[FalseKind | MissKind, str] = {
     "left_out": "junction with a way that the policy leaves out",
     "slip_road": "mouth of a slip road",
+    "fork": "roads part at an acute angle",
     "second": "second one at a node that is found already",
     "off": "off a node",
     "bend": "bend of a road",
@@ -88,6 +91,9 @@ ARM_M = 20.0
 
 BEND_DEG = 30.0
 """A turn by so much over twice `ARM_M` is a bend: its inner and outer edges part like those of a junction."""
+
+FORK_DEG = 45.0
+"""Two roads 7 m wide that leave a node at this angle share their surface for 9 m; for 14 m at 30 degrees."""
 
 PASSED_M = 15.0
 """A node further from all keyframes was not passed: beside the road driven, or at the next corner."""
@@ -255,8 +261,34 @@ class MapEvidence:
         if min(walked_back, walked_ahead) < ARM_M / 4.0:
             return 0.0
         coming, going = foot - back, ahead - foot
-        cosine = float(coming @ going) / max(float(np.hypot(*coming) * np.hypot(*going)), 1e-9)
-        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        return _angle_deg(_unit(coming), _unit(going))
+
+    def fork_deg(self, node: int, xy: FloatArray) -> float:
+        """Return the angle of the roads between which a place lies, seen from a node; 180 where it lies in no fork.
+
+        Parameters
+        ----------
+        node
+            Row of the nodes that count.
+        xy : (2,) float64
+            The place. It lies in a fork where the line from the node to it deviates from the bisector of two roads by
+            no more than their angle.
+        """
+        row = self._row_of(node)
+        roads = self._roads
+        ends = [roads.walk(self._xy[row], row, each, ARM_M)[0] for each in roads.neighbours.get(row, [])]
+        directions = [_unit(end - self._xy[row]) for end in ends]
+        place = _unit(xy - self._xy[row])
+        smallest = 180.0
+        for a, b in combinations(directions, 2):
+            angle = _angle_deg(a, b)
+            if _angle_deg(_unit(a + b), place) <= angle:
+                smallest = min(smallest, angle)
+        return smallest
+
+    def _row_of(self, node: int) -> int:
+        """Return the row in the graph of a node that counts; of a merged one, of its smallest node."""
+        return int(np.searchsorted(self.graph.node_id, self.nodes.osm_id[node]))
 
     def road_end_m(self, xy: FloatArray) -> float:
         """Return the distance of a place (2,) from the nearest end of a road; infinite without any."""
@@ -275,7 +307,7 @@ class MapEvidence:
         """
         if self.nodes.tolerance_m is not None:
             return None
-        row = int(np.searchsorted(self.graph.node_id, self.nodes.osm_id[node]))
+        row = self._row_of(node)
         roads = self._roads
         return [roads.walk(self._xy[row], row, each, BRANCH_M)[1] for each in roads.neighbours.get(row, [])]
 
@@ -374,7 +406,6 @@ def explain_false(
     policy = evidence.nodes.policy
     reasons = []
     for row, group in enumerate(groups):
-        osm_id = int(evidence.nodes.osm_id[node[row]]) if node[row] >= 0 else None
         if left_out_m[row] <= SAME_PLACE_M and left_out_m[row] < node_m[row]:
             way = evidence.way(int(left_out[row]))
             reason = Reason(
@@ -383,13 +414,9 @@ def explain_false(
         elif link_m[row] <= ON_LINK_M and mouth_m[row] <= MOUTH_M:
             way = evidence.way(int(link[row]))
             reason = Reason("slip_road", f"mouth of a slip road ({way}), its node {mouth_m[row]:.1f} m away")
-        elif node_m[row] <= NEAR_M and (group, int(node[row])) in is_taken:
-            reason = Reason(
-                "second",
-                f"second one at a compound or wide junction: node {osm_id}, {node_m[row]:.1f} m away, has one",
-            )
         elif node_m[row] <= NEAR_M:
-            reason = Reason("off", f"off by {node_m[row]:.1f} m from node {osm_id}; {limit_m:g} m are allowed")
+            is_second = (group, int(node[row])) in is_taken
+            reason = _near_node(evidence, int(node[row]), xy[row], float(node_m[row]), limit_m, is_second=is_second)
         elif (turn := evidence.bend_deg(xy[row])) >= BEND_DEG:
             reason = Reason(
                 "bend", f"bend of a road, which turns by {turn:.0f} degrees; no junction within {NEAR_M:g} m"
@@ -402,6 +429,21 @@ def explain_false(
             reason = Reason("nothing", f"nothing in OpenStreetMap within {NEAR_M:g} m explains it: worth a look")
         reasons.append(reason)
     return reasons
+
+
+def _near_node(
+    evidence: MapEvidence, node: int, xy: FloatArray, distance_m: float, limit_m: float, *, is_second: bool
+) -> Reason:
+    """Say what a wrong place (2,) has to do with the node that counts near it."""
+    osm_id = int(evidence.nodes.osm_id[node])
+    angle = evidence.fork_deg(node, xy)
+    if angle <= FORK_DEG:
+        return Reason("fork", f"roads part by only {angle:.0f} degrees at node {osm_id}, {distance_m:.1f} m away")
+    if is_second:
+        return Reason(
+            "second", f"second one at a compound or wide junction: node {osm_id}, {distance_m:.1f} m away, has one"
+        )
+    return Reason("off", f"off by {distance_m:.1f} m from node {osm_id}; {limit_m:g} m are allowed")
 
 
 @dataclass(frozen=True)
@@ -488,6 +530,17 @@ def _around(xy: FloatArray, track_xy: FloatArray, margin_m: float = 300.0) -> Bo
     low, high = track_xy.min(axis=0) - margin_m, track_xy.max(axis=0) + margin_m
     inside: BoolArray = ((xy >= low) & (xy <= high)).all(axis=1)
     return inside
+
+
+def _unit(xy: FloatArray) -> FloatArray:
+    """Return a vector (2,) at a length of 1."""
+    unit: FloatArray = xy / max(float(np.hypot(*xy)), 1e-9)
+    return unit
+
+
+def _angle_deg(a: FloatArray, b: FloatArray) -> float:
+    """Return the angle between two vectors of length 1, (2,) each, 0 to 180 degrees."""
+    return float(np.degrees(np.arccos(np.clip(float(a @ b), -1.0, 1.0))))
 
 
 def _foot(a: FloatArray, b: FloatArray, xy: FloatArray) -> FloatArray:

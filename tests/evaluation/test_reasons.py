@@ -78,7 +78,11 @@ def test_a_service_road_that_the_policy_leaves_out_explains_a_junction() -> None
 
 
 def test_a_counted_node_that_is_nearer_comes_before_a_service_road() -> None:
-    lines = [*CROSSING, ("service", [(14, 0), (14, 60)]), ("residential", [(0, 0), (14, 0), (90, 0)])]
+    lines: list[Line] = [
+        ("residential", [(-90, 0), (0, 0), (14, 0), (90, 0)]),
+        ("residential", [(0, -90), (0, 0), (0, 90)]),
+        ("service", [(14, 0), (14, 60)]),
+    ]
     assert why_false(lines, (5, 0)).kind == "off"
     assert why_false(lines, (9, 0)).kind == "left_out"
 
@@ -86,6 +90,13 @@ def test_a_counted_node_that_is_nearer_comes_before_a_service_road() -> None:
 def test_a_place_off_a_node_names_it_and_how_far() -> None:
     reason = why_false(CROSSING, (12, 5))
     assert reason == Reason("off", "off by 13.0 m from node 101; 10 m are allowed")
+
+
+def test_between_two_roads_that_part_at_an_acute_angle_is_a_fork() -> None:
+    fork: list[Line] = [STREET, ("residential", [(0, 0), (86, 50)])]  # 30 degrees
+    assert why_false(fork, (14, 4)).sentence == "roads part by only 30 degrees at node 101, 14.6 m away"
+    assert why_false(fork, (-14, 0)).kind == "off"
+    assert why_false([STREET, ("residential", [(0, 0), (60, 90)])], (12, 5)).kind == "off"  # 56 degrees
 
 
 def test_beside_a_node_that_another_stands_for_it_is_the_second() -> None:
