@@ -135,6 +135,17 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     }
 
 
+def test_times_of_the_day_are_written_where_the_drive_has_them(tmp_path: Path) -> None:
+    result = small_result()
+    clock = replace(result.keyframes, time_s=np.array([1317386459.0, 1317386460.25]))
+    write_results(replace(result, keyframes=clock), tmp_path)
+    detections = load(tmp_path / "detections.geojson")["features"]
+    first, last = "2011-09-30T12:40:59.000Z", "2011-09-30T12:41:00.250Z"
+    assert [each["properties"]["time"] for each in detections] == [first, last, last]
+    (fused,) = load(tmp_path / "intersections.geojson")["features"]
+    assert (fused["properties"]["first_time"], fused["properties"]["last_time"]) == (first, last)
+
+
 def test_a_local_run_never_pretends_to_be_on_the_globe(tmp_path: Path) -> None:
     write_results(small_result(), tmp_path)
     write_results(small_result(local=True), tmp_path)
