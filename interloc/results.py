@@ -6,11 +6,24 @@ Bearings are degrees clockwise from north where the run is georeferenced, else c
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
+
+EPOCH_S = 1e8
+"""Times of a drive above this are seconds since 1970 (UTC); those below count from a start such as the first scan."""
+
+_YEAR_10000_S = 253402300800.0
+
+
+def moment(time_s: float) -> str | None:
+    """Return a time of a drive in RFC 3339, as 2011-09-30T12:40:59.123Z; None where it is no time of the day."""
+    if not EPOCH_S <= time_s < _YEAR_10000_S - 1.0:
+        return None
+    return datetime.fromtimestamp(round(time_s, 3), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 @dataclass(frozen=True)
@@ -22,7 +35,7 @@ class KeyframeTable:
     frame : (K,) int64
         Scan numbers, ascending.
     time_s : (K,) float64
-        NaN where the drive has no times.
+        As the drive gives them, see `moment`; NaN where it has none.
     world_xy : (K, 2) float64
         Position of the LiDAR in W, metres.
     world_yaw_rad : (K,) float64
@@ -42,6 +55,11 @@ class KeyframeTable:
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    @property
+    def moments(self) -> list[str | None]:
+        """K moments in RFC 3339, UTC, to the millisecond; None where the drive's times are not times of the day."""
+        return [moment(seconds) for seconds in self.time_s.tolist()]
 
 
 @dataclass(frozen=True)
@@ -82,6 +100,11 @@ class DetectionTable:
         """(D,) int64 number of each detection at its keyframe, from 1."""
         return np.arange(len(self)) - np.searchsorted(self.keyframe, self.keyframe) + 1
 
+    def names(self, keyframes: KeyframeTable) -> list[str]:
+        """Return the id of each detection: scan number of its keyframe and its number there, as 120-1."""
+        frames = keyframes.frame[self.keyframe].tolist()
+        return [f"{frame}-{number}" for frame, number in zip(frames, self.number.tolist(), strict=True)]
+
 
 @dataclass(frozen=True)
 class IntersectionTable:
@@ -118,6 +141,36 @@ class IntersectionTable:
 
     def __len__(self) -> int:
         return len(self.id)
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """What an evaluation says about each of the N rows of a table.
+
+    Attributes
+    ----------
+    outcome : list of N str
+        right, wrong or unscored.
+    osm_id : list of N int or None
+        OpenStreetMap node that the row was compared with.
+    error_m : (N,) float64
+        Distance to it, metres; not finite where there is none.
+    reason : list of N str or None
+        Why it is not right.
+    """
+
+    outcome: list[str]
+    osm_id: list[int | None]
+    error_m: FloatArray
+    reason: list[str | None]
+
+    @classmethod
+    def unscored(cls, count: int) -> Verdicts:
+        """Return the verdicts before an evaluation."""
+        return cls(["unscored"] * count, [None] * count, np.full(count, np.nan), [None] * count)
+
+    def __len__(self) -> int:
+        return len(self.outcome)
 
 
 @dataclass(frozen=True)

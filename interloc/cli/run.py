@@ -68,7 +68,8 @@ def command(
     if as_json:
         console.say_json({"run": summary.run_summary(result, out), "report": report})
     elif not quiet:
-        console.say_facts(summary.run_facts(result, out)[:-1] + summary.report_facts(report, out))
+        facts = summary.report_facts(report, out)
+        console.say_facts([facts[0], *summary.run_facts(result, out)[:-1], *facts[1:]])
 
 
 def _place(

@@ -42,16 +42,15 @@ def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
 
 
 def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
-    """Return the main figures of report.json for a person."""
+    """Return the main figures of report.json for a person, the map first."""
     from interloc.drawing import metres, percent
 
-    level = report["map_level"]
     return [
+        *([("map", report["map_line"])] if "map_line" in report else []),  # servers of older versions do not send it
         ("policy", f"{report['policy']}: {report['nodes_in_zone']} OSM nodes in the relevant zone"),
-        ("nodes found", f"{report['nodes_found']} of {report['nodes_in_zone']}"),
+        ("nodes found", f"{report['nodes_found']} of {report['nodes_in_zone']} by a detection within 5 m"),
         ("center error", f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"),
         ("at D = 5 m", f"precision {percent(report['precision']['5.0'])}, recall {percent(report['recall']['5.0'])}"),
-        ("map", f"precision {percent(level['precision'])}, recall {percent(level['recall'])}, one to one"),
         *(("warning", text) for text in report["warnings"]),
         ("report", str(out / "report.html")),
     ]

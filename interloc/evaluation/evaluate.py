@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,11 @@ from interloc.evaluation.coverage import check_coverage
 from interloc.evaluation.map_level import MapLevel, assign_intersections
 from interloc.evaluation.matching import Matching, match
 from interloc.evaluation.metrics import ErrorSummary, NodeTable, Scores, score, summarize_errors, tabulate_nodes
+from interloc.evaluation.verdicts import RunVerdicts, judge
 from interloc.osm.graph import RoadGraph, within
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
-from interloc.results import DetectionTable, DriveResult, KeyframeTable
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 
 PAPER_ROI_M = 120.0
 PAPER_OUTER_RADIUS_M = 40.0
@@ -37,6 +39,8 @@ class Evaluation:
     nodes : IntersectionNodes
         Its ground truth intersections, with the policy that chose them.
     keyframes : KeyframeTable
+    intersections : IntersectionTable
+        All that the run fused.
     detections : DetectionTable
         Those that were scored: all that lie on the map.
     detection_row : (E,) int64
@@ -65,6 +69,7 @@ class Evaluation:
     graph: RoadGraph
     nodes: IntersectionNodes
     keyframes: KeyframeTable
+    intersections: IntersectionTable
     detections: DetectionTable
     detection_row: IntArray
     detections_outside_map: int
@@ -76,6 +81,22 @@ class Evaluation:
     georeference: dict[str, Any]
     track_to_road_m: float
     warnings: tuple[str, ...]
+
+    @cached_property
+    def verdicts(self) -> RunVerdicts:
+        """Right or wrong, found or missed, and why: of every detection, intersection and node."""
+        return judge(
+            self.graph,
+            self.nodes,
+            self.keyframes,
+            self.detections,
+            self.detection_row,
+            len(self.detections) + self.detections_outside_map,
+            self.matching,
+            self.intersections,
+            self.map_level,
+            self.node_table,
+        )
 
 
 def evaluate(
@@ -151,6 +172,7 @@ def evaluate(
         graph=graph,
         nodes=nodes,
         keyframes=result.keyframes,
+        intersections=result.intersections,
         detections=detections,
         detection_row=on_map,
         detections_outside_map=len(result.detections) - len(on_map),

@@ -80,7 +80,7 @@ def assign_intersections(
     assert intersections.lonlat is not None
     node = np.full(len(intersections), UNMATCHED, dtype=np.int64)
     error = np.full(len(intersections), np.inf)
-    rows, columns, distance = _assign(intersections.lonlat, node_lonlat, gate_m)
+    rows, columns, distance = assign_one_to_one(intersections.lonlat, node_lonlat, gate_m)
     node[rows], error[rows] = columns, distance
     counts = np.zeros(len(intersections), dtype=np.bool_)
     counts[pairs_in_square(keyframes, intersections.lonlat, relevant_zone_m)[1]] = True
@@ -89,8 +89,28 @@ def assign_intersections(
     return MapLevel(node, error, counts, node_in_zone, found, gate_m)
 
 
-def _assign(a_lonlat: FloatArray, b_lonlat: FloatArray, gate_m: float) -> tuple[IntArray, IntArray, FloatArray]:
-    """Solve the assignment within each group of points that the gate connects: the groups are small."""
+def assign_one_to_one(
+    a_lonlat: FloatArray, b_lonlat: FloatArray, gate_m: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Assign points to others, one-to-one, with the smallest sum of distances, each cut off at the gate.
+
+    Parameters
+    ----------
+    a_lonlat, b_lonlat : (A, 2), (B, 2) float64
+        Degrees.
+    gate_m
+        Distance under which two can be a pair, metres.
+
+    Returns
+    -------
+    a, b : (P,) int64
+        Rows of the pairs.
+    distance_m : (P,) float64
+
+    Notes
+    -----
+    Solved within each group of points that the gate connects: the groups are small.
+    """
     empty = np.empty(0, dtype=np.int64)
     a, b, distance = _pairs_under(a_lonlat, b_lonlat, gate_m)
     if len(a) == 0:

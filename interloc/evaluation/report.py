@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,13 @@ from interloc.errors import OutputError
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.map_level import MapLevel
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.evaluation.reasons import KINDS
 from interloc.files import atomic_write, reason_of
 from interloc.osm.policies import POLICIES
 from interloc.output.geojson import DEGREE_DECIMALS, encode, positions, rounded, write_collection
 from interloc.output.layers import LAYERS
-from interloc.output.layout import RUN_SETTINGS, flatten, settings_of
+from interloc.output.layout import RUN_SETTINGS, file_names, flatten, settings_of
+from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
 
 _METRE_DECIMALS = 4
@@ -37,7 +40,9 @@ def write_report(evaluation: Evaluation, result: DriveResult, out_dir: Path) -> 
     result
         The run; its configuration and timings are part of the report.
     out_dir
-        Folder of the run. Files of an older report are replaced, each whole or not at all.
+        Folder of the run. Files of an older report are replaced, each whole or not at all, and so are its detections
+        and intersections: the same with the verdicts of this evaluation. Write into an `interloc.files.atomic_folder`
+        for all or nothing.
 
     Raises
     ------
@@ -47,6 +52,12 @@ def write_report(evaluation: Evaluation, result: DriveResult, out_dir: Path) -> 
     if not out_dir.is_dir():
         raise OutputError(f"{out_dir}: no such folder. Expected the result folder of `interloc detect`.")
     pictures = _write_figures(evaluation, result, out_dir / "figures")
+    names, verdicts = file_names(georeferenced=True), evaluation.verdicts
+    for table, features in (
+        ("detections", detection_features(result, verdicts.detections)),
+        ("intersections", intersection_features(result, verdicts.intersections, verdicts.uids)),
+    ):
+        write_collection(out_dir / names[table], features, local=False)
     write_collection(out_dir / "osm_nodes.geojson", _node_features(evaluation), local=False)
     write_collection(out_dir / "matches.geojson", _match_features(evaluation, result), local=False)
     record = report_record(evaluation)
@@ -79,11 +90,18 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         policy_meaning=POLICIES[record["policy"]].meaning,
         nodes=nodes,
         pictures=pictures,
+        kinds=_kind_rows(record["reasons"]),
         # Read by people only, so what JSON does not know may appear as its text.
         config=json.dumps(settings_of(result.run), indent=2, default=str),
         facts=[_fact(*row) for row in flatten({k: v for k, v in result.run.items() if k not in RUN_SETTINGS})],
     )
     return page
+
+
+def _kind_rows(counts: Mapping[str, Mapping[str, int]]) -> list[tuple[str, dict[str, int | None]]]:
+    """Return the meaning of each kind of reason that occurs, and how often in each table; None where it cannot."""
+    rows = [(meaning, {table: counts[table].get(kind) for table in counts}) for kind, meaning in KINDS.items()]
+    return [(meaning, row) for meaning, row in rows if any(row.values())]
 
 
 def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
@@ -144,7 +162,9 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[st
     rows = np.flatnonzero(matching.is_matched)
     node, error = matching.node[rows], matching.error_m[rows]
     frame = evaluation.keyframes.frame[detections.keyframe[rows]]
-    number = result.detections.number[evaluation.detection_row[rows]]
+    every = evaluation.detection_row[rows].tolist()
+    names = result.detections.names(result.keyframes)
+    ids = [*result.intersections.id.tolist(), None]  # row -1: not fused
     seen = positions(detections.lonlat[rows], local=False)
     truth = positions(evaluation.nodes.lonlat[node], local=False)
     return LAYERS["matches"].features(
@@ -153,7 +173,8 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[st
         error_m=error,
         outcome=["TP" if each < STANDARD_THRESHOLD_M else "FP" for each in error.tolist()],
         osm_id=evaluation.nodes.osm_id[node],
-        detection=[f"{each}-{k}" for each, k in zip(frame.tolist(), number.tolist(), strict=True)],
+        detection=[names[row] for row in every],
+        intersection=[ids[result.detections.intersection[row]] for row in every],
     )
 
 
@@ -169,6 +190,7 @@ def _fact(name: str, value: object) -> tuple[str, str]:
 def report_record(evaluation: Evaluation) -> dict[str, Any]:
     """Return what `report.json` holds, by the contract of the result folder; what is undefined is None."""
     scores, errors, table = evaluation.scores, evaluation.errors, evaluation.node_table
+    map_level = _map_level(evaluation.map_level)
     names = [threshold_name(d) for d in scores.threshold_m]
     return {
         "drive": evaluation.drive,
@@ -204,12 +226,30 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "relevant_zone_m": evaluation.relevant_zone_m,
         "nodes_in_zone": int(table.in_zone.sum()),
         "nodes_found": int((table.in_zone & table.found).sum()),
-        "map_level": _map_level(evaluation.map_level),
+        "map_level": map_level,
+        "map_line": map_line(map_level),
+        "reasons": evaluation.verdicts.counts,
         "georeference": evaluation.georeference,
         "track_to_road_m": _metres(evaluation.track_to_road_m),
         "warnings": list(evaluation.warnings),
         "nodes": _node_rows(evaluation),
     }
+
+
+def map_line(level: Mapping[str, Any]) -> str:
+    """Return `map_level` of a report in one line, with its gate named.
+
+    "13 of 14 intersections right within 10 m, 5 of 5 nodes found, median 0.9 m".
+    """
+    right, scored = level["true"], level["intersections_in_zone"]
+    nodes = level["nodes_in_zone"]
+    parts = [
+        f"{right} of {scored} {'intersection' if scored == 1 else 'intersections'} right within {level['gate_m']:g} m",
+        f"{nodes - level['missed']} of {nodes} {'node' if nodes == 1 else 'nodes'} found",
+    ]
+    if level["median_m"] is not None:
+        parts.append(f"median {level['median_m']:.1f} m")
+    return ", ".join(parts)
 
 
 def threshold_name(threshold_m: float) -> str:
@@ -218,7 +258,8 @@ def threshold_name(threshold_m: float) -> str:
 
 
 def _node_features(evaluation: Evaluation) -> list[dict[str, Any]]:
-    nodes, table = evaluation.nodes, evaluation.node_table
+    nodes, table, verdicts = evaluation.nodes, evaluation.node_table, evaluation.verdicts
+    ids = [*evaluation.intersections.id.tolist(), None]  # row -1: none
     return LAYERS["osm_nodes"].features(
         positions(nodes.lonlat, local=False),
         osm_id=nodes.osm_id,
@@ -229,6 +270,9 @@ def _node_features(evaluation: Evaluation) -> list[dict[str, Any]]:
         keyframes_missed=table.missed_keyframes,
         detections=table.detections,
         median_error_m=table.median_error_m,
+        outcome=verdicts.node_outcome,
+        intersection=[ids[row] for row in verdicts.node_intersection.tolist()],
+        reason=verdicts.node_reason,
     )
 
 

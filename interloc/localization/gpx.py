@@ -26,6 +26,7 @@ from interloc.localization.sightings import no_sightings
 from interloc.localization.track import Track, track_of
 from interloc.osm.graph import RoadGraph, Ways
 from interloc.output.write import thin
+from interloc.results import EPOCH_S
 
 MAX_BYTES = 100_000_000
 FIX_STD_M = 4.0
@@ -39,7 +40,6 @@ _APART_M = 50.0
 _LEAD = 2.0  # the next place along the track must fit that much worse
 _SLIDE_M = 5.0
 _SHARE = 0.8  # of the drive that the track must cover
-_EPOCH_S = 1e8  # times above are seconds since 1970, below since the first scan
 _STEP_M = 5.0  # points of the track that are closer are scatter, above all where it stands
 
 
@@ -182,7 +182,7 @@ def _as_roads(gpx: GpxTrack) -> RoadMap:
 def _by_time(drive: Drive, track: Track, chain: Chain, gpx: GpxTrack, xy: FloatArray) -> FloatArray | None:
     """Return where the poses of the chain were, (n, 2), by the clocks of both; None where they do not say."""
     times_s = drive.times_s
-    if times_s is None or gpx.time_s is None or times_s[0] < _EPOCH_S:
+    if times_s is None or gpx.time_s is None or times_s[0] < EPOCH_S:
         return None
     then = np.interp(chain.at_m, track.at_m, times_s)
     if ((then >= gpx.time_s[0]) & (then <= gpx.time_s[-1])).mean() < _SHARE:

@@ -8,6 +8,7 @@ the first LiDAR pose, L that of the LiDAR at a keyframe, levelled.
 from __future__ import annotations
 
 import types
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,6 +46,8 @@ WorldY = Annotated[Metres, Field(description="Position in W, metres to the left 
 BranchCount = Annotated[int, Field(description="Number of branches.")]
 BranchBearings = Annotated[list[float], Field(description="Bearing of each branch, leaving the intersection, degrees.")]
 OsmNode = Annotated[int, Field(description="Id of the OpenStreetMap node.")]
+Verdict = Literal["right", "wrong", "unscored"]
+"""Of a detection or an intersection; unscored before an evaluation, and where the map cannot tell."""
 
 _Position = tuple[float, float]
 
@@ -70,6 +73,28 @@ class IntersectionProperties(Properties):
     confidence: Ratio = Field(description="0..1, from how often it was seen when it could have been.")
     world_x_m: WorldX
     world_y_m: WorldY
+    uid: str | None = Field(
+        None,
+        description="Name of the place, the same in other runs: n and the id of the OpenStreetMap node where the "
+        "result was scored and there is a junction, else the cell of a grid of about 22 m.",
+    )
+    drive: str | None = Field(None, description="Name of the drive.")
+    first_time: str | None = Field(
+        None, description="Time of the first keyframe that saw it, RFC 3339; null where the drive has no times of day."
+    )
+    last_time: str | None = Field(
+        None, description="Time of the last keyframe that saw it, RFC 3339; null where the drive has no times of day."
+    )
+    outcome: Verdict = Field(
+        "unscored",
+        description="right: assigned to an OpenStreetMap node, one to one, within 10 m. wrong: to none. unscored: "
+        "before `evaluate`, beyond the map, or in the relevant zone of no keyframe.",
+    )
+    osm_id: int | None = Field(None, description="Id of the OpenStreetMap node that it is assigned to; null for none.")
+    error_m: Annotated[float | None, Decimals(4)] = Field(
+        None, description="Distance to that node, metres; null for none."
+    )
+    reason: str | None = Field(None, description="Why it is wrong or unscored; null where it is right.")
 
 
 class DetectionProperties(Properties):
@@ -84,6 +109,24 @@ class DetectionProperties(Properties):
     branch_bearings_deg: BranchBearings
     score: Ratio = Field(description="0..1, how sure the detector is.")
     intersection: int | None = Field(description="Id of the fused intersection that it belongs to; null for none.")
+    id: str | None = Field(
+        None, description="Scan number of the keyframe and, from 1, the number of the detection at it, as 120-1."
+    )
+    time: str | None = Field(
+        None, description="Time of the keyframe, RFC 3339; null where the drive has no times of day."
+    )
+    outcome: Verdict = Field(
+        "unscored",
+        description="right: within 5 m of the nearest OpenStreetMap node of the region of interest. wrong: not. "
+        "unscored: before `evaluate`, or beyond the map.",
+    )
+    osm_id: int | None = Field(
+        None, description="Id of the nearest OpenStreetMap node in the region of interest, however far; null for none."
+    )
+    error_m: Annotated[float | None, Decimals(4)] = Field(
+        None, description="Distance to that node, metres; null for none."
+    )
+    reason: str | None = Field(None, description="Why it is wrong or unscored; null where it is right.")
 
 
 class TrajectoryProperties(Properties):
@@ -121,6 +164,13 @@ class OsmNodeProperties(Properties):
     median_error_m: Annotated[float | None, Decimals(4)] = Field(
         description="Median distance of these detections, metres; null if there are none."
     )
+    outcome: Literal["found", "missed", "outside"] = Field(
+        "outside",
+        description="found: an intersection of the map is assigned to it, one to one, within 10 m. missed: none is. "
+        "outside: in the relevant zone of no keyframe, so it cannot be missed.",
+    )
+    intersection: int | None = Field(None, description="Id of the intersection assigned to it; null for none.")
+    reason: str | None = Field(None, description="Why it was missed; null where it was not.")
 
 
 class MatchProperties(Properties):
@@ -132,6 +182,9 @@ class MatchProperties(Properties):
     osm_id: OsmNode
     detection: str | None = Field(
         None, description="The detection: its scan number and, from 1, its number at that keyframe, as 120-1."
+    )
+    intersection: int | None = Field(
+        None, description="Id of the fused intersection that the detection belongs to; null for none."
     )
 
 
@@ -175,6 +228,8 @@ class Layer:
         Name of a feature in a KML file, a format string over its properties.
     is_osm : bool
         Whether it holds data of OpenStreetMap.
+    key : str or None
+        Property that becomes the `id` of a feature; None where the layer is one feature.
     """
 
     name: str
@@ -183,6 +238,7 @@ class Layer:
     properties: type[Properties]
     label: str
     is_osm: bool = False
+    key: str | None = None
 
     @property
     def address(self) -> str:
@@ -217,13 +273,16 @@ class Layer:
         names = list(self.properties.model_fields)
         assert columns.keys() == set(names)
         printed = [_printed(columns[name], self.properties.model_fields[name].metadata) for name in names]
+        rows = [dict(zip(names, row, strict=True)) for row in zip(*printed, strict=True)]
+        ids = [self.name] * len(rows) if self.key is None else [row[self.key] for row in rows]
         return [
             {
                 "type": "Feature",
+                "id": feature_id,
                 "geometry": None if place is None else {"type": self.geometry, "coordinates": place},
-                "properties": dict(zip(names, row, strict=True)),
+                "properties": row,
             }
-            for place, row in zip(coordinates, zip(*printed, strict=True), strict=True)
+            for feature_id, place, row in zip(_unique(ids), coordinates, rows, strict=True)
         ]
 
     def read(self, path: Path) -> Rows:
@@ -267,10 +326,17 @@ class Layer:
 LAYERS = {
     layer.name: layer
     for layer in (
-        Layer("intersections", "Intersections found", "Point", IntersectionProperties, "Intersection {id}"),
-        Layer("detections", "Detections per keyframe", "Point", DetectionProperties, "Detection at frame {frame}"),
+        Layer("intersections", "Intersections found", "Point", IntersectionProperties, "Intersection {id}", key="id"),
+        Layer(
+            "detections",
+            "Detections per keyframe",
+            "Point",
+            DetectionProperties,
+            "Detection at frame {frame}",
+            key="id",
+        ),
         Layer("trajectory", "Track of the LiDAR", "LineString", TrajectoryProperties, "Trajectory"),
-        Layer("keyframes", "Keyframes", "Point", KeyframeProperties, "Keyframe {frame}"),
+        Layer("keyframes", "Keyframes", "Point", KeyframeProperties, "Keyframe {frame}", key="frame"),
         Layer(
             "osm_nodes",
             "Intersections of OpenStreetMap",
@@ -278,6 +344,7 @@ LAYERS = {
             OsmNodeProperties,
             "OSM node {osm_id}",
             is_osm=True,
+            key="osm_id",
         ),
         Layer(
             "matches",
@@ -286,8 +353,17 @@ LAYERS = {
             MatchProperties,
             "{outcome}, frame {frame}",
             is_osm=True,
+            key="detection",
         ),
-        Layer("osm_roads", "Roads of OpenStreetMap", "LineString", OsmRoadProperties, "OSM way {osm_id}", is_osm=True),
+        Layer(
+            "osm_roads",
+            "Roads of OpenStreetMap",
+            "LineString",
+            OsmRoadProperties,
+            "OSM way {osm_id}",
+            is_osm=True,
+            key="osm_id",
+        ),
         Layer(
             PLACES,
             "Places on the map that the drive fits",
@@ -295,6 +371,7 @@ LAYERS = {
             PlaceProperties,
             "Place {rank}, score {score}",
             is_osm=True,
+            key="rank",
         ),
     )
 }
@@ -341,6 +418,19 @@ def _kind(annotation: Any) -> str:  # noqa: ANN401
     """Return the kind of a property from its annotation, null aside."""
     alternatives = get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
     return _KINDS[get_origin(alternatives[0]) or alternatives[0]]
+
+
+def _unique(ids: list[Any]) -> list[Any]:
+    """Return ids that are all different: 7, 7, 8 becomes "7-1", "7-2", "8"; those that are different already stay."""
+    if len(set(ids)) == len(ids):
+        return ids
+    count: dict[Any, int] = {}
+    repeated = {each for each, times in Counter(ids).items() if times > 1}
+    named = []
+    for each in ids:
+        count[each] = count.get(each, 0) + 1
+        named.append(f"{each}-{count[each]}" if each in repeated else str(each))
+    return named
 
 
 def _printed(values: Column, metadata: list[Any]) -> Sequence[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from interloc.geometry import bearing_deg
 from interloc.output.geojson import bearings, encode, positions, write_collection
 from interloc.output.layers import LAYERS
 from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, file_names
-from interloc.results import DriveResult
+from interloc.output.uids import place_uids
+from interloc.results import DriveResult, Verdicts
 
 TRAJECTORY_STEP_M = 0.5
 
@@ -50,10 +52,10 @@ def write_results(result: DriveResult, folder: Path) -> None:
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
     tables = {
-        "detections": _detection_features(result),
+        "detections": detection_features(result),
         "keyframes": _keyframe_features(result),
         "trajectory": [trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)],
-        "intersections": _intersection_features(result),
+        "intersections": intersection_features(result),
     }
     for table, features in tables.items():
         write_collection(folder / names[table], features, local=local)
@@ -68,9 +70,12 @@ def _coordinates(world_xy: FloatArray, lonlat: FloatArray | None) -> list[list[f
     return positions(world_xy, local=True) if lonlat is None else positions(lonlat, local=False)
 
 
-def _detection_features(result: DriveResult) -> list[dict[str, Any]]:
+def detection_features(result: DriveResult, verdicts: Verdicts | None = None) -> list[dict[str, Any]]:
+    """Return the features of the layer `detections`, with the verdicts of an evaluation where there is one."""
     table = result.detections
+    verdicts = verdicts or Verdicts.unscored(len(table))
     ids = [*result.intersections.id.tolist(), None]  # row -1: not fused
+    moments = result.keyframes.moments
     return LAYERS["detections"].features(
         _coordinates(table.world_xy, table.lonlat),
         frame=result.keyframes.frame[table.keyframe],
@@ -82,6 +87,12 @@ def _detection_features(result: DriveResult) -> list[dict[str, Any]]:
         branch_bearings_deg=[bearings(each) for each in table.bearings_deg],
         score=table.score,
         intersection=[ids[row] for row in table.intersection.tolist()],
+        id=table.names(result.keyframes),
+        time=[moments[row] for row in table.keyframe.tolist()],
+        outcome=verdicts.outcome,
+        osm_id=verdicts.osm_id,
+        error_m=verdicts.error_m,
+        reason=verdicts.reason,
     )
 
 
@@ -99,8 +110,22 @@ def _keyframe_features(result: DriveResult) -> list[dict[str, Any]]:
     )
 
 
-def _intersection_features(result: DriveResult) -> list[dict[str, Any]]:
+def intersection_features(
+    result: DriveResult, verdicts: Verdicts | None = None, uids: Sequence[str] | None = None
+) -> list[dict[str, Any]]:
+    """Return the features of the layer `intersections`.
+
+    Parameters
+    ----------
+    result
+    verdicts
+        Of an evaluation, where there is one.
+    uids
+        Names of the places; by default those that need no map (`interloc.output.uids.place_uids`).
+    """
     table = result.intersections
+    verdicts = verdicts or Verdicts.unscored(len(table))
+    moment_of = dict(zip(result.keyframes.frame.tolist(), result.keyframes.moments, strict=True))
     return LAYERS["intersections"].features(
         _coordinates(table.world_xy, table.lonlat),
         id=table.id,
@@ -113,6 +138,14 @@ def _intersection_features(result: DriveResult) -> list[dict[str, Any]]:
         confidence=table.confidence,
         world_x_m=table.world_xy[:, 0],
         world_y_m=table.world_xy[:, 1],
+        uid=place_uids(table) if uids is None else list(uids),
+        drive=[result.drive] * len(table),
+        first_time=[moment_of.get(frame) for frame in table.first_frame.tolist()],
+        last_time=[moment_of.get(frame) for frame in table.last_frame.tolist()],
+        outcome=verdicts.outcome,
+        osm_id=verdicts.osm_id,
+        error_m=verdicts.error_m,
+        reason=verdicts.reason,
     )
 
 

@@ -53,11 +53,12 @@ class Drive:
     expected: dict[str, Any]
 
 
-def make_drive(root: Path, scans: int) -> Drive:
+def make_drive(root: Path, scans: int, *, scored: bool = False) -> Drive:
     street, small, out = write_street(root / "raw" / "street", scans), root / "street", root / "result"
     reduce_drive(street, small, keyframes=None)
     shutil.copy(street / "map.osm", small)
-    assert run(["detect", str(small), "-o", str(out), "--quiet"]) == 0
+    command = ["run", "--osm", str(small / "map.osm")] if scored else ["detect"]
+    assert run([*command, str(small), "-o", str(out), "--quiet"]) == 0
     return Drive(small, {layer: json.loads((out / f"{layer}.geojson").read_text())["features"] for layer in LAYERS})
 
 
@@ -109,7 +110,7 @@ def test_a_killed_worker_is_replaced_and_its_part_done_again(start: Start, drive
 
 
 def test_a_job_goes_on_where_the_killed_server_left_it(start: Start, tmp_path: Path) -> None:
-    long = make_drive(tmp_path / "long", 380)  # two ranges
+    long = make_drive(tmp_path / "long", 380, scored=True)  # two ranges
     server = start(workers=1)
     job, gate = standing_job(server, tmp_path / "data", long, frame=300, osm={"file": "map.osm"})
     scratch = tmp_path / "data" / "jobs" / job / "scratch"

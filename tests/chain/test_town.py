@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from interloc.arrays import FloatArray
+from interloc.config import preset
+from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.reader import read_osm
+from interloc.pipeline import detect
 from interloc.results import DriveResult
 from interloc.simulate.town import MAP_FILE, Town
 
@@ -40,6 +43,12 @@ def test_every_node_is_found_and_nothing_else(evaluation: Evaluation) -> None:
 def test_map_has_each_intersection_once(evaluation: Evaluation) -> None:
     assert evaluation.map_level.precision == 1
     assert evaluation.map_level.recall == 1
+
+
+def test_a_place_has_the_same_name_under_both_presets(evaluation: Evaluation, town_drive: Path) -> None:
+    literal = detect(open_drive(town_drive), preset("paper"))
+    of_paper = evaluate(literal, evaluation.graph).verdicts.uids
+    assert set(of_paper) == set(evaluation.verdicts.uids) == {f"n{each.node_id}" for each in JUNCTIONS.values()}
 
 
 @pytest.mark.parametrize(

@@ -36,9 +36,16 @@ def test_the_report_joins_the_result(interloc: Callable, out: Path, osm: Path) -
     outcome = interloc("evaluate", out, "--osm", osm)
     assert outcome.code == 0
     assert {path.name for path in out.iterdir()} == set(before) | REPORT
-    assert before.items() <= contents(out).items()
+    judged = {"detections.geojson", "intersections.geojson"}
+    after = contents(out)
+    assert {name for name in before if after[name] != before[name]} == judged  # the same, with verdicts
+    for name in judged:
+        assert b'"outcome":"right"' in after[name]
+        assert b'"outcome":"right"' not in before[name]
+    assert outcome.out.splitlines()[0].startswith("map ")
     facts = dict(line.split("  ", 1) for line in outcome.out.splitlines())
-    assert facts["nodes found"].strip() == "1 of 1"
+    assert facts["map"].strip().startswith("1 of 1 intersection right within 10 m, 1 of 1 node found, median ")
+    assert facts["nodes found"].strip() == "1 of 1 by a detection within 5 m"
     assert facts["policy"].strip() == "drive: 1 OSM nodes in the relevant zone"
 
 

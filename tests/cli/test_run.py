@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -121,6 +122,25 @@ def test_the_sparse_sample_of_kitti_360(
     report = interloc("run", data("kitti360_0009"), *arguments).json["report"]
     assert report["nodes_in_zone"] == 5
     assert report["nodes_found"] >= 4
+
+
+def test_the_false_detections_of_kitti_360_are_a_junction_with_a_service_road(
+    interloc: Callable, data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    arguments = ("-o", tmp_path / "out", "--osm", data("kitti/osm/00.osm.gz"), "--quiet")
+    assert interloc("run", data("kitti360_0009"), *arguments).code == 0
+    layers = {
+        layer: [each["properties"] for each in json.loads((tmp_path / f"out/{layer}.geojson").read_text())["features"]]
+        for layer in ("detections", "intersections")
+    }
+    wrong = [each for each in layers["detections"] if each["outcome"] == "wrong"]
+    assert len(wrong) == 6
+    assert all("highway=service" in each["reason"] for each in wrong)
+    assert [each["osm_id"] is None for each in layers["intersections"]].count(True) == 1
+    assert "n1213522196" in [each["uid"] for each in layers["intersections"]]  # the node of the service road
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["reasons"]["detections"]["left_out"] == 6
+    assert report["map_line"].startswith("5 of 6 intersections right within 10 m, 5 of 5 nodes found")
 
 
 def test_an_excerpt_of_kitti_07_by_its_oxts_rows(

@@ -22,12 +22,14 @@ Graph = Callable[..., RoadGraph]
 Scored = tuple[Evaluation, DriveResult]
 
 FILES = [
+    "detections.geojson",
     "figures/errors.png",
     "figures/errors.svg",
     "figures/map.png",
     "figures/map.svg",
     "figures/thresholds.png",
     "figures/thresholds.svg",
+    "intersections.geojson",
     "matches.geojson",
     "osm_nodes.geojson",
     "report.html",

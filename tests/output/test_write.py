@@ -65,6 +65,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
     assert detections["bbox"] == [8.4205, 49.010999876, 8.43, 49.02]
     assert detections["features"][1] == {
         "type": "Feature",
+        "id": "12-1",
         "geometry": {"type": "Point", "coordinates": [8.420502345, 49.010999876]},
         "properties": {
             "frame": 12,
@@ -76,6 +77,12 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "branch_bearings_deg": [1.0, 91.5, 181.25],
             "score": 0.5,
             "intersection": 1,
+            "id": "12-1",
+            "time": None,
+            "outcome": "unscored",
+            "osm_id": None,
+            "error_m": None,
+            "reason": None,
         },
     }
     assert detections["features"][2]["properties"]["intersection"] is None
@@ -99,6 +106,14 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "confidence": 0.75,
         "world_x_m": 10.0625,
         "world_y_m": 1.0,
+        "uid": "49.01110,8.42063",
+        "drive": "07",
+        "first_time": None,
+        "last_time": None,
+        "outcome": "unscored",
+        "osm_id": None,
+        "error_m": None,
+        "reason": None,
     }
     (line,) = load(tmp_path / "trajectory.geojson")["features"]
     assert line["geometry"] == {"type": "LineString", "coordinates": [[8.4203, 49.0109], [8.4204, 49.01095]]}
@@ -118,6 +133,17 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "config": {"preset": "paper"},
         "peak_memory_mb": 12.5,
     }
+
+
+def test_times_of_the_day_are_written_where_the_drive_has_them(tmp_path: Path) -> None:
+    result = small_result()
+    clock = replace(result.keyframes, time_s=np.array([1317386459.0, 1317386460.25]))
+    write_results(replace(result, keyframes=clock), tmp_path)
+    detections = load(tmp_path / "detections.geojson")["features"]
+    first, last = "2011-09-30T12:40:59.000Z", "2011-09-30T12:41:00.250Z"
+    assert [each["properties"]["time"] for each in detections] == [first, last, last]
+    (fused,) = load(tmp_path / "intersections.geojson")["features"]
+    assert (fused["properties"]["first_time"], fused["properties"]["last_time"]) == (first, last)
 
 
 def test_a_local_run_never_pretends_to_be_on_the_globe(tmp_path: Path) -> None:

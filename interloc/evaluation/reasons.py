@@ -1,0 +1,551 @@
+"""Why a detection or an intersection is wrong, and why a node was missed: what the map and the result say about it.
+
+Each rule asks for evidence at the place and gives a short sentence; the first rule that finds some decides. `KINDS` is
+the closed list of the answers. A reason says what lies there, not that it is the cause: a junction with a service road
+0.8 m from a wrong intersection explains it, whether or not the service road is what the LiDAR saw.
+
+Of something wrong, in this order (the thresholds are the constants below):
+
+1. `left_out`: a junction that only exists with ways that the policy leaves out, and no counted node is nearer.
+2. `slip_road`: on a slip road near its mouth. Its lanes join far from where the map puts the node.
+3. `fork`: between two roads that leave a node at an acute angle. Their surfaces part further on than their lines.
+4. `second`: near a node that another detection (of this keyframe) or another intersection stands for already.
+5. `off`: near a node, but not near enough.
+6. `bend`: a road that turns here, without a junction.
+7. `road_end`: the end of a road.
+8. `path`: a path for walkers or cyclists meets a road.
+9. `nothing`: none of these. What the map may lack.
+
+Of a node that was missed:
+
+1. `merged`: the intersection of a neighbouring node lies near this one too, or holds detections that do.
+2. `misplaced`: an intersection that is assigned to no node lies near it.
+3. `too_few`: detections lie at the node, but the fusion made no intersection of them: too few, or of low confidence.
+4. `not_driven`: the drive did not come near enough to look into its branches.
+5. `short`: fewer than three of its branches are long enough.
+6. `not_seen`: the drive passed it, and nothing was detected. Whether its road was hidden, or labelled as something
+   else, cannot be known: a result folder holds positions, not the road that was seen. `interloc explain` shows that.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray, IntArray
+from interloc.geometry import enu_from_lonlat
+from interloc.osm.graph import RoadGraph, distinct_edges
+from interloc.osm.intersections import DRIVABLE, MIN_DEGREE, IntersectionNodes, road_ways
+
+FalseKind = Literal["left_out", "slip_road", "fork", "second", "off", "bend", "road_end", "path", "nothing"]
+MissKind = Literal["merged", "misplaced", "too_few", "not_driven", "short", "not_seen"]
+
+KINDS: dict[FalseKind | MissKind, str] = {
+    "left_out": "junction with a way that the policy leaves out",
+    "slip_road": "mouth of a slip road",
+    "fork": "roads part at an acute angle",
+    "second": "second one at a node that is found already",
+    "off": "off a node",
+    "bend": "bend of a road",
+    "road_end": "end of a road",
+    "path": "a path meets a road",
+    "nothing": "nothing in OpenStreetMap near: worth a look",
+    "merged": "merged with a neighbouring node",
+    "misplaced": "found, but off",
+    "too_few": "detected too rarely or too weakly",
+    "not_driven": "not driven near enough",
+    "short": "branches too short",
+    "not_seen": "passed, nothing detected",
+}
+"""Kind -> what it means, for the tables of a report."""
+
+SAME_PLACE_M = 10.0
+"""A junction so near is the same place: the gate of the map. An intersection there would be right if it counted."""
+
+PATH_M = 5.0
+"""The same for paths: they are everywhere in a town, so only one very near explains anything."""
+
+NEAR_M = 20.0
+"""A node so near is what was meant: half the side of the relevant zone, and the width of a large junction."""
+
+COMPOUND_M = 25.0
+"""Nodes so near each other may be one compound junction on the ground."""
+
+ON_LINK_M = 8.0
+"""So near the line of a slip road lies on it: half its width and the width of the wedge beside it."""
+
+MOUTH_M = 30.0
+"""Length of a slip road, from its node, along which its lane is joined with the road beside it."""
+
+ROAD_M = 10.0
+"""So near the line of a road lies on it."""
+
+ARM_M = 20.0
+"""Length of road on both sides of a place by which its turn is measured."""
+
+BEND_DEG = 30.0
+"""A turn by so much over twice `ARM_M` is a bend: its inner and outer edges part like those of a junction."""
+
+FORK_DEG = 45.0
+"""Two roads 7 m wide that leave a node at this angle share their surface for 9 m; for 14 m at 30 degrees."""
+
+PASSED_M = 15.0
+"""A node further from all keyframes was not passed: beside the road driven, or at the next corner."""
+
+BRANCH_M = 15.0
+"""A branch needs so much road: it is fitted beyond one road width, on at least another half."""
+
+_VEHICLE = DRIVABLE | {
+    *("service", "track", "pedestrian", "busway", "bus_guideway", "raceway", "escape", "rest_area", "services"),
+    *("construction", "emergency_bay"),
+}
+"""Values of `highway` as wide as a vehicle; what is left are paths."""
+
+Claims = Iterable[tuple[int, int]]
+
+
+class Reason(NamedTuple):
+    """Why something is wrong or missed: kind of `KINDS`, and a sentence about this one."""
+
+    kind: FalseKind | MissKind
+    sentence: str
+
+
+def count_kinds(reasons: Iterable[Reason | None], family: Any) -> dict[str, int]:  # noqa: ANN401 - a Literal
+    """Return how many reasons there are of each kind of `FalseKind` or `MissKind`, those without any too."""
+    counts = Counter(reason.kind for reason in reasons if reason is not None)
+    return {kind: counts[kind] for kind in get_args(family)}
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Places of a map in the plane, each with what it is.
+
+    Attributes
+    ----------
+    xy : (N, 2) float64
+    row : (N,) int64
+        Row of what it is: a node of the policy, or a way.
+    """
+
+    xy: FloatArray
+    row: IntArray
+
+    @cached_property
+    def _tree(self) -> Any:  # noqa: ANN401 - scipy has no types
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+        return cKDTree(self.xy)
+
+    def nearest(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return the distance of (Q, 2) places to the nearest of these (infinite without any) and its row, -1."""
+        if len(self.xy) == 0 or len(xy) == 0:
+            return np.full(len(xy), np.inf), np.full(len(xy), -1, dtype=np.int64)
+        distance, index = self._tree.query(xy)
+        return np.asarray(distance, dtype=np.float64), self.row[np.asarray(index, dtype=np.int64)]
+
+
+class MapEvidence:
+    """The map around a drive in a plane, prepared for the questions of the rules.
+
+    Parameters
+    ----------
+    graph
+        The whole map, with the ways that the policy leaves out.
+    nodes
+        Its nodes that count.
+    lonlat : (K, 2) float64
+        Where the drive was, degrees.
+    """
+
+    def __init__(self, graph: RoadGraph, nodes: IntersectionNodes, lonlat: FloatArray) -> None:
+        self.graph = graph
+        self.nodes = nodes
+        self._origin = np.median(lonlat, axis=0) if len(lonlat) else graph.lonlat[0]
+        self.node_xy = self.plane(nodes.lonlat)
+        self._xy = self.plane(graph.lonlat)
+        self._near = _around(self._xy, self.plane(lonlat))
+        self._is_road = road_ways(graph, nodes.policy)
+        self._counted = _Points(self.node_xy, np.arange(len(nodes)))
+
+    def plane(self, lonlat: FloatArray) -> FloatArray:
+        """Return metres east and north of the middle of the drive of (N, 2) degrees."""
+        return enu_from_lonlat(self._origin[1], self._origin[0], lonlat)
+
+    def nearest_node(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return the distance of (Q, 2) places to the nearest node that counts, and its row; infinite and -1: none."""
+        return self._counted.nearest(xy)
+
+    def way(self, row: int) -> str:
+        """Return what a way is: `highway=service "Gottlob-Schreber-Weg"`."""
+        name = self.graph.ways.name[row]
+        return f"highway={self.graph.ways.highway[row]}" + (f' "{name}"' if name else "")
+
+    @cached_property
+    def left_out(self) -> _Points:
+        """Junctions of vehicle-wide ways that are none without those that the policy leaves out; row: such a way."""
+        return self._junctions(self._is_road, self._is_vehicle)
+
+    @cached_property
+    def paths(self) -> _Points:
+        """Nodes where a path meets a road; row: the path."""
+        return self._junctions(self._is_vehicle, self._is_vehicle | ~self.graph.ways.is_area, minimum=1)
+
+    @cached_property
+    def mouths(self) -> _Points:
+        """Nodes where a slip road meets another road; row: the slip road."""
+        link = self._is_road & self._is_link
+        at_link, way = self._touched(link)
+        at_other, _ = self._touched(self._is_road & ~link)
+        rows = np.flatnonzero(at_link & at_other & self._near)
+        return _Points(self._xy[rows], way[rows])
+
+    @cached_property
+    def _is_vehicle(self) -> BoolArray:
+        wide = np.array([highway in _VEHICLE for highway in self.graph.ways.highway], dtype=np.bool_)
+        vehicle: BoolArray = self._is_road | (wide & ~self.graph.ways.is_area)
+        return vehicle
+
+    @cached_property
+    def _is_link(self) -> BoolArray:
+        return np.array([highway.endswith("_link") for highway in self.graph.ways.highway], dtype=np.bool_)
+
+    def _junctions(self, fewer: BoolArray, more: BoolArray, *, minimum: int = 0) -> _Points:
+        """Return the nodes that are junctions of the (W,) ways `more`, not of `fewer`, which `minimum` edges touch."""
+        degree = self.graph.degree(self.graph.edges_of(fewer))
+        all_degree = self.graph.degree(self.graph.edges_of(more))
+        touched, way = self._touched(more & ~fewer)
+        is_new = (all_degree >= MIN_DEGREE) & (degree < MIN_DEGREE) & (degree >= minimum)
+        rows = np.flatnonzero(is_new & touched & self._near)
+        return _Points(self._xy[rows], way[rows])
+
+    def _touched(self, ways: BoolArray) -> tuple[BoolArray, IntArray]:
+        """Return the nodes that edges of (W,) ways touch, (N,), and a way that does for each, -1 for none."""
+        way = np.full(len(self.graph.node_id), -1, dtype=np.int64)
+        edges = np.flatnonzero(ways[self.graph.edge_way])
+        way[self.graph.edges[edges].ravel()] = np.repeat(self.graph.edge_way[edges], 2)
+        return way >= 0, way
+
+    def distance_to_link(self, xy: FloatArray) -> FloatArray:
+        """Return the distance of (Q, 2) places from the nearest slip road, metres; infinite without any."""
+        return self._links.nearest(xy)[0]
+
+    @cached_property
+    def _links(self) -> _Network:
+        return _Network(self._xy, self.graph.edges_of(self._is_road & self._is_link), self._near)
+
+    @cached_property
+    def _roads(self) -> _Network:
+        return _Network(self._xy, self.graph.edges_of(self._is_road), self._near)
+
+    @cached_property
+    def _driven(self) -> _Network:
+        return _Network(self._xy, self.graph.edges_of(self._is_vehicle), self._near)
+
+    def bend_deg(self, xy: FloatArray) -> float:
+        """Return by how much the road at a place (2,) turns over 20 m before and after it; 0 where there is no road."""
+        roads = self._driven
+        (distance,), (line,) = roads.nearest(xy[None])
+        if not distance <= ROAD_M:
+            return 0.0
+        a, b = roads.edges[line].tolist()
+        foot = _foot(self._xy[a], self._xy[b], xy)
+        back, walked_back = roads.walk(foot, b, a, ARM_M)
+        ahead, walked_ahead = roads.walk(foot, a, b, ARM_M)
+        if min(walked_back, walked_ahead) < ARM_M / 4.0:
+            return 0.0
+        coming, going = foot - back, ahead - foot
+        return _angle_deg(_unit(coming), _unit(going))
+
+    def fork_deg(self, node: int, xy: FloatArray) -> float:
+        """Return the angle of the roads between which a place lies, seen from a node; 180 where it lies in no fork.
+
+        Parameters
+        ----------
+        node
+            Row of the nodes that count.
+        xy : (2,) float64
+            The place. It lies in a fork where the line from the node to it deviates from the bisector of two roads by
+            no more than their angle.
+        """
+        row = self._row_of(node)
+        roads = self._roads
+        ends = [roads.walk(self._xy[row], row, each, ARM_M)[0] for each in roads.neighbours.get(row, [])]
+        directions = [_unit(end - self._xy[row]) for end in ends]
+        place = _unit(xy - self._xy[row])
+        smallest = 180.0
+        for a, b in combinations(directions, 2):
+            angle = _angle_deg(a, b)
+            if _angle_deg(_unit(a + b), place) <= angle:
+                smallest = min(smallest, angle)
+        return smallest
+
+    def _row_of(self, node: int) -> int:
+        """Return the row in the graph of a node that counts; of a merged one, of its smallest node."""
+        return int(np.searchsorted(self.graph.node_id, self.nodes.osm_id[node]))
+
+    def road_end_m(self, xy: FloatArray) -> float:
+        """Return the distance of a place (2,) from the nearest end of a road; infinite without any."""
+        return float(self._ends.nearest(xy[None])[0][0])
+
+    @cached_property
+    def _ends(self) -> _Points:
+        ends = [node for node, others in self._driven.neighbours.items() if len(others) == 1]
+        rows = np.array(ends, dtype=np.int64)
+        return _Points(self._xy[rows], rows)
+
+    def branch_lengths_m(self, node: int) -> list[float] | None:
+        """Return how long the roads are that leave a node (row of the nodes that count), up to the next junction.
+
+        None: the node is a merged one. No road is followed further than `BRANCH_M`.
+        """
+        if self.nodes.tolerance_m is not None:
+            return None
+        row = self._row_of(node)
+        roads = self._roads
+        return [roads.walk(self._xy[row], row, each, BRANCH_M)[1] for each in roads.neighbours.get(row, [])]
+
+
+class _Network:
+    """Some edges of a graph, as lines in the plane to be near to and to walk along.
+
+    Parameters
+    ----------
+    xy : (N, 2) float64
+        All nodes of the graph.
+    edges : (E, 2) int64
+    near : (N,) bool
+        Nodes around the drive; edges without any of them are left out.
+    """
+
+    def __init__(self, xy: FloatArray, edges: IntArray, near: BoolArray) -> None:
+        edges = distinct_edges(edges)
+        self.edges: IntArray = edges[near[edges].any(axis=1)]
+        self._xy = xy
+
+    @cached_property
+    def neighbours(self) -> dict[int, list[int]]:
+        """Row of a node -> rows of those that an edge joins to it."""
+        found: dict[int, list[int]] = {}
+        for a, b in self.edges.tolist():
+            found.setdefault(a, []).append(b)
+            found.setdefault(b, []).append(a)
+        return found
+
+    @cached_property
+    def _tree(self) -> Any:  # noqa: ANN401 - shapely has no types
+        import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+        lines: Any = shapely.linestrings(self._xy[self.edges])
+        return shapely.STRtree(lines)
+
+    def nearest(self, xy: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return the distance of (Q, 2) places to the nearest edge, and its row; infinite and -1 without any."""
+        import shapely  # noqa: PLC0415
+
+        distance, line = np.full(len(xy), np.inf), np.full(len(xy), -1, dtype=np.int64)
+        if len(self.edges) and len(xy):
+            points = shapely.points(xy)
+            (place, row), found = self._tree.query_nearest(points, return_distance=True, all_matches=False)
+            distance[place], line[place] = found, row
+        return distance, line
+
+    def walk(self, start: FloatArray, before: int, node: int, length_m: float) -> tuple[FloatArray, float]:
+        """Follow a road from a place on the edge `before` - `node` to its next junction or end, or for a length.
+
+        Returns
+        -------
+        place : (2,) float64
+            Where the walk ended.
+        walked_m : float
+        """
+        place, walked = start, 0.0
+        while True:
+            step = self._xy[node] - place
+            reach = float(np.hypot(*step))
+            if walked + reach >= length_m:
+                return place + step * ((length_m - walked) / max(reach, 1e-9)), length_m
+            place, walked = self._xy[node], walked + reach
+            others = [each for each in self.neighbours[node] if each != before]
+            if len(others) != 1:
+                return place, walked
+            before, node = node, others[0]
+
+
+def explain_false(
+    evidence: MapEvidence, xy: FloatArray, groups: Sequence[int], taken: Claims, limit_m: float
+) -> list[Reason]:
+    """Say of each wrong detection or intersection what the map holds at its place.
+
+    Parameters
+    ----------
+    evidence
+    xy : (N, 2) float64
+        Their places, `MapEvidence.plane`.
+    groups : N int
+        What shares a node only once: the keyframe of each detection; of intersections, the same number for all.
+    taken
+        Pairs (group, row of a node) of nodes that something right stands for.
+    limit_m
+        Distance from a node under which it would have been right, metres.
+    """
+    if len(xy) == 0:
+        return []
+    is_taken = set(taken)
+    node_m, node = evidence.nearest_node(xy)
+    left_out_m, left_out = evidence.left_out.nearest(xy)
+    mouth_m, link = evidence.mouths.nearest(xy)
+    link_m = evidence.distance_to_link(xy)
+    path_m, path = evidence.paths.nearest(xy)
+    policy = evidence.nodes.policy
+    reasons = []
+    for row, group in enumerate(groups):
+        if left_out_m[row] <= SAME_PLACE_M and left_out_m[row] < node_m[row]:
+            way = evidence.way(int(left_out[row]))
+            reason = Reason(
+                "left_out", f"junction with {way}, {left_out_m[row]:.1f} m away, which policy {policy} leaves out"
+            )
+        elif link_m[row] <= ON_LINK_M and mouth_m[row] <= MOUTH_M:
+            way = evidence.way(int(link[row]))
+            reason = Reason("slip_road", f"mouth of a slip road ({way}), its node {mouth_m[row]:.1f} m away")
+        elif node_m[row] <= NEAR_M:
+            is_second = (group, int(node[row])) in is_taken
+            reason = _near_node(evidence, int(node[row]), xy[row], float(node_m[row]), limit_m, is_second=is_second)
+        elif (turn := evidence.bend_deg(xy[row])) >= BEND_DEG:
+            reason = Reason(
+                "bend", f"bend of a road, which turns by {turn:.0f} degrees; no junction within {NEAR_M:g} m"
+            )
+        elif (end_m := evidence.road_end_m(xy[row])) <= SAME_PLACE_M:
+            reason = Reason("road_end", f"end of a road, {end_m:.1f} m away")
+        elif path_m[row] <= PATH_M:
+            reason = Reason("path", f"{evidence.way(int(path[row]))} meets a road, {path_m[row]:.1f} m away")
+        else:
+            reason = Reason("nothing", f"nothing in OpenStreetMap within {NEAR_M:g} m explains it: worth a look")
+        reasons.append(reason)
+    return reasons
+
+
+def _near_node(
+    evidence: MapEvidence, node: int, xy: FloatArray, distance_m: float, limit_m: float, *, is_second: bool
+) -> Reason:
+    """Say what a wrong place (2,) has to do with the node that counts near it."""
+    osm_id = int(evidence.nodes.osm_id[node])
+    angle = evidence.fork_deg(node, xy)
+    if angle <= FORK_DEG:
+        return Reason("fork", f"roads part by only {angle:.0f} degrees at node {osm_id}, {distance_m:.1f} m away")
+    if is_second:
+        return Reason(
+            "second", f"second one at a compound or wide junction: node {osm_id}, {distance_m:.1f} m away, has one"
+        )
+    return Reason("off", f"off by {distance_m:.1f} m from node {osm_id}; {limit_m:g} m are allowed")
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What a drive found, in the plane of a `MapEvidence`.
+
+    Attributes
+    ----------
+    keyframe_xy : (K, 2) float64
+    detection_xy : (D, 2) float64
+    detection_keyframe : (D,) int64
+    detection_intersection : (D,) int64
+        Row of the intersection that each belongs to, -1 for none.
+    intersection_xy : (M, 2) float64
+    intersection_id : (M,) int64
+    intersection_node : (M,) int64
+        Row of the node that each is assigned to, -1 for none.
+    gate_m : float
+        Largest distance of an intersection from its node.
+    """
+
+    keyframe_xy: FloatArray
+    detection_xy: FloatArray
+    detection_keyframe: IntArray
+    detection_intersection: IntArray
+    intersection_xy: FloatArray
+    intersection_id: IntArray
+    intersection_node: IntArray
+    gate_m: float
+
+
+def explain_missed(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
+    """Say of a node that no intersection was assigned to what the drive found there instead.
+
+    Parameters
+    ----------
+    evidence, seen
+    node
+        Row of the nodes that count.
+    """
+    xy = evidence.node_xy[node]
+    fused_m = np.hypot(*(seen.intersection_xy - xy).T)
+    is_free = seen.intersection_node < 0
+    of_others = np.where(is_free, np.inf, fused_m)
+    detected = np.hypot(*(seen.detection_xy - xy).T) <= seen.gate_m
+    neighbour_m = np.hypot(*(evidence.node_xy[seen.intersection_node] - xy).T)
+    holds_both = np.isin(np.arange(len(fused_m)), seen.detection_intersection[detected]) | (fused_m <= seen.gate_m)
+    of_others[(neighbour_m > COMPOUND_M) | ~holds_both] = np.inf
+    unassigned_m = np.where(is_free, fused_m, np.inf)
+    merged_m, misplaced_m = of_others.min(initial=np.inf), unassigned_m.min(initial=np.inf)
+    if merged_m <= COMPOUND_M and merged_m <= misplaced_m:
+        row = int(np.argmin(of_others))
+        other = int(evidence.nodes.osm_id[seen.intersection_node[row]])
+        return Reason(
+            "merged", f"merged with node {other}, {neighbour_m[row]:.1f} m away: one intersection stands for both"
+        )
+    if misplaced_m <= NEAR_M:
+        row = int(np.argmin(unassigned_m))
+        return Reason(
+            "misplaced",
+            f"intersection {seen.intersection_id[row]} lies {misplaced_m:.1f} m off; {seen.gate_m:g} m are allowed",
+        )
+    passed_m = float(np.hypot(*(seen.keyframe_xy - xy).T).min())
+    if detected.any():
+        keyframes = len(np.unique(seen.detection_keyframe[detected]))
+        return Reason(
+            "too_few", f"detected at keyframes: {keyframes}; too rarely or weakly for an intersection of the map"
+        )
+    if passed_m > PASSED_M:
+        return Reason("not_driven", f"not driven near enough: {passed_m:.1f} m at the nearest")
+    lengths = evidence.branch_lengths_m(node)
+    if lengths is not None and sum(each >= BRANCH_M for each in lengths) < MIN_DEGREE:
+        listed = ", ".join(f"{each:.0f}" for each in sorted(lengths))
+        return Reason("short", f"branches too short: the next junctions or ends are {listed} m away")
+    return Reason(
+        "not_seen", f"passed at {passed_m:.1f} m, nothing detected; the result does not hold what road was seen"
+    )
+
+
+def _around(xy: FloatArray, track_xy: FloatArray, margin_m: float = 300.0) -> BoolArray:
+    """Return which (N, 2) places lie in the box around a track and some metres more: its region of interest too."""
+    if len(track_xy) == 0:
+        return np.zeros(len(xy), dtype=np.bool_)
+    low, high = track_xy.min(axis=0) - margin_m, track_xy.max(axis=0) + margin_m
+    inside: BoolArray = ((xy >= low) & (xy <= high)).all(axis=1)
+    return inside
+
+
+def _unit(xy: FloatArray) -> FloatArray:
+    """Return a vector (2,) at a length of 1."""
+    unit: FloatArray = xy / max(float(np.hypot(*xy)), 1e-9)
+    return unit
+
+
+def _angle_deg(a: FloatArray, b: FloatArray) -> float:
+    """Return the angle between two vectors of length 1, (2,) each, 0 to 180 degrees."""
+    return float(np.degrees(np.arccos(np.clip(float(a @ b), -1.0, 1.0))))
+
+
+def _foot(a: FloatArray, b: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return the place on the line from a to b that is nearest to a third, (2,) each."""
+    along = b - a
+    share = float((xy - a) @ along) / max(float(along @ along), 1e-12)
+    place: FloatArray = a + along * min(max(share, 0.0), 1.0)
+    return place

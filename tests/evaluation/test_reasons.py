@@ -1,0 +1,244 @@
+"""One small map per rule: roads drawn by hand, a place, and what must be said about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+
+from interloc.evaluation.reasons import (
+    KINDS,
+    FalseKind,
+    MapEvidence,
+    MissKind,
+    Reason,
+    Sightings,
+    count_kinds,
+    explain_false,
+    explain_missed,
+)
+from interloc.geometry import lonlat_from_enu
+from interloc.osm.graph import RoadGraph, Ways
+from interloc.osm.intersections import intersection_nodes
+from interloc.osm.policies import Policy
+
+Line = tuple[str, list[tuple[float, float]]]
+
+CROSSING: list[Line] = [
+    ("residential", [(-90, 0), (0, 0), (90, 0)]),
+    ("residential", [(0, -90), (0, 0), (0, 90)]),
+]
+STREET: Line = ("residential", [(-90, 0), (0, 0), (90, 0)])
+
+
+def lonlat(xy: Any) -> np.ndarray:
+    return lonlat_from_enu(49.0, 8.4, np.asarray(xy, dtype=np.float64).reshape(-1, 2))
+
+
+def draw_map(lines: Sequence[Line]) -> RoadGraph:
+    """Ways that meet where they share a place; node ids are 100, 101, ... in the order of the places."""
+    places = {place: row for row, place in enumerate(dict.fromkeys(p for _, line in lines for p in line))}
+    edges = [(way, places[a], places[b]) for way, (_, line) in enumerate(lines) for a, b in pairwise(line)]
+    return RoadGraph(
+        node_id=100 + np.arange(len(places)),
+        lonlat=lonlat(list(places)),
+        edges=np.array([(a, b) for _, a, b in edges]),
+        edge_way=np.array([way for way, _, _ in edges]),
+        ways=Ways(
+            id=np.arange(len(lines)),
+            highway=tuple(highway for highway, _ in lines),
+            name=tuple(f"Way {row}" for row in range(len(lines))),
+            is_area=np.zeros(len(lines), dtype=np.bool_),
+        ),
+        source="drawn",
+    )
+
+
+def evidence_of(lines: Sequence[Line], policy: Policy = "drive") -> MapEvidence:
+    graph = draw_map(lines)
+    return MapEvidence(graph, intersection_nodes(graph, policy), lonlat([(0, 0)]))
+
+
+def why_false(lines: Sequence[Line], place: tuple[float, float], **options: Any) -> Reason:
+    evidence = evidence_of(lines, options.pop("policy", "drive"))
+    taken = [(7, node) for node in range(len(evidence.nodes))] if options.pop("taken", False) else []
+    (reason,) = explain_false(evidence, evidence.plane(lonlat(place)), [7], taken, 10.0)
+    return reason
+
+
+def test_a_service_road_that_the_policy_leaves_out_explains_a_junction() -> None:
+    lines = [STREET, ("service", [(0, 0), (0, 60)])]
+    reason = why_false(lines, (0.6, 0.5))
+    assert reason.kind == "left_out"
+    assert reason.sentence == 'junction with highway=service "Way 1", 0.8 m away, which policy drive leaves out'
+    assert why_false(lines, (0, -10.5)).kind == "nothing"
+
+
+def test_a_counted_node_that_is_nearer_comes_before_a_service_road() -> None:
+    lines: list[Line] = [
+        ("residential", [(-90, 0), (0, 0), (14, 0), (90, 0)]),
+        ("residential", [(0, -90), (0, 0), (0, 90)]),
+        ("service", [(14, 0), (14, 60)]),
+    ]
+    assert why_false(lines, (5, 0)).kind == "off"
+    assert why_false(lines, (9, 0)).kind == "left_out"
+
+
+def test_a_place_off_a_node_names_it_and_how_far() -> None:
+    reason = why_false(CROSSING, (12, 5))
+    assert reason == Reason("off", "off by 13.0 m from node 101; 10 m are allowed")
+
+
+def test_between_two_roads_that_part_at_an_acute_angle_is_a_fork() -> None:
+    fork: list[Line] = [STREET, ("residential", [(0, 0), (86, 50)])]  # 30 degrees
+    assert why_false(fork, (14, 4)).sentence == "roads part by only 30 degrees at node 101, 14.6 m away"
+    assert why_false(fork, (-14, 0)).kind == "off"
+    assert why_false([STREET, ("residential", [(0, 0), (60, 90)])], (12, 5)).kind == "off"  # 56 degrees
+
+
+def test_beside_a_node_that_another_stands_for_it_is_the_second() -> None:
+    reason = why_false(CROSSING, (12, 5), taken=True)
+    assert reason.kind == "second"
+    assert "node 101, 13.0 m away" in reason.sentence
+
+
+def test_a_node_counts_as_taken_only_in_the_same_group() -> None:
+    evidence = evidence_of(CROSSING)
+    (reason,) = explain_false(evidence, evidence.plane(lonlat((12, 5))), [8], [(7, 0)], 5.0)
+    assert reason.kind == "off"
+
+
+def test_a_slip_road_has_a_mouth() -> None:
+    lines: list[Line] = [
+        ("residential", [(-90, 0), (0, 0), (30, 0), (90, 0)]),
+        ("residential", [(0, -90), (0, -30), (0, 0), (0, 90)]),
+        ("primary_link", [(0, -30), (30, 0)]),
+    ]
+    reason = why_false(lines, (18, -10))
+    assert reason.kind == "slip_road"
+    assert 'highway=primary_link "Way 2"' in reason.sentence
+    assert why_false(lines, (-12, 0)).kind == "off"
+
+
+def test_a_corner_without_a_junction_is_a_bend() -> None:
+    corner: list[Line] = [("residential", [(-90, 0), (0, 0), (0, 90)])]
+    reason = why_false(corner, (-2, 2))
+    assert reason.kind == "bend"
+    assert why_false(corner, (-60, 2)).kind == "nothing"
+    assert why_false([("residential", [(-90, 0), (0, 0), (90, 30)])], (0, 2)).kind == "nothing"  # by 18 degrees
+
+
+def test_a_rounded_corner_is_a_bend_too() -> None:
+    arc = [(20 * np.sin(a) - 20, 20 * np.cos(a)) for a in np.linspace(0, np.pi / 2, 9)]
+    rounded = [(round(float(x), 3), round(float(y), 3)) for x, y in arc]
+    assert why_false([("residential", [(-90, 20), *rounded, (0, -90)])], rounded[4]).kind == "bend"
+
+
+def test_the_end_of_a_road() -> None:
+    assert why_false([STREET], (88, 3)).kind == "road_end"
+
+
+def test_a_footway_explains_only_what_is_very_near() -> None:
+    lines = [STREET, ("footway", [(0, 0), (0, 60)])]
+    assert why_false(lines, (1, 1)).sentence == 'highway=footway "Way 1" meets a road, 1.4 m away'
+    assert why_false(lines, (7, 1)).kind == "nothing"
+
+
+def test_policy_all_leaves_nothing_out() -> None:
+    lines = [STREET, ("footway", [(0, 0), (0, 60)])]
+    assert why_false(lines, (12, 0), policy="all").kind == "off"
+
+
+def test_a_map_without_junctions_explains_nothing() -> None:
+    assert why_false([STREET], (0, 5)) == Reason(
+        "nothing", "nothing in OpenStreetMap within 20 m explains it: worth a look"
+    )
+
+
+def why_missed(lines: Sequence[Line], node: int, **found: Any) -> Reason:
+    """What is said of the node with this id; `found` are places, and nodes of intersections by their row."""
+    evidence = evidence_of(lines)
+
+    def plane(name: str) -> np.ndarray:
+        return evidence.plane(lonlat(found.get(name, [])))
+
+    detections, intersections = plane("detections"), plane("intersections")
+    seen = Sightings(
+        keyframe_xy=evidence.plane(lonlat(found.get("keyframes", [(-5, 0), (5, 0)]))),
+        detection_xy=detections,
+        detection_keyframe=np.arange(len(detections)),
+        detection_intersection=np.array(found.get("members", [-1] * len(detections)), dtype=np.int64),
+        intersection_xy=intersections,
+        intersection_id=1 + np.arange(len(intersections)),
+        intersection_node=np.array(found.get("nodes", [-1] * len(intersections)), dtype=np.int64),
+        gate_m=10.0,
+    )
+    (row,) = np.flatnonzero(evidence.nodes.osm_id == node)
+    return explain_missed(evidence, seen, int(row))
+
+
+STAGGERED: list[Line] = [
+    ("residential", [(-90, 0), (0, 0), (16, 0), (90, 0)]),
+    ("residential", [(0, 0), (0, 90)]),
+    ("residential", [(16, 0), (16, -90)]),
+]
+
+
+def test_a_node_is_merged_with_its_neighbour_where_one_intersection_lies_near_both() -> None:
+    reason = why_missed(STAGGERED, 101, intersections=[(8.5, 0)], nodes=[1])
+    assert reason.kind == "merged"
+    assert "node 102, 16.0 m away" in reason.sentence
+
+
+def test_a_node_is_merged_where_its_detections_went_to_the_neighbour() -> None:
+    found: dict[str, Any] = {"intersections": [(15, 0)], "nodes": [1], "detections": [(3, 0)]}
+    assert why_missed(STAGGERED, 101, members=[0], **found).kind == "merged"
+    assert why_missed(STAGGERED, 101, members=[-1], **found).kind == "too_few"
+
+
+def test_an_intersection_beyond_the_gate_is_misplaced() -> None:
+    reason = why_missed(CROSSING, 101, intersections=[(12, 5)])
+    assert reason == Reason("misplaced", "intersection 1 lies 13.0 m off; 10 m are allowed")
+
+
+def test_detections_without_an_intersection_are_too_few() -> None:
+    assert why_missed(CROSSING, 101, detections=[(1, 0), (0, 2)]).sentence.startswith("detected at keyframes: 2;")
+
+
+def test_a_node_beside_the_road_driven_was_not_passed() -> None:
+    reason = why_missed(CROSSING, 101, keyframes=[(-40, 17), (40, 17)])
+    assert reason.kind == "not_driven"
+    assert why_missed(CROSSING, 101, keyframes=[(0, 14)]).kind == "not_seen"
+
+
+def test_two_short_branches_of_three_are_too_short() -> None:
+    lines = [STREET, ("residential", [(0, 0), (0, 12)]), ("residential", [(-90, 0), (-90, 40)])]
+    reason = why_missed(lines, 101)
+    assert reason.kind == "short"
+    assert "12, 15, 15 m" in reason.sentence
+
+
+def test_what_was_passed_and_not_detected_is_not_explained() -> None:
+    reason = why_missed(CROSSING, 101)
+    assert reason.kind == "not_seen"
+    assert "does not hold what road was seen" in reason.sentence
+
+
+def test_every_kind_has_its_meaning_and_is_counted() -> None:
+    assert set(KINDS) == {*get_args(FalseKind), *get_args(MissKind)}
+    counts = count_kinds([Reason("off", ""), None, Reason("off", ""), Reason("bend", "")], FalseKind)
+    assert set(counts) == set(get_args(FalseKind))
+    assert (counts["off"], counts["bend"], counts["nothing"]) == (2, 1, 0)
+
+
+def test_nothing_wrong_needs_no_map() -> None:
+    assert explain_false(evidence_of([STREET]), np.empty((0, 2)), [], [], 5.0) == []
+
+
+@pytest.mark.parametrize("policy", ["drive", "drive+service"])
+def test_the_rules_follow_the_policy(policy: Policy) -> None:
+    lines = [STREET, ("service", [(0, 0), (0, 60)])]
+    assert why_false(lines, (8, 0), policy=policy).kind == ("left_out" if policy == "drive" else "off")

@@ -1,0 +1,176 @@
+"""What an evaluation writes about every detection, intersection and node, and that it can be written again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from interloc import files
+from interloc.errors import OutputError
+from interloc.evaluation.evaluate import evaluate
+from interloc.evaluation.report import map_line, write_report
+from interloc.osm.graph import RoadGraph
+from interloc.output.read import read_results
+from interloc.output.vector_files import write_vector_file
+from interloc.output.write import write_results
+from interloc.results import DriveResult
+
+Run = Callable[..., DriveResult]
+Graph = Callable[..., RoadGraph]
+
+NEW = ["outcome", "osm_id", "error_m", "reason"]
+
+
+def features(folder: Path, layer: str) -> list[dict[str, Any]]:
+    return json.loads((folder / f"{layer}.geojson").read_text(encoding="utf-8"))["features"]
+
+
+def told(folder: Path, layer: str, *names: str) -> list[tuple[Any, ...]]:
+    return [tuple(feature["properties"][name] for name in names) for feature in features(folder, layer)]
+
+
+@pytest.fixture(scope="module")
+def made(run: Run) -> DriveResult:
+    """Nodes at 0,0 (found) and 0,-15 (missed); intersections on the first, in the open, and far from the track."""
+    result = run([(0, 0), (5, 0)], [(0, 1, 0), (1, 0, 2), (1, 12, 14), (1, 40, 40)], [(0.5, 1), (12, 14), (-45, 0)])
+    fused = np.array([0, 0, 1, -1])
+    return replace(result, detections=replace(result.detections, intersection=fused))
+
+
+@pytest.fixture(scope="module")
+def folder(made: DriveResult, graph: Graph, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result that was scored. Shared: do not change it."""
+    out = tmp_path_factory.mktemp("scored") / "out"
+    write_results(made, out)
+    write_report(evaluate(made, graph([(0, 0), (0, -15), (80, 0)], arm_m=15)), made, out)
+    return out
+
+
+def test_an_intersection_is_right_wrong_or_unscored(folder: Path) -> None:
+    right, wrong, unscored = told(folder, "intersections", "outcome", "osm_id", "error_m", "reason", "uid")
+    assert right[:2] == ("right", 100)
+    assert right[2] == pytest.approx(1.118, abs=1e-3)
+    assert right[3:] == (None, "n100")
+    assert wrong[:3] == ("wrong", None, None)
+    assert wrong[3].startswith("second one at a compound or wide junction: node 100, 18.4 m away")
+    assert unscored[0] == "unscored"
+    assert "relevant zone of no keyframe" in unscored[3]
+
+
+def test_a_detection_is_right_or_wrong_and_names_its_node(folder: Path) -> None:
+    rows = told(folder, "detections", "id", "outcome", "osm_id", "intersection")
+    assert rows == [
+        ("0-1", "right", 100, 1),
+        ("10-1", "right", 100, 1),
+        ("10-2", "wrong", 100, 2),
+        ("10-3", *rows[3][1:]),
+    ]
+    assert rows[3][1] == "wrong"
+    errors = [error for (error,) in told(folder, "detections", "error_m")]
+    assert errors[:3] == pytest.approx([1.0, 2.0, 18.44], abs=0.01)
+    assert [reason is None for (reason,) in told(folder, "detections", "reason")] == [True, True, False, False]
+
+
+def test_a_node_is_found_missed_or_outside(folder: Path) -> None:
+    rows = told(folder, "osm_nodes", "osm_id", "outcome", "intersection")
+    assert rows == [(100, "found", 1), (105, "missed", None), (110, "outside", None)]
+    reasons = [reason for (reason,) in told(folder, "osm_nodes", "reason")]
+    assert reasons[0] is reasons[2] is None
+    assert reasons[1]
+
+
+def test_a_match_joins_detection_node_and_intersection(folder: Path) -> None:
+    assert told(folder, "matches", "detection", "intersection")[:3] == [("0-1", 1), ("10-1", 1), ("10-2", 2)]
+
+
+def test_every_feature_has_an_id_of_its_own(folder: Path) -> None:
+    for layer in ("intersections", "detections", "keyframes", "trajectory", "osm_nodes", "matches"):
+        ids = [feature["id"] for feature in features(folder, layer)]
+        assert len(set(ids)) == len(ids) > 0
+    assert [feature["id"] for feature in features(folder, "detections")] == ["0-1", "10-1", "10-2", "10-3"]
+
+
+def test_the_counts_of_reasons_are_those_of_the_layers(folder: Path) -> None:
+    report = json.loads((folder / "report.json").read_text())
+    for layer, outcome, name in (
+        ("detections", "wrong", "detections"),
+        ("intersections", "wrong", "intersections"),
+        ("osm_nodes", "missed", "nodes"),
+    ):
+        assert sum(report["reasons"][name].values()) == told(folder, layer, "outcome").count((outcome,)) > 0
+    level = report["map_level"]
+    assert told(folder, "intersections", "outcome").count(("right",)) == level["true"] == 1
+    assert told(folder, "intersections", "outcome").count(("wrong",)) == level["false"] == 1
+    assert told(folder, "osm_nodes", "outcome").count(("missed",)) == level["missed"]
+
+
+def test_the_report_leads_with_the_map(folder: Path) -> None:
+    line = "1 of 2 intersections right within 10 m, 1 of 2 nodes found, median 1.1 m"
+    assert json.loads((folder / "report.json").read_text())["map_line"] == line
+    page = (folder / "report.html").read_text()
+    assert page.index(line) < page.index("center error")
+    assert "What is wrong, and why" in page
+
+
+def test_the_line_of_a_map_with_nothing_in_it() -> None:
+    level = {"true": 0, "intersections_in_zone": 1, "gate_m": 10.0, "nodes_in_zone": 1, "missed": 1, "median_m": None}
+    assert map_line(level) == "0 of 1 intersection right within 10 m, 0 of 1 node found"
+
+
+def test_scoring_again_replaces_the_verdicts(folder: Path, graph: Graph, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write_results(read_results(folder), out)
+    write_report(evaluate(read_results(out), graph([(12, 14)])), read_results(out), out)
+    assert told(out, "intersections", "outcome", "osm_id")[:2] == [("wrong", None), ("right", 100)]
+    write_report(evaluate(read_results(out), graph([(0, 0), (0, -15), (80, 0)], arm_m=15)), read_results(out), out)
+    for layer in ("intersections", "detections", "osm_nodes", "matches"):
+        assert (out / f"{layer}.geojson").read_bytes() == (folder / f"{layer}.geojson").read_bytes()
+
+
+def test_detections_beyond_the_map_are_unscored(made: DriveResult, graph: Graph, at: Any, tmp_path: Path) -> None:
+    west, south = at((-60, -60))[0]
+    east, north = at((30, 30))[0]
+    write_report(evaluate(made, graph([(0, 0)], bounds=(west, south, east, north))), made, tmp_path)
+    assert told(tmp_path, "detections", "outcome", "reason")[3] == ("unscored", "beyond the bounds of the map")
+
+
+def test_a_full_disk_keeps_the_verdicts_that_were_there(
+    made: DriveResult, graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_results(made, tmp_path)
+    before = (tmp_path / "intersections.geojson").read_bytes()
+    evaluation = evaluate(made, graph([(0, 0)]))
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files.os, "fsync", full)
+    with pytest.raises(OutputError):
+        write_report(evaluation, made, tmp_path)
+    assert (tmp_path / "intersections.geojson").read_bytes() == before
+
+
+def test_a_folder_of_an_older_version_opens_and_exports(folder: Path, tmp_path: Path) -> None:
+    old = tmp_path / "old"
+    old.mkdir()
+    new = {
+        "intersections": [*NEW, "uid", "drive", "first_time", "last_time"],
+        "detections": [*NEW, "id", "time"],
+        "osm_nodes": ["outcome", "intersection", "reason"],
+        "matches": ["intersection"],
+    }
+    for path in folder.glob("*.*json"):
+        content = json.loads(path.read_text())
+        for feature in content.get("features", []):
+            del feature["id"]
+            for name in new.get(path.stem, []):
+                del feature["properties"][name]
+        (old / path.name).write_text(json.dumps(content))
+    assert len(read_results(old).intersections) == 3
+    assert "matches" in write_vector_file(old, tmp_path / "old.gpkg")
