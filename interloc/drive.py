@@ -172,7 +172,10 @@ def read_ahead(scans: Iterable[DriveScan], threads: int) -> Iterator[DriveScan]:
 
 
 def _points_of(scan: DriveScan) -> GroundPoints:
-    return scan._points  # noqa: SLF001 - of this module
+    # Before Python 3.12 a cached property lets one thread in at a time, whichever object it is of.
+    points = scan.drive.ground_points(scan.index)
+    vars(scan)["_points"] = points
+    return points
 
 
 def _ready(scan: DriveScan, reading: Future[GroundPoints]) -> DriveScan:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from itertools import islice
 from pathlib import Path
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -262,6 +264,13 @@ def test_scans_are_read_ahead_but_not_far() -> None:
         assert len(drive.begun) <= index + 4
         np.testing.assert_array_equal(scan.road_points, [[scan.index] * 3])
     assert sorted(drive.begun) == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10]  # each once
+
+
+def test_several_scans_are_read_at_the_same_time() -> None:
+    together = Barrier(3)
+    drive = CountingDrive(5)
+    drive.ground_points = lambda index: GroundPoints(np.full((1, 3), together.wait(60), np.float32), 1)
+    assert len([scan.road_points for scan in islice(read_ahead(scans_of(drive, range(3)), threads=3), 3)]) == 3
 
 
 def test_a_damaged_scan_that_was_read_ahead_is_told_in_its_place() -> None:
