@@ -269,7 +269,7 @@ def test_scans_are_read_ahead_but_not_far() -> None:
 def test_several_scans_are_read_at_the_same_time() -> None:
     together = Barrier(3)
     drive = CountingDrive(5)
-    drive.ground_points = lambda index: GroundPoints(np.full((1, 3), together.wait(60), np.float32), 1)
+    drive.ground_points = lambda _: GroundPoints(np.full((1, 3), together.wait(60), np.float32), 1)
     assert len([scan.road_points for scan in islice(read_ahead(scans_of(drive, range(3)), threads=3), 3)]) == 3
 
 
