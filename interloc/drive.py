@@ -86,8 +86,11 @@ class Drive(Protocol):
         Pose of the LiDAR at each scan; W is the LiDAR at the first scan.
     times_s : (N,) float64 or None
     georeference : Georeference or None
-    is_slow : bool
-        A scan takes long to read (a network labels it), so several should be read at once.
+
+    Notes
+    -----
+    A drive whose scans take long to read (a network labels them) may say so by an attribute `is_slow`, True: several
+    are then read at once (`is_slow`).
     """
 
     @property
@@ -100,8 +103,6 @@ class Drive(Protocol):
     def times_s(self) -> FloatArray | None: ...
     @property
     def georeference(self) -> Georeference | None: ...
-    @property
-    def is_slow(self) -> bool: ...
 
     def ground_points(self, index: int) -> GroundPoints:
         """Read the scan at a position 0..N-1 of the drive.
@@ -150,6 +151,11 @@ class DriveScan:
     def other_points(self) -> Float32Array:
         """(N, 3) float32 points of sidewalk, parking and other ground in L, metres."""
         return self._points.confusable
+
+
+def is_slow(drive: Drive) -> bool:
+    """Return whether several scans of a drive should be read at once."""
+    return bool(getattr(drive, "is_slow", False))
 
 
 def read_ahead(scans: Iterable[DriveScan], threads: int) -> Iterator[DriveScan]:

@@ -15,7 +15,7 @@ from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
-from interloc.drive import Drive, read_ahead, scans_of
+from interloc.drive import Drive, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError
 from interloc.mapping.fusion import fuse
@@ -83,7 +83,7 @@ def detect_range(
     first = max(0, start - config.keyframes.window)
     last = min(len(keyframes), stop + config.keyframes.after)
     scans = scans_of(drive, keyframes[first:last])
-    if drive.is_slow:
+    if is_slow(drive):
         scans = read_ahead(scans, cores())
     windows = detector.completed(scans)
     found: list[KeyframeDetections] = []
@@ -132,7 +132,7 @@ def detect(
     find = find or detect_range
     if workers is None:
         # Scans that are slow to read are read by threads: every process would read its halo once more.
-        pay_off = 1 if drive.is_slow else max(1, len(keyframes) // _MIN_KEYFRAMES_PER_PROCESS)
+        pay_off = 1 if is_slow(drive) else max(1, len(keyframes) // _MIN_KEYFRAMES_PER_PROCESS)
         workers = min(cores(), pay_off)
     ranges = split(len(keyframes), workers)
     if len(ranges) == 1:

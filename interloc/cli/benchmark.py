@@ -12,7 +12,7 @@ from interloc.cli import console, options
 if TYPE_CHECKING:
     from interloc.benchmark.cases import Case, Poses
     from interloc.benchmark.run import NamedConfig
-    from interloc.drives.options import LabelFolder, LayoutChoice, PoseFrame
+    from interloc.drives.options import LabelFolder
     from interloc.osm.policies import Policy
 
 
@@ -202,11 +202,8 @@ def drives(
     drives: tuple[Path, ...],
     maps: tuple[Path, ...],
     labels: LabelFolder,
-    label_scheme: str,
-    pose_frame: PoseFrame,
-    layout: LayoutChoice,
     oxts: Path | None,
-    **measuring: Any,
+    **given: Any,
 ) -> None:
     """Measure any DRIVES that have a georeference.
 
@@ -219,7 +216,8 @@ def drives(
 
     if oxts is not None and len(drives) > 1:
         raise click.UsageError("--oxts belongs to one drive; put oxts/data or geo.csv into each of several drives")
-    reading = DriveOptions.of(labels=labels, label_scheme=label_scheme, pose_frame=pose_frame, layout=layout, oxts=oxts)
+    options_of_drive = {name: given.pop(name) for name in DriveOptions.model_fields if name in given}
+    reading = DriveOptions.of(labels=labels, oxts=oxts, **options_of_drive)
     cases = folder_cases(drives, maps, reading)
     _measure(
         cases,
@@ -227,7 +225,7 @@ def drives(
         about=f"Drives as recorded, road points by {labels}/. Published figures stand beside drives that bear the name "
         "of a SemanticKITTI sequence.",
         labels=labels,
-        **measuring,
+        **given,
     )
 
 

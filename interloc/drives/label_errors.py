@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drive import Drive, Georeference, GroundPoints
+from interloc.drive import Drive, Georeference, GroundPoints, is_slow
 from interloc.errors import ConfigError
 
 
@@ -67,7 +67,7 @@ class MislabelledDrive:
     @property
     def is_slow(self) -> bool:
         """Whether several scans should be read at once."""
-        return self.drive.is_slow
+        return is_slow(self.drive)
 
     @property
     def georeference(self) -> Georeference | None:

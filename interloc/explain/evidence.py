@@ -13,7 +13,7 @@ from interloc.detection.branches import Branches, Piece
 from interloc.detection.detector import Detector, KeyframeDetections, Steps, locate
 from interloc.detection.image import Roi
 from interloc.detection.keyframes import Keyframe, select_keyframes
-from interloc.drive import Drive, DriveScan, Georeference, GroundPoints, read_ahead, scans_of
+from interloc.drive import Drive, DriveScan, Georeference, GroundPoints, is_slow, read_ahead, scans_of
 from interloc.errors import ConfigError, DriveError
 from interloc.geometry import enu_from_lonlat, rotate_2d, yaw_of
 from interloc.kernels import grid
@@ -202,7 +202,7 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
     number = int(np.argmin(np.abs(drive.frames[keyframes] - frame)))
     first = max(0, number - config.keyframes.window)
     around = scans_of(drive, keyframes[first : number + config.keyframes.after + 1])
-    scans = list(read_ahead(around, cores()) if drive.is_slow else around)
+    scans = list(read_ahead(around, cores()) if is_slow(drive) else around)
     scan = scans[number - first]
 
     window = next(islice(Detector(config).completed(scans), number - first, None))

@@ -27,7 +27,6 @@ class _Beginning:
     T_world_lidar: FloatArray
     times_s: None = None
     georeference: None = None
-    is_slow: bool = False
 
     def ground_points(self, index: int) -> Any:  # noqa: ANN401 - never called: a search needs poses only
         """Not available."""

@@ -170,17 +170,20 @@ def test_the_trajectory_is_one_line_through_all_its_points(sheet: Any, scored: S
     assert_ink([part])
 
 
-@pytest.mark.parametrize("layer", ["keyframes", "intersections", "tp", "fp", "found", "missed", "outside"])
+@pytest.mark.parametrize("layer", ["keyframes", "intersections", "wrong", "tp", "fp", "found", "missed", "outside"])
 def test_each_feature_has_its_sign(sheet: Any, scored: Scored, layer: str) -> None:
     if layer in {"tp", "fp"}:
         features = scored.detections(layer.upper())
     elif layer in {"found", "missed", "outside"}:
         features = scored.nodes(layer)
+    elif layer in {"intersections", "wrong"}:
+        every = scored.features("intersections")
+        features = [each for each in every if (each["properties"]["outcome"] == "wrong") == (layer == "wrong")]
     else:
         features = scored.features(layer)
     drawn = sheet(layer, zoom=19 if layer == "outside" else 20.5)
     found = np.array([part.middle for part in drawn.parts])
-    if layer == "fp":  # a cross has two lines
+    if layer in {"fp", "wrong"}:  # a cross has two lines
         assert np.abs(found[::2] - found[1::2]).max() < 1e-6
         found = found[::2]
     assert_one_sign_each(found, drawn.screen(features))

@@ -13,7 +13,7 @@ from typing import Any
 import httpx
 import pytest
 
-from interloc import detect, evaluate, open_drive, read_osm, write_results
+from interloc import detect, evaluate, open_drive, read_osm, write_report, write_results
 from tests.app.processes import API, ServerProcess, ended, started
 from tests.app.street import write_street
 from tests.localization.town import LAT_DEG, LON_DEG, write_town_drive, write_town_map
@@ -133,13 +133,15 @@ def check_results(
     assert job["state"] == "successful", job["error"]
     result = detect(open_drive(drive, **options))
     write_results(result, out)
+    if scored:
+        evaluation = evaluate(result, read_osm(drive / "map.osm"))
+        write_report(evaluation, result, out)
     for name in ("detections", "intersections", "keyframes", "trajectory"):
         served = client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status().content
         assert features(served) == features((out / f"{name}.geojson").read_bytes()), name
     if not scored:
         return
     report = client.get(f"{API}/jobs/{job_id}/report").raise_for_status().json()
-    evaluation = evaluate(result, read_osm(drive / "map.osm"))
     assert report["matched"] == int(evaluation.matching.is_matched.sum())
     assert report["ace_m"] == pytest.approx(evaluation.errors.ace_m, abs=0.005)  # the report rounds
 

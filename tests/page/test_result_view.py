@@ -37,7 +37,7 @@ def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -
     assert len(intersections) >= 2
     for feature in intersections:
         lon, lat = feature["geometry"]["coordinates"]
-        show(page, done, f"view=19/{lat + 0.0001}/{lon - 0.0002}&layers=intersections,roads")
+        show(page, done, f"view=19/{lat + 0.0001}/{lon - 0.0002}&layers=intersections,wrong,roads")
         page.mouse.move(*on_screen(page, lon, lat))
         tip = page.locator(".leaflet-tooltip")
         tip.wait_for()
@@ -51,8 +51,10 @@ def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> N
     show(page, done, "panel=report")
     outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
     nodes = [feature["properties"] for feature in done.features("osm-nodes")]
+    fused = [feature["properties"]["outcome"] for feature in done.features("intersections")]
     expected = {
-        "Intersections": len(done.features("intersections")),
+        "Intersections": fused.count("right") + fused.count("unscored"),
+        "Wrong intersections": fused.count("wrong"),
         "True detections": outcomes.count("TP"),
         "False detections": len(done.features("detections")) - outcomes.count("TP"),
         "Found intersections": sum(node["found"] for node in nodes),

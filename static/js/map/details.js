@@ -9,7 +9,7 @@ import { factRows } from "../controls.js";
 import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
 import { CircleMarker, Popup, SVG, Tooltip } from "../leaflet.js";
 import { getState, setState } from "../state.js";
-import { kindOfNode } from "./layers.js";
+import { isWrong, kindOfNode } from "./layers.js";
 import { shown } from "./shown.js";
 import { View } from "./surface.js";
 
@@ -121,7 +121,7 @@ const DETECTIONS = /** @type {Record<string, string>} */ ({
 
 /** @param {Hit} hit @returns {string} */
 function titleOf({ kind, item }) {
-  if (kind === "intersection") return `Intersection ${item.properties.id}`;
+  if (kind === "intersection") return `Intersection ${item.properties.id}${isWrong(item) ? ", wrong" : ""}`;
   if (kind === "node") return `OSM intersection, ${NODES[kindOfNode(item)]}`;
   return kind === "detection" ? DETECTIONS[item.outcome] : `Keyframe at scan ${item.properties.frame}`;
 }
@@ -158,6 +158,11 @@ function factsOf({ kind, item }, local) {
   /** @type {Record<Hit["kind"], () => Array<[string, any]|false>>} */
   const facts = {
     intersection: () => [
+      p.outcome === "right" && [
+        "Right",
+        el("span", {}, `${formatMetres(p.error_m)} from OSM node `, osmLink(p.osm_id)),
+      ],
+      p.reason && ["Why wrong", p.reason],
       ["Detections", String(p.observations)],
       ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
       ["Confidence", formatPercent(p.confidence)],
@@ -166,6 +171,7 @@ function factsOf({ kind, item }, local) {
     ],
     node: () => [
       ["OSM node", osmLink(p.osm_id)],
+      p.reason && ["Why missed", p.reason],
       ["Roads that meet", String(p.degree)],
       ["In the relevant zone of", plural(p.keyframes_in_zone, "keyframe")],
       ["Not found in", plural(p.keyframes_missed, "of these", "of these")],
@@ -176,7 +182,10 @@ function factsOf({ kind, item }, local) {
       ["Scan", String(p.frame)],
       error_m !== null && ["Error", formatMetres(error_m)],
       osm_id !== null && ["Matched to OSM node", osmLink(osm_id)],
-      item.outcome === "FP" && error_m === null && ["Why false", "no OSM intersection in its region of interest"],
+      item.outcome === "FP" && p.reason && ["Why false", p.reason],
+      item.outcome === "FP" &&
+        !p.reason &&
+        error_m === null && ["Why false", "no OSM intersection in its region of interest"],
       ["Score", p.score?.toFixed(2) ?? "–"],
       ["From the LiDAR", `${ahead}, ${left}`],
       branches(),

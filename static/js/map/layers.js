@@ -34,6 +34,13 @@ export const LAYERS = [
   layer("tp", "Score", "True detections", "tp", "An OSM intersection lies within D (TP)."),
   layer("fp", "Score", "False detections", "fp", "No OSM intersection within D (FP)."),
   layer("errors", "Score", "Error lines", "line error", "From a detection to the OSM intersection it was matched to."),
+  layer(
+    "wrong",
+    "Score",
+    "Wrong intersections",
+    "wrong",
+    "Intersections without an OSM intersection of their own within 10 m.",
+  ),
   layer("found", "Score", "Found intersections", "found", "OSM intersections with a true detection."),
   layer("missed", "Score", "Missed intersections", "missed", "OSM intersections passed without a true detection."),
   layer("outside", "Score", "Out of reach", "outside", "OSM intersections in no relevant zone; they do not count."),
@@ -54,13 +61,14 @@ const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
   roads: (r) => r.roads.length,
   places: (r) => r.places.length,
   keyframes: (r) => r.keyframes.length,
-  intersections: (r) => r.intersections.length,
+  intersections: (r) => r.intersections.filter((each) => !isWrong(each)).length,
   uncertainty: (r) => (r.intersections.length ? null : 0),
   branches: (r) => (r.intersections.length ? null : 0),
   detections: (r) => (r.report ? 0 : r.detections.length),
   tp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "TP").length : 0),
   fp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "FP").length : 0),
   errors: (r) => (r.matches.length ? null : 0),
+  wrong: (r) => r.intersections.filter(isWrong).length,
   found: (r) => r.nodes.filter((each) => kindOfNode(each) === "found").length,
   missed: (r) => r.nodes.filter((each) => kindOfNode(each) === "missed").length,
   outside: (r) => r.nodes.filter((each) => kindOfNode(each) === "outside").length,
@@ -77,6 +85,9 @@ export function kindOfNode({ properties }) {
   if (properties.found) return "found";
   return properties.in_zone ? "missed" : "outside";
 }
+
+/** @param {import("../data/results.js").Place} intersection @returns {boolean} By its score, where it has one. */
+export const isWrong = ({ properties }) => properties.outcome === "wrong";
 
 /** @param {string[]|null} chosen @returns {Set<string>} Ids of the layers that are on. */
 export function layersOn(chosen) {

@@ -2,7 +2,7 @@
  * A result on the surface: positions projected once, painted layer by layer, found again under the pointer.
  * @module map/scene
  */
-import { kindOfNode } from "./layers.js";
+import { isWrong, kindOfNode } from "./layers.js";
 import { colour, SIGNS, trace } from "./symbols.js";
 
 /**
@@ -120,7 +120,9 @@ export class Scene {
         );
     }
     if (this.on.has("branches")) this.#paintBranches(context, view);
-    if (this.on.has("intersections")) this.#paintPoints(context, view, this.intersections, "fused", 7.5 * size, 1);
+    if (this.on.has("intersections"))
+      this.#paintPoints(context, view, this.intersections, "fused", 7.5 * size, 1, (each) => !isWrong(each));
+    if (this.on.has("wrong")) this.#paintPoints(context, view, this.intersections, "wrong", 6.5 * size, 1, isWrong);
   }
 
   /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
@@ -246,7 +248,7 @@ export class Scene {
     const evaluated = this.result.report !== null;
     /** @type {Array<[Hit["kind"], Points, number, (item: any) => boolean]>} */
     const stack = [
-      ["intersection", this.intersections, 9, () => this.on.has("intersections")],
+      ["intersection", this.intersections, 9, (item) => this.on.has(isWrong(item) ? "wrong" : "intersections")],
       ["node", this.nodes, 10, (item) => this.on.has(kindOfNode(item))],
       ["detection", this.detections, 7, (item) => this.on.has(evaluated ? item.outcome.toLowerCase() : "detections")],
       ["keyframe", this.keyframes, 7, () => this.on.has("track") || this.on.has("keyframes")],

@@ -49,6 +49,7 @@ export const SIGNS =
     missed: { colour: "--missed", shape: "diamond", filled: false, width: 2.6 },
     outside: { colour: "--outside", shape: "square", filled: false, width: 1.2 },
     fused: { colour: "--fused", shape: "plus", filled: true, width: 1.2, edge: "--fused-edge" },
+    wrong: { colour: "--fp", shape: "cross", filled: false, width: 4 },
     keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
   });
 
