@@ -36,7 +36,8 @@ def command(drive: Path, thorough: bool, as_json: bool, **drive_: Any) -> None:
     else:
         console.say_facts(_facts(report))
         for problem in report.problems:
-            click.echo(f"{_MARK[problem.severity]}: {problem.path}: {problem.message}")
+            place = f"{problem.path}: " if problem.path else ""
+            click.echo(f"{_MARK[problem.severity]}: {place}{problem.message}")
         click.echo("This drive can be used." if report.ok else "This drive cannot be used as it is.")
     if not report.ok:
         raise click.exceptions.Exit(1)

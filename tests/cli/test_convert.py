@@ -51,6 +51,12 @@ def test_info_of_an_unlabelled_drive(interloc: Callable, unlabelled: Path, model
     assert "network flat, scheme semantickitti" in outcome.out
 
 
+def test_info_names_what_is_wrong_with_a_network(interloc: Callable, unlabelled: Path, tmp_path: Path) -> None:
+    outcome = interloc("info", unlabelled, "--model", tmp_path / "nothing")
+    assert outcome.code == 1
+    assert f"ERROR: {tmp_path / 'nothing'}" in outcome.out
+
+
 def test_reduced_by_a_network(interloc: Callable, unlabelled: Path, model: Path, tmp_path: Path) -> None:
     assert interloc("reduce", unlabelled, "-o", tmp_path / "small", "--model", model, "--quiet").code == 0
     assert open_drive(tmp_path / "small", labels="predictions").ground_points(0).road_count > 500
