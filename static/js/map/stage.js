@@ -28,6 +28,8 @@ const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference"
 
 /** @type {Scene|OverviewScene|null} */
 let scene = null;
+/** What the map was last fitted to. @type {{places: number[][], local: boolean, padding: number[][]}|null} */
+let whole = null;
 /** Whether the map shows a place of the result, worth a permalink. */
 let isPlaced = false;
 
@@ -117,7 +119,7 @@ export async function mountStage() {
     scene.progress = progress;
     parts.setAttribution(result);
     const places = result.trajectory.map(([lng, lat]) => [lat, lng]);
-    if (isNew) fit(places, false, result.local);
+    if (isNew) fit(places, false, result.local, below(note));
     parts.redraw();
   };
 
@@ -129,14 +131,14 @@ export async function mountStage() {
     const isNew = !(scene instanceof OverviewScene);
     if (isNew) clear();
     fill(cover);
-    const more = unplaced > 0 && ` · ${plural(unplaced, "drive")} without georeference: in the list only`;
-    fill(note, el("strong", {}, plural(drives.length, "drive")), " on the map: choose one", more, tileSwitch());
+    const more = unplaced > 0 && ` · ${plural(unplaced, "drive")} without georeference in the list`;
+    fill(note, el("strong", {}, plural(drives.length, "drive")), " to choose from", more, tileSwitch());
     build(false);
     scene = new OverviewScene(drives, shown.map);
     updateLayers();
     parts.setAttribution({ roads: [], nodes: [], local: false });
     const places = drives.flatMap(({ track }) => track.map(([lng, lat]) => [lat, lng]));
-    if (isNew) fit(places, false, false);
+    if (isNew) fit(places, false, false, below(note));
     return true;
   };
 
@@ -304,17 +306,32 @@ function addFit(made) {
 /** @param {boolean} animate */
 function fitDrive(animate) {
   const { result } = shown;
-  if (!result) return;
+  if (!result) {
+    if (whole) fit(whole.places, animate, whole.local, whole.padding);
+    return;
+  }
   const places = [...result.keyframes, ...result.intersections].map(({ lat, lng }) => [lat, lng]);
   fit(places, animate, result.local);
 }
 
-/** @param {number[][]} places lat, lng @param {boolean} animate @param {boolean} local */
-function fit(places, animate, local) {
+/**
+ * @param {number[][]} places lat, lng
+ * @param {boolean} animate
+ * @param {boolean} local
+ * @param {number[][]} [padding] Left and top, right and bottom, pixels.
+ */
+function fit(places, animate, local, padding = margins()) {
   if (!places.length) return;
-  const [paddingTopLeft, paddingBottomRight] = margins();
+  whole = { places, local, padding };
+  const [paddingTopLeft, paddingBottomRight] = padding;
   shown.map.fitBounds(latLngBounds(places), { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
 }
+
+/** @param {HTMLElement} note @returns {number[][]} What controls and note cover: left and top, right and bottom, pixels. */
+const below = (note) => [
+  [56, note.offsetHeight + 40],
+  [40, 40],
+];
 
 /** @returns {number[][]} What the controls cover: left and top, right and bottom, pixels. */
 function margins() {
@@ -378,12 +395,9 @@ function tileSwitch() {
 function welcome(drive) {
   if (drive) return el("p", {}, "This drive has no result yet. Run it from the list of drives.");
   if (!lists.isLoaded) return null;
+  if (lists.drives.length) return el("p", {}, "None of the drives has a place on the map yet. Open one from the list.");
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
-  if (lists.drives.length) {
-    const text = "None of the drives has a place on the map. Open one from the list, or upload another.";
-    return el("div", { class: "stack" }, el("p", {}, text), el("div", { class: "row" }, upload));
-  }
   const what = "Its intersections appear here, beside the roads of OpenStreetMap.";
   return el(
     "div",

@@ -111,7 +111,7 @@ async function showStart(message = null, begun = null) {
     const other = uploadOf(upload.driveId);
     if (other) {
       const badge = el("span", { class: "badge busy", dataset: { upload: upload.driveId } }, uploadText(other));
-      return el("div", { class: "box spread" }, about, badge);
+      return el("div", { class: "box" }, about, badge);
     }
     return el(
       "div",

@@ -117,9 +117,10 @@ function previewOf(drive, { track, look }, map) {
   result.keyframes = scans.map(([lng, lat]) => ({ lng, lat, properties: {} }));
   result.places = fitted ? [fitted] : [];
   result.roads = look?.roads ?? [];
-  const parts = [formatMetres(length_m, 0), local ? "in metres of the poses: no georeference" : null];
+  const parts = [plural(scans.length, "scan"), formatMetres(length_m, 0)];
+  if (local) parts.push("in metres of its poses: no georeference");
   if (look?.roads.length) parts.push(`roads of ${map?.name}`);
-  return { result, title: drive.name, text: parts.filter(Boolean).join(" · "), progress: shown.preview?.progress ?? 0 };
+  return { result, title: drive.name, text: parts.join(" · "), progress: shown.preview?.progress ?? 0 };
 }
 
 /** @param {Track} track @returns {[text: string, isBad: boolean] | null} How the poses fit the georeference. */
