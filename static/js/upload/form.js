@@ -278,7 +278,8 @@ export function formView(
     );
   }
 
-  const run = el("button", { class: "primary grow", onClick: () => start(true) }, icon("run"), "Upload and run");
+  const kind = begun ? "grow" : "primary grow"; // to go on with what was begun comes first
+  const run = el("button", { class: kind, onClick: () => start(true) }, icon("run"), "Upload and run");
   const only = el("button", { onClick: () => start(false) }, "Upload only");
   const why = el("small", { role: "status" });
   const files = filePicker("Add files …", addFiles, {

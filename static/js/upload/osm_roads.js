@@ -17,8 +17,7 @@ const MAX_CHARACTERS = 1e9;
 const MAX_NODES = 3e6;
 const MAX_SAMPLES = 200;
 const ON_FOOT = /^(footway|path|cycleway|steps|pedestrian|track|bridleway|corridor|platform|construction|proposed)$/;
-const ELEMENT = /<(\/?)(bounds|node|way|nd|tag)\b((?:[^>"']|"[^"]*"|'[^']*')*)>/g;
-const ATTRIBUTE = /([\w:]+)\s*=\s*(?:"([^"]*)"|'([^']*)')/g;
+const ELEMENT = /<(\/?)(bounds|node|way|nd|tag)\b([^>]*)>/g; // a ">" in a value is written as &gt;
 
 /** @param {string} name @returns {boolean} Whether the browser can read such a file: XML, plain or packed by gzip. */
 export const isReadableMap = (name) => /\.osm(\.gz)?$/i.test(name);
@@ -78,15 +77,15 @@ class Collector {
   /** @param {string} name @param {string} text Its attributes. */
   open(name, text) {
     if (name === "tag" && !this.refs) return; // of a node
-    const of = attributesOf(text);
-    if (name === "node") this.#addNode(of.get("id") ?? "", Number(of.get("lon")), Number(of.get("lat")));
+    const of = (/** @type {string} */ each) => attribute(text, each);
+    if (name === "node") this.#addNode(of("id"), Number.parseFloat(of("lon")), Number.parseFloat(of("lat")));
     else if (name === "way") {
       this.refs = [];
       this.highway = "";
-    } else if (name === "nd") this.refs?.push(of.get("ref") ?? "");
-    else if (name === "tag" && of.get("k") === "highway") this.highway = of.get("v") ?? "";
+    } else if (name === "nd") this.refs?.push(of("ref"));
+    else if (name === "tag" && of("k") === "highway") this.highway = of("v");
     else if (name === "bounds") {
-      const [west, south, east, north] = ["minlon", "minlat", "maxlon", "maxlat"].map((each) => Number(of.get(each)));
+      const [west, south, east, north] = ["minlon", "minlat", "maxlon", "maxlat"].map((each) => Number.parseFloat(of(each)));
       if ([west, south, east, north].every(Number.isFinite)) this.bounds = { west, south, east, north };
     }
   }
@@ -125,9 +124,11 @@ class Collector {
   }
 }
 
-/** @param {string} text @returns {Map<string, string>} */
-function attributesOf(text) {
-  return new Map([...text.matchAll(ATTRIBUTE)].map(([, name, double, single]) => [name, double ?? single]));
+/** @param {string} text Attributes as OSM's own tools write them. @param {string} name @returns {string} "" for none. */
+function attribute(text, name) {
+  const at = text.indexOf(` ${name}=`) + name.length + 2;
+  if (at <= name.length + 1) return "";
+  return text.slice(at + 1, text.indexOf(text[at], at + 1));
 }
 
 /** @param {number[][]} places @returns {Box} */
