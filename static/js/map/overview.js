@@ -13,7 +13,7 @@ import { colour, trace } from "./symbols.js";
 
 const REACH_PX = 10;
 const SMALL_PX = 16; // a track that is smaller is a disc
-const SIGNS_FROM_ZOOM = 12.5;
+const SIGNS_FROM_ZOOM = 13;
 
 /** Painted as a scene is; see `Scene`. */
 export class OverviewScene {

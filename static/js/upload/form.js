@@ -196,7 +196,7 @@ export function formView(
     if (!drive) return;
     const refused = [];
     for (const file of list) {
-      if (isMap(file.name)) refused.push(`${file.name}: choose it under Map.`);
+      if (isMap(file.name)) refused.push(`${file.name}: choose it as the map to score against.`);
       else if (ADDED.test(file.name) || (recorded && isBeside(file.name, recorded))) drive.small.set(file.name, file);
       else if (/^\d\d\.txt$/.test(file.name)) drive.small.set("poses.txt", file);
       else refused.push(`${file.name}: expected ${MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti}.`);

@@ -67,7 +67,7 @@ export function jobForm(known, onChange) {
   setFolders(known.folders);
   setGeoreference(known.hasGeoreference);
   const key = newKey();
-  const ofMap = section("Map", map.element, placing.element, noFix, policies);
+  const ofMap = el("section", { class: "stack-s" }, map.element, placing.element, noFix, policies);
 
   return {
     mapElement: ofMap,

@@ -85,7 +85,9 @@ class Collector {
     } else if (name === "nd") this.refs?.push(of("ref"));
     else if (name === "tag" && of("k") === "highway") this.highway = of("v");
     else if (name === "bounds") {
-      const [west, south, east, north] = ["minlon", "minlat", "maxlon", "maxlat"].map((each) => Number.parseFloat(of(each)));
+      const [west, south, east, north] = ["minlon", "minlat", "maxlon", "maxlat"].map((each) =>
+        Number.parseFloat(of(each)),
+      );
       if ([west, south, east, north].every(Number.isFinite)) this.bounds = { west, south, east, north };
     }
   }

@@ -120,6 +120,8 @@ function previewOf(drive, { track, look }, map) {
   const parts = [plural(scans.length, "scan"), formatMetres(length_m, 0)];
   if (local) parts.push("in metres of its poses: no georeference");
   if (look?.roads.length) parts.push(`roads of ${map?.name}`);
+  const fit = fitVerdict(/** @type {Track} */ (track));
+  if (fit?.[1]) parts.push(`poses (thin line) ${fit[0]}`);
   return { result, title: drive.name, text: parts.join(" · "), progress: shown.preview?.progress ?? 0 };
 }
 
