@@ -25,6 +25,7 @@ const channel = typeof BroadcastChannel === "function" ? new BroadcastChannel("i
 /** @type {Sending|null} */
 let own = null;
 let told = 0;
+let timer = 0;
 /** Of the other tabs, with when they were last heard of. @type {Map<string, {upload: Sending, at: number}>} */
 const others = new Map();
 /** @type {Set<() => void>} */
@@ -98,6 +99,7 @@ channel?.addEventListener("message", ({ data: { tab, kind, upload } }) => {
   if (kind === "ended") forget(tab);
   if (kind !== "sending") return;
   const isNew = others.get(tab)?.upload.driveId !== upload.driveId;
+  if (!others.size) setTimeout(watch);
   others.set(tab, { upload: { ...upload, isElsewhere: true }, at: performance.now() });
   if (isNew) void refreshLists().catch(() => {});
   notify();
@@ -106,9 +108,15 @@ if (channel) {
   globalThis.addEventListener?.("pagehide", () => own && channel.postMessage({ tab: TAB, kind: "ended" }));
   globalThis.addEventListener?.("pageshow", () => own && tell()); // it was not closed, but kept for "back"
   channel.postMessage({ tab: TAB, kind: "who" });
-  setInterval(() => {
-    if (!others.size) return;
-    for (const [tab, { at }] of others) if (performance.now() - at > 2 * SILENT_MS) forget(tab); // closed by force
-    channel.postMessage({ tab: TAB, kind: "who" });
+}
+
+/** Ask the other tabs now and then, as long as one sends: it may be closed by force. */
+function watch() {
+  clearTimeout(timer);
+  if (!others.size) return;
+  timer = window.setTimeout(() => {
+    for (const [tab, { at }] of others) if (performance.now() - at > 2 * SILENT_MS) forget(tab);
+    channel?.postMessage({ tab: TAB, kind: "who" });
+    watch();
   }, SILENT_MS);
 }
