@@ -36,7 +36,10 @@ class Studio:
         self.address = server.address
         self.folder = folder / "demo"
         assert run([*DEMO, "-o", str(self.folder), "--quiet"]) == 0
-        drive = server.client.post(f"{API}/demo", headers={"Prefer": "wait=300"}, timeout=310).raise_for_status().json()
+        drive = {"state": ""}
+        while drive["state"] != "ready":
+            answer = server.client.post(f"{API}/demo", headers={"Prefer": "wait=300"}, timeout=310)
+            drive = answer.raise_for_status().json()
         jobs = [submit(server.client, drive["id"], preset=preset, osm={"file": "map.osm"}) for preset in PRESETS]
         done = [ended(server.client, job) for job in jobs]
         assert all(job["state"] == "successful" for job in done), done
