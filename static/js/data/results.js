@@ -103,12 +103,10 @@ async function load(job) {
  * @returns {Promise<Result|null>} null where the drive has none.
  */
 export async function loadTrajectory(job) {
-  const at = `drives/${job.drive_id}/trajectory`;
-  const lonlat = await getJson(at).catch(() => null);
-  const found = lonlat ?? (await getJson(`${at}?local=true`).catch(() => null));
-  const trajectory = (found?.geometry ?? found?.features?.[0]?.geometry ?? found)?.coordinates ?? [];
+  const found = await getJson(`drives/${job.drive_id}/trajectory`).catch(() => null);
+  const trajectory = found?.features?.[0]?.geometry?.coordinates ?? [];
   if (!trajectory.length) return null;
-  const local = !lonlat;
+  const local = found.local === true; // metres of W
   const frame = new Frame([], local);
   /** @type {any} */
   const nothing = {
