@@ -17,6 +17,7 @@ import { Frame } from "./frame.js";
  * @property {any} job
  * @property {any} run `run.json`
  * @property {any|null} report `report.json`; null without an evaluation.
+ * @property {boolean} isMadeUp The map was made up by a simulator: its ids are not those of OpenStreetMap.
  * @property {boolean} local No georeference: positions are metres of W.
  * @property {Frame} frame Between metres and the map.
  * @property {Place[]} keyframes
@@ -78,6 +79,7 @@ async function load(job) {
     job,
     run,
     report,
+    isMadeUp: report?.osm?.made_up === true,
     local,
     frame: new Frame(points, local),
     keyframes: points,
