@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.errors import OutputError
+from interloc.output.geojson import box_around
 from interloc.output.layout import result_folder
 from interloc.output.read import read_results
 from interloc.output.write import thin, write_results
@@ -422,6 +423,7 @@ def test_a_full_disk_leaves_no_result_folder(tmp_path: Path) -> None:
 import resource, sys
 from pathlib import Path
 from interloc.errors import OutputError
+from interloc.output.geojson import box_around
 from interloc.output.layout import result_folder
 from interloc.output.read import read_results
 from interloc.output.write import write_results
@@ -455,3 +457,9 @@ def test_a_result_is_not_complete_before_its_run_file(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"keyframes.geojson could not be written: is a directory"):
         write_results(small_result(), tmp_path)
     assert not (tmp_path / "run.json").exists()
+
+
+def test_the_box_of_what_crosses_the_antimeridian_has_west_greater_than_east() -> None:
+    line = {"type": "LineString", "coordinates": [[179.99, -16.0], [-179.98, -16.1]]}
+    assert box_around([line, None]) == [179.99, -16.1, -179.98, -16.0]
+    assert box_around([line], local=True) == [-179.98, -16.1, 179.99, -16.0]
