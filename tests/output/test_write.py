@@ -423,7 +423,6 @@ def test_a_full_disk_leaves_no_result_folder(tmp_path: Path) -> None:
 import resource, sys
 from pathlib import Path
 from interloc.errors import OutputError
-from interloc.output.geojson import box_around
 from interloc.output.layout import result_folder
 from interloc.output.read import read_results
 from interloc.output.write import write_results
