@@ -17,6 +17,7 @@ import { Frame } from "./frame.js";
  * @property {any} job
  * @property {any} run `run.json`
  * @property {any|null} report `report.json`; null without an evaluation.
+ * @property {boolean} isMadeUp The map was made up by a simulator: its ids are not those of OpenStreetMap.
  * @property {boolean} local No georeference: positions are metres of W.
  * @property {Frame} frame Between metres and the map.
  * @property {Place[]} keyframes
@@ -78,6 +79,7 @@ async function load(job) {
     job,
     run,
     report,
+    isMadeUp: report?.osm?.made_up === true,
     local,
     frame: new Frame(points, local),
     keyframes: points,
@@ -103,12 +105,10 @@ async function load(job) {
  * @returns {Promise<Result|null>} null where the drive has none.
  */
 export async function loadTrajectory(job) {
-  const at = `drives/${job.drive_id}/trajectory`;
-  const lonlat = await getJson(at).catch(() => null);
-  const found = lonlat ?? (await getJson(`${at}?local=true`).catch(() => null));
-  const trajectory = (found?.geometry ?? found?.features?.[0]?.geometry ?? found)?.coordinates ?? [];
+  const found = await getJson(`drives/${job.drive_id}/trajectory`).catch(() => null);
+  const trajectory = found?.features?.[0]?.geometry?.coordinates ?? [];
   if (!trajectory.length) return null;
-  return { ...trackAlone(trajectory, !lonlat), job };
+  return { ...trackAlone(trajectory, found.local === true), job }; // local: metres of W
 }
 
 /**

@@ -215,6 +215,6 @@ function bearings(values, local) {
 /** @param {number|null|undefined} id @returns {string|Node} */
 function osmLink(id) {
   if (id === null || id === undefined) return "–";
-  if (id <= 0) return String(id);
+  if (id <= 0 || shown.result?.isMadeUp) return String(id);
   return el("a", { href: `https://www.openstreetmap.org/node/${id}`, target: "_blank", rel: "noopener" }, String(id));
 }

@@ -284,7 +284,7 @@ function makeMap(holder, local, current) {
     /** @param {{roads: any[], nodes: any[], local: boolean}} shown */
     setAttribution(shown) {
       if (credit) attribution.removeAttribution(credit);
-      const osm = shown.roads.length || shown.nodes.length ? OSM_CREDIT : null;
+      const osm = !shown.isMadeUp && (shown.roads.length || shown.nodes.length) ? OSM_CREDIT : null;
       credit = shown.local ? LOCAL_CREDIT : osm;
       if (credit) attribution.addAttribution(credit);
     },
