@@ -107,6 +107,7 @@ class JobModel(BaseModel):
                     "title": "default, r = 0.25",
                     "name": None,
                     "note": None,
+                    "own_settings": {"bev.resolution_m": 0.25},
                     "owner": "anonymous",
                     "state": "running",
                     "stage": "detecting",
@@ -140,6 +141,11 @@ class JobModel(BaseModel):
     )
     name: str | None = None
     note: str | None = None
+    own_settings: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Settings that differ from those of its preset, by their dotted names.",
+        examples=[{"bev.resolution_m": 0.25}],
+    )
     owner: str
     state: JobState
     stage: str = Field(description="waiting, preparing, detecting, mapping, evaluating, ...", examples=["detecting"])

@@ -19,7 +19,7 @@ import { mountDrawer } from "./bev/drawer.js";
 import { mountStage } from "./map/stage.js";
 import { askForToken, showError } from "./messages.js";
 import { mountHeader, mountTabs } from "./shell.js";
-import { getState, setState, subscribe } from "./state.js";
+import { setState } from "./state.js";
 
 const PANELS = {
   drives: { title: "Drives", load: () => import("./drives/panel.js") },
@@ -47,7 +47,6 @@ async function start() {
   });
   mountDrawer(part("drawer"));
   await mountStage();
-  subscribe(["drive", "job"], () => (document.title = getState().job ? "InterLoc – result" : "InterLoc"));
 }
 
 start().catch(showError);

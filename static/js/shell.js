@@ -3,7 +3,7 @@
  * @module shell
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
-import { lists, loadPresets, onListsChange, refreshLists } from "./data/lists.js";
+import { lists, onListsChange, refreshLists, watchLists } from "./data/lists.js";
 import { el, fill, icon } from "./dom.js";
 import { jobName, openDrive } from "./job/words.js";
 import { askForToken, problemNote, showError } from "./messages.js";
@@ -11,7 +11,11 @@ import { getState, setState, subscribe } from "./state.js";
 
 /** @param {HTMLElement} header */
 export function mountHeader(header) {
-  const openJob = () => setState({ job: jobs.value || null, frame: null, view: null });
+  const openJob = () => {
+    const { job: before, compare } = getState();
+    const others = compare?.map((each) => (each === jobs.value ? before : each)).filter((each) => each !== null);
+    setState({ job: jobs.value || null, compare: others?.length ? others : null, frame: null, view: null });
+  };
   const drives = el("select", { "aria-label": "Drive", onChange: () => openDrive(drives.value) });
   const jobs = el("select", { "aria-label": "Job", onChange: openJob });
   const token = el("button", { class: "plain", onClick: () => changeToken().catch(showError) });
@@ -47,6 +51,7 @@ export function mountHeader(header) {
     );
     jobs.value = job ?? "";
     jobs.disabled = !drive;
+    document.title = titleOf(drive, job);
     token.hidden = !getConfig().needs_token && !getToken();
     fill(token, icon("key"), getToken() ? "Token set" : "Set token");
   };
@@ -58,8 +63,15 @@ export function mountHeader(header) {
   onListsChange(update);
   onTokenChange(update);
   update();
-  loadPresets().catch(showError);
   refreshLists().catch(showError);
+  watchLists();
+}
+
+/** @param {string|null} driveId @param {string|null} jobId @returns {string} Of the page: what it shows, the narrowest first. */
+function titleOf(driveId, jobId) {
+  const drive = lists.drives.find((each) => each.id === driveId);
+  const job = lists.jobs.find((each) => each.id === jobId);
+  return [job?.title, drive?.name, "InterLoc"].filter(Boolean).join(" – ");
 }
 
 /** @param {string} value @param {string} text */

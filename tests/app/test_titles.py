@@ -29,7 +29,7 @@ def job(*settings: str, preset: str = "default", name: str | None = None, **requ
         (job("bev.resolution_m=0.25", policy="drive+service"), "default, drive+service, r = 0.25"),
         (job(policy="consolidated", tolerance_m=20.0), "default, consolidated within 20 m"),
         (job(osm={"overpass": True}, georeference="map"), "default, map by Overpass, placed by roads"),
-        (job("fusion.min_confidence=0.5", "bev.vote=true"), "default, bev.vote = yes, fusion.min_confidence = 0.5"),
+        (job("fusion.min_confidence=0.5", "bev.vote=false"), "default, bev.vote = no, fusion.min_confidence = 0.5"),
         (
             job("bev.size_m=100", "bev.min_points=4", "keyframes.window=10", "keyframes.lookahead=0"),
             "default, n = 10, keyframes.lookahead = 0, 2 more settings",

@@ -1,15 +1,26 @@
-/** What is to be done with the drive: the map to score against, the labels to use, the settings of the method. */
+/**
+ * What is to be done with a drive: the map to score against, the labels to use, the settings of the method.
+ * @module job/job_form
+ */
 
-import { getConfig, isMap } from "../api.js";
+import { getConfig, isMap, newKey } from "../api.js";
 import { field, filePicker, radios, section, select } from "../controls.js";
-import { flatten } from "../data/lists.js";
+import { flatten, LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill } from "../dom.js";
-import { placingField } from "../job/placing.js";
-import { policyField } from "../job/run_dialog.js";
-import { LABEL_FOLDERS } from "./drive_folder.js";
-import { newKey } from "./upload.js";
+import { placingField } from "./placing.js";
 
-/** @typedef {import("./upload.js").JobSettings} JobSettings */
+/**
+ * @typedef {object} JobSettings
+ * @property {string} preset
+ * @property {Record<string, any> | null} config Settings that differ from the preset.
+ * @property {string | null} labels
+ * @property {{file: string} | {overpass: true} | {inside: true} | null} osm `inside`: the map in an archive, if there is one.
+ * @property {"drive"|"map"} georeference Where longitude and latitude come from.
+ * @property {import("./placing.js").Near | null} near Where on the map to search.
+ * @property {string} policy
+ * @property {number} tolerance_m
+ * @property {string} key Sent with the request, so that a repetition makes no second job.
+ */
 
 /**
  * @typedef {object} Known
@@ -40,7 +51,11 @@ export function jobForm(known, onChange) {
   const inside = "If there is an .osm file in it; otherwise intersections are found but not scored.";
   const overpass = "From a public Overpass server, which learns where the drive is.";
   const choices = [
-    ...known.maps.map((path) => ({ value: `file:${path}`, title: el("code", {}, path), hint: "In the folder." })),
+    ...known.maps.map((path) => ({
+      value: `file:${path}`,
+      title: el("code", {}, path),
+      hint: "Among the files of the drive.",
+    })),
     ...(known.isArchive ? [{ value: "inside", title: "The map in the archive", hint: inside }] : []),
     { value: "other", title: "A file of mine", hint: endings.join(", "), more: other },
     ...(getConfig().overpass ? [{ value: "overpass", title: "Fetch the map of today", hint: overpass }] : []),
@@ -119,12 +134,32 @@ export function jobForm(known, onChange) {
   };
 }
 
+/**
+ * The choice of which OSM nodes count, with an explanation below it.
+ * @param {string} [chosen]
+ * @param {(policy: string) => void} [onChange]
+ */
+function policyField(chosen, onChange) {
+  const { policies } = getConfig();
+  const hint = el("small", {});
+  const explain = () => fill(hint, policies.find(({ name }) => name === policy.value)?.description);
+  const policy = select(Object.fromEntries(policies.map(({ name, title }) => [name, title])), chosen, (value) => {
+    explain();
+    onChange?.(value);
+  });
+  explain();
+  const element = el("label", { class: "field" }, el("span", {}, "What counts as an intersection"), policy, hint);
+  return { element, value: () => policy.value };
+}
+
 /** @param {Known} known */
 function usualMap({ maps, isArchive, before }) {
+  if (before && !before.osm) return "none";
   if (before?.osm && "overpass" in before.osm) return "overpass";
   if (before?.osm && "file" in before.osm && maps.includes(before.osm.file)) return `file:${before.osm.file}`;
   if (isArchive) return "inside";
-  return maps.length ? `file:${maps[0]}` : "none";
+  if (maps.length) return `file:${maps[0]}`;
+  return before ? "other" : "none";
 }
 
 /** @param {string} value @param {File | null} other @returns {JobSettings["osm"]} */
@@ -316,13 +351,14 @@ function words(name) {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
-/** @param {Map<string, any>} values @returns {Record<string, any>} */
-function nest(values) {
+/** @param {Iterable<[string, any]>} values By path. @returns {Record<string, any>} By section and name. */
+export function nest(values) {
   /** @type {Record<string, any>} */
   const nested = {};
   for (const [path, value] of values) {
     const [part, name] = path.split(".");
-    (nested[part] ??= {})[name] = value;
+    if (name === undefined) nested[part] = value;
+    else (nested[part] ??= {})[name] = value;
   }
   return nested;
 }
