@@ -41,13 +41,19 @@ def title_of(job: Job) -> str:
 
 def distinct_titles(jobs: Sequence[Job]) -> list[str]:
     """Return names that tell jobs apart, in their order: what they all have in common is left out."""
-    parts = [[*_parts(job.request), *_map_file(job.request)] for job in jobs]
+    parts = [_parts(job.request) for job in jobs]
+    names = _names_by(parts, jobs)
+    if len(set(names)) < len(names):
+        names = _names_by([[*own, *_map_file(job.request)] for job, own in zip(jobs, parts, strict=True)], jobs)
+    return [f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name for i, name in enumerate(names)]
+
+
+def _names_by(parts: Sequence[Sequence[str]], jobs: Sequence[Job]) -> list[str]:
     shared = set(parts[0]).intersection(*parts[1:])
-    names = [
+    return [
         job.name or ", ".join(part for part in own if part not in shared) or title_of(job)
         for job, own in zip(jobs, parts, strict=True)
     ]
-    return [f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name for i, name in enumerate(names)]
 
 
 def own_settings(request: dict[str, Any]) -> dict[str, Any]:
