@@ -44,7 +44,7 @@ def test_a_job_is_run_again_with_a_map_named_and_compared(page: Any, done: Done)
     page.get_by_role("heading", name="Intersections of the map").wait_for()
     assert page.url.endswith(f"&compare={done.job}")
     heads = page.locator("#panel-report .wide-table").first.locator("th").all_inner_texts()
-    assert [head.split("\n")[0] for head in heads] == ["", "coarse", "default"]
+    assert [head.split("\n")[0] for head in heads] == ["Figure", "coarse", "default"]
     count = len(done.features("intersections"))
     assert f"{count} found by both" in page.inner_text("#panel-report")
     assert page.locator("#map .sign.beside").count() == count

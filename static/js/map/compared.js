@@ -83,7 +83,7 @@ export class ComparedLayer {
       const icon = new DivIcon({ html: sign, className: "", iconSize: [34, 34] });
       const interactive = kind === "elsewhere"; // the others lie around an intersection that is to be clicked itself
       const mark = new Marker([item.lat, item.lng], { icon, interactive, keyboard: false, pane: "marks" });
-      if (interactive) mark.bindTooltip(describe(item), { direction: "top", offset: [0, -12], className: "tip" });
+      if (interactive) mark.bindTooltip(describe(item), { direction: "bottom", offset: [0, 14], className: "tip" });
       mark.addTo(this.group);
     }
   }

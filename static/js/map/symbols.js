@@ -54,7 +54,7 @@ export const SIGNS =
     wrong: { colour: "--fp", shape: "cross", filled: false, width: 4 },
     shared: { colour: "--ink-2", shape: "ring", filled: false, width: 1.4 },
     here: { colour: "--tp", shape: "up", filled: false, width: 1.8 },
-    elsewhere: { colour: "--missed", shape: "down", filled: false, width: 1.8 },
+    elsewhere: { colour: "--warn", shape: "down", filled: false, width: 1.8 },
     keyframe: { colour: "--track", shape: "dot", filled: true, width: 0 },
   });
 

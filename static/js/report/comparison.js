@@ -115,7 +115,7 @@ function columns(first, names, rows) {
   made.querySelectorAll("thead th").forEach((head, i) => {
     if (i) head.append(key(i - 1), i === 1 ? el("small", {}, "this job") : "");
   });
-  return el("div", { class: "wide-table", tabIndex: 0, role: "group", "aria-label": first || "Figures" }, made);
+  return el("div", { class: "wide-table", tabIndex: 0, role: "group", "aria-label": first }, made);
 }
 
 /** @param {number} i Number of a job. */
@@ -145,7 +145,7 @@ function scores(names, reports) {
     const isBetter = (/** @type {number|null} */ value) => differ && value !== null && value * more === best;
     return [name, ...values.map((value) => el("td", { class: isBetter(value) ? "better" : "" }, text(value)))];
   });
-  return columns("", names, cells);
+  return columns("Figure", names, cells);
 }
 
 /** @param {string[]} names @param {any[]} reports */
@@ -223,12 +223,11 @@ function placesOf(names, { items }) {
     `${count("here")} by this job${names.length === 2 ? " only" : " but not by all"}`,
     `${count("elsewhere")} not by this job`,
   ];
+  let others = 0;
+  const nameOf = (/** @type {any} */ { found, properties }) =>
+    found[0] ? `No. ${properties.id}` : `Other ${(others += 1)}`;
   const rows = differing.map((item) => [
-    el(
-      "button",
-      { class: "link", onClick: () => showPlace(item) },
-      item.found[0] ? `No. ${item.properties.id}` : "Show",
-    ),
+    el("button", { class: "link", onClick: () => showPlace(item) }, nameOf(item)),
     ...item.found.map((isFound) => (isFound ? outcome("fused", "found", names.length) : "–")),
   ]);
   return [
