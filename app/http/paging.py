@@ -36,15 +36,16 @@ class Page(Protocol):
 
 def answer_page(request: Request, page: Page) -> Response:
     """Answer with a page and its ETag: 304 where the client has the same; the header Link names the next (RFC 8288)."""
-    link = {} if page.next is None else {"link": _link_to(request, page.next)}
-    return answer_tagged(request, page.model_dump_json().encode(), **link)
+    return answer_tagged(request, page.model_dump_json().encode(), **next_link(request, page.next))
 
 
-def _link_to(request: Request, cursor: str) -> str:
-    """Return the address of another page of a list, with all filters of this one."""
+def next_link(request: Request, cursor: str | None) -> dict[str, str]:
+    """Return the header that names the next page of a list, with all filters of this one; none on the last page."""
+    if cursor is None:
+        return {}
     same = [(name, value) for name, value in request.query_params.multi_items() if name != "after"]
     path = quote(f"{request.scope.get('root_path', '')}{path_of(request.scope)}")
-    return f'<{path}?{urlencode([*same, ("after", cursor)])}>; rel="next"'
+    return {"link": f'<{path}?{urlencode([*same, ("after", cursor)])}>; rel="next"'}
 
 
 def cursor_of(row: Drive | Job) -> str:
