@@ -12,6 +12,7 @@ from app.context import Context
 from app.http.problem_types import type_of
 from app.http.problems import Problem, ProblemDocument
 from app.jobs.outlook import outlook
+from app.jobs.titles import own_settings, title_of
 from app.schemas.jobs import JobModel, Progress
 from app.states import JobKind, JobState
 from app.store.database import moment
@@ -69,6 +70,10 @@ def _job_model(job: Job, drive_name: str, root_path: str, now: float, message: s
         kind=job.kind,
         drive_id=job.drive_id,
         drive_name=drive_name,
+        title=title_of(job),
+        name=job.name,
+        note=job.note,
+        own_settings=own_settings(job.request),
         owner=job.owner,
         state=job.state,
         stage=job.stage,

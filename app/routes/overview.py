@@ -10,7 +10,7 @@ from app.context import ContextDep
 from app.drives import records
 from app.http.delivery import answer_tagged
 from app.http.openapi import TAGGED, get_and_head, headers_named
-from app.http.paging import After, link_next
+from app.http.paging import After, next_link
 from app.http.parameters import BoxFilter
 from app.results.newest import newest_results
 from app.results.overview import drive_features
@@ -36,7 +36,6 @@ router = APIRouter(tags=["Drives"])
 )
 def show_overview(
     request: Request,
-    response: Response,
     context: ContextDep,
     _client: ClientDep,
     box: BoxFilter,
@@ -57,6 +56,5 @@ def show_overview(
         for drive in page.drives
         for feature in drive_features(context.storage, drive.id, drive.name, jobs.get(drive.id))
     ]
-    link_next(request, response, page.next)
     content = encode({"type": "FeatureCollection", "features": features, "next": page.next}).encode()
-    return answer_tagged(request, content, MEDIA_TYPE, **dict(response.headers))
+    return answer_tagged(request, content, MEDIA_TYPE, **next_link(request, page.next))

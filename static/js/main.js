@@ -16,11 +16,10 @@
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
 import { mountDrawer } from "./bev/drawer.js";
-import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { mountStage } from "./map/stage.js";
 import { askForToken, showError } from "./messages.js";
 import { mountHeader, mountTabs } from "./shell.js";
-import { getState, setState, subscribe } from "./state.js";
+import { setState } from "./state.js";
 
 const PANELS = {
   drives: { title: "Drives", load: () => import("./drives/panel.js") },
@@ -48,13 +47,6 @@ async function start() {
   });
   mountDrawer(part("drawer"));
   await mountStage();
-  const showTitle = () => {
-    const sent = ownUpload()?.fraction ?? null;
-    const title = getState().job ? "InterLoc – result" : "InterLoc";
-    document.title = sent === null ? title : `${percent(sent)} – ${title}`;
-  };
-  subscribe(["drive", "job"], showTitle);
-  onUploadsChange(showTitle);
 }
 
 start().catch(showError);

@@ -3,7 +3,7 @@
  * @module shell
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
-import { lists, loadPresets, onListsChange, refreshLists } from "./data/lists.js";
+import { lists, onListsChange, refreshLists, watchLists } from "./data/lists.js";
 import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
 import { jobName, openDrive } from "./job/words.js";
@@ -12,7 +12,11 @@ import { getState, setState, subscribe } from "./state.js";
 
 /** @param {HTMLElement} header */
 export function mountHeader(header) {
-  const openJob = () => setState({ job: jobs.value || null, frame: null, view: null });
+  const openJob = () => {
+    const { job: before, compare } = getState();
+    const others = compare?.map((each) => (each === jobs.value ? before : each)).filter((each) => each !== null);
+    setState({ job: jobs.value || null, compare: others?.length ? others : null, frame: null, view: null });
+  };
   const drives = el("select", { "aria-label": "Drive", onChange: () => openDrive(drives.value) });
   const jobs = el("select", { "aria-label": "Job", onChange: openJob });
   const token = el("button", { class: "plain", onClick: () => changeToken().catch(showError) });
@@ -48,6 +52,7 @@ export function mountHeader(header) {
     );
     jobs.value = job ?? "";
     jobs.disabled = !drive;
+    showTitle();
     token.hidden = !getConfig().needs_token && !getToken();
     fill(token, icon("key"), getToken() ? "Token set" : "Set token");
   };
@@ -57,10 +62,20 @@ export function mountHeader(header) {
     if (isNew) refreshLists().catch(showError); // just uploaded
   });
   onListsChange(update);
+  onUploadsChange(showTitle);
   onTokenChange(update);
   update();
-  loadPresets().catch(showError);
   refreshLists().catch(showError);
+  watchLists();
+}
+
+/** Say in the title of the page what it sends and shows, the narrowest first. */
+function showTitle() {
+  const sent = ownUpload()?.fraction ?? null;
+  const drive = lists.drives.find((each) => each.id === getState().drive);
+  const job = lists.jobs.find((each) => each.id === getState().job);
+  const parts = [sent !== null && percent(sent), job?.title, drive?.name, "InterLoc"];
+  document.title = parts.filter(Boolean).join(" – ");
 }
 
 /** @param {string} value @param {string} text */

@@ -11,6 +11,7 @@
  * @property {number|null} frame Scan number of the keyframe that is shown.
  * @property {string|null} view Of the map: "zoom/lat/lon".
  * @property {string[]|null} layers Switched on; null for the usual ones.
+ * @property {string[]|null} compare Ids of the jobs beside which the shown one is.
  * @property {boolean} drawer Whether the keyframe is shown at large.
  * @property {number|null} node OSM id of the intersection that was chosen; not in permalinks.
  */
@@ -23,6 +24,7 @@ const initial = {
   frame: null,
   view: null,
   layers: null,
+  compare: null,
   drawer: false,
   node: null,
 };
@@ -44,6 +46,8 @@ export function getState() {
  */
 export function setState(patch) {
   const before = state;
+  if (patch.drive !== undefined && before.drive !== null && patch.drive !== before.drive)
+    patch = { compare: null, ...patch }; // they are of one drive
   const changed = Object.keys(patch).filter(
     (key) => !same(/** @type {any} */ (patch)[key], /** @type {any} */ (before)[key]),
   );
@@ -89,6 +93,7 @@ function format(shown) {
     if (value !== null && value !== initial[key])
       parts.push(`${key}=${encodeURIComponent(value).replaceAll("%2F", "/")}`);
   }
+  if (shown.compare) parts.push(`compare=${shown.compare.map(encodeURIComponent).join(",")}`);
   if (shown.layers) parts.push(`layers=${shown.layers.join(",")}`);
   if (shown.drawer) parts.push("drawer=1");
   return parts.join("&");
@@ -99,6 +104,7 @@ function parse(hash) {
   const fields = new URLSearchParams(hash.replace(/^#/, ""));
   const frame = fields.get("frame");
   const layers = fields.get("layers");
+  const compare = fields.get("compare")?.split(",").filter(Boolean) ?? [];
   return {
     panel: fields.get("panel") ?? initial.panel,
     drive: fields.get("drive"),
@@ -106,6 +112,7 @@ function parse(hash) {
     frame: frame !== null && /^\d+$/.test(frame) ? Number(frame) : null,
     view: fields.get("view"),
     layers: layers === null ? null : layers.split(",").filter(Boolean),
+    compare: compare.length ? [...new Set(compare)] : null,
     drawer: fields.get("drawer") === "1",
     node: null,
   };

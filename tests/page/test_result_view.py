@@ -235,7 +235,7 @@ def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -
     cards = page.locator("article.drive", has=page.get_by_role("button", name="street", exact=True))
     card = cards.last  # the newest are first, and other tests may have sent a drive of this name
     card.get_by_role("button", name="Run street").click()
-    page.get_by_label("Preset").select_option("paper")
+    page.get_by_role("combobox", name=re.compile("^Preset")).select_option("paper")
     page.get_by_role("button", name="Run", exact=True).click()
     page.wait_for_selector("#panel-job .badge.good")
     page.wait_for_selector(".legend:visible")

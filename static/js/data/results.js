@@ -28,6 +28,7 @@ import { Frame } from "./frame.js";
  * @property {Place[]} nodes
  * @property {Match[]} matches
  * @property {Array<{line: number[][], properties: any}>} roads
+ * @property {import("./compared.js").Compared[]} compared Beside those of other jobs; empty where none are compared.
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
  * @property {number} roi_m Side S of the region of interest.
  * @property {number|null} zone_m Side S - 2 a_o of the relevant zone.
@@ -89,6 +90,7 @@ async function load(job) {
     trajectory: trajectory.features[0]?.geometry?.coordinates ?? [],
     nodes: (nodes?.features ?? []).map(place),
     matches: pairs,
+    compared: [],
     places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => f.geometry.coordinates),
     roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
       line: f.geometry.coordinates,
@@ -127,6 +129,7 @@ export function trackAlone(trajectory, local) {
     nodes: [],
     matches: [],
     roads: [],
+    compared: [],
     places: [],
     byFrame: new Map(),
   };
@@ -144,7 +147,7 @@ async function orNull(answer) {
 }
 
 /** @param {any} feature @returns {Place} */
-function place({ geometry, properties }) {
+export function place({ geometry, properties }) {
   return { lng: geometry.coordinates[0], lat: geometry.coordinates[1], properties };
 }
 

@@ -5,10 +5,11 @@
 import { getJson, sendJson } from "../api.js";
 import { iconButton } from "../controls.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
-import { lists, onListsChange, refreshLists } from "../data/lists.js";
+import { lists, onListsChange, refreshLists, rememberDrive } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
+import { isEditing, naming } from "../job/naming.js";
 import { openRunDialog } from "../job/run_dialog.js";
-import { afterDeletion, driveBadge, jobTitle, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
+import { ANYONE, afterDeletion, driveBadge, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { trashSection } from "./trash.js";
@@ -39,8 +40,11 @@ export function mount(container) {
   showDemo();
 
   const update = () => {
+    if (isEditing(body)) return;
     if (!lists.isLoaded) return fill(body, el("p", { class: "quiet" }, "Loading…"));
+    const focused = body.contains(document.activeElement) ? labelOf(document.activeElement) : null;
     fill(body, lists.drives.length ? lists.drives.map(driveCard) : emptyNote());
+    if (focused) [...body.querySelectorAll("button")].find((each) => labelOf(each) === focused)?.focus();
     void loadReport();
   };
   const loadReport = async () => {
@@ -56,6 +60,9 @@ export function mount(container) {
   if (lists.isLoaded) refreshLists().catch(showError); // they were loaded for another panel, some time ago
   update();
 }
+
+/** @param {Element|null} button */
+const labelOf = (button) => button?.getAttribute("aria-label") ?? button?.textContent;
 
 function emptyNote() {
   const text =
@@ -74,15 +81,27 @@ function driveCard(drive) {
   else if (drive.files) facts.push(plural(drive.files, "file"));
   if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
   facts.push(formatBytes(drive.stored_bytes || drive.size_bytes), formatAgo(drive.created_at));
+  if (drive.owner !== ANYONE) facts.push(`by ${drive.owner}`);
   const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
   const network = report?.label_folder?.startsWith("network ") ? report.label_folder : null;
   const open = () =>
     drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id);
   const run = () => openRunDialog(drive.id).catch(showError);
+  const { button: rename, element: name } = naming({
+    path: `drives/${drive.id}`,
+    item: drive,
+    heading: el("h3", {}, el("button", { class: "link", title: drive.name, onClick: open }, drive.name)),
+    title: drive.name,
+    mayBeUnnamed: false,
+    onChange: (changed) => {
+      rememberDrive(changed);
+      refreshLists().catch(showError); // jobs tell the name of their drive
+    },
+  });
   const text = el(
     "div",
     { class: "grow" },
-    el("h3", {}, el("button", { class: "link", title: drive.name, onClick: open }, drive.name)),
+    name,
     el("p", { class: "small cut" }, facts.join(" · ")),
     drive.state !== "ready" && el("p", {}, driveBadge(drive)),
     current && report && el("p", { class: "small" }, place),
@@ -96,6 +115,7 @@ function driveCard(drive) {
       {},
       text,
       drive.state === "ready" && iconButton("run", `Run ${drive.name}`, run, "Run it with other settings"),
+      rename,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
     ),
     jobs.length > 0 && el("ul", { class: "jobs" }, jobs.map(jobRow)),
@@ -108,7 +128,7 @@ function jobRow(job) {
   const button = el(
     "button",
     { "aria-current": String(getState().job === job.id), onClick: () => openJob(job) },
-    el("span", { class: "cut" }, jobTitle(job)),
+    el("span", { class: "cut", title: job.title }, job.title),
     isDone ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
     isDone && el("span", { class: "small number both" }, outcomeOf(job)),
   );

@@ -2,9 +2,10 @@
  * The layers of a result: what they are called, what they hold, which are on.
  * @module map/layers
  */
+import { kindOfCompared } from "../data/compared.js";
 
 /** @typedef {import("../data/results.js").Result} Result */
-/** @typedef {"Base"|"Drive"|"Found"|"Score"|"Keyframe"} Group */
+/** @typedef {"Base"|"Drive"|"Found"|"Score"|"Compare"|"Keyframe"} Group */
 
 /**
  * @param {string} id In permalinks.
@@ -44,6 +45,15 @@ export const LAYERS = [
   layer("found", "Score", "Found intersections", "found", "OSM intersections with a true detection."),
   layer("missed", "Score", "Missed intersections", "missed", "OSM intersections passed without a true detection."),
   layer("outside", "Score", "Out of reach", "outside", "OSM intersections in no relevant zone; they do not count."),
+  layer("shared", "Compare", "Found by all", "shared", "Intersections that all compared jobs found."),
+  layer("here", "Compare", "Not by all others", "here", "Intersections of this job that another one did not find."),
+  layer(
+    "elsewhere",
+    "Compare",
+    "Only by others",
+    "elsewhere",
+    "Intersections of other jobs that this one did not find.",
+  ),
   layer(
     "zone",
     "Keyframe",
@@ -69,6 +79,9 @@ const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
   fp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "FP").length : 0),
   errors: (r) => (r.matches.length ? null : 0),
   wrong: (r) => r.intersections.filter(isWrong).length,
+  shared: (r) => r.compared.filter((each) => kindOfCompared(each) === "shared").length,
+  here: (r) => r.compared.filter((each) => kindOfCompared(each) === "here").length,
+  elsewhere: (r) => r.compared.filter((each) => kindOfCompared(each) === "elsewhere").length,
   found: (r) => r.nodes.filter((each) => kindOfNode(each) === "found").length,
   missed: (r) => r.nodes.filter((each) => kindOfNode(each) === "missed").length,
   outside: (r) => r.nodes.filter((each) => kindOfNode(each) === "outside").length,

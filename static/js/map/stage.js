@@ -12,6 +12,7 @@ import { el, fill, icon, plural } from "../dom.js";
 import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
 import { problemNote } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
+import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { watchPointer } from "./details.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
@@ -165,6 +166,7 @@ export async function mountStage() {
     isPlaced = false;
     scene = null;
     parts?.legend.show(null);
+    parts?.compared.show(new Set());
     parts?.redraw();
     parts?.keyframe.show(null, null, false);
     shown.map?.closePopup();
@@ -177,6 +179,7 @@ export async function mountStage() {
     if (!scene) return;
     scene.on = layersOn(getState().layers);
     parts.setTiles(scene.on.has("tiles") && !scene.result.local);
+    parts.compared.show(scene.on);
     parts.redraw();
   };
 
@@ -199,6 +202,12 @@ export async function mountStage() {
   onTilesChange(() => (parts?.setTiles(false), updateLayers()));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
   document.addEventListener("job-finished", () => void showDrive());
+  followCompared();
+  onCompared(() => {
+    if (!parts || !shown.result) return;
+    parts.legend.show(shown.result);
+    updateLayers();
+  });
   onListsChange(() => {
     const job = lists.jobs.find((each) => each.id === getState().job);
     if (!job || !scene || shown.result || scene.progress === job.progress.fraction) return;
@@ -269,6 +278,7 @@ function makeMap(holder, local, current) {
       surface.redraw();
     },
     legend,
+    compared: new ComparedLayer(made),
     keyframe: new KeyframeLayer(made),
     /** @param {boolean} on */
     setTiles(on) {

@@ -5,7 +5,9 @@
 import { getJson } from "../api.js";
 import { figure, resultSection as section, table } from "../controls.js";
 import { el, fill, formatCount, formatMetres, formatPercent, plural } from "../dom.js";
+import { openRunDialog } from "../job/run_dialog.js";
 import { onResult } from "../map/shown.js";
+import { showError } from "../messages.js";
 import { setState } from "../state.js";
 import { barChart, lineChart } from "./chart.js";
 import { comparison } from "./comparison.js";
@@ -31,13 +33,20 @@ function unscored(result) {
         "The drive has neither oxts/ nor geo.csv, so it cannot be laid over OpenStreetMap. Its intersections are on the " +
           "map in local metres.",
       ]
-    : ["No map", "The job was submitted without a map. Run the drive again with one."];
+    : ["No map", "The job was submitted without a map. Run it again with one to see which intersections are right."];
+  const { job } = result;
+  const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
   return el(
     "div",
     { class: "stack" },
     el("h2", {}, "Not scored"),
     el("p", { class: "note" }, el("strong", {}, title), text),
-    el("div", { class: "row" }, el("button", { onClick: () => setState({ panel: "job" }) }, "To the job")),
+    el(
+      "div",
+      { class: "row" },
+      el("button", { class: "primary", onClick: withMap }, "Run again with a map…"),
+      el("button", { onClick: () => setState({ panel: "job" }) }, "To the job"),
+    ),
   );
 }
 

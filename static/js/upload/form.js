@@ -3,6 +3,7 @@
 import { ApiError, isMap, sendJson } from "../api.js";
 import { factRows, field, filePicker, problemList, radios, select } from "../controls.js";
 import { el, fill, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
+import { jobForm } from "../job/job_form.js";
 import {
   checkDrive,
   error,
@@ -14,7 +15,6 @@ import {
   sorted,
 } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
-import { jobForm } from "./job_form.js";
 import { labelForm } from "./label_form.js";
 import { fingerprintOf } from "./memory.js";
 import { fitVerdict, mapVerdict, showPreview } from "./preview.js";

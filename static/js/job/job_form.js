@@ -1,15 +1,27 @@
-/** What is to be done with the drive: the map to score against, the labels to use, the settings of the method. */
+/**
+ * What is to be done with a drive: the map to score against, the labels to use, the settings of the method.
+ * @module job/job_form
+ */
 
+import { getConfig, newKey } from "../api.js";
 import { field, section, select } from "../controls.js";
-import { flatten } from "../data/lists.js";
+import { flatten, LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill } from "../dom.js";
-import { mapChoice } from "../job/map_choice.js";
-import { placingField } from "../job/placing.js";
-import { policyField } from "../job/run_dialog.js";
-import { LABEL_FOLDERS } from "./drive_folder.js";
-import { newKey } from "./upload.js";
+import { mapChoice } from "./map_choice.js";
+import { placingField } from "./placing.js";
 
-/** @typedef {import("./upload.js").JobSettings} JobSettings */
+/**
+ * @typedef {object} JobSettings
+ * @property {string} preset
+ * @property {Record<string, any> | null} config Settings that differ from the preset.
+ * @property {string | null} labels
+ * @property {import("./map_choice.js").MapRequest} osm
+ * @property {"drive"|"map"} georeference Where longitude and latitude come from.
+ * @property {import("./placing.js").Near | null} near Where on the map to search.
+ * @property {string} policy
+ * @property {number} tolerance_m
+ * @property {string} key Sent with the request, so that a repetition makes no second job.
+ */
 
 /**
  * @typedef {object} Known
@@ -97,6 +109,24 @@ export function jobForm(known, onChange) {
       map: map.ownFile(),
     }),
   };
+}
+
+/**
+ * The choice of which OSM nodes count, with an explanation below it.
+ * @param {string} [chosen]
+ * @param {(policy: string) => void} [onChange]
+ */
+function policyField(chosen, onChange) {
+  const { policies } = getConfig();
+  const hint = el("small", {});
+  const explain = () => fill(hint, policies.find(({ name }) => name === policy.value)?.description);
+  const policy = select(Object.fromEntries(policies.map(({ name, title }) => [name, title])), chosen, (value) => {
+    explain();
+    onChange?.(value);
+  });
+  explain();
+  const element = el("label", { class: "field" }, el("span", {}, "What counts as an intersection"), policy, hint);
+  return { element, value: () => policy.value };
 }
 
 /** The settings that matter most, in words; the schema has the rest. */
@@ -280,13 +310,14 @@ function words(name) {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
-/** @param {Map<string, any>} values @returns {Record<string, any>} */
-function nest(values) {
+/** @param {Iterable<[string, any]>} values By path. @returns {Record<string, any>} By section and name. */
+export function nest(values) {
   /** @type {Record<string, any>} */
   const nested = {};
   for (const [path, value] of values) {
     const [part, name] = path.split(".");
-    (nested[part] ??= {})[name] = value;
+    if (name === undefined) nested[part] = value;
+    else (nested[part] ??= {})[name] = value;
   }
   return nested;
 }
