@@ -18,6 +18,7 @@ import { Frame } from "./frame.js";
  * @property {any} run `run.json`
  * @property {any|null} report `report.json`; null without an evaluation.
  * @property {boolean} local No georeference: positions are metres of W.
+ * @property {boolean} madeUp The map is of no real place: its nodes mean nothing to openstreetmap.org.
  * @property {Frame} frame Between metres and the map.
  * @property {Place[]} keyframes
  * @property {Detection[]} detections
@@ -79,6 +80,7 @@ async function load(job) {
     run,
     report,
     local,
+    madeUp: Boolean(report?.osm.made_up),
     frame: new Frame(points, local),
     keyframes: points,
     detections: found,
@@ -121,7 +123,7 @@ export async function loadTrajectory(job) {
     places: [],
     byFrame: new Map(),
   };
-  return { ...nothing, job, run: {}, report: null, local, frame, trajectory, roi_m: 0, zone_m: null };
+  return { ...nothing, job, run: {}, report: null, local, madeUp: false, frame, trajectory, roi_m: 0, zone_m: null };
 }
 
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */
@@ -162,6 +164,22 @@ function detectionsOf(features, matches, evaluated) {
       osm_id: pair?.osm_id ?? null,
     };
   });
+}
+
+/**
+ * The median error of the detections of a node: of the true ones where it has any, since a wrong one is no measure of
+ * how well it was found.
+ * @param {Result} result
+ * @param {any} node Its properties.
+ * @returns {number|null}
+ */
+export function medianError({ matches }, { osm_id, median_error_m }) {
+  const isTrue = (/** @type {Match} */ each) => each.osm_id === osm_id && each.outcome === "TP";
+  const errors = matches.filter(isTrue).map((each) => each.error_m);
+  if (!errors.length) return median_error_m;
+  errors.sort((a, b) => a - b);
+  const half = errors.length >> 1;
+  return errors.length % 2 ? errors[half] : (errors[half - 1] + errors[half]) / 2;
 }
 
 /** @param {Detection} detection @returns {number} */

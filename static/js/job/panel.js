@@ -181,7 +181,11 @@ function outcome(job) {
     ]),
     !osm && el("p", { class: "note" }, el("strong", {}, "Not scored"), unscored),
     row(
-      osm && el("button", { class: "primary", onClick: () => setState({ panel: "report" }) }, "Open the report"),
+      el(
+        "button",
+        { class: "primary", onClick: () => setState({ panel: "report" }) },
+        osm ? "Open the report" : "List the intersections",
+      ),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
     ),
     el(

@@ -6,14 +6,19 @@
 import { getJson } from "../api.js";
 import { lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadResult, loadTrajectory } from "../data/results.js";
-import { el, fill, icon } from "../dom.js";
-import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
+import { el, fill, icon, plural } from "../dom.js";
+import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
 import { problemNote } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
-import { watchPointer } from "./details.js";
+import { addCoordinates } from "./coordinates.js";
+import { closeDetails, goTo, openDetails, openSelection, watchPointer } from "./details.js";
+import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
+import { listenToKeys } from "./keys.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
+import { addMeasure } from "./measure.js";
+import { queue } from "./queue.js";
 import { Scene } from "./scene.js";
 import { setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
@@ -95,6 +100,7 @@ export async function mountStage() {
   /** @param {import("../data/results.js").Result} next */
   const show = (next) => {
     fill(cover);
+    closeDetails();
     build(next.local);
     scene = new Scene(next, shown.map);
     updateLayers();
@@ -102,11 +108,13 @@ export async function mountStage() {
     parts.setAttribution(next);
     isPlaced = false;
     timeline.show(next);
+    if (shown.result && isFiltering()) clearFilter(); // it was one of another result
     setResult(next);
     shown.map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
     isPlaced = true;
+    openSelection(view ? openDetails : goTo);
     if (frame !== null && !next.frame.rows.has(frame)) setState({ frame: null });
     updateKeyframe();
   };
@@ -117,7 +125,7 @@ export async function mountStage() {
     parts?.legend.show(null);
     parts?.redraw();
     parts?.keyframe.show(null, null, false);
-    shown.map?.closePopup();
+    closeDetails();
     parts?.setTiles(false);
     timeline.show(null);
     setResult(null);
@@ -141,6 +149,11 @@ export async function mountStage() {
   subscribe(["job", "drive"], () => void showDrive());
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
   subscribe(["frame", "drawer"], updateKeyframe);
+  subscribe(["intersection", "node"], () => openSelection(goTo)); // another address, or back in the history
+  onFilterChange(() => {
+    parts?.redraw();
+    parts?.filterNote.update();
+  });
   onTilesChange(() => (parts?.setTiles(false), updateLayers()));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
   document.addEventListener("job-finished", () => void showDrive());
@@ -150,6 +163,7 @@ export async function mountStage() {
     scene.progress = job.progress.fraction;
     parts.redraw();
   });
+  listenToKeys();
   await showDrive();
 }
 
@@ -187,10 +201,13 @@ function makeMap(holder, local, current) {
   ).addTo(made);
   control.zoom({ position: "topleft" }).addTo(made);
   addFit(made);
+  const measure = addMeasure(made, local);
   control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
   const attribution = control.attribution({ position: "bottomright", prefix: false }).addTo(made);
   const legend = addLegend(made);
-  watchPointer(made, current);
+  addCoordinates(made, local);
+  const filterNote = addFilterNote(made);
+  watchPointer(made, current, measure.isOn);
   /** @type {any} */
   let tiles = null;
   /** @type {string|null} */
@@ -203,6 +220,7 @@ function makeMap(holder, local, current) {
       surface.redraw();
     },
     legend,
+    filterNote,
     keyframe: new KeyframeLayer(made),
     /** @param {boolean} on */
     setTiles(on) {
@@ -223,6 +241,23 @@ function makeMap(holder, local, current) {
       if (credit) attribution.addAttribution(credit);
     },
   };
+}
+
+/** Says on the map that a filter leaves intersections out. @param {any} made */
+function addFilterNote(made) {
+  const box = el("div", { class: "filter-note", role: "status", hidden: true });
+  const note = new Control({ position: "topleft" });
+  note.onAdd = () => {
+    DomEvent.disableClickPropagation(box);
+    return box;
+  };
+  note.addTo(made);
+  const update = () => {
+    box.hidden = !isFiltering() || !shown.result;
+    const count = `${queue().length} of ${plural(shown.result?.intersections.length ?? 0, "intersection")}`;
+    fill(box, count, el("button", { class: "link", onClick: clearFilter }, "Show all"));
+  };
+  return { update };
 }
 
 /** @param {any} made */
