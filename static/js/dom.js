@@ -157,12 +157,16 @@ export function formatAgo(iso) {
   if (seconds < 3600) return `${Math.max(1, Math.round(seconds / 60))} min ago`;
   if (seconds < 20 * 3600) return `${Math.round(seconds / 3600)} h ago`;
   if (seconds < 44 * 3600) return "yesterday";
-  return formatDate(iso);
+  return formatDate(iso, Intl.DateTimeFormat().resolvedOptions().timeZone);
 }
 
-/** @param {string} iso @returns {string} "2015-02-17T11:18:02Z" -> "17 Feb 2015"; what is no date stays as it is. */
-export function formatDate(iso) {
+/**
+ * @param {string} iso
+ * @param {string} [timeZone] Of the day.
+ * @returns {string} "2015-02-17T11:18:02Z" -> "17 Feb 2015"; what is not a date stays as it is.
+ */
+export function formatDate(iso, timeZone = "UTC") {
   const day = new Date(iso);
   if (Number.isNaN(day.getTime())) return iso;
-  return day.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric" });
+  return day.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric", timeZone });
 }

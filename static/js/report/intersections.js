@@ -127,11 +127,14 @@ export function intersectionList(result) {
     mark();
   };
   update();
-  const whileShown = (/** @type {() => void} */ call) => () => {
-    if (table.element.isConnected) requestAnimationFrame(call);
-    else for (const stop of stops) stop();
+  const stops = [
+    subscribe(["intersection", "panel"], () => isShown() && requestAnimationFrame(mark)),
+    onFilterChange(() => isShown() && update()),
+  ];
+  const isShown = () => {
+    if (!table.element.isConnected) for (const stop of stops) stop();
+    return table.element.isConnected;
   };
-  const stops = [subscribe(["intersection", "panel"], whileShown(mark)), onFilterChange(whileShown(update))];
   requestAnimationFrame(mark);
   return el(
     "div",
