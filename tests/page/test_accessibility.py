@@ -84,6 +84,7 @@ def see_job(page: Any, done: Done) -> None:
 def see_report(page: Any, done: Done) -> None:
     show(page, done, "panel=report&frame=12")
     page.wait_for_selector("#panel-report tbody tr")
+    page.evaluate("document.querySelectorAll('#panel-report details').forEach((each) => (each.open = true))")
 
 
 def see_unscored(page: Any, done: Done) -> None:

@@ -8,7 +8,7 @@ import { Frame } from "./frame.js";
 /**
  * @typedef {{lng: number, lat: number, properties: any}} Place A point; metres of W in place of degrees without georeference.
  * @typedef {Place & {row: number, outcome: "TP"|"FP"|"none", error_m: number|null, osm_id: number|null}} Detection
- *   Outcome "none": there is no evaluation.
+ *   Outcome "none": there is no evaluation, or the map does not reach there.
  * @typedef {{osm_id: number|null, outcome: string, error_m: number, frame: number, detection: string|null, line: number[][]}} Match
  */
 
@@ -155,11 +155,12 @@ function detectionsOf(features, matches, evaluated) {
   return features.map((feature, row) => {
     const { frame } = feature.properties;
     number = row > 0 && features[row - 1].properties.frame === frame ? number + 1 : 1;
+    const isScored = evaluated && feature.properties.outcome !== "unscored";
     const pair = matched.get(`${frame}-${number}`) ?? matched.get(key(frame, feature.geometry.coordinates));
     return {
       ...place(feature),
       row,
-      outcome: evaluated ? /** @type {"TP"|"FP"} */ (pair?.outcome ?? "FP") : "none",
+      outcome: isScored ? /** @type {"TP"|"FP"} */ (pair?.outcome ?? "FP") : "none",
       error_m: pair?.error_m ?? null,
       osm_id: pair?.osm_id ?? null,
     };

@@ -35,7 +35,7 @@ export const LAYERS = [
   layer("found", "OSM intersections", "Found", "found", "An intersection of the map is assigned to it, within 10 m."),
   layer("missed", "OSM intersections", "Missed", "missed", "Passed, and no intersection of the map is assigned to it."),
   layer("outside", "OSM intersections", "Out of reach", "outside", "In no relevant zone; they do not count."),
-  layer("detections", "Detections", "Detections", "detection", "One per keyframe that saw the intersection."),
+  layer("detections", "Detections", "Not scored", "detection", "Detections not compared with OpenStreetMap."),
   layer("tp", "Detections", "True", "tp", "An OSM intersection lies within D (TP)."),
   layer("fp", "Detections", "False", "fp", "No OSM intersection within D (FP)."),
   layer(
@@ -54,6 +54,9 @@ export const LAYERS = [
   ),
 ];
 
+/** Titles where nothing is scored: then these are all. */
+const UNSCORED = /** @type {Record<string, string>} */ ({ unscored: "Intersections", detections: "Detections" });
+
 /** Names of layers in older permalinks. */
 const ALIASES = /** @type {Record<string, string[]>} */ ({ intersections: ["right", "unscored"] });
 
@@ -70,14 +73,17 @@ const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
   unscored: (r) => countVerdicts(r, "unscored"),
   uncertainty: (r) => (r.intersections.length ? null : 0),
   branches: (r) => (r.intersections.length ? null : 0),
-  detections: (r) => (r.report ? 0 : r.detections.length),
-  tp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "TP").length : 0),
-  fp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "FP").length : 0),
+  detections: (r) => countDetections(r, "none"),
+  tp: (r) => countDetections(r, "TP"),
+  fp: (r) => countDetections(r, "FP"),
   errors: (r) => (r.matches.length ? null : 0),
   found: (r) => r.nodes.filter((each) => kindOfNode(each) === "found").length,
   missed: (r) => r.nodes.filter((each) => kindOfNode(each) === "missed").length,
   outside: (r) => r.nodes.filter((each) => kindOfNode(each) === "outside").length,
 });
+
+/** @param {Result} result @param {string} outcome */
+const countDetections = (result, outcome) => result.detections.filter((each) => each.outcome === outcome).length;
 
 /** @param {Result} result @param {string} verdict */
 const countVerdicts = (result, verdict) => result.intersections.filter((each) => verdictOf(each) === verdict).length;
@@ -85,8 +91,8 @@ const countVerdicts = (result, verdict) => result.intersections.filter((each) =>
 /** @param {Result} result @returns {{layer: typeof LAYERS[0], count: number|null}[]} Layers that hold something. */
 export function layersOf(result) {
   const all = LAYERS.map((each) => {
-    const isAll = each.id === "unscored" && !result.report; // no verdict was asked for
-    return { layer: isAll ? { ...each, title: "Intersections" } : each, count: COUNTS[each.id]?.(result) ?? null };
+    const title = result.report ? each.title : (UNSCORED[each.id] ?? each.title);
+    return { layer: { ...each, title }, count: COUNTS[each.id]?.(result) ?? null };
   });
   return all.filter(({ count }) => count !== 0);
 }

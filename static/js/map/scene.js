@@ -103,8 +103,8 @@ export class Scene {
     if (this.on.has("uncertainty")) this.#paintUncertainty(context, view);
     const detections = this.detections;
     const evaluated = this.result.report !== null;
-    if (!evaluated && this.on.has("detections"))
-      this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7);
+    if (this.on.has("detections"))
+      this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7, (each) => each.outcome === "none");
     if (evaluated && this.on.has("tp"))
       this.#paintPoints(context, view, detections, "tp", 3 * size, 0.7, (each) => each.outcome === "TP");
     for (const kind of ["outside", "found", "missed"]) {
@@ -268,12 +268,16 @@ export class Scene {
    * @returns {Hit|null}
    */
   find(view, x, y) {
-    const evaluated = this.result.report !== null;
     /** @type {Array<[Hit["kind"], Points, number, (item: any) => boolean]>} */
     const stack = [
       ["intersection", this.intersections, 9, (item) => this.on.has(verdictOf(item)) && passes(item)],
       ["node", this.nodes, 10, (item) => this.on.has(kindOfNode(item))],
-      ["detection", this.detections, 7, (item) => this.on.has(evaluated ? item.outcome.toLowerCase() : "detections")],
+      [
+        "detection",
+        this.detections,
+        7,
+        ({ outcome }) => this.on.has(outcome === "none" ? "detections" : outcome.toLowerCase()),
+      ],
       ["keyframe", this.keyframes, 7, () => this.on.has("track") || this.on.has("keyframes")],
     ];
     for (const [kind, points, reach, chosen] of stack) {
