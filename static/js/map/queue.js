@@ -3,7 +3,7 @@
  * @module map/queue
  */
 import { announce } from "../dom.js";
-import { getState } from "../state.js";
+import { getState, subscribe } from "../state.js";
 import { goTo, isNamed } from "./details.js";
 import { titleOf } from "./facts.js";
 import { passes } from "./filter.js";
@@ -20,8 +20,12 @@ export const VERDICT_ORDER = { wrong: 0, unscored: 1, right: 2 };
 const byVerdict = (a, b) => VERDICT_ORDER[verdictOf(a)] - VERDICT_ORDER[verdictOf(b)];
 
 let order = byVerdict;
-/** The one that was looked at last: its details may be closed by now. @type {string|null} */
+/** The one that was looked at last: its details may be closed by now. @type {Place|null} */
 let last = null;
+
+subscribe(["intersection"], ({ intersection }) => {
+  last = shown.result?.intersections.find((each) => isNamed(intersection, each)) ?? last;
+});
 
 /** @param {Order|null} next Of the list; null for the usual one. */
 export function setOrder(next) {
@@ -42,11 +46,10 @@ export function queue() {
 export function step(by) {
   const places = queue();
   if (!places.length) return announce("No intersection passes the filter.");
-  const name = getState().intersection ?? last;
-  const at = places.findIndex((each) => isNamed(name, each));
+  const name = getState().intersection;
+  const at = places.findIndex((each) => (name === null ? each === last : isNamed(name, each)));
   const next = at < 0 ? (by > 0 ? 0 : places.length - 1) : (at + by + places.length) % places.length;
   const hit = /** @type {const} */ ({ kind: "intersection", item: places[next] });
-  last = String(hit.item.properties.id);
   goTo(hit);
   announce(`${titleOf(hit)}, ${next + 1} of ${places.length}`);
 }

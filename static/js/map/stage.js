@@ -108,8 +108,8 @@ export async function mountStage() {
     parts.setAttribution(next);
     isPlaced = false;
     timeline.show(next);
-    if (shown.result && isFiltering()) clearFilter(); // it was one of another result
     setResult(next);
+    if (isFiltering()) clearFilter(); // it was one of another result
     shown.map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
@@ -129,6 +129,7 @@ export async function mountStage() {
     parts?.setTiles(false);
     timeline.show(null);
     setResult(null);
+    parts?.filterNote.update();
   };
 
   const updateLayers = () => {
