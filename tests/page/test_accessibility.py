@@ -224,7 +224,7 @@ class Keyboard:
     def __init__(self, page: Any) -> None:
         self.page = page
 
-    def tab_to(self, name: str, most: int = 60) -> None:
+    def tab_to(self, name: str, most: int = 100) -> None:
         """Press Tab until something of this name has the focus; each stop on the way must be seen."""
         stops = []
         for _ in range(most):
