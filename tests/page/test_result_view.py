@@ -50,15 +50,16 @@ def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -
 def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> None:
     show(page, done, "panel=report")
     outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
-    nodes = [feature["properties"] for feature in done.features("osm-nodes")]
+    nodes = [feature["properties"]["outcome"] for feature in done.features("osm-nodes")]
     fused = [feature["properties"]["outcome"] for feature in done.features("intersections")]
     expected = {
-        "Intersections": fused.count("right") + fused.count("unscored"),
-        "Wrong intersections": fused.count("wrong"),
-        "True detections": outcomes.count("TP"),
-        "False detections": len(done.features("detections")) - outcomes.count("TP"),
-        "Found intersections": sum(node["found"] for node in nodes),
-        "Missed intersections": sum(node["in_zone"] and not node["found"] for node in nodes),
+        "Right": fused.count("right"),
+        "Wrong": fused.count("wrong"),
+        "Not scored": fused.count("unscored"),
+        "True": outcomes.count("TP"),
+        "False": len(done.features("detections")) - outcomes.count("TP"),
+        "Found": nodes.count("found"),
+        "Missed": nodes.count("missed"),
         "Keyframes": SCANS,
     }
     legend = page.inner_text(".legend")
@@ -127,10 +128,12 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     assert f"{report['ace_m']:.2f} m" in text
     assert f"{100 * report['precision']['5.0']:.1f} %" in text
     assert f"{report['nodes_found']} of {report['nodes_in_zone']}" in text
-    rows = page.locator("#panel-report tbody tr.can")
+    level = report["map_level"]
+    assert f"{level['true']} of {level['intersections_in_zone']}" in text
+    rows = page.locator(".osm-nodes tbody tr.can")
     assert rows.count() == len(report["nodes"])
-    page.get_by_role("button", name=re.compile("^OSM node")).click()
-    ids = [int(each) for each in page.locator("#panel-report tbody tr.can td:nth-child(2)").all_inner_texts()]
+    page.get_by_role("button", name="Node", exact=True).click()
+    ids = [int(each) for each in page.locator(".osm-nodes tbody tr.can td:nth-child(2)").all_inner_texts()]
     assert ids == sorted(node["osm_id"] for node in report["nodes"])
     rows.nth(1).focus()
     page.keyboard.press("Enter")
@@ -139,7 +142,7 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     assert str(ids[1]) in popup.inner_text()
     page.locator("#tab-job").click()
     popup.get_by_role("button", name="See it in the report").click()
-    page.locator("#panel-report tbody tr.is", has_text=str(ids[1])).wait_for()
+    page.locator(".osm-nodes tbody tr.is", has_text=str(ids[1])).wait_for()
 
 
 def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:

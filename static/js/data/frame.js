@@ -7,7 +7,7 @@ const A = 6378137;
 const E2 = 0.00669437999014;
 
 /**
- * The distance of two places, metres: on the ellipsoid, exact to a millimetre per kilometre for as far as a map shows.
+ * The distance of two places, metres: on the ellipsoid, exact to millimetres for as far as a drive goes.
  * @param {{lng: number, lat: number}} a
  * @param {{lng: number, lat: number}} b
  * @param {boolean} local They are metres of W.

@@ -8,7 +8,7 @@ import { Frame } from "./frame.js";
 /**
  * @typedef {{lng: number, lat: number, properties: any}} Place A point; metres of W in place of degrees without georeference.
  * @typedef {Place & {row: number, outcome: "TP"|"FP"|"none", error_m: number|null, osm_id: number|null}} Detection
- *   Outcome "none": there is no evaluation.
+ *   Outcome "none": there is no evaluation, or the map does not reach there.
  * @typedef {{osm_id: number|null, outcome: string, error_m: number, frame: number, detection: string|null, line: number[][]}} Match
  */
 
@@ -133,7 +133,8 @@ export function trackAlone(trajectory, local) {
     places: [],
     byFrame: new Map(),
   };
-  return { ...nothing, job: null, run: {}, report: null, local, frame, trajectory, roi_m: 0, zone_m: null };
+  const scores = { report: null, isMadeUp: false, roi_m: 0, zone_m: null };
+  return { ...nothing, ...scores, job: null, run: {}, local, frame, trajectory };
 }
 
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */
@@ -165,15 +166,32 @@ function detectionsOf(features, matches, evaluated) {
   return features.map((feature, row) => {
     const { frame } = feature.properties;
     number = row > 0 && features[row - 1].properties.frame === frame ? number + 1 : 1;
+    const isScored = evaluated && feature.properties.outcome !== "unscored";
     const pair = matched.get(`${frame}-${number}`) ?? matched.get(key(frame, feature.geometry.coordinates));
     return {
       ...place(feature),
       row,
-      outcome: evaluated ? /** @type {"TP"|"FP"} */ (pair?.outcome ?? "FP") : "none",
+      outcome: isScored ? /** @type {"TP"|"FP"} */ (pair?.outcome ?? "FP") : "none",
       error_m: pair?.error_m ?? null,
       osm_id: pair?.osm_id ?? null,
     };
   });
+}
+
+/**
+ * The median error of the detections of a node: of the true ones where it has any, since a wrong one is no measure of
+ * how well it was found.
+ * @param {Result} result
+ * @param {any} node Its properties.
+ * @returns {number|null}
+ */
+export function medianError({ matches }, { osm_id, median_error_m }) {
+  const isTrue = (/** @type {Match} */ each) => each.osm_id === osm_id && each.outcome === "TP";
+  const errors = matches.filter(isTrue).map((each) => each.error_m);
+  if (!errors.length) return median_error_m;
+  errors.sort((a, b) => a - b);
+  const half = errors.length >> 1;
+  return errors.length % 2 ? errors[half] : (errors[half - 1] + errors[half]) / 2;
 }
 
 /** @param {Detection} detection @returns {number} */

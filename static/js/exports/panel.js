@@ -3,7 +3,7 @@
  * @module exports/panel
  */
 import { address, download, getConfig, getToken, onTokenChange } from "../api.js";
-import { resultSection } from "../controls.js";
+import { copyButton, resultSection } from "../controls.js";
 import { el, fill, icon } from "../dom.js";
 import { onResult } from "../map/shown.js";
 import { showError } from "../messages.js";
@@ -104,7 +104,7 @@ function sections(result, link) {
     ),
     resultSection(
       "Link to this view",
-      el("div", { class: "row" }, el("div", { class: "grow" }, link), copyButton(permalink)),
+      el("div", { class: "row" }, el("div", { class: "grow" }, link), copyButton("Copy", permalink)),
       el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for everybody who can reach this server."),
     ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
@@ -132,25 +132,6 @@ function qgis(geojson) {
 /** @param {string} text */
 function codeBox(text) {
   const code = el("pre", { class: "code", tabIndex: 0 }, text);
-  const copy = copyButton(() => text);
+  const copy = copyButton("Copy", () => text);
   return el("div", { class: "code-box" }, code, copy);
-}
-
-/** @param {() => string} text */
-function copyButton(text) {
-  const button = el("button", { onClick: () => void copy() }, icon("copy"), "Copy");
-  const copy = async () => {
-    try {
-      await navigator.clipboard.writeText(text());
-    } catch {
-      const area = el("textarea", { value: text(), class: "unseen" }); // plain http has no clipboard of its own
-      document.body.append(area);
-      area.select();
-      document.execCommand("copy");
-      area.remove();
-    }
-    fill(button, icon("check"), "Copied");
-    setTimeout(() => fill(button, icon("copy"), "Copy"), 1500);
-  };
-  return button;
 }

@@ -199,7 +199,11 @@ function outcome(job) {
     !osm && el("p", { class: "note" }, el("strong", {}, "Not scored"), unscored),
     !osm && row(el("button", { class: "primary", onClick: withMap }, "Run again with a map…")),
     row(
-      osm && el("button", { class: "primary", onClick: () => setState({ panel: "report" }) }, "Open the report"),
+      el(
+        "button",
+        { class: "primary", onClick: () => setState({ panel: "report" }) },
+        osm ? "Open the report" : "List the intersections",
+      ),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
     ),
     el(

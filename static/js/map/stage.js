@@ -9,15 +9,20 @@ import { lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory } from "../data/results.js";
 import { el, fill, icon, plural } from "../dom.js";
-import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
+import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
 import { problemNote } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
-import { watchPointer } from "./details.js";
+import { addCoordinates } from "./coordinates.js";
+import { closeDetails, goTo, openDetails, openSelection, watchPointer } from "./details.js";
+import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
+import { listenToKeys } from "./keys.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
+import { addMeasure } from "./measure.js";
 import { OverviewScene, watchDrives } from "./overview.js";
+import { queue } from "./queue.js";
 import { Scene } from "./scene.js";
 import { onPreview, setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
@@ -137,7 +142,7 @@ export async function mountStage() {
     build(false);
     scene = new OverviewScene(drives, shown.map);
     updateLayers();
-    parts.setAttribution({ roads: [], nodes: [], local: false });
+    parts.setAttribution({ roads: [], nodes: [], local: false, isMadeUp: false });
     const places = drives.flatMap(({ track }) => track.map(([lng, lat]) => [lat, lng]));
     if (isNew) fit(places, false, false, below(note));
     return true;
@@ -146,6 +151,7 @@ export async function mountStage() {
   /** @param {import("../data/results.js").Result} next */
   const show = (next) => {
     fill(cover);
+    closeDetails();
     build(next.local);
     scene = new Scene(next, shown.map);
     updateLayers();
@@ -154,10 +160,12 @@ export async function mountStage() {
     isPlaced = false;
     timeline.show(next);
     setResult(next);
+    if (isFiltering()) clearFilter(); // it was one of another result
     shown.map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
     isPlaced = true;
+    openSelection(view ? openDetails : goTo);
     if (frame !== null && !next.frame.rows.has(frame)) setState({ frame: null });
     updateKeyframe();
   };
@@ -169,10 +177,11 @@ export async function mountStage() {
     parts?.compared.show(new Set());
     parts?.redraw();
     parts?.keyframe.show(null, null, false);
-    shown.map?.closePopup();
+    closeDetails();
     parts?.setTiles(false);
     timeline.show(null);
     setResult(null);
+    parts?.filterNote.update();
   };
 
   const updateLayers = () => {
@@ -199,6 +208,11 @@ export async function mountStage() {
   });
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
   subscribe(["frame", "drawer"], updateKeyframe);
+  subscribe(["intersection", "node"], () => openSelection(goTo)); // another address, or back in the history
+  onFilterChange(() => {
+    parts?.redraw();
+    parts?.filterNote.update();
+  });
   onTilesChange(() => (parts?.setTiles(false), updateLayers()));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
   document.addEventListener("job-finished", () => void showDrive());
@@ -224,6 +238,7 @@ export async function mountStage() {
     if (!job && !drive) void showDrive();
   });
   onDemoChange(() => !getState().job && !getState().drive && void showDrive());
+  listenToKeys();
   await showDrive();
 }
 
@@ -261,10 +276,13 @@ function makeMap(holder, local, current) {
   ).addTo(made);
   control.zoom({ position: "topleft" }).addTo(made);
   addFit(made);
+  const measure = addMeasure(made, local);
   control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
   const attribution = control.attribution({ position: "bottomright", prefix: false }).addTo(made);
   const legend = addLegend(made);
-  watchPointer(made, current);
+  addCoordinates(made, local);
+  const filterNote = addFilterNote(made);
+  watchPointer(made, current, measure.isOn);
   watchDrives(made, current, () => surface.redraw());
   /** @type {any} */
   let tiles = null;
@@ -278,6 +296,7 @@ function makeMap(holder, local, current) {
       surface.redraw();
     },
     legend,
+    filterNote,
     compared: new ComparedLayer(made),
     keyframe: new KeyframeLayer(made),
     /** @param {boolean} on */
@@ -291,7 +310,7 @@ function makeMap(holder, local, current) {
       }
       holder.classList.toggle("with-tiles", Boolean(tiles));
     },
-    /** @param {{roads: any[], nodes: any[], local: boolean}} shown */
+    /** @param {{roads: any[], nodes: any[], local: boolean, isMadeUp: boolean}} shown */
     setAttribution(shown) {
       if (credit) attribution.removeAttribution(credit);
       const osm = !shown.isMadeUp && (shown.roads.length || shown.nodes.length) ? OSM_CREDIT : null;
@@ -299,6 +318,23 @@ function makeMap(holder, local, current) {
       if (credit) attribution.addAttribution(credit);
     },
   };
+}
+
+/** Says on the map that a filter leaves intersections out. @param {any} made */
+function addFilterNote(made) {
+  const box = el("div", { class: "filter-note", role: "status", hidden: true });
+  const note = new Control({ position: "topleft" });
+  note.onAdd = () => {
+    DomEvent.disableClickPropagation(box);
+    return box;
+  };
+  note.addTo(made);
+  const update = () => {
+    box.hidden = !isFiltering() || !shown.result;
+    const count = `${queue().length} of ${plural(shown.result?.intersections.length ?? 0, "intersection")}`;
+    fill(box, count, el("button", { class: "link", onClick: clearFilter }, "Show all"));
+  };
+  return { update };
 }
 
 /** @param {any} made */

@@ -3,7 +3,7 @@
  * @module map/timeline
  */
 import { iconButton, select } from "../controls.js";
-import { el, fill, formatDuration, icon, plural } from "../dom.js";
+import { el, fill, formatDuration, icon, isTyping, plural } from "../dom.js";
 import { getState, setState, subscribe } from "../state.js";
 import { firstDetection } from "./shown.js";
 import { colour } from "./symbols.js";
@@ -114,14 +114,7 @@ export function mountTimeline(strip) {
   new ResizeObserver(draw).observe(chart);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   document.addEventListener("keydown", (event) => {
-    const target = /** @type {HTMLElement} */ (event.target);
-    if (
-      event.ctrlKey ||
-      event.metaKey ||
-      event.altKey ||
-      target.closest("input:not([type=range]):not([type=checkbox]), select, textarea, dialog")
-    )
-      return;
+    if (isTyping(event)) return;
     if (event.key === ",") step(-1);
     else if (event.key === ".") step(1);
   });

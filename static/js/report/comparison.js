@@ -228,7 +228,7 @@ function placesOf(names, { items }) {
     found[0] ? `No. ${properties.id}` : `Other ${(others += 1)}`;
   const rows = differing.map((item) => [
     el("button", { class: "link", onClick: () => showPlace(item) }, nameOf(item)),
-    ...item.found.map((isFound) => (isFound ? outcome("fused", "found", names.length) : "–")),
+    ...item.found.map((isFound) => (isFound ? outcome("unscored", "found", names.length) : "–")),
   ]);
   return [
     el("h4", {}, "Intersections of the map"),
