@@ -107,7 +107,7 @@ def _links(job: Job, address: str) -> dict[str, str]:
         return links
     names = ["run", "files", "archive.zip"]
     if summary["georeferenced"]:
-        names += [*_LAYERS, "export.gpkg", "export.kml"]
+        names += [*_LAYERS, "export.gpkg", "export.fgb", "export.kml", "export.csv", "export.geojson"]
     else:
         links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
     if summary["report"] is not None:

@@ -236,21 +236,18 @@ def _place(
         radius_m=None if near is None else 1000.0 * near["radius_km"],
         progress=report,
     )
-    write_places(placed.location, folder)
+    write_places(placed.location, graph, folder)
     return placed.result, placed.scored
 
 
 def _evaluate(task: Task, result: DriveResult, scored: DriveResult, graph: RoadGraph, folder: Path) -> dict[str, Any]:
     from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once per job
     from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
-    from interloc.output.osm_roads import write_roads  # noqa: PLC0415
 
     evaluation = evaluate(
         scored, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
     )
     write_report(evaluation, result, folder)
-    assert result.keyframes.lonlat is not None
-    write_roads(graph, track_bounds(result.keyframes.lonlat), folder)
     return report_record(evaluation)
 
 

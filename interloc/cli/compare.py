@@ -12,18 +12,24 @@ from interloc.cli import console, options
 
 @click.command(short_help="Put the reports of several results side by side.")
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Also write a page (.html), or a picture of precision, recall and F1 of all runs over D (.svg, .png).",
+)
 @options.JSON
-def command(results: tuple[Path, ...], as_json: bool) -> None:
+def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     """Show in which settings RESULTS differ, their figures, and which intersections only one of them found.
 
     RESULTS are two or more result folders of `interloc run` over one drive.
 
     \b
     Example:
-      interloc compare out_default out_paper
+      interloc compare out_default out_paper -o compare.html
     """
     from interloc.errors import ConfigError
-    from interloc.evaluation.compare import compare_reports
+    from interloc.evaluation.compare import compare_reports, write_comparison
     from interloc.output.geojson import read_json
 
     names = [str(result) for result in results]
@@ -34,6 +40,8 @@ def command(results: tuple[Path, ...], as_json: bool) -> None:
             )
     reports = [read_json(result / "report.json") for result in results]
     comparison = compare_reports(names, reports, [read_json(result / "run.json") for result in results])
+    if out is not None:
+        write_comparison(comparison, reports, out)
     if as_json:
         console.say_json(comparison)
         return

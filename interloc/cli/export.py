@@ -9,25 +9,30 @@ import click
 from interloc.cli import console, options
 
 
-@click.command(short_help="Write a result as GeoPackage, FlatGeobuf or KML.")
+@click.command(short_help="Write a result as GeoPackage, FlatGeobuf, KML, CSV or GeoJSON.")
 @click.argument("result", type=click.Path(path_type=Path))
 @click.option(
     "-o",
     "--out",
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write; its name ends in .gpkg, .fgb or .kml.",
+    help="File to write; its name ends in .gpkg, .fgb, .kml, .csv or .geojson.",
 )
-@click.option("--layer", help="Only this layer, such as detections. [default: all in a .gpkg, else intersections]")
+@click.option(
+    "--layer",
+    help="Only this layer, such as detections; also branches and uncertainty, made of the intersections. "
+    "[default: all in a .gpkg, else intersections]",
+)
 @options.QUIET
 @options.JSON
 def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bool) -> None:
-    """Write RESULT, the result folder of `interloc detect` or `run`, as one file for QGIS or Google Earth.
+    """Write RESULT, the result folder of `interloc detect` or `run`, as one file for GIS or a spreadsheet.
 
     \b
     Example:
       interloc export out -o out.gpkg
       interloc export out -o matches.kml --layer matches
+      interloc export out -o intersections.csv
     """
     from interloc.output.vector_files import write_vector_file
 

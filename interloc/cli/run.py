@@ -98,5 +98,5 @@ def _place(
             radius_m=radius_m,
             progress=bar,
         )
-    write_places(placed.location, folder)
+    write_places(placed.location, graph, folder)
     return placed.result, placed.scored

@@ -18,6 +18,7 @@ from interloc.evaluation.verdicts import RunVerdicts, judge
 from interloc.osm.graph import RoadGraph, within
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
+from interloc.output.geojson import positions
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 
 PAPER_ROI_M = 120.0
@@ -134,6 +135,7 @@ def evaluate(
     ConfigError
         The policy is unknown, or the sizes of the zones are not valid.
     """
+    result = _as_printed(result)
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(
             f"{result.drive}: the run has no georeference, so its detections cannot be compared with OpenStreetMap. "
@@ -185,6 +187,18 @@ def evaluate(
         track_to_road_m=track_to_road_m,
         warnings=warnings,
     )
+
+
+def _as_printed(result: DriveResult) -> DriveResult:
+    """Return a run with the positions of its files, so that a run and its result folder get the same report."""
+
+    def printed(table: Any) -> Any:  # noqa: ANN401 - one of three tables
+        if table.lonlat is None:
+            return table
+        return replace(table, lonlat=np.array(positions(table.lonlat, local=False)).reshape(-1, 2))
+
+    tables = ("keyframes", "detections", "intersections")
+    return replace(result, **{name: printed(getattr(result, name)) for name in tables})
 
 
 def _georeference(run: dict[str, Any]) -> dict[str, Any]:

@@ -62,6 +62,8 @@ class RoadGraph:
         meet out there is not: a junction outside does not count as ground truth.
     clipped_ways : int
         Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist.
+    is_made_up : bool
+        The simulator made the map up: its ids are not those of OpenStreetMap.
     """
 
     node_id: IntArray
@@ -73,6 +75,7 @@ class RoadGraph:
     date: str | None = None
     bounds: Bounds | None = None
     clipped_ways: int = 0
+    is_made_up: bool = False
 
     @property
     def extent(self) -> Bounds:

@@ -99,6 +99,7 @@ def read_osm(
         date=prolog.date or _latest_edit(found),
         bounds=_common(prolog.bounds, bounds) if left_out else prolog.bounds,
         clipped_ways=clipped,
+        is_made_up=prolog.is_made_up,
     )
 
 

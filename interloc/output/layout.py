@@ -25,8 +25,9 @@ FORMAT_VERSION = 1
 RUN_FILE = "run.json"
 """The file that makes a folder a result folder; written last."""
 
-RUN_KEYS = ("format", "format_version", "drive_name", "georeferenced", "files")
-"""What `run.json` holds before what the run records about itself."""
+RUN_KEYS = ("format", "format_version", "drive_name", "georeferenced", "files", "first_time", "last_time")
+"""What `run.json` holds before what the run records about itself; the times are those of the first and the last
+keyframe, RFC 3339, or null."""
 
 RUN_SETTINGS = ("config", "fusion")
 """What of `run.json` is settings; the rest is facts about the run."""

@@ -17,7 +17,9 @@ from interloc.results import DetectionTable, DriveResult, IntersectionTable, Key
 
 
 def read_results(folder: Path) -> DriveResult:
-    """Read what `write_results` wrote, to the printed precision (0.1 mm; the trajectory is the thinned one).
+    """Read what `write_results` wrote, to the printed precision: 1 cm on the earth, 0.1 mm in W.
+
+    The trajectory is the thinned one.
 
     Raises
     ------

@@ -59,7 +59,9 @@ def write_results(result: DriveResult, folder: Path) -> None:
     }
     for table, features in tables.items():
         write_collection(folder / names[table], features, local=local)
-    own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, [*names.values(), RUN_FILE])
+    times = [each for each in result.keyframes.moments if each is not None]
+    first, last = (times[0], times[-1]) if times else (None, None)
+    own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, [*names.values(), RUN_FILE], first, last)
     facts = to_jsonable_python(result.run, inf_nan_mode="null", fallback=_as_number_or_text)
     run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
     with atomic_write(folder / RUN_FILE) as handle:
@@ -107,6 +109,7 @@ def _keyframe_features(result: DriveResult) -> list[dict[str, Any]]:
         world_x_m=table.world_xy[:, 0],
         world_y_m=table.world_xy[:, 1],
         world_yaw_rad=table.world_yaw_rad,
+        time=table.moments,
     )
 
 

@@ -32,6 +32,7 @@ FILES = [
     "intersections.geojson",
     "matches.geojson",
     "osm_nodes.geojson",
+    "osm_roads.geojson",
     "report.html",
     "report.json",
 ]
@@ -94,7 +95,7 @@ def test_matches_lead_from_detection_to_node(folder: Path) -> None:
     assert first["geometry"]["type"] == "LineString"
     assert first["geometry"]["coordinates"][1] == pytest.approx([8.4, 49.0], abs=1e-9)
     assert first["properties"]["frame"] == 0
-    assert first["properties"]["error_m"] == pytest.approx(1.0, abs=1e-3)
+    assert first["properties"]["error_m"] == pytest.approx(1.0, abs=1e-2)
     assert first["properties"]["osm_id"] == 100
 
 

@@ -17,8 +17,8 @@ import { Frame } from "./frame.js";
  * @property {any} job
  * @property {any} run `run.json`
  * @property {any|null} report `report.json`; null without an evaluation.
+ * @property {boolean} isMadeUp The map was made up by a simulator: its ids are not those of OpenStreetMap.
  * @property {boolean} local No georeference: positions are metres of W.
- * @property {boolean} madeUp The map is of no real place: its nodes mean nothing to openstreetmap.org.
  * @property {Frame} frame Between metres and the map.
  * @property {Place[]} keyframes
  * @property {Detection[]} detections
@@ -79,8 +79,8 @@ async function load(job) {
     job,
     run,
     report,
+    isMadeUp: report?.osm?.made_up === true,
     local,
-    madeUp: Boolean(report?.osm.made_up),
     frame: new Frame(points, local),
     keyframes: points,
     detections: found,
@@ -105,12 +105,19 @@ async function load(job) {
  * @returns {Promise<Result|null>} null where the drive has none.
  */
 export async function loadTrajectory(job) {
-  const at = `drives/${job.drive_id}/trajectory`;
-  const lonlat = await getJson(at).catch(() => null);
-  const found = lonlat ?? (await getJson(`${at}?local=true`).catch(() => null));
-  const trajectory = (found?.geometry ?? found?.features?.[0]?.geometry ?? found)?.coordinates ?? [];
+  const found = await getJson(`drives/${job.drive_id}/trajectory`).catch(() => null);
+  const trajectory = found?.features?.[0]?.geometry?.coordinates ?? [];
   if (!trajectory.length) return null;
-  const local = !lonlat;
+  return { ...trackAlone(trajectory, found.local === true), job }; // local: metres of W
+}
+
+/**
+ * A result of which nothing but the track is known.
+ * @param {number[][]} trajectory
+ * @param {boolean} local
+ * @returns {Result}
+ */
+export function trackAlone(trajectory, local) {
   const frame = new Frame([], local);
   /** @type {any} */
   const nothing = {
@@ -123,7 +130,8 @@ export async function loadTrajectory(job) {
     places: [],
     byFrame: new Map(),
   };
-  return { ...nothing, job, run: {}, report: null, local, madeUp: false, frame, trajectory, roi_m: 0, zone_m: null };
+  const scores = { report: null, isMadeUp: false, roi_m: 0, zone_m: null };
+  return { ...nothing, ...scores, job: null, run: {}, local, frame, trajectory };
 }
 
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */

@@ -17,6 +17,13 @@ const LAYERS = /** @type {Record<string, string>} */ ({
   trajectory: "Trajectory",
   osm_nodes: "OSM intersections",
   matches: "Matches",
+  osm_roads: "OSM roads",
+});
+
+/** Layers that an export makes of the intersections. */
+const DERIVED = /** @type {Record<string, string>} */ ({
+  branches: "Branches, as lines",
+  uncertainty: "Uncertainty, as circles",
 });
 
 /** @param {HTMLElement} container */
@@ -51,16 +58,18 @@ function sections(result, link) {
   const files = (title, ...buttons) => [el("span", {}, title), el("div", { class: "formats" }, buttons)];
   /** @param {string} name */
   const vector = (name) => {
-    const title = el("span", { title: known.get(name)?.description }, LAYERS[name]);
+    const title = el("span", { title: known.get(name)?.description }, LAYERS[name] ?? DERIVED[name]);
     if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`));
     const path = name.replaceAll("_", "-");
-    const others = ["fgb", "kml"].map((format) =>
+    const others = ["fgb", "kml", "csv"].map((format) =>
       get(format.toUpperCase(), `${at}/export.${format}?layer=${path}`, `${slug}-${name}.${format}`),
     );
-    return files(title, get("GeoJSON", `${at}/${path}`, `${slug}-${name}.geojson`), others);
+    const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
+    return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
   };
   const known = new Map(getConfig().layers.map((layer) => [layer.name, layer]));
   const layers = Object.keys(LAYERS).filter((name) => scored || !known.get(name)?.is_osm);
+  if (!local) layers.push(...Object.keys(DERIVED));
   const gpkg = `${at}/export.gpkg`;
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
   const whole = address(local ? `${at}/archive.zip` : gpkg);
@@ -101,11 +110,12 @@ function sections(result, link) {
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
     !local && resultSection("In QGIS", qgis(address(`${at}/intersections`))),
     scored &&
+      !result.isMadeUp &&
       el(
         "p",
         { class: "small section" },
-        "Report, matches and OSM intersections hold data of OpenStreetMap: © OpenStreetMap contributors, ODbL. " +
-          "State this where you publish them.",
+        "Report, verdicts, matches, OSM roads and intersections hold data of OpenStreetMap: © OpenStreetMap contributors, " +
+          "ODbL. State this where you publish them.",
       ),
   ];
 }

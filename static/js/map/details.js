@@ -194,7 +194,7 @@ function frameOf({ id, first_frame, last_frame }, result) {
 function waysOut(hit, result) {
   const { item, kind } = hit;
   const copy = copyButton("Copy coordinates", () => coordinates(item, result.local));
-  if (result.local || result.madeUp) return el("div", { class: "ways-out" }, copy);
+  if (result.local || result.isMadeUp) return el("div", { class: "ways-out" }, copy);
   const id = kind === "detection" ? null : item.properties.osm_id;
   const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
     el("a", { href, title, target: "_blank", rel: "noopener", onClick: name === "JOSM" && tellOfJosm }, name),

@@ -138,4 +138,4 @@ export function osmLink(id, result) {
 }
 
 /** @param {number|null|undefined} id @param {Result} result @returns {boolean} Whether openstreetmap.org may know it. */
-export const isOsmNode = (id, { madeUp }) => typeof id === "number" && id > 0 && !madeUp;
+export const isOsmNode = (id, { isMadeUp }) => typeof id === "number" && id > 0 && !isMadeUp;
