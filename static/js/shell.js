@@ -9,6 +9,9 @@ import { jobName, openDrive } from "./job/words.js";
 import { askForToken, problemNote, showError } from "./messages.js";
 import { getState, setState, subscribe } from "./state.js";
 
+/** Where the keyframe takes the place of the panel; see shell.css. */
+const narrow = matchMedia("(max-width: 1279.98px)");
+
 /** @param {HTMLElement} header */
 export function mountHeader(header) {
   const openJob = () => setState({ job: jobs.value || null, frame: null, view: null });
@@ -87,12 +90,14 @@ export function mountTabs(panels) {
   const list = /** @type {HTMLElement} */ (document.getElementById("tabs"));
   const panel = /** @type {HTMLElement} */ (document.getElementById("panel"));
   const names = Object.keys(panels);
+  const uncover = () => narrow.matches && setState({ drawer: false });
+  const choose = (/** @type {string} */ name) => (setState({ panel: name }), uncover());
   /** @type {Record<string, HTMLElement>} */
   const bodies = {};
   const tabs = names.map((name) =>
     el(
       "button",
-      { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => setState({ panel: name }) },
+      { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => choose(name) },
       panels[name].title,
     ),
   );
@@ -138,5 +143,8 @@ export function mountTabs(panels) {
     panel.scrollTop = 0;
   };
   subscribe(["panel", "job"], update);
+  subscribe(["panel"], (now, before) => {
+    if (now.panel !== before.panel && before.drawer) uncover(); // "back" to a keyframe leaves it open
+  });
   update();
 }

@@ -293,7 +293,7 @@ function isOver(job) {
 
 /** @param {any} job @returns {string} */
 function waiting(job) {
-  if (job.state === "failed") return "This job failed; the panel at the left says why.";
+  if (job.state === "failed") return "This job failed; its panel says why.";
   if (job.state === "dismissed") return "This job was cancelled.";
   return "The map appears here when the job is done.";
 }
@@ -301,7 +301,7 @@ function waiting(job) {
 /** @param {string|null} drive */
 function welcome(drive) {
   return drive
-    ? el("p", {}, "This drive has no result yet. Run it from the panel at the left.")
+    ? el("p", {}, "This drive has no result yet. Run it from the list of drives.")
     : el(
         "div",
         {},
@@ -309,7 +309,7 @@ function welcome(drive) {
         el(
           "p",
           {},
-          "Upload a drive, or open one at the left: its intersections appear here, beside the roads of OpenStreetMap.",
+          "Upload a drive, or open one of the list: its intersections appear here, beside the roads of OpenStreetMap.",
         ),
       );
 }
