@@ -28,6 +28,7 @@ import { Frame } from "./frame.js";
  * @property {Match[]} matches
  * @property {Array<{line: number[][], properties: any}>} roads
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
+ * @property {string|null} surface Path of the road seen by LiDAR; null where the result has none.
  * @property {number} roi_m Side S of the region of interest.
  * @property {number|null} zone_m Side S - 2 a_o of the relevant zone.
  */
@@ -68,6 +69,7 @@ async function load(job) {
     ...["report", "osm-nodes", "matches", "osm-roads"].map(evaluated),
     isPlaced ? orNull(getJson(`${at}/places`)) : null,
   ]);
+  const hasSurface = (run.files ?? []).includes("road.tif"); // older versions made none
 
   const points = keyframes.features.map(place);
   const pairs = (matches?.features ?? []).map(match);
@@ -92,6 +94,7 @@ async function load(job) {
       line: f.geometry.coordinates,
       properties: f.properties,
     })),
+    surface: hasSurface ? `${at}/road` : null,
     roi_m: report?.roi_m ?? size,
     zone_m: report?.relevant_zone_m ?? (config.branches ? size - 2 * config.branches.outer_radius_m : null),
   };
@@ -119,6 +122,7 @@ export async function loadTrajectory(job) {
     matches: [],
     roads: [],
     places: [],
+    surface: null,
     byFrame: new Map(),
   };
   return { ...nothing, job, run: {}, report: null, local, frame, trajectory, roi_m: 0, zone_m: null };

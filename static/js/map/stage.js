@@ -14,6 +14,7 @@ import { watchPointer } from "./details.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
+import { roadSurface } from "./road_surface.js";
 import { Scene } from "./scene.js";
 import { setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
@@ -119,6 +120,7 @@ export async function mountStage() {
     parts?.keyframe.show(null, null, false);
     shown.map?.closePopup();
     parts?.setTiles(false);
+    parts?.surface.show(null);
     timeline.show(null);
     setResult(null);
   };
@@ -127,6 +129,7 @@ export async function mountStage() {
     if (!scene) return;
     scene.on = layersOn(getState().layers);
     parts.setTiles(scene.on.has("tiles") && !scene.result.local);
+    parts.surface.show(scene.on.has("surface") ? scene.result.surface : null);
     parts.redraw();
   };
 
@@ -204,6 +207,7 @@ function makeMap(holder, local, current) {
     },
     legend,
     keyframe: new KeyframeLayer(made),
+    surface: roadSurface(made),
     /** @param {boolean} on */
     setTiles(on) {
       if (on && !tiles) {
