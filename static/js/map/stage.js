@@ -212,12 +212,14 @@ function makeMap(holder, local, current) {
     setTiles(on) {
       if (on && !tiles) {
         tiles = makeTiles();
+        tiles?.once("tileload", () => holder.classList.add("with-tiles")); // else the roads stay the base map
         tiles?.addTo(made);
       } else if (!on && tiles) {
+        tiles.off();
         tiles.remove();
         tiles = null;
+        holder.classList.remove("with-tiles");
       }
-      holder.classList.toggle("with-tiles", Boolean(tiles));
     },
     /** @param {import("../data/results.js").Result} shown */
     setAttribution(shown) {
