@@ -16,6 +16,7 @@ from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections, locate
 from interloc.detection.keyframes import select_keyframes
 from interloc.detection.road import patch_keyframes, road_patch
+from interloc.detection.warm import warm_up
 from interloc.drive import Drive, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError
@@ -83,6 +84,7 @@ def detect_range(
     progress
         Called with the keyframes of the range that are done, and with all of them.
     """
+    warm_up(config)
     detector = Detector(config)
     first = max(0, start - config.keyframes.window)
     last = min(len(keyframes), stop + config.keyframes.after)
@@ -135,6 +137,8 @@ def detect(
     DriveError
         The drive has no scans, or a scan is damaged.
     """
+    if find is None:
+        warm_up(config)  # once per process, and no part of the time that the run takes
     began = time.perf_counter()
     keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
     if not len(keyframes):

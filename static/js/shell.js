@@ -7,6 +7,7 @@ import { lists, loadPresets, onListsChange, refreshLists } from "./data/lists.js
 import { el, fill, icon } from "./dom.js";
 import { jobName, openDrive } from "./job/words.js";
 import { askForToken, problemNote, showError } from "./messages.js";
+import { listShortcuts } from "./shortcuts.js";
 import { getState, setState, subscribe } from "./state.js";
 
 /** Where the keyframe takes the place of the panel; see shell.css. */
@@ -20,6 +21,7 @@ export function mountHeader(header) {
   const token = el("button", { class: "plain", onClick: () => changeToken().catch(showError) });
   const logo = el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 });
   const docs = { class: "button plain", href: new URL("docs", ROOT).href, target: "_blank", rel: "noopener" };
+  const keys = { title: "Keyboard shortcuts (?)", "aria-label": "Keyboard shortcuts" };
   const slash = el("span", { class: "quiet", "aria-hidden": "true" }, "/");
   fill(
     header,
@@ -27,6 +29,7 @@ export function mountHeader(header) {
     el("nav", { class: "switcher", "aria-label": "Drive and job" }, drives, slash, jobs),
     el("span", { class: "grow" }),
     token,
+    el("button", { class: "square plain keys", ...keys, onClick: listShortcuts }, "?"),
     el("a", docs, "API"),
     el("span", { class: "small version" }, getConfig().version && `v${getConfig().version}`),
   );
