@@ -52,8 +52,9 @@ class DriveGoneError(InterLocError):
 def prepare(task: Task) -> Plan:
     """Open the drive and the map, so that what is wrong with them is reported before the long work."""
     progress = ProgressFiles(task)
-    progress.report_stage("preparing", "Compiling the kernels, once" if are_cold() else None)
-    warm_up(config_of(task))
+    if are_cold():  # the service has just been installed and started
+        progress.report_stage("preparing", "Compiling the kernels, once")
+        warm_up(config_of(task))
     progress.report_stage("preparing")
     drive, keyframes = open_input(task)
     if not len(keyframes):
