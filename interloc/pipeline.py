@@ -84,7 +84,6 @@ def detect_range(
     progress
         Called with the keyframes of the range that are done, and with all of them.
     """
-    warm_up(config)
     detector = Detector(config)
     first = max(0, start - config.keyframes.window)
     last = min(len(keyframes), stop + config.keyframes.after)
