@@ -16,6 +16,7 @@
  */
 import { loadConfig, onTokenNeeded } from "./api.js";
 import { mountDrawer } from "./bev/drawer.js";
+import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { mountStage } from "./map/stage.js";
 import { askForToken, showError } from "./messages.js";
 import { mountHeader, mountTabs } from "./shell.js";
@@ -49,7 +50,13 @@ async function start() {
   mountDrawer(part("drawer"));
   await mountStage();
   mountShortcuts();
-  subscribe(["drive", "job"], () => (document.title = getState().job ? "InterLoc – result" : "InterLoc"));
+  const showTitle = () => {
+    const sent = ownUpload()?.fraction ?? null;
+    const title = getState().job ? "InterLoc – result" : "InterLoc";
+    document.title = sent === null ? title : `${percent(sent)} – ${title}`;
+  };
+  subscribe(["drive", "job"], showTitle);
+  onUploadsChange(showTitle);
 }
 
 start().catch(showError);

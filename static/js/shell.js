@@ -4,6 +4,7 @@
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
 import { lists, loadPresets, onListsChange, refreshLists } from "./data/lists.js";
+import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
 import { jobName, openDrive } from "./job/words.js";
 import { askForToken, problemNote, showError } from "./messages.js";
@@ -105,6 +106,12 @@ export function mountTabs(panels) {
     ),
   );
   fill(list, tabs);
+  const uploading = el("span", { class: "tab-badge" });
+  tabs[names.indexOf("upload")]?.append(uploading);
+  onUploadsChange(() => {
+    const upload = ownUpload();
+    uploading.textContent = upload ? (upload.fraction === null ? "…" : percent(upload.fraction)) : "";
+  });
   list.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (!step) return;

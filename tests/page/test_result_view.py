@@ -279,6 +279,22 @@ def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -
     assert "paper" in page.inner_text("#panel-job")
 
 
+def test_the_start_shows_all_drives_on_one_map(page: Any, done: Done) -> None:
+    page.goto(done.server.address)
+    note = page.locator(".stage-note")
+    note.get_by_text(re.compile("to choose from")).wait_for()
+    assert re.match(r"\d+ drives?\s", note.inner_text())
+    assert re.search(r"\d+ drives? without georeference in the list", note.inner_text())
+    box = page.locator("#map").bounding_box()
+    x, y = box["x"] + 56 + (box["width"] - 96) / 2, box["y"] + (box["height"] + note.bounding_box()["height"]) / 2
+    page.mouse.move(x, y, steps=3)
+    page.locator(".tip", has_text="street").wait_for()
+    page.mouse.click(x, y)
+    page.wait_for_url(re.compile("drive=.*job="))
+    page.locator(".legend:visible").wait_for()
+    assert not note.is_visible()
+
+
 def test_errors_are_told_in_the_words_of_the_server(page: Any, done: Done, watch: Watch) -> None:
     watch.expect("404 .*jobs/0123456789abcdef")
     page.goto(f"{done.server.address}/#panel=job&job=0123456789abcdef")
@@ -300,6 +316,10 @@ def test_a_token_is_asked_for_once_and_refused_in_words(browser: Browser, watch:
     tab.locator("dialog").wait_for(state="detached")
     tab.reload()
     tab.locator(".empty").wait_for()
+    drop = tab.locator(".drop-stage")
+    assert drop.get_by_role("button", name="Try the demo").is_enabled()
+    drop.get_by_role("button", name="Upload a drive").click()
+    tab.get_by_role("button", name="Choose a folder").wait_for()
     assert tab.locator("dialog").count() == 0
     assert TOKEN not in tab.url
     tab.close()

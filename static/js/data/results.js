@@ -111,7 +111,16 @@ export async function loadTrajectory(job) {
   const found = lonlat ?? (await getJson(`${at}?local=true`).catch(() => null));
   const trajectory = (found?.geometry ?? found?.features?.[0]?.geometry ?? found)?.coordinates ?? [];
   if (!trajectory.length) return null;
-  const local = !lonlat;
+  return { ...trackAlone(trajectory, !lonlat), job };
+}
+
+/**
+ * A result of which nothing but the track is known.
+ * @param {number[][]} trajectory
+ * @param {boolean} local
+ * @returns {Result}
+ */
+export function trackAlone(trajectory, local) {
   const frame = new Frame([], local);
   /** @type {any} */
   const nothing = {
@@ -125,7 +134,7 @@ export async function loadTrajectory(job) {
     surface: null,
     byFrame: new Map(),
   };
-  return { ...nothing, job, run: {}, report: null, local, frame, trajectory, roi_m: 0, zone_m: null };
+  return { ...nothing, job: null, run: {}, report: null, local, frame, trajectory, roi_m: 0, zone_m: null };
 }
 
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */

@@ -2,12 +2,13 @@
  * The drives of the server and their jobs: to come back to, to run again, to delete; and the demo.
  * @module drives/panel
  */
-import { getJson, sendJson, sleep } from "../api.js";
+import { getJson, sendJson } from "../api.js";
 import { iconButton } from "../controls.js";
-import { lists, onListsChange, refreshLists, rememberDrive, rememberJob } from "../data/lists.js";
+import { demo, onDemoChange, tryDemo } from "../data/demo.js";
+import { lists, onListsChange, refreshLists } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
 import { openRunDialog } from "../job/run_dialog.js";
-import { afterDeletion, jobTitle, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
+import { afterDeletion, driveBadge, jobTitle, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { trashSection } from "./trash.js";
@@ -18,28 +19,24 @@ const reports = new Map();
 /** @param {HTMLElement} container */
 export function mount(container) {
   const trouble = el("div", {});
-  const demo = el("button", { onClick: () => tryDemo() }, "Try the demo");
+  const button = el("button", { onClick: () => void tryDemo() }, "Try the demo");
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
   const body = el("div", { class: "stack-s" });
   fill(
     container,
-    el("div", { class: "stack" }, el("div", { class: "row" }, upload, demo), trouble, body, trashSection()),
+    el("div", { class: "stack" }, el("div", { class: "row" }, upload, button), trouble, body, trashSection()),
   );
 
-  const tryDemo = async () => {
-    demo.disabled = true;
-    const text = "The server drives through a small made-up town. This takes half a minute the first time.";
-    fill(trouble, el("div", { class: "note" }, el("strong", {}, "Preparing the demo"), text));
-    try {
-      await runDemo();
-      fill(trouble);
-    } catch (error) {
-      fill(trouble, problemNote(error));
-    } finally {
-      demo.disabled = false;
-    }
+  const showDemo = () => {
+    button.disabled = demo.isRunning;
+    if (demo.error !== null) fill(trouble, problemNote(demo.error));
+    else if (demo.isRunning)
+      fill(trouble, el("div", { class: "note" }, el("strong", {}, "Preparing the demo"), demo.text));
+    else fill(trouble);
   };
+  onDemoChange(showDemo);
+  showDemo();
 
   const update = () => {
     if (!lists.isLoaded) return fill(body, el("p", { class: "quiet" }, "Loading…"));
@@ -56,22 +53,8 @@ export function mount(container) {
   onListsChange(update);
   subscribe(["drive", "job"], update);
   subscribe(["panel"], ({ panel }) => panel === "drives" && refreshLists().catch(showError));
+  if (lists.isLoaded) refreshLists().catch(showError); // they were loaded for another panel, some time ago
   update();
-}
-
-/** Create the demo drive on the server, run it, show the job. */
-async function runDemo() {
-  let drive = await sendJson("POST", "demo");
-  rememberDrive(drive);
-  while (drive.state !== "ready") {
-    await sleep(1500);
-    drive = await getJson(`drives/${drive.id}`);
-  }
-  await refreshLists();
-  const request = { drive_id: drive.id, osm: { file: "map.osm" }, policy: "drive", name: "Demo" };
-  const job = await sendJson("POST", "jobs", request);
-  rememberJob(job);
-  openJob(job);
 }
 
 function emptyNote() {
@@ -101,7 +84,7 @@ function driveCard(drive) {
     { class: "grow" },
     el("h3", {}, el("button", { class: "link", title: drive.name, onClick: open }, drive.name)),
     el("p", { class: "small cut" }, facts.join(" · ")),
-    drive.state !== "ready" && el("p", {}, stateBadge(drive.state)),
+    drive.state !== "ready" && el("p", {}, driveBadge(drive)),
     current && report && el("p", { class: "small" }, place),
     current && network && el("p", { class: "small" }, `Labels: ${network}`),
   );

@@ -4,6 +4,7 @@
  */
 import { getConfig } from "../api.js";
 import { lists, ownSettings } from "../data/lists.js";
+import { onUploadsChange, uploadOf, uploadText } from "../data/uploads.js";
 import { el, formatAgo, formatDuration, formatMetres, plural } from "../dom.js";
 import { setState } from "../state.js";
 
@@ -23,6 +24,19 @@ export function stateBadge(state) {
   const [text, kind] = STATES[state] ?? [state, ""];
   return el("span", { class: `badge ${kind}` }, text);
 }
+
+/** @param {any} drive @returns {HTMLElement} Its state, or how far its upload is. */
+export function driveBadge({ id, state }) {
+  const upload = state === "uploading" ? uploadOf(id) : null;
+  return upload ? el("span", { class: "badge busy", dataset: { upload: id } }, uploadText(upload)) : stateBadge(state);
+}
+
+onUploadsChange(() => {
+  for (const badge of document.querySelectorAll("[data-upload]")) {
+    const upload = uploadOf(/** @type {HTMLElement} */ (badge).dataset.upload ?? "");
+    if (upload) badge.textContent = uploadText(upload);
+  }
+});
 
 /** @param {any} job @returns {string} Its name, or what it was asked for. */
 export function jobTitle(job) {

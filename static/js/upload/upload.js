@@ -39,7 +39,7 @@ import { Transfer } from "./transfer.js";
  * @property {string} preset
  * @property {Record<string, any> | null} config Settings that differ from the preset.
  * @property {string | null} labels
- * @property {{file: string} | {overpass: true} | {inside: true} | null} osm `inside`: the map in an archive, if there is one.
+ * @property {import("../job/map_choice.js").MapRequest} osm
  * @property {"drive"|"map"} georeference Where longitude and latitude come from.
  * @property {import("../job/placing.js").Near | null} near Where on the map to search.
  * @property {string} policy
@@ -114,6 +114,14 @@ export class Upload {
     /** @type {string | null} */
     this.jobId = null;
     this.transfer = new Transfer(onChange);
+    /** Asked before each run; it throws where the upload must not run now. @type {() => Promise<void>} */
+    this.guard = async () => {};
+  }
+
+  /** @returns {number | null} How much of the scans or the archive was sent, 0..1; null before and after. */
+  get sent() {
+    const isSending = this.step === "scans" || this.step === "archive";
+    return isSending ? this.transfer.meter.fraction : null;
   }
 
   /** @returns {Step[]} */
@@ -153,6 +161,7 @@ export class Upload {
     this.transfer = new Transfer(this.onChange);
     this.#update({ status: "running", error: null, problems: [], message: "", step: this.steps[0] });
     try {
+      await this.guard();
       const state = await this.#openDrive();
       if (state === "uploading") await this.#send();
       await this.#commit();
