@@ -39,6 +39,7 @@ from app.routes import (
     overview,
     page,
     results,
+    road,
     scans,
     system,
     trash,
@@ -116,7 +117,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     add_handlers(app)
     add_middleware(app, settings)
     of_drives = (drives, overview, files, scans, archive, commit, demo, models)
-    of_jobs = (jobs, events, results, keyframes, exports, compare)
+    of_jobs = (jobs, events, results, keyframes, road, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
         app.include_router(module.router, prefix=API, dependencies=shared)

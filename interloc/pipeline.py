@@ -13,15 +13,17 @@ from typing import Any
 
 from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
-from interloc.detection.detector import Detector, KeyframeDetections
+from interloc.detection.detector import Detector, KeyframeDetections, locate
 from interloc.detection.keyframes import select_keyframes
+from interloc.detection.road import patch_keyframes, road_patch
+from interloc.detection.warm import warm_up
 from interloc.drive import Drive, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
 from interloc.processes import cores, peak_memory_bytes, run_in_processes
-from interloc.results import DriveResult
+from interloc.results import DriveResult, RoadPatch
 from interloc.stopwatch import Stopwatch
 
 Progress = Callable[[int, int], None]
@@ -45,12 +47,15 @@ class RangeResult:
         Time spent in each step.
     peak_memory_bytes : int
         Of the process so far.
+    road : tuple of RoadPatch
+        The road around the keyframes of the range that `patch_keyframes` names.
     """
 
     start: int
     detections: list[KeyframeDetections]
     seconds: dict[str, float]
     peak_memory_bytes: int
+    road: tuple[RoadPatch, ...] = ()
 
 
 FindRange = Callable[[Drive, IntArray, int, int, DetectorConfig, Progress | None], RangeResult]
@@ -86,12 +91,18 @@ def detect_range(
     if is_slow(drive):
         scans = read_ahead(scans, cores())
     windows = detector.completed(scans)
+    kept = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
     found: list[KeyframeDetections] = []
-    for window in islice(windows, start - first, stop - first):
-        found.append(window.detect())
+    road: list[RoadPatch] = []
+    for row, window in enumerate(islice(windows, start - first, stop - first), start):
+        steps = window.steps()
+        found.append(locate(steps, window.keyframe, config.score))
+        if row in kept:
+            road.append(road_patch(row, steps.occupancy, steps.roi))
+            detector.stopwatch.lap("road")
         if progress is not None:
             progress(len(found), stop - start)
-    return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes())
+    return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes(), tuple(road))
 
 
 def detect(
@@ -125,6 +136,8 @@ def detect(
     DriveError
         The drive has no scans, or a scan is damaged.
     """
+    if find is None:
+        warm_up(config)  # once per process, and no part of the time that the run takes
     began = time.perf_counter()
     keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
     if not len(keyframes):
@@ -199,7 +212,8 @@ def assemble(
         "stage_seconds": stopwatch.seconds,  # summed over the processes
         "peak_memory_bytes": max([part.peak_memory_bytes for part in parts] + [peak_memory_bytes()]),
     }
-    return DriveResult(drive.name, keyframe_table, detection_table, intersections, world_xy, lonlat, run)
+    road = tuple(patch for part in parts for patch in part.road)
+    return DriveResult(drive.name, keyframe_table, detection_table, intersections, world_xy, lonlat, run, road)
 
 
 def split(count: int, workers: int) -> list[tuple[int, int]]:

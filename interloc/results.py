@@ -5,13 +5,14 @@ Bearings are degrees clockwise from north where the run is georeferenced, else c
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray, UInt8Array
 
 EPOCH_S = 1e8
 """Times of a drive above this are seconds since 1970 (UTC); those below count from a start such as the first scan."""
@@ -174,6 +175,41 @@ class Verdicts:
 
 
 @dataclass(frozen=True)
+class RoadPatch:
+    """The road around one keyframe, aligned with W: a square of cells, packed.
+
+    Attributes
+    ----------
+    keyframe : int
+        Row of the keyframe table.
+    corner_xy : (2,) float64
+        Upper left corner (least x, greatest y) in W, metres.
+    resolution_m : float
+        Side of a cell.
+    size : int
+        Cells per side.
+    packed : bytes
+        The cells row by row, top row first, eight per byte, deflated.
+    """
+
+    keyframe: int
+    corner_xy: FloatArray
+    resolution_m: float
+    size: int
+    packed: bytes
+
+    @classmethod
+    def pack(cls, keyframe: int, corner_xy: FloatArray, resolution_m: float, cells: UInt8Array) -> RoadPatch:
+        """Pack a (size, size) image of 0 and 1."""
+        return cls(keyframe, corner_xy, resolution_m, len(cells), zlib.compress(np.packbits(cells).tobytes(), 1))
+
+    def cells(self) -> UInt8Array:
+        """Return the (size, size) uint8 image, 1 where the ground is road."""
+        bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
+        return np.unpackbits(bits, count=self.size**2).reshape(self.size, self.size)
+
+
+@dataclass(frozen=True)
 class DriveResult:
     """Everything that `detect` found on a drive.
 
@@ -187,6 +223,8 @@ class DriveResult:
         The same in W, metres.
     run : dict
         What `run.json` holds: configuration, versions, input identity, timings, peak memory.
+    road : tuple of RoadPatch
+        The road around some of the keyframes, for the mosaic; empty where the run kept none or was read from a folder.
     """
 
     drive: str
@@ -196,6 +234,7 @@ class DriveResult:
     trajectory_world_xy: FloatArray
     trajectory_lonlat: FloatArray | None
     run: dict[str, Any] = field(default_factory=dict)
+    road: tuple[RoadPatch, ...] = ()
 
     @property
     def is_georeferenced(self) -> bool:

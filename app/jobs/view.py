@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.http.problem_types import type_of
 from app.http.problems import Problem, ProblemDocument
-from app.jobs.outlook import outlook
+from app.jobs.outlook import outlook, seconds_left
 from app.jobs.titles import own_settings, title_of
 from app.schemas.jobs import JobModel, Progress
 from app.states import JobKind, JobState
@@ -99,8 +99,9 @@ def _error_of(stored: dict[str, Any]) -> ProblemDocument:
 def _progress(job: Job, now: float) -> Progress:
     fraction = 1.0 if job.state == JobState.SUCCESSFUL else min(1.0, job.done / job.total) if job.total else 0.0
     left = None
-    if job.state == JobState.RUNNING and job.started_at is not None and 0.0 < fraction < 1.0:
-        left = round(max(0.0, now - job.started_at) * (1.0 - fraction) / fraction, 1)
+    if job.state == JobState.RUNNING and job.started_at is not None and fraction < 1.0:
+        left = seconds_left(now - job.started_at, job.done, job.total)
+    left = None if left is None else round(left, 1)
     return Progress(done=job.done, total=job.total, fraction=round(fraction, 4), seconds_left=left)
 
 

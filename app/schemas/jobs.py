@@ -90,7 +90,7 @@ class Progress(BaseModel):
         description="Number of keyframes (of scans for a commit, of files for an archive); null until known."
     )
     fraction: float = Field(ge=0, le=1)
-    seconds_left: float | None
+    seconds_left: float | None = Field(description="Null before some seconds of steady work: it cannot be told yet.")
 
 
 class JobModel(BaseModel):

@@ -17,6 +17,7 @@ from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
+from interloc.detection.warm import are_cold, warm_up
 from interloc.drive import Drive
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
@@ -51,6 +52,9 @@ class DriveGoneError(InterLocError):
 def prepare(task: Task) -> Plan:
     """Open the drive and the map, so that what is wrong with them is reported before the long work."""
     progress = ProgressFiles(task)
+    if are_cold():  # the service has just been installed and started
+        progress.report_stage("preparing", "Compiling the kernels, once")
+        warm_up(config_of(task))
     progress.report_stage("preparing")
     drive, keyframes = open_input(task)
     if not len(keyframes):

@@ -6,6 +6,7 @@ file                      content
 ``run.json``              what the run was: format version, list of files, configuration, versions, timings
 ``LAYER.geojson``         one per table of the run; properties: the models of `interloc.output.layers`
 ``LAYER.local.json``      the same of a run without georeference, in metres of W
+``road.tif``              the road seen by LiDAR, a GeoTIFF; not in folders of older versions
 ``report.json``, ...      after an evaluation: the report, its figures, and the layers that hold OpenStreetMap data
 ========================  ==============================================================================================
 """
@@ -65,6 +66,7 @@ RESULT_NAMES = frozenset(
         "report.html",
         *(f"{layer.name}.geojson" for layer in LAYERS.values() if layer.is_osm),
         "figures",
+        "road.tif",
     ]
 )
 """What InterLoc itself puts into a result folder. All else in there is the user's and survives a new run."""

@@ -8,7 +8,11 @@ import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
 import { jobName, openDrive } from "./job/words.js";
 import { askForToken, problemNote, showError } from "./messages.js";
+import { listShortcuts } from "./shortcuts.js";
 import { getState, setState, subscribe } from "./state.js";
+
+/** Where the keyframe takes the place of the panel; see shell.css. */
+const narrow = matchMedia("(max-width: 1279.98px)");
 
 /** @param {HTMLElement} header */
 export function mountHeader(header) {
@@ -22,6 +26,7 @@ export function mountHeader(header) {
   const token = el("button", { class: "plain", onClick: () => changeToken().catch(showError) });
   const logo = el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 });
   const docs = { class: "button plain", href: new URL("docs", ROOT).href, target: "_blank", rel: "noopener" };
+  const keys = { title: "Keyboard shortcuts (?)", "aria-label": "Keyboard shortcuts" };
   const slash = el("span", { class: "quiet", "aria-hidden": "true" }, "/");
   fill(
     header,
@@ -29,6 +34,7 @@ export function mountHeader(header) {
     el("nav", { class: "switcher", "aria-label": "Drive and job" }, drives, slash, jobs),
     el("span", { class: "grow" }),
     token,
+    el("button", { class: "square plain keys", ...keys, onClick: listShortcuts }, "?"),
     el("a", docs, "API"),
     el("span", { class: "small version" }, getConfig().version && `v${getConfig().version}`),
   );
@@ -103,12 +109,14 @@ export function mountTabs(panels) {
   const list = /** @type {HTMLElement} */ (document.getElementById("tabs"));
   const panel = /** @type {HTMLElement} */ (document.getElementById("panel"));
   const names = Object.keys(panels);
+  const uncover = () => narrow.matches && setState({ drawer: false });
+  const choose = (/** @type {string} */ name) => (setState({ panel: name }), uncover());
   /** @type {Record<string, HTMLElement>} */
   const bodies = {};
   const tabs = names.map((name) =>
     el(
       "button",
-      { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => setState({ panel: name }) },
+      { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => choose(name) },
       panels[name].title,
     ),
   );
@@ -160,5 +168,8 @@ export function mountTabs(panels) {
     panel.scrollTop = 0;
   };
   subscribe(["panel", "job"], update);
+  subscribe(["panel"], (now, before) => {
+    if (now.panel !== before.panel && before.drawer) uncover(); // "back" to a keyframe leaves it open
+  });
   update();
 }

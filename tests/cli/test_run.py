@@ -14,7 +14,7 @@ from interloc.cli.main import run
 FILES = {
     *("detections.geojson", "keyframes.geojson", "trajectory.geojson", "intersections.geojson", "run.json"),
     *("report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "osm_roads.geojson"),
-    "figures",
+    *("figures", "road.tif"),
 }
 REPORT_FIELDS = {
     *("policy", "osm", "keyframes", "detections", "matched", "ace_m", "ace_tp_m", "median_m", "p95_m", "rmse_m"),

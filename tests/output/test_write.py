@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.errors import OutputError
+from interloc.geometry import thin
 from interloc.output.geojson import box_around
 from interloc.output.layout import result_folder
 from interloc.output.read import read_results
-from interloc.output.write import thin, write_results
+from interloc.output.write import write_results
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 from tests.output.small import small_result
 

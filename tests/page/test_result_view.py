@@ -195,6 +195,39 @@ def test_the_pictures_of_a_drive_without_georeference_lie_in_its_frame(page: Any
     assert (picture["width"], picture["height"]) == pytest.approx((side, side), abs=1.0)
 
 
+def test_the_road_seen_by_lidar_lies_where_the_server_says(page: Any, done: Done) -> None:
+    view = done.server.client.get(f"{API}/jobs/{done.job}/road").raise_for_status().json()
+    west, south, east, north = view["bounds_lonlat"]
+    show(page, done, f"view=18/{(south + north) / 2}/{(west + east) / 2}")
+    picture = page.locator("img.road-surface")
+    picture.wait_for()
+    box = picture.bounding_box()
+    left, top = on_screen(page, west, north)
+    right, bottom = on_screen(page, east, south)
+    found = (box["x"], box["y"], box["x"] + box["width"], box["y"] + box["height"])
+    assert found == pytest.approx((left, top, right, bottom), abs=1.5)
+    page.locator("#layer-surface").uncheck()
+    picture.wait_for(state="detached")
+    assert "surface" not in page.url.split("layers=")[1]
+    show(page, done, "view=1.5/0/80", done.local_job)
+    picture.wait_for()
+
+
+def test_keys_play_the_drive_and_list_themselves(page: Any, done: Done) -> None:
+    show(page, done, "panel=job&frame=0")
+    page.keyboard.press("Space")
+    page.get_by_role("button", name="Pause").wait_for()
+    page.keyboard.press("Space")
+    page.get_by_role("button", name="Play").wait_for()
+    page.locator("#tab-job").focus()
+    page.keyboard.press("Space")  # which presses the tab
+    assert page.get_by_role("button", name="Pause").count() == 0
+    page.keyboard.press("?")
+    assert "Previous keyframe" in page.get_by_role("dialog", name="Keyboard shortcuts").inner_text()
+    page.keyboard.press("Escape")
+    page.locator("dialog").wait_for(state="detached")
+
+
 @pytest.mark.parametrize(
     ("button", "path", "beginning"),
     [

@@ -30,6 +30,7 @@ import { Frame } from "./frame.js";
  * @property {Array<{line: number[][], properties: any}>} roads
  * @property {import("./compared.js").Compared[]} compared Beside those of other jobs; empty where none are compared.
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
+ * @property {string|null} surface Path of the road seen by LiDAR; null where the result has none.
  * @property {number} roi_m Side S of the region of interest.
  * @property {number|null} zone_m Side S - 2 a_o of the relevant zone.
  */
@@ -70,6 +71,7 @@ async function load(job) {
     ...["report", "osm-nodes", "matches", "osm-roads"].map(evaluated),
     isPlaced ? orNull(getJson(`${at}/places`)) : null,
   ]);
+  const hasSurface = (run.files ?? []).includes("road.tif"); // older versions made none
 
   const points = keyframes.features.map(place);
   const pairs = (matches?.features ?? []).map(match);
@@ -96,6 +98,7 @@ async function load(job) {
       line: f.geometry.coordinates,
       properties: f.properties,
     })),
+    surface: hasSurface ? `${at}/road` : null,
     roi_m: report?.roi_m ?? size,
     zone_m: report?.relevant_zone_m ?? (config.branches ? size - 2 * config.branches.outer_radius_m : null),
   };
@@ -131,6 +134,7 @@ export function trackAlone(trajectory, local) {
     roads: [],
     compared: [],
     places: [],
+    surface: null,
     byFrame: new Map(),
   };
   const scores = { report: null, isMadeUp: false, roi_m: 0, zone_m: null };

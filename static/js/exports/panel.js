@@ -47,7 +47,7 @@ export function mount(container) {
 
 /** @param {import("../data/results.js").Result} result @param {HTMLElement} link */
 function sections(result, link) {
-  const { job, local } = result;
+  const { job, local, surface } = result;
   const at = `jobs/${job.id}`;
   const slug = job.drive_name.replace(/[^A-Za-z0-9._-]+/g, "_");
   const scored = result.report !== null;
@@ -66,6 +66,14 @@ function sections(result, link) {
     );
     const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
     return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
+  };
+  const raster = () => {
+    const hint =
+      "Cells of 0.5 m: from how many keyframes each was seen as road. In UTM, or in metres without georeference.";
+    return files(
+      el("span", { title: hint }, "Road seen by LiDAR"),
+      get("GeoTIFF", `${surface}.tif`, `${slug}-road.tif`),
+    );
   };
   const known = new Map(getConfig().layers.map((layer) => [layer.name, layer]));
   const layers = Object.keys(LAYERS).filter((name) => scored || !known.get(name)?.is_osm);
@@ -87,7 +95,7 @@ function sections(result, link) {
         { class: "note" },
         "Without a georeference the files hold local metres; there are no GIS formats of them.",
       ),
-    resultSection("Layers", el("div", { class: "downloads" }, layers.map(vector))),
+    resultSection("Layers", el("div", { class: "downloads" }, layers.map(vector), surface && raster())),
     resultSection(
       "Report",
       el(

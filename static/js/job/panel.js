@@ -178,6 +178,9 @@ async function cancel(job) {
 function outcome(job) {
   const summary = job.summary ?? {};
   const { report, seconds, keyframes } = summary;
+  /** @type {number[]} */
+  const stages = Object.values(summary.stage_seconds ?? {});
+  const methodSeconds = stages.reduce((sum, each) => sum + each, 0); // without the start of workers, and the map
   const { osm, policy } = job.request;
   const own = Object.entries(job.own_settings).map(([name, value]) =>
     el("code", {}, `${name} = ${JSON.stringify(value)} `),
@@ -217,7 +220,7 @@ function outcome(job) {
         summary.location && ["Placed by its roads", placedText(summary.location)],
         ["Own settings", own.length ? own : "none"],
         seconds !== undefined && ["Time", formatDuration(seconds)],
-        seconds && keyframes && ["Per keyframe", `${((1000 * seconds) / keyframes).toFixed(1)} ms`],
+        methodSeconds && keyframes && ["Per keyframe", `${((1000 * methodSeconds) / keyframes).toFixed(1)} ms`],
         summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
         ["Finished", finished],
         ["Job", el("code", {}, job.id)],

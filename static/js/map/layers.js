@@ -18,6 +18,7 @@ const layer = (id, group, title, look, hint) => ({ id, group, title, look, hint 
 
 export const LAYERS = [
   layer("tiles", "Base", "Map tiles", "line tiles", "Pictures from a tile server; needs the internet."),
+  layer("surface", "Base", "Road seen by LiDAR", "line surface", "Where the drive's LiDAR saw road: a map of its own."),
   layer("roads", "Base", "OSM roads", "line road", "Roads of the map that the drive was scored against."),
   layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
   layer("places", "Drive", "Next best places", "line place", "Where else the roads of the map fit the drive, worse."),
@@ -75,6 +76,7 @@ const OFF_BY_DEFAULT = new Set(["tiles", "keyframes", "outside"]);
 /** How many things a layer holds; null: no number is shown; 0 hides the layer. */
 const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
   tiles: (r) => (r.local ? 0 : null),
+  surface: (r) => (r.surface ? null : 0),
   roads: (r) => r.roads.length,
   places: (r) => r.places.length,
   keyframes: (r) => r.keyframes.length,

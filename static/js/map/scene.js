@@ -4,6 +4,7 @@
  */
 import { passes } from "./filter.js";
 import { kindOfNode, verdictOf } from "./layers.js";
+import { paintStreetNames } from "./street_names.js";
 import { colour, SIGNS, trace } from "./symbols.js";
 
 /**
@@ -48,6 +49,7 @@ export class Scene {
       path: flat(line),
       width: widthOf(properties),
       drivable: isDrivable(properties),
+      name: properties.name ?? null,
     }));
     this.roads.sort((a, b) => a.width - b.width);
     /** @type {Set<string>} */
@@ -76,6 +78,7 @@ export class Scene {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";
     context.lineJoin = "round";
+    if (this.on.has("roads") && !this.on.has("tiles")) paintStreetNames(context, view, this.roads); // tiles have their own
     if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
     if (this.progress > 0)

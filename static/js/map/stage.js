@@ -11,18 +11,19 @@ import { loadResult, loadTrajectory } from "../data/results.js";
 import { el, fill, icon, plural } from "../dom.js";
 import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
 import { problemNote } from "../messages.js";
+import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
 import { addCoordinates } from "./coordinates.js";
 import { closeDetails, goTo, openDetails, openSelection, watchPointer } from "./details.js";
 import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
-import { listenToKeys } from "./keys.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
-import { addMeasure } from "./measure.js";
+import { addMeasure, MEASURE_KEYS } from "./measure.js";
 import { OverviewScene, watchDrives } from "./overview.js";
-import { queue } from "./queue.js";
+import { QUEUE_KEYS, queue } from "./queue.js";
+import { roadSurface } from "./road_surface.js";
 import { Scene } from "./scene.js";
 import { onPreview, setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
@@ -179,6 +180,7 @@ export async function mountStage() {
     parts?.keyframe.show(null, null, false);
     closeDetails();
     parts?.setTiles(false);
+    parts?.surface.show(null);
     timeline.show(null);
     setResult(null);
     parts?.filterNote.update();
@@ -189,6 +191,7 @@ export async function mountStage() {
     scene.on = layersOn(getState().layers);
     parts.setTiles(scene.on.has("tiles") && !scene.result.local);
     parts.compared.show(scene.on);
+    parts.surface.show(scene instanceof Scene && scene.on.has("surface") ? scene.result.surface : null);
     parts.redraw();
   };
 
@@ -238,7 +241,7 @@ export async function mountStage() {
     if (!job && !drive) void showDrive();
   });
   onDemoChange(() => !getState().job && !getState().drive && void showDrive());
-  listenToKeys();
+  for (const { key, text, run } of [...QUEUE_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
   await showDrive();
 }
 
@@ -299,16 +302,19 @@ function makeMap(holder, local, current) {
     filterNote,
     compared: new ComparedLayer(made),
     keyframe: new KeyframeLayer(made),
+    surface: roadSurface(made),
     /** @param {boolean} on */
     setTiles(on) {
       if (on && !tiles) {
         tiles = makeTiles();
+        tiles?.once("tileload", () => holder.classList.add("with-tiles")); // else the roads stay the base map
         tiles?.addTo(made);
       } else if (!on && tiles) {
+        tiles.off();
         tiles.remove();
         tiles = null;
+        holder.classList.remove("with-tiles");
       }
-      holder.classList.toggle("with-tiles", Boolean(tiles));
     },
     /** @param {{roads: any[], nodes: any[], local: boolean, isMadeUp: boolean}} shown */
     setAttribution(shown) {
