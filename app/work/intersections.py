@@ -248,7 +248,7 @@ def _evaluate(task: Task, result: DriveResult, scored: DriveResult, graph: RoadG
     evaluation = evaluate(
         scored, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
     )
-    write_report(evaluation, result, folder)
+    write_report(evaluation, folder, result=result)
     assert result.keyframes.lonlat is not None
     write_roads(graph, track_bounds(result.keyframes.lonlat), folder)
     return report_record(evaluation)

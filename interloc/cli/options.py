@@ -172,9 +172,8 @@ def open_drive(drive: Path, options: dict[str, Any]) -> FolderDrive:
 def configure(preset: str, settings: tuple[str, ...]) -> DetectorConfig:
     """Return the configuration by the values of `config_options`."""
     from interloc.config import preset as preset_of
-    from interloc.config import with_settings
 
-    return with_settings(preset_of(preset), settings)
+    return preset_of(preset, *settings)
 
 
 def open_for_evaluation(

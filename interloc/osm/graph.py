@@ -74,6 +74,13 @@ class RoadGraph:
     bounds: Bounds | None = None
     clipped_ways: int = 0
 
+    def __repr__(self) -> str:
+        west, south, east, north = self.extent
+        return (
+            f"<RoadGraph {self.source}: {len(self.ways):,} highways, {len(self.node_id):,} nodes, "
+            f"lon {west:.4f} .. {east:.4f}, lat {south:.4f} .. {north:.4f}>"
+        )
+
     @property
     def extent(self) -> Bounds:
         """West, south, east, north of the nodes, degrees."""

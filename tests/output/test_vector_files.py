@@ -40,7 +40,7 @@ def write_folder(folder: Path, result: DriveResult, *, scored: bool) -> Path:
     if scored:
         (folder.parent / "map.osm").write_text(MAP)
         graph = read_osm(folder.parent / "map.osm")
-        write_report(evaluate(result, graph), result, folder)
+        write_report(evaluate(result, graph), folder)
         write_roads(graph, track_bounds(result.keyframes.lonlat), folder)
     return folder
 
