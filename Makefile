@@ -27,14 +27,14 @@ $(READY): pyproject.toml constraints.txt static/package-lock.json
 	else echo "npm was not found: the web service will run without its page."; fi
 	@touch $(READY)
 
-# The web service and its page, for this machine only: drives and results in ./interloc-data.
+# The web service and its page, for this machine only: drives and results in ./interloc-data. `make serve PORT=8001`.
 serve: $(READY)
-	$(BIN)/interloc serve
+	$(BIN)/interloc serve$(if $(filter file,$(origin PORT)),, --port $(PORT))
 
 # A drive through a made-up town, mapped and scored against the town's own map, all in demo/; then the same in the web
-# service, until Ctrl-C. `make demo SERVE=` leaves the service out, `make demo PORT=8001` has it elsewhere.
+# service, until Ctrl-C. `make demo SERVE=` leaves the service out, `make demo PORT=8001` has it elsewhere. The drive is made once; `rm -r demo` for a new one.
 demo: $(READY)
-	$(BIN)/interloc simulate town --small -o demo/drive
+	@test -f demo/drive/map.osm || $(BIN)/interloc simulate town --small -o demo/drive
 	$(BIN)/interloc run demo/drive -o demo/result --osm demo/drive/map.osm
 	@echo
 	@echo "The report:                            demo/result/report.html"

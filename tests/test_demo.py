@@ -25,7 +25,8 @@ ON_THE_COMMAND_LINE, IN_THE_SERVICE = RECIPE.split("\nifneq ($(SERVE),)\n")
 def work(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the commands of the first part, in a folder."""
     monkeypatch.chdir(folder)
-    for line in ON_THE_COMMAND_LINE.splitlines():
+    for recipe in ON_THE_COMMAND_LINE.splitlines():
+        line = recipe.replace("\t@test -f demo/drive/map.osm || ", "\t")  # it is not there yet
         if line.startswith("\t$(BIN)/interloc "):
             assert run(shlex.split(line)[1:]) == 0
 

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from interloc.simulate.config import SimulationOptions, TrackConfig
 
 
+_LASERS, _SHOT_BYTES, _GROUND_SHARE = 64, 18, 0.5  # bytes: those shots that return, with their labels
+_SHOT_S = 8e-7
+
 DRIVE = click.option(
     "-o",
     "--out",
@@ -100,13 +103,14 @@ def town(drive: Path, small: bool, every_scan: bool, speed_mps: float, **common:
 
     quiet = common["quiet"]
     console.set_up_log(quiet=quiet)
+    options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan", quiet=quiet) as bar:
         scans = simulate_town(
             drive,
-            _options(every_scan=every_scan, **common),
+            options,
             part="plain" if small else "full",
             track=_track_config(speed_mps),
-            progress=bar,
+            progress=_Announced(bar, options, quiet=quiet),
         )
     _go_on(scans, drive, drive / MAP_FILE)
 
@@ -232,6 +236,24 @@ def _options(
         scene=SceneConfig(**empty),
         sensor=LidarConfig(columns=columns, **no_noise),
     )
+
+
+class _Announced:
+    """A progress bar that first says how much there will be."""
+
+    def __init__(self, bar: console.Bar, options: SimulationOptions, *, quiet: bool) -> None:
+        self._bar, self._options, self._is_said = bar, options, quiet
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how many scans are done."""
+        if not self._is_said:
+            shots = total * self._options.sensor.columns * _LASERS
+            share = _GROUND_SHARE if self._options.ground_only else 1.0
+            size, minutes = console.size(int(shots * _SHOT_BYTES * share)), shots * _SHOT_S / 60
+            long = "about a minute" if minutes < 1.5 else f"about {minutes:.0f} minutes on one core"
+            click.echo(f"{total:,} scans, about {size}; {long}", err=True)
+            self._is_said = True
+        self._bar(done, total)
 
 
 def _track_config(speed_mps: float, offset_m: float = 0.0) -> TrackConfig:

@@ -8,9 +8,11 @@ from interloc.errors import ConfigError
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.report import LAYER_FEATURES
 from interloc.output.layers import LAYERS
-from interloc.output.vector_files import DTYPES
 from interloc.output.write import TABLE_FEATURES
 from interloc.results import DriveResult
+
+_DTYPES = {"int": "Int64", "float": "float64", "bool": "boolean"}
+"""Kind of a property -> column of pandas; those with a capital letter and `boolean` know null."""
 
 
 def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> Any:  # noqa: ANN401 - no types
@@ -57,4 +59,4 @@ def geodataframe(of: DriveResult | Evaluation, layer: str = "intersections") -> 
         geometry=[feature["geometry"] and shape(feature["geometry"]) for feature in features],
         crs="EPSG:4326" if result.is_georeferenced else None,
     )
-    return table.astype({name: DTYPES[kind] for name, kind in fields.items()})
+    return table.astype({name: _DTYPES[kind] for name, kind in fields.items() if kind in _DTYPES})

@@ -21,7 +21,7 @@ from interloc.output.layout import RUN_FILE, file_names
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
 """Suffix -> driver of GDAL. A GeoPackage holds all layers, the others hold one."""
 
-DTYPES = {"int": "Int64", "float": "float64", "bool": "boolean", "text": "object", "list": "object"}
+_DTYPES = {"int": "Int64", "float": "float64", "bool": "boolean", "text": "object", "list": "object"}
 """Kind of a property -> column of pandas; those with a capital letter and the objects know null."""
 
 _KML_NAMES = {"id": "number", "name": "street"}
@@ -146,4 +146,4 @@ def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no 
         if kind == "list":
             columns[name] = [json.dumps(value, separators=(",", ":")) for value in columns[name]]
     table = GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
-    return table.astype({name: DTYPES[kind] for name, kind in layer.fields.items()})
+    return table.astype({name: _DTYPES[kind] for name, kind in layer.fields.items()})
