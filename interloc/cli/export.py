@@ -29,11 +29,14 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
       interloc export out -o out.gpkg
       interloc export out -o matches.kml --layer matches
     """
-    from interloc.output.vector_files import write_vector_file
+    from interloc.output.vector_files import PLACE_IT, is_local, write_vector_file
 
     console.set_up_log(quiet=quiet)
     layers = write_vector_file(result, out, layer=layer)
     if as_json:
         console.say_json({"file": str(out), "layers": layers})
     elif not quiet:
-        console.say_facts([("file", str(out)), ("layers", ", ".join(layers))])
+        facts = [("file", str(out)), ("layers", ", ".join(layers))]
+        if is_local(result):
+            facts.append(("place", f"none: metres in the frame of the first scan. {PLACE_IT}"))
+        console.say_facts(facts)

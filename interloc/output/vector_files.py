@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,6 +21,12 @@ from interloc.output.layout import RUN_FILE, file_names
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
 """Suffix -> driver of GDAL. A GeoPackage holds all layers, the others hold one."""
+
+PLACE_IT = (
+    "Place it: `interloc locate DRIVE --osm MAP -o geo.csv` finds it by its roads, or put a geo.csv into the drive; "
+    "then detect again"
+)
+"""What makes a result in metres one on the map."""
 
 _DTYPES = {"int": "Int64", "float": "float64", "bool": "boolean", "text": "object", "list": "object"}
 """Kind of a property -> column of pandas; those with a capital letter and the objects know null."""
@@ -34,7 +41,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     Parameters
     ----------
     result
-        Result folder of a georeferenced drive.
+        Result folder. One without georeference is written in metres of its own frame, without a coordinate system.
     out
         ``.gpkg``, ``.fgb`` or ``.kml``; an older file of that name is replaced.
     layer : str or None
@@ -50,7 +57,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     ConfigError
         The format or the layer is unknown, or the result has no such layer because it was not evaluated.
     GeoreferenceError
-        The result is in local metres.
+        The result is in local metres, and is to be written as KML.
     OutputError
         `result` is not a result folder, or `out` could not be written.
     """
@@ -58,7 +65,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     if driver is None:
         raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(DRIVERS)}.")
     names = _choose(result, layer, driver)
-    layers = [(LAYERS[name], LAYERS[name].read(result / f"{name}.geojson")) for name in names]
+    layers = [(LAYERS[name], LAYERS[name].read(_file_of(result, name))) for name in names]
     if driver == "GPKG":
         _write_database(out, layers)
         return names
@@ -93,13 +100,12 @@ def _choose(result: Path, layer: str | None, driver: str) -> list[str]:
     wanted = None if layer is None else layer.replace("-", "_")
     if wanted is not None and wanted not in LAYERS:
         raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(LAYERS)}.")
-    if not read_json(result / RUN_FILE).get("georeferenced"):
-        local = file_names(georeferenced=False)["intersections"]
+    if is_local(result) and driver == "LIBKML":
         raise GeoreferenceError(
-            f"{result} is in metres of its own frame, not in longitude and latitude: the drive has no georeference. "
-            f"{local} holds the same."
+            f"{result} is in metres of its own frame, and KML knows longitude and latitude only: the drive has no "
+            f"georeference. {PLACE_IT}, or write a .gpkg or .fgb, in metres."
         )
-    there = [name for name in LAYERS if (result / f"{name}.geojson").exists()]
+    there = [name for name in LAYERS if _file_of(result, name).exists()]
     if wanted is None:
         return there if driver == "GPKG" else ["intersections"]
     if wanted not in there:
@@ -107,6 +113,17 @@ def _choose(result: Path, layer: str | None, driver: str) -> list[str]:
             f"{result} has no {wanted}.geojson. It was not scored against a map: `interloc evaluate` does that."
         )
     return [wanted]
+
+
+def is_local(result: Path) -> bool:
+    """Return whether a result folder is in metres of its own frame, for want of a georeference."""
+    return not read_json(result / RUN_FILE).get("georeferenced")
+
+
+def _file_of(result: Path, name: str) -> Path:
+    """Return the file of a layer, which has another name where it is in metres."""
+    local = result / file_names(georeferenced=False).get(name, "")
+    return local if local.is_file() else result / f"{name}.geojson"
 
 
 def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows, *, append: bool = False) -> None:
@@ -119,16 +136,18 @@ def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows,
         table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
     metadata = {"TITLE": layer.title, "ATTRIBUTION": layer.attribution}
     title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]
-    table.to_file(
-        sink,
-        driver=driver,
-        engine="pyogrio",
-        mode="a" if append else "w",
-        layer=layer.name,
-        geometry_type=layer.geometry,
-        layer_metadata=metadata if driver == "GPKG" else None,
-        layer_options={title: layer.title, "DESCRIPTION": layer.attribution},
-    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "'crs' was not provided")  # metres claim no place
+        table.to_file(
+            sink,
+            driver=driver,
+            engine="pyogrio",
+            mode="a" if append else "w",
+            layer=layer.name,
+            geometry_type=layer.geometry,
+            layer_metadata=metadata if driver == "GPKG" else None,
+            layer_options={title: layer.title, "DESCRIPTION": layer.attribution},
+        )
 
 
 def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no types
@@ -145,5 +164,6 @@ def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no 
     for name, kind in layer.fields.items():
         if kind == "list":
             columns[name] = [json.dumps(value, separators=(",", ":")) for value in columns[name]]
-    table = GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
+    local = rows.path.name in file_names(georeferenced=False).values()
+    table = GeoDataFrame(columns, geometry=places, crs=None if local else "EPSG:4326")
     return table.astype({name: _DTYPES[kind] for name, kind in layer.fields.items()})

@@ -155,8 +155,8 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no matches\.geojson.*interloc evaluate"):
         write_vector_file(plain, tmp_path / "a.fgb", layer="matches")
     local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
-    with pytest.raises(GeoreferenceError, match=r"intersections\.local\.json"):
-        write_vector_file(local, tmp_path / "a.gpkg")
+    with pytest.raises(GeoreferenceError, match=r"KML knows longitude and latitude only.*`interloc locate"):
+        write_vector_file(local, tmp_path / "a.kml")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["local", "plain"]
 
 
