@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _LASERS, _SHOT_BYTES, _GROUND_SHARE = 64, 18, 0.5  # bytes: those shots that return, with their labels
 _SHOT_S = 8e-7
+_LARGE_BYTES = 100_000_000
 
 DRIVE = click.option(
     "-o",
@@ -239,7 +240,7 @@ def _options(
 
 
 class _Announced:
-    """A progress bar that first says how much there will be."""
+    """A progress bar that first says how much there will be, where it is much."""
 
     def __init__(self, bar: console.Bar, options: SimulationOptions, *, quiet: bool) -> None:
         self._bar, self._options, self._is_said = bar, options, quiet
@@ -248,10 +249,11 @@ class _Announced:
         """Show how many scans are done."""
         if not self._is_said:
             shots = total * self._options.sensor.columns * _LASERS
-            share = _GROUND_SHARE if self._options.ground_only else 1.0
-            size, minutes = console.size(int(shots * _SHOT_BYTES * share)), shots * _SHOT_S / 60
-            long = "about a minute" if minutes < 1.5 else f"about {minutes:.0f} minutes on one core"
-            click.echo(f"{total:,} scans, about {size}; {long}", err=True)
+            size = int(shots * _SHOT_BYTES * (_GROUND_SHARE if self._options.ground_only else 1.0))
+            minutes = max(1, round(shots * _SHOT_S / 60))
+            if size > _LARGE_BYTES:
+                long = f"{minutes} minute{'' if minutes == 1 else 's'}"
+                click.echo(f"{total:,} scans, about {console.size(size)} and {long} on one core", err=True)
             self._is_said = True
         self._bar(done, total)
 
