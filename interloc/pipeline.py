@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -16,8 +16,9 @@ from interloc.config import DEFAULT, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections, locate
 from interloc.detection.keyframes import select_keyframes
 from interloc.detection.road import patch_keyframes, road_patch
+from interloc.detection.scan import ScanLike
 from interloc.detection.warm import warm_up
-from interloc.drive import Drive, is_slow, read_ahead, scans_of
+from interloc.drive import Drive, DriveScan, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError
 from interloc.mapping.fusion import fuse
@@ -87,10 +88,7 @@ def detect_range(
     detector = Detector(config)
     first = max(0, start - config.keyframes.window)
     last = min(len(keyframes), stop + config.keyframes.after)
-    scans = scans_of(drive, keyframes[first:last])
-    if is_slow(drive):
-        scans = read_ahead(scans, cores())
-    windows = detector.completed(scans)
+    windows = detector.completed(_read(drive, keyframes[first:last]))
     kept = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
     found: list[KeyframeDetections] = []
     road: list[RoadPatch] = []
@@ -103,6 +101,39 @@ def detect_range(
         if progress is not None:
             progress(len(found), stop - start)
     return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes(), tuple(road))
+
+
+def _read(drive: Drive, keyframes: IntArray) -> Iterator[DriveScan]:
+    """Yield the scans at some positions of a drive, read ahead where that takes long."""
+    scans = scans_of(drive, keyframes)
+    return read_ahead(scans, cores()) if is_slow(drive) else scans
+
+
+def stream(scans: Drive | Iterable[ScanLike], config: DetectorConfig = DEFAULT) -> Iterator[KeyframeDetections]:
+    """Yield the detections of each keyframe as soon as they are known, the last ones too: `Detector`, in a loop.
+
+    Parameters
+    ----------
+    scans : Drive or iterable of Scan
+        A drive, or scans with their poses as they arrive, in their order.
+    config
+        ``keyframes.lookahead`` keyframes (20, about 40 m, unless set) pass before the detections of one come;
+        0 is causal, and finds fewer intersections ahead of the vehicle.
+
+    Yields
+    ------
+    KeyframeDetections
+        One for each keyframe, in order, whether anything was found or not.
+
+    Raises
+    ------
+    DriveError
+        A scan of the drive is damaged.
+    """
+    if isinstance(scans, Drive):
+        scans = _read(scans, select_keyframes(scans.T_world_lidar, config.keyframes))
+    for window in Detector(config).completed(scans):
+        yield window.detect()
 
 
 def detect(

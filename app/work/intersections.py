@@ -251,7 +251,7 @@ def _evaluate(task: Task, result: DriveResult, scored: DriveResult, graph: RoadG
     evaluation = evaluate(
         scored, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
     )
-    write_report(evaluation, result, folder)
+    write_report(evaluation, folder, result=result)
     return report_record(evaluation)
 
 

@@ -31,6 +31,7 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     from interloc.errors import ConfigError
     from interloc.evaluation.compare import compare_reports, write_comparison
     from interloc.output.geojson import read_json
+    from interloc.results import counted
 
     names = [str(result) for result in results]
     for result in results:
@@ -52,7 +53,8 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     else:
         click.echo("the same settings")
     click.echo()
-    click.echo(f"{comparison['found_by_all']} nodes found by all, {comparison['missed_by_all']} missed by all")
+    found, missed = comparison["found_by_all"], comparison["missed_by_all"]
+    click.echo(f"{counted(found, 'OSM node')} found by all, {counted(missed, 'OSM node')} missed by all")
     for name, only in zip(names, comparison["found_only_by"], strict=True):
         click.echo(f"only {name}: {len(only)}" + (f" ({', '.join(map(str, only[:20]))})" if only else ""))
     for warning in comparison["warnings"]:

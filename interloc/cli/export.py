@@ -38,7 +38,7 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
       interloc export out -o road.tif
     """
     from interloc.output.road import RASTER_SUFFIXES, ROAD_LAYER, export_road
-    from interloc.output.vector_files import write_vector_file
+    from interloc.output.vector_files import PLACE_IT, is_local, write_vector_file
 
     console.set_up_log(quiet=quiet)
     if layer == ROAD_LAYER or (layer is None and out.suffix.lower() in RASTER_SUFFIXES):
@@ -49,4 +49,7 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
     if as_json:
         console.say_json({"file": str(out), "layers": layers})
     elif not quiet:
-        console.say_facts([("file", str(out)), ("layers", ", ".join(layers))])
+        facts = [("file", str(out)), ("layers", ", ".join(layers))]
+        if is_local(result):
+            facts.append(("place", f"none: metres in the frame of the first scan. {PLACE_IT}"))
+        console.say_facts(facts)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,39 +34,37 @@ _METRE_DECIMALS = 4
 _RATIO_DECIMALS = 6
 
 
-def write_report(evaluation: Evaluation, result: DriveResult, out_dir: Path) -> None:
+def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, result: DriveResult | None = None) -> None:
     """Write the report of an evaluation into the result folder of its run.
 
     Parameters
     ----------
     evaluation
         Of `result`.
-    result
-        The run; its configuration and timings are part of the report.
     out_dir
-        Folder of the run. Files of an older report are replaced, each whole or not at all, and so are its detections
-        and intersections: the same with the verdicts of this evaluation. Write into an `interloc.files.atomic_folder`
-        for all or nothing.
+        Folder of the run, as `interloc.write_results` wrote it. Files of an older report are replaced, each whole or
+        not at all, and so are its detections and intersections: the same with the verdicts of this evaluation. Write
+        into an `interloc.files.atomic_folder` for all or nothing.
+    result
+        The run as it was written, where that is not the one that was scored (`interloc.localization.placing`). Its
+        configuration and timings are part of the report.
 
     Raises
     ------
     OutputError
         The folder is missing, or a file could not be written.
     """
+    result, out_dir = result or evaluation.result, Path(out_dir)
     if not out_dir.is_dir():
-        raise OutputError(f"{out_dir}: no such folder. Expected the result folder of `interloc detect`.")
+        raise OutputError(
+            f"{out_dir}: no such folder. Expected the result folder of `interloc detect` or `interloc.write_results`."
+        )
     pictures = _write_figures(evaluation, result, out_dir / "figures")
-    assert result.keyframes.lonlat is not None
-    graph, verdicts = evaluation.graph, evaluation.verdicts
-    for table, features in (
-        ("detections", detection_features(result, verdicts.detections)),
-        ("intersections", intersection_features(result, verdicts.intersections, verdicts.uids)),
-        ("osm_nodes", _node_features(evaluation)),
-        ("matches", _match_features(evaluation, result)),
-        ("osm_roads", road_features(graph, track_bounds(result.keyframes.lonlat))),
-    ):
-        credit = LAYERS[table].credit(features, made_up_map=graph.is_made_up)
-        write_collection(out_dir / f"{table}.geojson", features, local=False, credit=credit)
+    graph = evaluation.graph
+    for layer, features_of in LAYER_FEATURES.items():
+        features = features_of(evaluation, result)
+        credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
+        write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit)
     record = report_record(evaluation)
     with atomic_write(out_dir / "report.html") as handle:
         handle.write(render_html(record, result, pictures).encode())
@@ -187,6 +186,23 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[st
         detection=[names[row] for row in every],
         intersection=[ids[result.detections.intersection[row]] for row in every],
     )
+
+
+def _road_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
+    assert result.keyframes.lonlat is not None
+    return road_features(evaluation.graph, track_bounds(result.keyframes.lonlat))
+
+
+LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[dict[str, Any]]]] = {
+    "detections": lambda evaluation, result: detection_features(result, evaluation.verdicts.detections),
+    "intersections": lambda evaluation, result: intersection_features(
+        result, evaluation.verdicts.intersections, evaluation.verdicts.uids
+    ),
+    "osm_nodes": lambda evaluation, _: _node_features(evaluation),
+    "matches": _match_features,
+    "osm_roads": _road_features,
+}
+"""The features of each layer that an evaluation adds to a result, or says more of."""
 
 
 def _fact(name: str, value: object) -> tuple[str, str]:

@@ -77,6 +77,13 @@ class RoadGraph:
     clipped_ways: int = 0
     is_made_up: bool = False
 
+    def __repr__(self) -> str:
+        west, south, east, north = self.extent
+        return (
+            f"<RoadGraph {self.source}: {len(self.ways):,} highways, {len(self.node_id):,} nodes, "
+            f"lon {west:.4f} .. {east:.4f}, lat {south:.4f} .. {north:.4f}>"
+        )
+
     @property
     def extent(self) -> Bounds:
         """West, south, east, north of the nodes, degrees."""

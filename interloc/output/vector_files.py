@@ -12,6 +12,7 @@ import json
 import os
 import re
 import sqlite3
+import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,6 +32,12 @@ SUFFIXES = (*DRIVERS, ".csv", ".geojson")
 """A GeoPackage holds all layers, the others hold one."""
 
 EXPORTS = LAYERS | DERIVED
+
+PLACE_IT = (
+    "Place it: `interloc locate DRIVE --osm MAP -o geo.csv` finds it by its roads, or put a geo.csv into the drive; "
+    "then detect again"
+)
+"""What makes a result in metres one on the map."""
 
 _DTYPES = {
     "int": "Int64",
@@ -55,7 +62,7 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     Parameters
     ----------
     result
-        Result folder of a georeferenced drive.
+        Result folder. One without georeference is written in metres of its own frame, without a coordinate system.
     out
         ``.gpkg``, ``.fgb``, ``.kml``, ``.csv`` or ``.geojson``; an older file of that name is replaced.
     layer : str or None
@@ -71,21 +78,21 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     ConfigError
         The format or the layer is unknown, or the result has no such layer because it was not evaluated.
     GeoreferenceError
-        The result is in local metres.
+        The result is in local metres, and is to be written as KML.
     OutputError
         `result` is not a result folder, or `out` could not be written.
     """
     suffix = out.suffix.lower()
     if suffix not in SUFFIXES:
         raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(SUFFIXES)}.")
-    names = _choose(result, layer, holds_all=suffix == ".gpkg")
+    names = _choose(result, layer, suffix)
     layers = [(EXPORTS[name], _read(result, name)) for name in names]
     if suffix == ".gpkg":
         _write_database(out, layers, read_file(result / RUN_FILE).decode())
         return names
     ((only, rows),) = layers
     if suffix == ".geojson":
-        write_collection(out, _features(only, rows), local=False, credit=rows.credit)
+        write_collection(out, _features(only, rows), local=_in_metres(rows), credit=rows.credit)
         return names
     buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
     if suffix == ".csv":
@@ -100,7 +107,11 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
 def _read(result: Path, name: str) -> Rows:
     if name in DERIVED:
         return derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
-    return LAYERS[name].read(result / f"{name}.geojson")
+    return LAYERS[name].read(_file_of(result, name))
+
+
+def _in_metres(rows: Rows) -> bool:
+    return rows.path.name in file_names(georeferenced=False).values()
 
 
 def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str) -> None:
@@ -122,31 +133,46 @@ def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str) -> No
         raise OutputError(f"{out} could not be written: {reason}") from error
 
 
-def _choose(result: Path, layer: str | None, *, holds_all: bool) -> list[str]:
+def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     """Return the names of the layers to write."""
     wanted = None if layer is None else layer.replace("-", "_")
     if wanted is not None and wanted not in EXPORTS:
         raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}.")
-    if not read_json(result / RUN_FILE).get("georeferenced"):
-        local = file_names(georeferenced=False)["intersections"]
+    local = is_local(result)
+    if local and suffix == ".kml":
         raise GeoreferenceError(
-            f"{result} is in metres of its own frame, not in longitude and latitude: the drive has no georeference. "
-            f"{local} holds the same."
+            f"{result} is in metres of its own frame, and KML knows longitude and latitude only: the drive has no "
+            f"georeference. {PLACE_IT}, or write a .gpkg or .fgb, in metres."
         )
-    there = [name for name in EXPORTS if name in DERIVED or (result / f"{name}.geojson").exists()]
+    there = [name for name in LAYERS if _file_of(result, name).exists()]
+    if not local:
+        there += DERIVED
     if wanted is None:
-        return there if holds_all else ["intersections"]
+        return there if suffix == ".gpkg" else ["intersections"]
     if wanted not in there:
         raise ConfigError(f"{result} has no {wanted}.geojson. {_why_missing(result, wanted)}")
     return [wanted]
 
 
 def _why_missing(result: Path, layer: str) -> str:
+    if is_local(result):
+        return f"It is in metres of its own frame: the drive has no georeference. {PLACE_IT}."
     if layer == PLACES:
         return "Only a drive that was placed on the map by its roads has it: `interloc run --locate` does that."
     if (result / "report.json").exists():
         return "An older version of InterLoc scored it; `interloc evaluate` writes the layer."
     return "It was not scored against a map: `interloc evaluate` does that."
+
+
+def is_local(result: Path) -> bool:
+    """Return whether a result folder is in metres of its own frame, for want of a georeference."""
+    return not read_json(result / RUN_FILE).get("georeferenced")
+
+
+def _file_of(result: Path, name: str) -> Path:
+    """Return the file of a layer, which has another name where it is in metres."""
+    local = result / file_names(georeferenced=False).get(name, "")
+    return local if local.is_file() else result / f"{name}.geojson"
 
 
 def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows, *, append: bool = False) -> None:
@@ -160,17 +186,19 @@ def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows,
     told = f"{layer.description} {rows.credit.attribution}"
     title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]
     is_database = driver == "GPKG"
-    table.to_file(
-        sink,
-        driver=driver,
-        engine="pyogrio",
-        mode="a" if append else "w",
-        layer=layer.name,
-        geometry_type=layer.geometry,
-        # GDAL before 3.7, as in Debian 12, warns of version 1.4.
-        dataset_options={"VERSION": "1.3"} if is_database and not append else None,
-        layer_options={title: layer.title, "DESCRIPTION": told},
-    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "'crs' was not provided")  # metres claim no place
+        table.to_file(
+            sink,
+            driver=driver,
+            engine="pyogrio",
+            mode="a" if append else "w",
+            layer=layer.name,
+            geometry_type=layer.geometry,
+            # GDAL before 3.7, as in Debian 12, warns of version 1.4.
+            dataset_options={"VERSION": "1.3"} if is_database and not append else None,
+            layer_options={title: layer.title, "DESCRIPTION": told},
+        )
 
 
 def _features(layer: Layer, rows: Rows) -> list[dict[str, Any]]:
@@ -180,13 +208,14 @@ def _features(layer: Layer, rows: Rows) -> list[dict[str, Any]]:
 
 
 def _csv(layer: Layer, rows: Rows) -> str:
-    """Return rows as RFC 4180 with a head: points with `lon`, `lat`, the others with `wkt`; null is empty.
+    """Return rows as RFC 4180 with a head: points with `lon`, `lat` (`x_m`, `y_m`), the others with `wkt`; null is empty.
 
     Where the rows hold data of OpenStreetMap, the last column says so.
     """
     text = io.StringIO()
     writer = csv.writer(text)
-    place = ["lon", "lat"] if layer.geometry == "Point" else ["wkt"]
+    point = ["x_m", "y_m"] if _in_metres(rows) else ["lon", "lat"]
+    place = point if layer.geometry == "Point" else ["wkt"]
     credit = [] if rows.credit.license is None else [rows.credit.attribution]
     writer.writerow([*place, *layer.fields, *(["attribution"] if credit else [])])
     for feature in rows.features:
@@ -233,5 +262,5 @@ def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no 
             columns[name] = [json.dumps(value, separators=(",", ":")) for value in columns[name]]
         if kind == "time":
             columns[name] = pandas.to_datetime(columns[name], utc=True, format="ISO8601")
-    table = GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
+    table = GeoDataFrame(columns, geometry=places, crs=None if _in_metres(rows) else "EPSG:4326")
     return table.astype({name: _DTYPES[kind] for name, kind in layer.fields.items()})

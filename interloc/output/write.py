@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from interloc.results import DriveResult, Verdicts
 TRAJECTORY_STEP_M = 0.5
 
 
-def write_results(result: DriveResult, folder: Path) -> None:
+def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     """Write the files of a run into a folder.
 
     Parameters
@@ -46,6 +47,7 @@ def write_results(result: DriveResult, folder: Path) -> None:
     kept the road around its keyframes (`DriveResult.road`). The trajectory is thinned to one
     point every 0.5 m; first and last scan stay.
     """
+    folder = Path(folder)
     names = file_names(georeferenced=result.is_georeferenced)
     local = not result.is_georeferenced
     try:
@@ -54,14 +56,8 @@ def write_results(result: DriveResult, folder: Path) -> None:
             (folder / stale).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
-    tables = {
-        "detections": detection_features(result),
-        "keyframes": _keyframe_features(result),
-        "trajectory": [trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)],
-        "intersections": intersection_features(result),
-    }
-    for table, features in tables.items():
-        write_collection(folder / names[table], features, local=local)
+    for table, features_of in TABLE_FEATURES.items():
+        write_collection(folder / names[table], features_of(result), local=local)
     times = [each for each in result.keyframes.moments if each is not None]
     first, last = (times[0], times[-1]) if times else (None, None)
     rasters = _write_rasters(result, folder)
@@ -184,6 +180,15 @@ def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: Float
         [line or None], scans=[len(trajectory_world_xy)], thinned_to_m=[TRAJECTORY_STEP_M]
     )
     return feature | {"world_xy_m": positions(world_xy, local=True)}
+
+
+TABLE_FEATURES: dict[str, Callable[[DriveResult], list[dict[str, Any]]]] = {
+    "detections": detection_features,
+    "keyframes": _keyframe_features,
+    "trajectory": lambda result: [trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)],
+    "intersections": intersection_features,
+}
+"""The features of each layer of a run, before any evaluation, in the order in which they are written."""
 
 
 def _as_number_or_text(value: Any) -> Any:  # noqa: ANN401

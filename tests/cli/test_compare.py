@@ -28,7 +28,8 @@ def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Ca
     (line,) = [line.split() for line in text.splitlines() if line.startswith("nodes_found")]
     (figure,) = [row["values"] for row in told["figures"] if row["name"] == "nodes_found"]
     assert line[1:] == [str(value) for value in figure]
-    assert f"{told['found_by_all']} nodes found by all" in text
+    assert told["found_by_all"] == 1
+    assert "1 OSM node found by all, 0 OSM nodes missed by all" in text
 
 
 def test_curves_of_all_runs_in_one_figure(outs: tuple[Path, Path], tmp_path: Path, interloc: Callable) -> None:

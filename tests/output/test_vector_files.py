@@ -45,7 +45,7 @@ def write_folder(folder: Path, result: DriveResult, *, scored: bool, osm: str = 
     if scored:
         (folder.parent / "map.osm").write_text(osm)
         graph = read_osm(folder.parent / "map.osm")
-        write_report(evaluate(result, graph), result, folder)
+        write_report(evaluate(result, graph), folder)
     return folder
 
 
@@ -168,8 +168,8 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no matches\.geojson.*interloc evaluate"):
         write_vector_file(plain, tmp_path / "a.fgb", layer="matches")
     local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
-    with pytest.raises(GeoreferenceError, match=r"intersections\.local\.json"):
-        write_vector_file(local, tmp_path / "a.gpkg")
+    with pytest.raises(GeoreferenceError, match=r"KML knows longitude and latitude only.*`interloc locate"):
+        write_vector_file(local, tmp_path / "a.kml")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["local", "plain"]
 
 

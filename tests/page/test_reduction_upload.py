@@ -135,7 +135,7 @@ def check_results(
     write_results(result, out)
     if scored:
         evaluation = evaluate(result, read_osm(drive / "map.osm"))
-        write_report(evaluation, result, out)
+        write_report(evaluation, out)
     for name in ("detections", "intersections", "keyframes", "trajectory"):
         served = client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status().content
         assert features(served) == features((out / f"{name}.geojson").read_bytes()), name

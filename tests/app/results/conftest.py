@@ -34,7 +34,7 @@ def work(root: Path, out: Path, *, preset_name: str = "default", scored: bool = 
     write_results(result, out)
     if scored:
         graph = read_osm(root / "map.osm")
-        write_report(evaluate(result, graph), result, out)
+        write_report(evaluate(result, graph), out)
 
 
 @dataclass(frozen=True)
