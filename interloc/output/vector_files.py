@@ -208,7 +208,7 @@ def _features(layer: Layer, rows: Rows) -> list[dict[str, Any]]:
 
 
 def _csv(layer: Layer, rows: Rows) -> str:
-    """Return rows as RFC 4180 with a head: points with `lon`, `lat` or `x_m`, `y_m`, the others with `wkt`; null is empty.
+    """Return rows as RFC 4180 with a head: points with `lon`, `lat` or `x_m`, `y_m`, others with `wkt`; null is empty.
 
     Where the rows hold data of OpenStreetMap, the last column says so.
     """
