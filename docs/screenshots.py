@@ -1,4 +1,4 @@
-"""Take the pictures of the page for the README: `make screenshots`.
+"""Take the pictures of the page for the README and docs/: `make screenshots`.
 
 Simulates the demo drive, has a real server of its own work on it, and opens the page in the Chromium of this machine.
 The pictures of 1280 by 800 pixels go to docs/figures; with --look FOLDER those of other sizes and colours go there.
@@ -25,7 +25,11 @@ FIGURES = Path(__file__).parent / "figures"
 Size = tuple[int, int]
 SIZE = (1280, 800)
 LARGE = (1920, 1080)
+PLAYED = (1180, 620)
+PLAYED_WIDTH = 640
+PLAYED_EVERY = 10  # keyframes
 PRESETS = ("paper", "default")
+FRAME = 613  # two intersections
 DEMO = shlex.split("simulate town --part quarter --ground-only --columns 720")
 
 
@@ -45,8 +49,15 @@ class Studio:
         assert all(job["state"] == "successful" for job in done), done
         self.job = done[-1]["id"]
         keyframes = server.client.get(f"{API}/jobs/{self.job}/keyframes").json()["features"]
+        self.frames = len(keyframes)
         self.frame = max((each["properties"] for each in keyframes), key=lambda each: each["detections"])["frame"]
         self.now = datetime.fromisoformat(done[-1]["finished_at"]) + timedelta(seconds=9)
+
+    def steps(self) -> bytes:
+        """Return the picture of all steps of the method at one scan."""
+        out = self.folder.parent / "steps"
+        assert run(["explain", str(self.folder), "--frame", str(FRAME), "-o", str(out), "--quiet"]) == 0
+        return shrink((out / "overview.png").read_bytes())
 
     def show(self, page: Any, fields: str) -> None:
         """Open a link to the result."""
@@ -55,8 +66,8 @@ class Studio:
 
 
 def show_map(page: Any, studio: Studio) -> None:
-    """Show the map, and the report beside it."""
-    studio.show(page, f"panel=report&frame={studio.frame}")
+    """Show the whole town, and the report beside it."""
+    studio.show(page, "panel=report")
     page.wait_for_selector("#panel-report tbody tr")
 
 
@@ -114,6 +125,29 @@ def take(browser: Any, studio: Studio, show: Callable[[Any, Studio], None], size
     return shrink(picture)
 
 
+def play(browser: Any, studio: Studio) -> bytes:
+    """Play the drive on the map; returns the pictures as an animated GIF."""
+    context = browser.new_context(viewport={"width": PLAYED[0], "height": PLAYED[1]}, reduced_motion="reduce")
+    context.set_default_timeout(PATIENCE_MS)
+    page = context.new_page()
+    page.add_init_script("localStorage.setItem('interloc.legend', 'no')")
+    studio.show(page, "panel=report")
+    page.wait_for_load_state("networkidle")
+    pictures = []
+    for frame in range(0, studio.frames, PLAYED_EVERY):
+        page.evaluate("(hash) => { location.hash = hash; }", f"panel=report&job={studio.job}&frame={frame}")
+        page.wait_for_timeout(120)  # the canvas is painted at the next frame
+        picture = Image.open(io.BytesIO(page.screenshot(clip=page.locator("#map").bounding_box()))).convert("RGB")
+        height = round(PLAYED_WIDTH * picture.height / picture.width)
+        pictures.append(picture.resize((PLAYED_WIDTH, height), Image.Resampling.LANCZOS))
+    context.close()
+    palette = pictures[len(pictures) // 2].quantize(64)
+    packed = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    buffer = io.BytesIO()
+    packed[0].save(buffer, "GIF", save_all=True, append_images=packed[1:], duration=100, loop=0, optimize=True)
+    return buffer.getvalue()
+
+
 def shrink(picture: bytes) -> bytes:
     """Pack a PNG as well as it can be, without an alpha channel and with its colours untouched."""
     buffer = io.BytesIO()
@@ -131,6 +165,9 @@ def take_all(look: Path | None) -> Iterator[Path]:
                 path = FIGURES / f"{name}.png"
                 path.write_bytes(take(browser, studio, show, SIZE, "light"))
                 yield path
+            for name, picture in (("play.gif", play(browser, studio)), ("steps.png", studio.steps())):
+                (FIGURES / name).write_bytes(picture)
+                yield FIGURES / name
             if look is None:
                 return
             look.mkdir(parents=True, exist_ok=True)
