@@ -201,3 +201,15 @@ def test_votes_against_road_leave_with_their_keyframe() -> None:
     accumulator.add(Keyframe(0, np.eye(4), None), point, np.repeat(point, 5, axis=0))
     accumulator.add(Keyframe(1, np.eye(4), None), point)
     assert accumulator.bev().image.pixels()[0].size == 1
+
+
+@pytest.mark.parametrize(("step_m", "kept"), [(1.0, 2), (25.0, 1)], ids=["dense", "sparse"])
+def test_where_keyframes_are_sparse_a_lone_vote_among_others_does_not_count(step_m: float, kept: int) -> None:
+    bev = BevConfig(size_m=40, resolution_m=0.5, min_points=1, vote=True, pool_votes=True)
+    accumulator = RoadAccumulator(KeyframeConfig(window=4), bev)
+    road = np.array([[0.25, 0.25, -1.7], [9.25, 0.25, -1.7]], np.float32)
+    around = road[1] + np.array([[x, y, 0] for x in (-0.5, 0, 0.5) for y in (-0.5, 0.5)], np.float32)
+    nothing = np.zeros((0, 3), np.float32)
+    for k, (keyframe, _) in enumerate(straight(9, step_m)):
+        accumulator.add(keyframe, road if k == 4 else nothing, around if k == 4 else nothing)
+    assert accumulator.bev().image.pixels()[0].size == kept
