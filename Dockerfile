@@ -1,6 +1,7 @@
 # The web service with its page, and the command line, in a slim image:
 #   docker build -t interloc .
-#   docker run -p 8000:8000 -v interloc:/data -e INTERLOC_TOKEN="$(openssl rand -hex 24)" interloc
+#   docker run --rm -v interloc:/data interloc token add me       # prints the token to log in with, once
+#   docker run -p 8000:8000 -v interloc:/data interloc
 #   docker run -v "$PWD:/work" -w /work interloc info DRIVE
 FROM node:22-slim AS page
 WORKDIR /static
@@ -10,7 +11,7 @@ COPY static ./
 
 FROM python:3.11-slim AS build
 WORKDIR /src
-COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY pyproject.toml hatch_build.py constraints.txt README.md LICENSE ./
 COPY interloc interloc
 COPY app app
 COPY --from=page /static static
@@ -36,5 +37,5 @@ EXPOSE 8000
 HEALTHCHECK --interval=30s --timeout=5s --start-period=60s \
     CMD ["python", "-c", "import os, urllib.request as r; r.urlopen(f'http://127.0.0.1:{os.environ.get(\"INTERLOC_PORT\", 8000)}/healthz', timeout=4)"]
 ENTRYPOINT ["interloc"]
-# Other machines can connect: it asks for a token (INTERLOC_TOKEN, or `interloc token add NAME` on the same volume).
+# Other machines can connect: without a token on the volume it says how to make one, and ends.
 CMD ["serve"]

@@ -11,6 +11,8 @@ AGAIN := --reruns 1
 # without it.
 COVER := --cov --cov-report=term:skip-covered
 READY := $(VENV)/.ready
+READY_TO_TEST := $(VENV)/.ready-to-test
+PIP_INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt
 # Two halves, of which the faster one helps the other; bytecode is kept, for the processes that the tests start.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
 BIOME := static/node_modules/.bin/biome
@@ -21,11 +23,18 @@ install: $(READY)
 
 $(READY): pyproject.toml constraints.txt static/package-lock.json
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "InterLoc needs Python 3.11 or newer; PYTHON=... chooses one")'
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "Python has no venv; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
+	@command -v npm >/dev/null || echo "npm was not found: everything but the page of the web service will work; on Debian and Ubuntu: apt install npm"
+	@echo "Installing InterLoc into $(VENV), once: about a minute."
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[service,dask,label,ros,las,dev]"
-	@if command -v npm >/dev/null; then npm ci --silent --omit=dev --prefix static; \
-	else echo "npm was not found: the web service will run without its page."; fi
+	$(PIP_INSTALL) -e ".[service,label,ros,las]"
+	@if command -v npm >/dev/null; then npm ci --silent --omit=dev --prefix static; fi
 	@touch $(READY)
+
+# What linters, types and tests need besides.
+$(READY_TO_TEST): $(READY)
+	$(PIP_INSTALL) -e ".[service,dask,label,ros,las,dev]"
+	@touch $(READY_TO_TEST)
 
 # The web service and its page, for this machine only: drives and results in ./interloc-data.
 serve: $(READY)
@@ -58,50 +67,50 @@ test-quick: compiled
 	$(PYTEST) $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
 
 # The kernels are compiled once, and not by all processes of the tests at the same time.
-compiled: $(READY)
+compiled: $(READY_TO_TEST)
 	$(BIN)/python -m tests.preloaded
 
 # Linter, types and tests of the page, where npm is there to install them.
-page-tools: $(READY)
+page-tools: $(READY_TO_TEST)
 	@if command -v npm >/dev/null && [ ! -x $(BIOME) ]; then npm ci --silent --prefix static; fi
 
-lint: $(READY)
+lint: $(READY_TO_TEST)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
 	@if [ -x $(BIOME) ]; then npm run --silent lint --prefix static; \
 	else echo "skipped: the linter of the page is not installed (npm ci in static/)"; fi
 
-format: $(READY)
+format: $(READY_TO_TEST)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	@if [ -x $(BIOME) ]; then npm run --silent format --prefix static; \
 	else echo "skipped: the formatter of the page is not installed (npm ci in static/)"; fi
 
-types: $(READY)
+types: $(READY_TO_TEST)
 	$(BIN)/mypy
 
-bench: $(READY)
+bench: $(READY_TO_TEST)
 	$(BIN)/python tests/performance/bench.py
 
 # What the service carries: uploads, reads, listeners, memory; needs 10 GB of disk and some minutes.
-load: $(READY)
+load: $(READY_TO_TEST)
 	$(BIN)/python -m tests.performance.load
 
 # What the service survives: kills at random moments, lost databases, backups under load; takes more than an hour.
-torture: $(READY)
+torture: $(READY_TO_TEST)
 	$(BIN)/python -m tests.performance.torture
 
 # A short job of one client next to ten hostile ones of another; needs 2 GB of disk and some minutes.
-hostile: $(READY)
+hostile: $(READY_TO_TEST)
 	$(BIN)/python -m tests.performance.hostile
 
 # How smoothly the map moves with ten thousand detections; needs Chromium.
-bench-page: $(READY)
+bench-page: $(READY_TO_TEST)
 	$(BIN)/python -m tests.performance.page
 
 # The pictures of the page in the README; needs Chromium.
-screenshots: $(READY)
+screenshots: $(READY_TO_TEST)
 	$(BIN)/python -m docs.screenshots
 
 clean:

@@ -66,5 +66,6 @@ def check_exposure(context: Context) -> None:
         return
     raise ConfigError(
         f"--host {settings.host} lets other machines in, and there is no token. Make one with `interloc token add "
-        "NAME` or set INTERLOC_TOKEN; --allow-anonymous serves everybody who can connect."
+        "NAME`, which prints it once (in a container, on the same volume: `docker run --rm -v interloc:/data interloc "
+        "token add NAME`), or set INTERLOC_TOKEN; --allow-anonymous serves everybody who can connect."
     )

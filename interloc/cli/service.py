@@ -43,7 +43,7 @@ DATA_DIR = click.option(
 def serve(**given: Any) -> None:
     """Run the web service: upload drives, run jobs, see the results on a map.
 
-    Every option is also a setting INTERLOC_<NAME> of the environment; the README lists them all.
+    Every option is also a setting INTERLOC_<NAME> of the environment; docs/service.md lists them all.
 
     \b
     Examples:
@@ -51,6 +51,7 @@ def serve(**given: Any) -> None:
       interloc token add alice && interloc serve --host 0.0.0.0
     """
     settings = read_settings(given)
+    from app.http.page import PageFiles
     from app.server import serve as run_server
     from interloc.pipeline import versions
 
@@ -59,6 +60,11 @@ def serve(**given: Any) -> None:
         address = f"http://{host}:{port}{settings.root_path}/"
         folder = Path(settings.data_dir).absolute()
         click.echo(f"InterLoc {versions()['interloc']} at {address} (data in {folder}); Ctrl-C stops it")
+        if not PageFiles(settings).are_complete():
+            click.echo(
+                "The page is not installed, only the API: InterLoc was installed where npm was missing. Install npm, "
+                "then run `make install` in the clone, or `pip install .` again.",
+            )
 
     run_server(settings, print_address)
 

@@ -58,7 +58,10 @@ def serving(
 def test_a_server_starts_and_stops(
     stop: signal.Signals, command: tuple[str, ...], environment: dict[str, str], tmp_path: Path
 ) -> None:
-    with serving(command, environment, tmp_path) as (process, address):
+    nothing = {"INTERLOC_STATIC_DIR": str(tmp_path)}
+    with serving(command, environment, tmp_path, **nothing) as (process, address):
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("The page is not installed, only the API: ")
         assert httpx.get(f"{address}healthz").json() == {"status": "ok"}
         assert (tmp_path / "interloc-data/interloc.sqlite3").is_file()
         process.send_signal(stop)
