@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-PORT ?= 8000
+PORT ?= $(or $(INTERLOC_PORT),8000)
 SERVE ?= yes
 # Tests of real kills, servers and browsers can fail on a machine that is busy. A test that fails is run once more, and
 # is named at the end of the run as one that needed it.
@@ -36,19 +36,24 @@ $(READY_TO_TEST): $(READY)
 	$(PIP_INSTALL) -e ".[service,dask,label,ros,las,dev]"
 	@touch $(READY_TO_TEST)
 
-# The web service and its page, for this machine only: drives and results in ./interloc-data.
+# The web service and its page, for this machine only: drives and results in ./interloc-data. `make serve PORT=8001` has
+# it elsewhere.
 serve: $(READY)
-	$(BIN)/interloc serve
+	$(BIN)/interloc serve --port $(PORT)
 
-# A drive through a made-up town, mapped and scored against the town's own map, all in demo/; then the same in the web
-# service, until Ctrl-C. `make demo SERVE=` leaves the service out, `make demo PORT=8001` has it elsewhere.
-demo: $(READY)
-	$(BIN)/interloc simulate town --small -o demo/drive
-	$(BIN)/interloc run demo/drive -o demo/result --osm demo/drive/map.osm
+# A drive through a made-up town, made once. Its folder appears when it is complete; another version of the simulator or
+# of the command makes it anew.
+demo/drive/simulation.json: $(READY) Makefile $(wildcard interloc/simulate/*.py interloc/kernels/raycast.py)
+	$(BIN)/interloc simulate town --part quarter --ground-only --columns 720 -o demo/drive
+
+# The drive mapped and scored against the town's own map, all in demo/; then the same in the web service, until Ctrl-C.
+# `make demo SERVE=` leaves the service out, `make demo PORT=8001` has it elsewhere.
+demo: demo/drive/simulation.json
+	$(BIN)/interloc run demo/drive -o demo/drive_result --osm demo/drive/map.osm
 	@echo
-	@echo "The report:                            demo/result/report.html"
-	@echo "The map, for QGIS or any GIS:          demo/result/intersections.geojson"
-	@echo "The steps of the method at one scan:   $(BIN)/interloc explain demo/drive --frame 100 -o demo/steps"
+	@echo "The report:                            demo/drive_result/report.html"
+	@echo "The map, for QGIS or any GIS:          demo/drive_result/intersections.geojson"
+	@echo "The steps of the method at one scan:   $(BIN)/interloc explain demo/drive --frame 613 -o demo/steps"
 ifneq ($(SERVE),)
 	@echo
 	@trap : INT; { \

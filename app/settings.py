@@ -106,6 +106,9 @@ class Settings(BaseSettings):
     max_batch_files: int = Field(1000, ge=1, description="Maximum number of files in one multipart request.")
     max_drive_bytes: int = Field(64 * GB, ge=1, description="Maximum size of all files of a drive, unpacked.")
     max_drive_files: int = Field(200_000, ge=1, description="Maximum number of files of a drive.")
+    max_demo_scans: int | None = Field(
+        None, ge=1, description="Maximum number of scans of the demo drive; the whole drive by default."
+    )
     min_free_bytes: int = Field(1 * GB, ge=0, description="Free disk space below which no upload and no job begins.")
     idle_timeout_s: float = Field(
         60.0, gt=0, description="Time in seconds after which a request is given up whose body does not go on."

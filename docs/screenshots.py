@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import shlex
 import tempfile
 from collections.abc import Callable, Iterator
 from datetime import datetime, timedelta
@@ -25,6 +26,7 @@ Size = tuple[int, int]
 SIZE = (1280, 800)
 LARGE = (1920, 1080)
 PRESETS = ("paper", "default")
+DEMO = shlex.split("simulate town --part quarter --ground-only --columns 720")
 
 
 class Studio:
@@ -33,8 +35,11 @@ class Studio:
     def __init__(self, server: ServerProcess, folder: Path) -> None:
         self.address = server.address
         self.folder = folder / "demo"
-        assert run(["simulate", "town", "--small", "-o", str(self.folder), "--quiet"]) == 0
-        drive = server.client.post(f"{API}/demo", headers={"Prefer": "wait=300"}, timeout=310).raise_for_status().json()
+        assert run([*DEMO, "-o", str(self.folder), "--quiet"]) == 0
+        drive = {"state": ""}
+        while drive["state"] != "ready":
+            answer = server.client.post(f"{API}/demo", headers={"Prefer": "wait=300"}, timeout=310)
+            drive = answer.raise_for_status().json()
         jobs = [submit(server.client, drive["id"], preset=preset, osm={"file": "map.osm"}) for preset in PRESETS]
         done = [ended(server.client, job) for job in jobs]
         assert all(job["state"] == "successful" for job in done), done

@@ -27,6 +27,7 @@ from app.http.problems import Problem
 from app.paths import is_map
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
+from app.store.database import afterwards
 from app.store.models import Drive, DriveFile, Job
 from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
 from app.work.task import Outcome
@@ -66,18 +67,22 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
     archive = job.request.get("archive")
 
-    def tidy(_session: Session) -> None:
+    def write_sidecar(_session: Session) -> None:
+        with suppress(OSError):  # the clean-up writes what is missing
+            sidecars.write_drive(context.storage, drive)
+
+    def tidy() -> None:
         try:
             context.storage.delete(f"jobs/{job_id}/result")  # its contents were moved into the drive
             if archive is not None:
                 context.storage.delete(f"{drive_key(drive_id)}/{archive}")
             if state == DriveState.READY:
                 tidy_drive(context, drive_id, keep_raw=keep_raw)
-            sidecars.write_drive(context.storage, drive)
         except OSError:  # the clean-up tries again
             _log.exception("drive %s: not all could be tidied up", drive_id)
 
-    event.listen(session, "after_commit", tidy, once=True)
+    event.listen(session, "after_commit", write_sidecar, once=True)
+    afterwards(session, tidy)  # thousands of files, and it waits for the disk
 
 
 def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:

@@ -34,6 +34,7 @@ _PROBE_S = 2.0
 _STUCK_S = 1.0  # without any progress of the writers, no more than a few may wait
 _MAX_STUCK = 16
 _LOOK_S = 0.1
+_AFTERWARDS = "afterwards"
 
 _SQLITE_NOW = "SELECT round((julianday('now') - 2440587.5) * 86400.0, 3)"  # unixepoch('subsec') needs SQLite 3.42
 
@@ -100,7 +101,7 @@ class Database:
 
     @contextmanager
     def writing(self, *, patient: bool = False) -> Iterator[Session]:
-        """Open a transaction that is committed when the block ends without error.
+        """Open a transaction that is committed when the block ends without error; see also `afterwards`.
 
         Parameters
         ----------
@@ -124,6 +125,8 @@ class Database:
             begun()
             yield session
             session.commit()
+        for call in session.info.get(_AFTERWARDS, ()):
+            call()
 
     def check_writable(self) -> None:
         """Write something that changes nothing, and take it back.
@@ -272,6 +275,11 @@ class _Turns:
         is_stuck = time.monotonic() - max(writers[0].arrived, self._moved) > _STUCK_S
         if is_stuck and writers.index(writer) >= _MAX_STUCK:
             raise DatabaseBusyError(f"{len(writers)} writers wait for the database, and none gets on")
+
+
+def afterwards(session: Session, call: Callable[[], None]) -> None:
+    """Have something done when the transaction of `Database.writing` is committed, and others may write again."""
+    session.info.setdefault(_AFTERWARDS, []).append(call)
 
 
 def is_disk_full(error: BaseException | None) -> bool:

@@ -13,6 +13,7 @@ from interloc.cli import console, options
 if TYPE_CHECKING:
     from interloc.benchmark.cases import Poses
     from interloc.simulate.config import SimulationOptions, TrackConfig
+    from interloc.simulate.town import Part
 
 
 DRIVE = click.option(
@@ -69,8 +70,11 @@ def command() -> None:
 
     \b
     The made-up town, with every shape of junction that matters; its map is DRIVE/map.osm:
-      interloc simulate town -o DRIVE
+      interloc simulate town -o DRIVE                      5 km, every shape
       interloc simulate town --small -o DRIVE              670 m, X, T and Y junctions only
+    \b
+    The town of the demo, with curved streets, market square and park:
+      interloc simulate town --part quarter --ground-only --columns 720 -o DRIVE
     \b
     Any map, any track (GPX, CSV with lat and lon, OXTS rows):
       interloc simulate track --osm map.osm.gz --track ride.gpx -o DRIVE
@@ -85,16 +89,26 @@ def command() -> None:
 
 @command.command()
 @DRIVE
-@click.option("--small", is_flag=True, help="Only the plain part: X, T and Y junctions along 670 m.")
+@click.option(
+    "--part",
+    type=click.Choice(["full", "plain", "quarter"]),
+    default="full",
+    show_default=True,
+    help="full: every shape of junction that matters, 5 km. plain: its X, T and Y junctions only, 670 m. "
+    "quarter: a town as one knows them, 15 junctions along 2.1 km of curved streets and round a market square.",
+)
+@click.option("--small", "part", flag_value="plain", help="The same as --part plain.")
 @EVERY_SCAN
 @SPEED
 @scene_options
-def town(drive: Path, small: bool, every_scan: bool, speed_mps: float, **common: Any) -> None:
-    """Drive through a made-up town: oblique, staggered and compound junctions, roundabout, dual carriageway, bridge.
+def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: Any) -> None:
+    """Drive through a made-up town whose map is its truth.
+
+    The full one has oblique, staggered and compound junctions, a roundabout, a dual carriageway and a bridge.
 
     \b
     Example:
-      interloc simulate town --small -o drive && interloc run drive -o out --osm drive/map.osm
+      interloc simulate town --part quarter -o drive && interloc run drive -o out --osm drive/map.osm
     """
     from interloc.simulate.town import MAP_FILE, simulate_town
 
@@ -104,7 +118,7 @@ def town(drive: Path, small: bool, every_scan: bool, speed_mps: float, **common:
         scans = simulate_town(
             drive,
             _options(every_scan=every_scan, **common),
-            part="plain" if small else "full",
+            part=part,
             track=_track_config(speed_mps),
             progress=bar,
         )

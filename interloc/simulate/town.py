@@ -1,4 +1,4 @@
-"""A made-up town with every shape of junction that matters, and the exact truth about it."""
+"""Made-up towns, and the exact truth about them."""
 
 from __future__ import annotations
 
@@ -16,28 +16,19 @@ from interloc.arrays import FloatArray
 from interloc.errors import ConfigError
 from interloc.files import atomic_write
 from interloc.geometry import bearing_deg
+from interloc.osm.intersections import DRIVABLE
 from interloc.simulate.config import DEFAULT_OPTIONS, SceneConfig, SimulationOptions, TrackConfig
 from interloc.simulate.drive import Progress, simulate_map
 from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.obstacles import Yard, made_up_houses
-from interloc.simulate.osm_map import MapWay, StreetMap, is_oneway, street_map_of
+from interloc.simulate.osm_map import STREET_CLASSES, MapWay, StreetMap, is_oneway, street_map_of
 from interloc.simulate.profiles import find_crossings, street_profiles, visible_lines
-from interloc.simulate.town_plan import (
-    CAR_PARK,
-    FULL_ROUTE,
-    HEIGHTS_ABOVE_GROUND,
-    KINDS,
-    NODES,
-    ORIGIN_LAT_DEG,
-    ORIGIN_LON_DEG,
-    PLAIN_ROUTE,
-    STREETS,
-    TURNING_CIRCLES,
-    PlannedStreet,
-)
+from interloc.simulate.quarter_plan import QUARTER
+from interloc.simulate.town_plan import FULL, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, PLAIN, PlannedStreet, TownPlan
 from interloc.simulate.tracks import Track, track_from_line
 
-Part = Literal["plain", "full"]
+Part = Literal["plain", "full", "quarter"]
+PLANS: dict[Part, TownPlan] = {"plain": PLAIN, "full": FULL, "quarter": QUARTER}
 
 MAP_FILE = "map.osm"
 DRIVING_OFFSET_M = 1.6
@@ -73,12 +64,14 @@ class Junction:
 
 
 class Town:
-    """The town, or its plain part.
+    """A made-up town.
 
     Parameters
     ----------
     part
-        "plain": X, T and Y junctions of 45 to 120 degrees, a route of some 670 m. "full": everything, some 5 km.
+        "full": every shape of junction that matters, a route of some 5 km. "plain": its X, T and Y junctions of 45 to
+        120 degrees, some 670 m. "quarter": a town as one knows them, with curved streets, market square and park,
+        some 2 km.
     seed
         Decides the houses.
     houses
@@ -86,14 +79,13 @@ class Town:
     """
 
     def __init__(self, part: Part = "full", *, seed: int = 0, houses: bool = True) -> None:
-        if part not in {"plain", "full"}:
-            raise ConfigError(f"Part of the town: {part!r}. Expected 'plain' or 'full'.")
-        self.part = part
+        if part not in PLANS:
+            raise ConfigError(f"Part of the town: {part!r}. Expected one of {', '.join(PLANS)}.")
+        self.plan = PLANS[part]
         self.frame = LocalFrame(ORIGIN_LAT_DEG, ORIGIN_LON_DEG)
-        self._streets = [s for s in STREETS if s.plain or part == "full"]
-        names = [name for street in self._streets for name in street.nodes.split()]
+        names = [name for street in self.plan.streets for name in street.nodes.split()]
         self.node_ids = {name: 1000 + i for i, name in enumerate(dict.fromkeys(names))}
-        xy = np.array([NODES[name] for name in self.node_ids], dtype=np.float64)
+        xy = np.array([self.plan.nodes[name] for name in self.node_ids], dtype=np.float64)
         # OSM has seven decimals, about a centimetre: the truth is what the file says.
         self._lonlat = dict(zip(self.node_ids, np.round(self.frame.lonlat(xy), 7), strict=True))
         self._xy = {name: self.frame.xy(place) for name, place in self._lonlat.items()}
@@ -112,12 +104,11 @@ class Town:
             file.write(self.osm().encode())
 
     def osm(self) -> str:
-        """Return the town as OSM XML: streets with their tags, car park, houses; the same text for the same seed."""
-        nodes = [(self.node_ids[n], self._lonlat[n], n in TURNING_CIRCLES) for n in self.node_ids]
+        """Return the town as OSM XML: streets with their tags, houses, areas; the same text for the same seed."""
+        nodes = [(self.node_ids[n], self._lonlat[n], n in self.plan.turning_circles) for n in self.node_ids]
         ways = [(way.nodes, way.tags) for way in self._ways()]
         outlines = [(xy, {"building": "yes"}) for xy in self._houses]
-        if self.part == "full":
-            outlines.append((np.array(CAR_PARK, dtype=np.float64), {"amenity": "parking"}))
+        outlines += [(np.array(area.outline, dtype=np.float64), area.tags) for area in self.plan.areas]
         next_id = 100_000
         for xy, tags in outlines:
             ids = list(range(next_id, next_id + len(xy)))
@@ -142,7 +133,7 @@ class Town:
 
     def route_names(self) -> list[str]:
         """Return the names of the nodes along the route, every node that it passes."""
-        stops = (FULL_ROUTE if self.part == "full" else PLAIN_ROUTE).split()
+        stops = self.plan.route.split()
         route = [stops[0]]
         for goal in stops[1:]:
             before = route[-2] if len(route) > 1 else None
@@ -166,7 +157,7 @@ class Town:
             if 0 < i < len(names) - 1 and names[i - 1] == names[i + 1]:
                 points += self._turn(names[i - 1], name)
             else:
-                points.append(np.array([*self._xy[name], HEIGHTS_ABOVE_GROUND.get(name, 0.0)]))
+                points.append(np.array([*self._xy[name], self.plan.heights_above_ground.get(name, 0.0)]))
         line = np.array(points)
         fine = np.concatenate(
             [np.linspace(a, b, max(int(np.hypot(*(b - a)[:2]) / 5), 1), endpoint=False) for a, b in pairwise(line)]
@@ -183,13 +174,13 @@ class Town:
                 np.array([self._lonlat[n] for n in street.nodes.split()]),
                 dict(street.tags),
             )
-            for i, street in enumerate(self._streets)
+            for i, street in enumerate(self.plan.streets)
         ]
 
     def _find_junctions(self) -> list[Junction]:
         arms: dict[str, set[str]] = {}
-        for street in self._streets:
-            if street.tags["highway"] == "service":
+        for street in self.plan.streets:
+            if street.tags["highway"] not in DRIVABLE:
                 continue
             names = street.nodes.split()
             for a, b in pairwise(names):
@@ -205,7 +196,14 @@ class Town:
             x, y = self._xy[name]
             result.append(
                 Junction(
-                    name, KINDS[name], self.node_ids[name], float(lon), float(lat), float(x), float(y), tuple(bearings)
+                    name,
+                    self.plan.kinds[name],
+                    self.node_ids[name],
+                    float(lon),
+                    float(lat),
+                    float(x),
+                    float(y),
+                    tuple(bearings),
                 )
             )
         return result
@@ -216,7 +214,7 @@ class Town:
         config = SceneConfig()
         profiles = street_profiles(street_map, config.streets, towns=True, seed=seed)
         lines = visible_lines(profiles, find_crossings(profiles), from_hidden=False)
-        lots = [np.array(CAR_PARK, dtype=np.float64)] if self.part == "full" else []
+        lots = [np.array(area.outline, dtype=np.float64) for area in self.plan.areas]
         yard = Yard(profiles, lines, np.concatenate(list(self._xy.values())).reshape(-1, 2), lots)
         return [xy[:-1] for xy, _ in made_up_houses(profiles, lines, config.roadside, yard, seed)]
 
@@ -232,7 +230,9 @@ class Town:
     def _shortest(self, start: str, goal: str, before: str | None) -> list[str]:
         """Return the shortest path along the streets, one-way streets in their direction, without turning at once."""
         roads: dict[str, list[tuple[str, float]]] = {}
-        for street in self._streets:
+        for street in self.plan.streets:
+            if street.tags["highway"] not in STREET_CLASSES:
+                continue
             for a, b in _directed(street):
                 roads.setdefault(a, []).append((b, float(np.hypot(*(self._xy[b] - self._xy[a])))))
         queue: list[tuple[float, list[str]]] = [(0.0, [start])]
@@ -246,7 +246,7 @@ class Town:
                 continue
             done.add(here)
             for there, step in roads.get(here, []):
-                if not (here == start and there == before and here not in TURNING_CIRCLES):
+                if not (here == start and there == before and here not in self.plan.turning_circles):
                     heapq.heappush(queue, (length + step, [*path, there]))
         raise ConfigError(f"The town has no path from {start} to {goal}.")
 
@@ -270,14 +270,14 @@ def simulate_town(
     track: TrackConfig | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Simulate the drive through the made-up town; its map is written beside the scans as `map.osm`.
+    """Simulate the drive through a made-up town; its map is written beside the scans as `map.osm`.
 
     Parameters
     ----------
     out, options, progress
         See `simulate_drive`.
     part
-        "plain" (a small drive) or "full".
+        See `Town`.
     track
         How it is driven.
 

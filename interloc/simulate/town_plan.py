@@ -1,20 +1,58 @@
-"""The plan of the made-up town: where its streets run. Metres east and north of its origin."""
+"""Plans of made-up towns, and one with every shape of junction that matters. Metres east and north of the origin."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 ORIGIN_LAT_DEG = 49.02
 ORIGIN_LON_DEG = 8.42
 
+Place = tuple[float, float]
+
 
 class PlannedStreet(NamedTuple):
-    """A street of the plan: names of nodes and OSM tags; `plain` ones make up the small drive."""
+    """A street of a plan: names of nodes, separated by blanks, and OSM tags."""
 
     nodes: str
     tags: dict[str, str]
-    plain: bool = False
+
+
+class PlannedArea(NamedTuple):
+    """An outline without streets and made-up houses (car park, park, church), and its OSM tags."""
+
+    outline: list[Place]
+    tags: dict[str, str]
+
+
+@dataclass(frozen=True)
+class TownPlan:
+    """Where the streets of a town run, and the way through it.
+
+    Attributes
+    ----------
+    nodes : dict
+        Place of every node of a street, by name.
+    streets : list of PlannedStreet
+    kinds : dict
+        What every junction is, by name: T, X, Y, staggered, roundabout, dual or compound.
+    route : str
+        Names of nodes, separated by blanks; the drive takes the shortest path from each to the next.
+    areas : list of PlannedArea
+    turning_circles : tuple of str
+        Dead ends at which the vehicle can turn.
+    heights_above_ground : dict
+        Height of nodes on bridges and ramps, metres.
+    """
+
+    nodes: dict[str, Place]
+    streets: list[PlannedStreet]
+    kinds: dict[str, str]
+    route: str
+    areas: list[PlannedArea] = field(default_factory=list)
+    turning_circles: tuple[str, ...] = ()
+    heights_above_ground: dict[str, float] = field(default_factory=dict)
 
 
 _RESIDENTIAL = {"highway": "residential"}
@@ -22,7 +60,7 @@ _TERTIARY = {"highway": "tertiary"}
 _SECONDARY = {"highway": "secondary"}
 _DUAL = {"highway": "primary", "oneway": "yes", "lanes": "2"}
 
-NODES: dict[str, tuple[float, float]] = {
+_NODES: dict[str, Place] = {
     # The plain part: a 45-degree T, a 60-degree X, a Y, an acute T, another oblique X.
     "west": (-130, 0),
     "T45": (-65, 0),
@@ -93,24 +131,27 @@ NODES: dict[str, tuple[float, float]] = {
     "lot2s": (118, -262),
 }
 
-ROUNDABOUT_CENTRE = (300.0, -180.0)
-ROUNDABOUT_RADIUS_M = 15.0
-NODES |= {
+_ROUNDABOUT_CENTRE = (300.0, -180.0)
+_ROUNDABOUT_RADIUS_M = 15.0
+_NODES |= {
     f"round{k}": (
-        ROUNDABOUT_CENTRE[0] + ROUNDABOUT_RADIUS_M * math.cos(k * math.pi / 8),
-        ROUNDABOUT_CENTRE[1] + ROUNDABOUT_RADIUS_M * math.sin(k * math.pi / 8),
+        _ROUNDABOUT_CENTRE[0] + _ROUNDABOUT_RADIUS_M * math.cos(k * math.pi / 8),
+        _ROUNDABOUT_CENTRE[1] + _ROUNDABOUT_RADIUS_M * math.sin(k * math.pi / 8),
     )
     for k in range(16)
 }
 
-STREETS: list[PlannedStreet] = [
-    PlannedStreet("west T45 X60 Y", _RESIDENTIAL, plain=True),
-    PlannedStreet("T45 T45s", _RESIDENTIAL, plain=True),
-    PlannedStreet("X60s X60 X62 X62n", _RESIDENTIAL, plain=True),
-    PlannedStreet("Y acute", _RESIDENTIAL, plain=True),
-    PlannedStreet("Y stagN1", _RESIDENTIAL, plain=True),
-    PlannedStreet("X62w X62 acute", _RESIDENTIAL, plain=True),
-    PlannedStreet("acute curve1", _RESIDENTIAL, plain=True),
+_PLAIN_STREETS = [
+    PlannedStreet("west T45 X60 Y", _RESIDENTIAL),
+    PlannedStreet("T45 T45s", _RESIDENTIAL),
+    PlannedStreet("X60s X60 X62 X62n", _RESIDENTIAL),
+    PlannedStreet("Y acute", _RESIDENTIAL),
+    PlannedStreet("Y stagN1", _RESIDENTIAL),
+    PlannedStreet("X62w X62 acute", _RESIDENTIAL),
+    PlannedStreet("acute curve1", _RESIDENTIAL),
+]
+_STREETS = [
+    *_PLAIN_STREETS,
     PlannedStreet("X60s bend1 bend2 bend3 ring0", _RESIDENTIAL),
     PlannedStreet("ring0 drive1 drive2 X70 stagN stagS round8", _TERTIARY),
     PlannedStreet("X70n X70 X70s close1", _RESIDENTIAL),
@@ -138,13 +179,10 @@ STREETS: list[PlannedStreet] = [
     PlannedStreet("lot2n lot2 lot2s", {"highway": "service", "service": "parking_aisle"}),
 ]
 
-CAR_PARK = [(104, -266), (156, -266), (156, -208), (104, -208)]
-TURNING_CIRCLES = ("sac", "close1")
+_CAR_PARK: list[Place] = [(104, -266), (156, -266), (156, -208), (104, -208)]
+_BRIDGE_M = 6.0
 
-BRIDGE_M = 6.0
-HEIGHTS_ABOVE_GROUND = {"bridgeW": BRIDGE_M, "bridgeE": BRIDGE_M, "ramp1": 2.7, "ramp2": 2.7}
-
-KINDS: dict[str, str] = {
+_KINDS: dict[str, str] = {
     "T45": "T",
     "X60": "X",
     "Y": "Y",
@@ -168,11 +206,19 @@ KINDS: dict[str, str] = {
     "round8": "roundabout",
     "round12": "roundabout",
 }
-"""What every junction is, by name."""
 
-PLAIN_ROUTE = "west X60 Y acute X62 X60 X60s"
-FULL_ROUTE = (
-    "west X60 Y acute X62 X60 X60s ring0 stagS round8 split dualS1 merge east3 T500 dualN2 split round0 round4 compW "
-    "compE T430 dualN1 split round0 round12 sac round12 round8 stagS southwest ramp1 southeast dualS1 T430 "
-    "compE compW curve1 acute Y stagN X70 ring0 X60s X60 X62 X62w"
+PLAIN = TownPlan(_NODES, _PLAIN_STREETS, _KINDS, route="west X60 Y acute X62 X60 X60s")
+
+FULL = TownPlan(
+    _NODES,
+    _STREETS,
+    _KINDS,
+    route=(
+        "west X60 Y acute X62 X60 X60s ring0 stagS round8 split dualS1 merge east3 T500 dualN2 split round0 round4 "
+        "compW compE T430 dualN1 split round0 round12 sac round12 round8 stagS southwest ramp1 southeast dualS1 T430 "
+        "compE compW curve1 acute Y stagN X70 ring0 X60s X60 X62 X62w"
+    ),
+    areas=[PlannedArea(_CAR_PARK, {"amenity": "parking"})],
+    turning_circles=("sac", "close1"),
+    heights_above_ground={"bridgeW": _BRIDGE_M, "bridgeE": _BRIDGE_M, "ramp1": 2.7, "ramp2": 2.7},
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from sqlalchemy import Connection, event, text
 from sqlalchemy.exc import OperationalError
 
 from app.http.problems import problem_of
-from app.store.database import Database
+from app.store.database import Database, afterwards
 from app.store.models import Drive
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
@@ -34,6 +35,19 @@ def add_drive(database: Database, name: str) -> None:
 def names(database: Database) -> set[str]:
     with database.reading() as session:
         return set(session.scalars(text("SELECT name FROM drives")))
+
+
+def test_what_comes_afterwards_keeps_nobody_from_writing(tmp_path: Path) -> None:
+    database = Database(f"sqlite:///{tmp_path / 'db.sqlite3'}")
+    database.upgrade()
+    with database.writing() as session:
+        afterwards(session, lambda: add_drive(database, "later"))
+        assert names(database) == set()
+    assert names(database) == {"later"}
+    with suppress(ZeroDivisionError), database.writing() as session:
+        afterwards(session, lambda: add_drive(database, "never"))
+        _ = 1 / 0
+    assert names(database) == {"later"}
 
 
 def test_writers_of_sqlite_wait_for_each_other(tmp_path: Path) -> None:

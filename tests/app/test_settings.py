@@ -1,4 +1,4 @@
-"""Settings: the table of the README is true, and the environment is read."""
+"""Settings: the table of docs/service.md is true, and the environment is read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from app.settings import GB, MB, Settings
 
-README = Path(__file__).parents[2] / "README.md"
+SERVICE = Path(__file__).parents[2] / "docs" / "service.md"
 
 
 def shown(name: str, value: Any) -> str:
@@ -24,7 +24,7 @@ def shown(name: str, value: Any) -> str:
 
 
 def settings_table() -> str:
-    """The table of all settings, for the README."""
+    """The table of all settings, for docs/service.md."""
     lines = ["| `INTERLOC_` | default | what |", "|---|---|---|"]
     for name, field in Settings.model_fields.items():
         assert field.description, f"{name} is not described"
@@ -32,8 +32,8 @@ def settings_table() -> str:
     return "\n".join(lines)
 
 
-def test_the_readme_lists_all_settings() -> None:
-    assert settings_table() in README.read_text(), f"README.md must hold\n{settings_table()}"
+def test_the_documentation_lists_all_settings() -> None:
+    assert settings_table() in SERVICE.read_text(), f"docs/service.md must hold\n{settings_table()}"
 
 
 def test_settings_come_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,12 +33,14 @@ def test_help_shows_each_use_by_example(interloc: Callable) -> None:
     assert "interloc simulate track --osm map.osm.gz --track ride.gpx -o DRIVE" in out
     for command in ("town", "track", "twin"):
         assert "Example" in interloc("simulate", command, "--help").out
+    assert "default: full" in " ".join(interloc("simulate", "town", "--help").out.split())
 
 
 def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
     outcome = interloc("simulate", "town", "--small", "-o", drive, *FEW)
     assert outcome.code == 0
+    assert json.loads((drive / "simulation.json").read_text())["town"] == "plain"
     assert not outcome.err  # no progress where nobody watches
     assert "4 scans" in outcome.out
     assert (drive / "map.osm").is_file()
@@ -67,8 +69,10 @@ def test_the_same_seed_gives_the_same_drive(tmp_path: Path, interloc: Callable) 
 
 def test_an_exact_and_bare_world(tmp_path: Path, interloc: Callable) -> None:
     drive = tmp_path / "drive"
-    assert interloc("simulate", "town", "--small", "-o", drive, "--exact", "--bare", "--ground-only", *FEW).code == 0
+    town = ("simulate", "town", "--part", "quarter", "-o", drive)
+    assert interloc(*town, "--exact", "--bare", "--ground-only", *FEW).code == 0
     facts = json.loads((drive / "simulation.json").read_text())
+    assert facts["town"] == "quarter"
     assert facts["sensor"]["range_noise_m"] == facts["sensor"]["dropout"] == 0
     assert facts["scene"]["roadside"]["buildings"] == "none"
     labels = np.fromfile(drive / "labels/000000.label", dtype=np.uint32)

@@ -6,18 +6,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
+from shapely.geometry import LineString, Polygon
 
 from interloc.errors import ConfigError
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
 from interloc.simulate.config import LidarConfig, SimulationOptions, TrackConfig
-from interloc.simulate.town import Town, simulate_town
+from interloc.simulate.osm_map import read_map
+from interloc.simulate.town import PLANS, Part, Town, simulate_town
 
 
-@pytest.mark.parametrize("part", ["plain", "full"])
-def test_the_junctions_of_the_map_are_those_of_the_plan(part: str, tmp_path: Path) -> None:
-    town = Town(part)  # type: ignore[arg-type]
+@pytest.mark.parametrize("part", PLANS)
+def test_the_junctions_of_the_map_are_those_of_the_plan(part: Part, tmp_path: Path) -> None:
+    town = Town(part)
     town.write_osm(tmp_path / "town.osm")
     nodes = intersection_nodes(read_osm(tmp_path / "town.osm"), "drive")
     truth = {j.node_id: (j.lon_deg, j.lat_deg) for j in town.junctions}
@@ -44,15 +47,35 @@ def test_angles_between_arms_of_the_plain_part() -> None:
         assert gaps.min() >= 44.9, junction.name
 
 
-@pytest.mark.parametrize(("part", "low", "high"), [("plain", 600, 700), ("full", 3000, 6000)])
-def test_the_route_runs_along_the_streets(part: str, low: float, high: float) -> None:
-    town = Town(part, houses=False)  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("part", "low", "high", "not_passed"),
+    [
+        ("plain", 600, 700, {"T45"}),
+        ("full", 3000, 6000, {"T45"}),
+        ("quarter", 2000, 2200, {"hill1", "hill2", "bank1", "bank2"}),
+    ],
+)
+def test_the_route_runs_along_the_streets(part: Part, low: float, high: float, not_passed: set[str]) -> None:
+    town = Town(part, houses=False)
     track = town.track(TrackConfig(rate_hz=2))
     xy = town.frame.xy(np.column_stack([track.lon_deg, track.lat_deg]))
     assert low < np.hypot(*np.diff(xy, axis=0).T).sum() < high
     for junction in town.junctions:
-        if junction.name != "T45":  # passed on the main road, too
+        if junction.name not in not_passed:
             assert np.hypot(*(xy - [junction.x_m, junction.y_m]).T).min() < 18, junction.name
+
+
+def test_streets_of_the_quarter_are_free_and_the_route_stays_on_them(tmp_path: Path) -> None:
+    town = Town("quarter")
+    town.write_osm(tmp_path / "map.osm")
+    drawn = read_map(tmp_path / "map.osm", town.frame)
+    roads = shapely.union_all([LineString(street.xy).buffer(3.25) for street in drawn.streets])
+    houses = [Polygon(xy) for _, xy in drawn.buildings]
+    assert len(houses) > 150
+    assert not any(roads.intersects(house) for house in houses)
+    track = town.track(TrackConfig(rate_hz=2))
+    assert roads.contains(LineString(town.frame.xy(np.column_stack([track.lon_deg, track.lat_deg]))))
+    assert all(street.tags["name"] for street in drawn.streets)
 
 
 def test_the_plan_in_metres_and_in_degrees_agree() -> None:
