@@ -17,7 +17,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --progre
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
 BIOME := static/node_modules/.bin/biome
 
-.PHONY: install serve demo page-tools test test-quick compiled lint format types bench load torture hostile bench-page screenshots clean
+.PHONY: install serve demo page-tools test test-quick compiled lint format types bench load torture hostile bench-page screenshots attributes clean
 
 install: $(READY)
 
@@ -117,6 +117,10 @@ bench-page: $(READY_TO_TEST)
 # The pictures of the page in the README; needs Chromium.
 screenshots: $(READY_TO_TEST)
 	$(BIN)/python -m docs.screenshots
+
+# The meaning of every attribute of the result layers, from the models that also make the files.
+attributes: $(READY)
+	$(BIN)/python -m interloc.output.attributes > docs/attributes.md
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage

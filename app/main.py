@@ -36,8 +36,10 @@ from app.routes import (
     jobs,
     keyframes,
     models,
+    overview,
     page,
     results,
+    road,
     scans,
     system,
     trash,
@@ -114,8 +116,8 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     app.state.page_files = PageFiles(settings)
     add_handlers(app)
     add_middleware(app, settings)
-    of_drives = (drives, files, scans, archive, commit, demo, models)
-    of_jobs = (jobs, events, results, keyframes, exports, compare)
+    of_drives = (drives, overview, files, scans, archive, commit, demo, models)
+    of_jobs = (jobs, events, results, keyframes, road, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
         app.include_router(module.router, prefix=API, dependencies=shared)

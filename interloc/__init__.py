@@ -1,13 +1,42 @@
 """Find road intersections in LiDAR drives, map them, and score them against OpenStreetMap.
 
-import interloc
+A drive as a whole::
 
-drive = interloc.open_drive("sequences/07", oxts="2011_09_30_drive_0027_sync")
-result = interloc.detect(drive)                                   # offline, the whole drive
-evaluation = interloc.evaluate(result, interloc.read_osm("map.osm.gz"))
+    import interloc
 
-detector = interloc.Detector()                                    # online, scan by scan
-detections = detector.push(interloc.Scan(frame, T_world_lidar, road_points))
+    drive = interloc.open_drive("sequences/07", oxts="2011_09_30_drive_0027_sync")
+    result = interloc.detect(drive)
+    evaluation = interloc.evaluate(result, interloc.read_osm("map.osm.gz"))
+    print(evaluation.ace_m, evaluation.precision, evaluation.recall)
+    interloc.write_results(result, "out")
+    interloc.write_report(evaluation, "out")
+    intersections = evaluation.geodataframe("intersections")
+
+In a notebook `result` and `evaluation` show themselves as a map.
+
+Scan by scan, as a vehicle sees them; each keyframe is answered 20 keyframes (40 m) later, or at once with
+`keyframes.lookahead` 0::
+
+    for found in interloc.stream(drive):
+        print(found.keyframe.frame, found.world_xy)
+
+`stream` takes scans of your own too (`Scan`); `Detector` is the same without a loop: `push` for every scan, `finish`
+for the last keyframes.
+
+Functions
+---------
+open_drive, inspect_drive
+    Open a drive; or list everything that is wrong with it.
+detect, stream, Detector, Scan
+    Find the intersections of a drive; or online.
+preset, DetectorConfig
+    The settings of the method.
+read_osm, locate, evaluate
+    Read a map; place a drive on it that has no GNSS; score a result.
+write_results, write_report, read_results, geodataframe
+    Result folders, and layers of them.
+InterLocError
+    What every error on purpose is; its text is for the user.
 """
 
 import lazy_loader

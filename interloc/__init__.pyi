@@ -6,12 +6,14 @@ from .drives.inspect import inspect_drive as inspect_drive
 from .drives.open import open_drive as open_drive
 from .errors import InterLocError as InterLocError
 from .evaluation.evaluate import evaluate as evaluate
+from .evaluation.geodataframes import geodataframe as geodataframe
 from .evaluation.report import write_report as write_report
 from .localization.locate import locate as locate
 from .osm.reader import read_osm as read_osm
 from .output.read import read_results as read_results
 from .output.write import write_results as write_results
 from .pipeline import detect as detect
+from .pipeline import stream as stream
 
 __all__ = [
     "Detector",
@@ -20,12 +22,14 @@ __all__ = [
     "Scan",
     "detect",
     "evaluate",
+    "geodataframe",
     "inspect_drive",
     "locate",
     "open_drive",
     "preset",
     "read_osm",
     "read_results",
+    "stream",
     "write_report",
     "write_results",
 ]

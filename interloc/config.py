@@ -7,7 +7,8 @@ a request to the service.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -343,7 +344,11 @@ class FusionConfig(_Config):
 
 
 class DetectorConfig(_Config):
-    """All settings of the method, in the order of its steps."""
+    """All settings of the method, in the order of its steps; `interloc.preset` has those to start from.
+
+    ``print(config.model_dump_json(indent=2))`` shows every setting, ``DetectorConfig.model_json_schema()`` what each
+    means and allows.
+    """
 
     preset: str = Field("custom", max_length=100, description="Name of the preset that this started from.")
     keyframes: KeyframeConfig = KeyframeConfig()
@@ -357,6 +362,17 @@ class DetectorConfig(_Config):
     )
     score: ScoreConfig = ScoreConfig()
     fusion: FusionConfig = FusionConfig()
+
+    def __repr__(self) -> str:
+        started_from = dict(_flat(PRESETS.get(self.preset, DetectorConfig()).model_dump(exclude={"preset"})))
+        changed = [
+            f"{name}={value}"
+            for name, value in _flat(self.model_dump(exclude={"preset"}))
+            if (name, value) not in started_from.items()
+        ]
+        return f"<DetectorConfig {', '.join([self.preset, *changed])}>"
+
+    __str__ = __repr__
 
     @model_validator(mode="after")
     def _fits(self) -> DetectorConfig:
@@ -398,16 +414,22 @@ DEFAULT = DetectorConfig(
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}
 
 
-def preset(name: str) -> DetectorConfig:
-    """Return a preset by its name.
+def preset(name: str, *settings: str) -> DetectorConfig:
+    """Return a preset by its name, with some settings replaced.
+
+    Parameters
+    ----------
+    name : {"default", "paper"}
+    *settings
+        ``section.name=value`` each, for example ``"bev.resolution_m=0.25"`` or ``"keyframes.lookahead=0"``.
 
     Raises
     ------
     ConfigError
-        There is no preset of that name.
+        There is no preset of that name, a setting does not exist, or its value is refused.
     """
     try:
-        return PRESETS[name]
+        return with_settings(PRESETS[name], settings) if settings else PRESETS[name]
     except KeyError:
         raise ConfigError(f"preset: there is no '{name}'; choose one of {', '.join(PRESETS)}") from None
 
@@ -436,7 +458,8 @@ def with_settings(config: DetectorConfig, settings: Iterable[str]) -> DetectorCo
                 target[section] = {}  # a step that was left out comes back with its defaults
             target = target.get(section) if isinstance(target, dict) else None
         if not isinstance(target, dict):
-            raise ConfigError(f"--set {setting}: there is no section '{'.'.join(sections)}'; see interloc config")
+            section = ".".join(sections)
+            raise ConfigError(f"--set {setting}: there is no section '{section}'{_nearest(f'{section}.{name}')}")
         if name == "kind" and target.get("kind") != value:
             target.clear()
         target[name] = value
@@ -471,10 +494,36 @@ def parse_config(values: object, *, strict: bool = False) -> DetectorConfig:
         for item in error.errors():
             where = ".".join(str(part) for part in item["loc"] if part not in {"harris", "crossing"}) or "configuration"
             found = "" if isinstance(item["input"], dict) else f" (found {_shown(repr(item['input']))})"
-            what = "there is no such setting" if item["type"] == "extra_forbidden" else item["msg"]
+            what = item["msg"]
+            if item["type"] == "extra_forbidden":
+                what = f"there is no such setting{_nearest(where)}"
             lines.append(f"{_shown(where)}: {what.removeprefix('Value error, ')}{found}")
         more = "; ..." if len(lines) > _MAX_FAULTS_SHOWN else ""
         raise ConfigError("; ".join(lines[:_MAX_FAULTS_SHOWN]) + more) from None
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the settings in nested mappings under their dotted names."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def _nearest(name: str) -> str:
+    """Return what was probably meant by the name of a setting that does not exist, for its message."""
+    of_preset = {each: dict(_flat(config.model_dump())) for each, config in PRESETS.items()}
+    for each, settings in of_preset.items():
+        if name in settings:  # of another kind of candidates, or of a step that is left out
+            section = name.split(".", maxsplit=1)[0]
+            kind = f": {section}.kind={settings[f'{section}.kind']}" if f"{section}.kind" in settings else ""
+            return f" here; it is one of the preset {each}{kind}"
+    names = sorted({known for settings in of_preset.values() for known in settings})
+    last = name.rpartition(".")[2]
+    near = [known for known in names if known.rpartition(".")[2] == last] or get_close_matches(name[:100], names, n=3)
+    meant = f"; did you mean {' or '.join(near)}?" if near else "."
+    return f"{meant} `interloc config --schema` describes all settings"
 
 
 def _shown(text: str) -> str:

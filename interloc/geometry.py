@@ -12,7 +12,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, IntArray
 
 WGS84_A_M = 6378137.0
 WGS84_F = 1 / 298.257223563
@@ -85,6 +85,18 @@ def wrap_bearing(degrees: ArrayLike) -> FloatArray:
     """Bring bearings into [0, 360): a tiny negative number too, which the remainder alone would round to 360."""
     wrapped = np.asarray(degrees, dtype=np.float64) % 360.0
     return np.where(wrapped >= 360.0, 0.0, wrapped)
+
+
+def thin(xy: FloatArray, step_m: float) -> IntArray:
+    """Return the rows of (N, 2) positions that lie `step_m` or more from the one kept before; first and last stay."""
+    kept: list[int] = []
+    x, y = xy[:, 0].tolist(), xy[:, 1].tolist()
+    for row in range(len(xy)):
+        if not kept or (x[row] - x[kept[-1]]) ** 2 + (y[row] - y[kept[-1]]) ** 2 >= step_m**2:
+            kept.append(row)
+    if kept and kept[-1] != len(xy) - 1:
+        kept.append(len(xy) - 1)
+    return np.array(kept, dtype=np.int64)
 
 
 def invert_transform(transform: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -13,15 +13,18 @@ from typing import Any
 
 from interloc.arrays import IntArray
 from interloc.config import DEFAULT, DetectorConfig
-from interloc.detection.detector import Detector, KeyframeDetections
+from interloc.detection.detector import Detector, KeyframeDetections, locate
 from interloc.detection.keyframes import select_keyframes
-from interloc.drive import Drive, is_slow, read_ahead, scans_of
+from interloc.detection.road import patch_keyframes, road_patch
+from interloc.detection.scan import ScanLike
+from interloc.detection.warm import warm_up
+from interloc.drive import Drive, DriveScan, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
 from interloc.processes import cores, peak_memory_bytes, run_in_processes
-from interloc.results import DriveResult
+from interloc.results import DriveResult, RoadPatch
 from interloc.stopwatch import Stopwatch
 
 Progress = Callable[[int, int], None]
@@ -45,12 +48,15 @@ class RangeResult:
         Time spent in each step.
     peak_memory_bytes : int
         Of the process so far.
+    road : tuple of RoadPatch
+        The road around the keyframes of the range that `patch_keyframes` names.
     """
 
     start: int
     detections: list[KeyframeDetections]
     seconds: dict[str, float]
     peak_memory_bytes: int
+    road: tuple[RoadPatch, ...] = ()
 
 
 FindRange = Callable[[Drive, IntArray, int, int, DetectorConfig, Progress | None], RangeResult]
@@ -82,16 +88,52 @@ def detect_range(
     detector = Detector(config)
     first = max(0, start - config.keyframes.window)
     last = min(len(keyframes), stop + config.keyframes.after)
-    scans = scans_of(drive, keyframes[first:last])
-    if is_slow(drive):
-        scans = read_ahead(scans, cores())
-    windows = detector.completed(scans)
+    windows = detector.completed(_read(drive, keyframes[first:last]))
+    kept = set(patch_keyframes(drive.T_world_lidar[keyframes]).tolist())
     found: list[KeyframeDetections] = []
-    for window in islice(windows, start - first, stop - first):
-        found.append(window.detect())
+    road: list[RoadPatch] = []
+    for row, window in enumerate(islice(windows, start - first, stop - first), start):
+        steps = window.steps()
+        found.append(locate(steps, window.keyframe, config.score))
+        if row in kept:
+            road.append(road_patch(row, steps.occupancy, steps.roi))
+            detector.stopwatch.lap("road")
         if progress is not None:
             progress(len(found), stop - start)
-    return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes())
+    return RangeResult(start, found, detector.stopwatch.seconds, peak_memory_bytes(), tuple(road))
+
+
+def _read(drive: Drive, keyframes: IntArray) -> Iterator[DriveScan]:
+    """Yield the scans at some positions of a drive, read ahead where that takes long."""
+    scans = scans_of(drive, keyframes)
+    return read_ahead(scans, cores()) if is_slow(drive) else scans
+
+
+def stream(scans: Drive | Iterable[ScanLike], config: DetectorConfig = DEFAULT) -> Iterator[KeyframeDetections]:
+    """Yield the detections of each keyframe as soon as they are known, the last ones too: `Detector`, in a loop.
+
+    Parameters
+    ----------
+    scans : Drive or iterable of Scan
+        A drive, or scans with their poses as they arrive, in their order.
+    config
+        ``keyframes.lookahead`` keyframes (20, about 40 m, unless set) pass before the detections of one come;
+        0 is causal, and finds fewer intersections ahead of the vehicle.
+
+    Yields
+    ------
+    KeyframeDetections
+        One for each keyframe, in order, whether anything was found or not.
+
+    Raises
+    ------
+    DriveError
+        A scan of the drive is damaged.
+    """
+    if isinstance(scans, Drive):
+        scans = _read(scans, select_keyframes(scans.T_world_lidar, config.keyframes))
+    for window in Detector(config).completed(scans):
+        yield window.detect()
 
 
 def detect(
@@ -125,6 +167,8 @@ def detect(
     DriveError
         The drive has no scans, or a scan is damaged.
     """
+    if find is None:
+        warm_up(config)  # once per process, and no part of the time that the run takes
     began = time.perf_counter()
     keyframes = select_keyframes(drive.T_world_lidar, config.keyframes)
     if not len(keyframes):
@@ -199,7 +243,8 @@ def assemble(
         "stage_seconds": stopwatch.seconds,  # summed over the processes
         "peak_memory_bytes": max([part.peak_memory_bytes for part in parts] + [peak_memory_bytes()]),
     }
-    return DriveResult(drive.name, keyframe_table, detection_table, intersections, world_xy, lonlat, run)
+    road = tuple(patch for part in parts for patch in part.road)
+    return DriveResult(drive.name, keyframe_table, detection_table, intersections, world_xy, lonlat, run, road)
 
 
 def split(count: int, workers: int) -> list[tuple[int, int]]:

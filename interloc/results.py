@@ -5,13 +5,16 @@ Bearings are degrees clockwise from north where the run is georeferenced, else c
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray, IntArray, UInt8Array
+from interloc.drawing import Sign, map_sketch
+from interloc.geometry import enu_from_lonlat
 
 EPOCH_S = 1e8
 """Times of a drive above this are seconds since 1970 (UTC); those below count from a start such as the first scan."""
@@ -56,6 +59,9 @@ class KeyframeTable:
     def __len__(self) -> int:
         return len(self.frame)
 
+    def __repr__(self) -> str:
+        return f"<KeyframeTable {counted(len(self), 'keyframe')}>"
+
     @property
     def moments(self) -> list[str | None]:
         """K moments in RFC 3339, UTC, to the millisecond; None where the drive's times are not times of the day."""
@@ -94,6 +100,9 @@ class DetectionTable:
 
     def __len__(self) -> int:
         return len(self.keyframe)
+
+    def __repr__(self) -> str:
+        return f"<DetectionTable {counted(len(self), 'detection')}>"
 
     @property
     def number(self) -> IntArray:
@@ -142,6 +151,9 @@ class IntersectionTable:
     def __len__(self) -> int:
         return len(self.id)
 
+    def __repr__(self) -> str:
+        return f"<IntersectionTable {counted(len(self), 'intersection')}>"
+
 
 @dataclass(frozen=True)
 class Verdicts:
@@ -174,6 +186,41 @@ class Verdicts:
 
 
 @dataclass(frozen=True)
+class RoadPatch:
+    """The road around one keyframe, aligned with W: a square of cells, packed.
+
+    Attributes
+    ----------
+    keyframe : int
+        Row of the keyframe table.
+    corner_xy : (2,) float64
+        Upper left corner (least x, greatest y) in W, metres.
+    resolution_m : float
+        Side of a cell.
+    size : int
+        Cells per side.
+    packed : bytes
+        The cells row by row, top row first, eight per byte, deflated.
+    """
+
+    keyframe: int
+    corner_xy: FloatArray
+    resolution_m: float
+    size: int
+    packed: bytes
+
+    @classmethod
+    def pack(cls, keyframe: int, corner_xy: FloatArray, resolution_m: float, cells: UInt8Array) -> RoadPatch:
+        """Pack a (size, size) image of 0 and 1."""
+        return cls(keyframe, corner_xy, resolution_m, len(cells), zlib.compress(np.packbits(cells).tobytes(), 1))
+
+    def cells(self) -> UInt8Array:
+        """Return the (size, size) uint8 image, 1 where the ground is road."""
+        bits = np.frombuffer(zlib.decompress(self.packed), np.uint8)
+        return np.unpackbits(bits, count=self.size**2).reshape(self.size, self.size)
+
+
+@dataclass(frozen=True)
 class DriveResult:
     """Everything that `detect` found on a drive.
 
@@ -187,6 +234,8 @@ class DriveResult:
         The same in W, metres.
     run : dict
         What `run.json` holds: configuration, versions, input identity, timings, peak memory.
+    road : tuple of RoadPatch
+        The road around some of the keyframes, for the mosaic; empty where the run kept none or was read from a folder.
     """
 
     drive: str
@@ -196,8 +245,53 @@ class DriveResult:
     trajectory_world_xy: FloatArray
     trajectory_lonlat: FloatArray | None
     run: dict[str, Any] = field(default_factory=dict)
+    road: tuple[RoadPatch, ...] = ()
 
     @property
     def is_georeferenced(self) -> bool:
         """True where positions have longitude and latitude."""
         return self.keyframes.lonlat is not None
+
+    def __repr__(self) -> str:
+        return f"<DriveResult {self._summary()}>"
+
+    def _repr_html_(self) -> str:
+        """Return a map: what a notebook shows."""
+        table = self.intersections
+        signs = [
+            Sign(xy, "unscored", f"Intersection {number}: {counted(seen, 'observation')}, confidence {confidence:.2f}")
+            for number, xy, seen, confidence in zip(
+                table.id.tolist(),
+                self.local_xy(table.lonlat, table.world_xy),
+                table.observations.tolist(),
+                table.confidence.tolist(),
+                strict=True,
+            )
+        ]
+        track = self.local_xy(self.trajectory_lonlat, self.trajectory_world_xy)
+        return map_sketch(track, signs, self._summary(), north_up=self.is_georeferenced)
+
+    def _summary(self) -> str:
+        return (
+            f"{self.drive}: {counted(len(self.keyframes), 'keyframe')}, {counted(len(self.detections), 'detection')}, "
+            f"{counted(len(self.intersections), 'intersection')}, "
+            f"{'with' if self.is_georeferenced else 'without'} georeference"
+        )
+
+    def local_xy(self, lonlat: FloatArray | None, world_xy: FloatArray) -> FloatArray:
+        """Return (N, 2) metres: east, north of the first keyframe where there is a georeference, else those of W."""
+        origin = self.keyframes.lonlat
+        if lonlat is None or origin is None or not len(origin):
+            return world_xy
+        return enu_from_lonlat(origin[0, 1], origin[0, 0], lonlat)
+
+    def geodataframe(self, layer: str = "intersections") -> Any:  # noqa: ANN401 - geopandas has no types
+        """Return a layer as a GeoDataFrame: `interloc.geodataframe`."""
+        import interloc  # noqa: PLC0415 - the public face stands above everything
+
+        return interloc.geodataframe(self, layer)
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number and what it counts: "1 keyframe", "1,250 keyframes"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"

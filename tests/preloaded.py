@@ -36,4 +36,4 @@ with tempfile.TemporaryDirectory() as folder:
     detect(open_drive(root / "street", model=root / "model"), preset("default"))
     decompress_lzf(np.zeros(1, np.uint8), 1)
     write_results(result, root / "result")
-    write_report(evaluate(result, read_osm(root / "street" / "map.osm")), result, root / "result")
+    write_report(evaluate(result, read_osm(root / "street" / "map.osm")), root / "result")

@@ -113,8 +113,8 @@ def test_later_setting_wins() -> None:
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("bev.resolution=0.25", "bev.resolution: there is no such setting"),
-        ("map.size_m=3", "there is no section 'map'; see interloc config"),
+        ("bev.resolution=0.25", "bev.resolution: .*did you mean bev.resolution_m.*interloc config --schema"),
+        ("map.size_m=3", "there is no section 'map'; did you mean bev.size_m?"),
         ("bev.size_m.x=3", "there is no section 'bev.size_m'"),
         ("bev.resolution_m", "expected section.name=value, for example bev.resolution_m=0.25"),
         ("resolution_m=0.25", "expected section.name=value"),
@@ -143,7 +143,7 @@ def test_later_setting_wins() -> None:
         ("branches.inner_radius_m=40", r"outer_radius_m \(40.0\) must be larger than inner_radius_m \(40.0\)"),
         ("branches.outer_radius_m=60", r"must be less than half of bev.size_m \(120.0\)"),
         ("candidates.kind=magic", "candidates.*'harris', 'crossing'"),
-        ("candidates.k=0.05", "candidates.k: there is no such setting"),  # Harris', but these are crossings
+        ("candidates.k=0.05", "candidates.k: .*one of the preset paper: candidates.kind=harris"),  # Harris' own
     ],
 )
 def test_setting_without_meaning_is_refused_by_name(setting: str, message: str) -> None:

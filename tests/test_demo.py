@@ -32,7 +32,8 @@ NODES = 3  # there
 def work(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the commands of the first part, on the beginning of the drive, in a folder."""
     monkeypatch.chdir(folder)
-    for line in ON_THE_COMMAND_LINE.splitlines():
+    for recipe in ON_THE_COMMAND_LINE.splitlines():
+        line = recipe.replace("\t@test -f demo/drive/map.osm || ", "\t")  # it is not there yet
         if line.startswith("\t$(BIN)/interloc "):
             words = shlex.split(line)[1:]
             assert run([*words, *(BEGINNING if words[0] == "simulate" else [])]) == 0

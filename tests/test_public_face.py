@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import pydoc
+import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 import interloc
-
-SPACING_M = 2.5
+from tests.crossing import SPACING_M, pose_at, road_at
 
 
 @pytest.mark.parametrize("name", interloc.__all__)
@@ -21,19 +23,6 @@ def test_every_name_resolves(name: str) -> None:
 def test_a_name_that_is_not_there() -> None:
     with pytest.raises(AttributeError, match="No interloc attribute nothing"):
         interloc.nothing  # noqa: B018
-
-
-def road_at(x_m: float) -> np.ndarray:
-    """Road points of a crossing 60 m from the start, seen within 35 m from a vehicle on one of its streets."""
-    x, y = np.meshgrid(np.arange(-48, 176, 0.8), np.arange(-48, 48, 0.8))
-    seen = (np.hypot(x - x_m, y) < 35) & ((np.abs(y) < 5) | (np.abs(x - 60) < 5))
-    return np.stack([x[seen] - x_m, y[seen], np.full(int(seen.sum()), -1.73)], axis=1).astype(np.float32)
-
-
-def pose_at(x_m: float) -> np.ndarray:
-    pose = np.eye(4)
-    pose[0, 3] = x_m
-    return pose
 
 
 def test_online_scan_by_scan() -> None:
@@ -64,46 +53,29 @@ def test_online_without_lookahead() -> None:
         assert detections.keyframe.frame == frame
 
 
-def test_the_example_of_the_docstring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run it as it stands there, on a drive and a map of these names."""
-    monkeypatch.chdir(tmp_path)
-    write_drive(Path("sequences/07"), Path("2011_09_30_drive_0027_sync"))
-    lines = (interloc.__doc__ or "").splitlines()
-    example = "\n".join(lines[lines.index("import interloc") :]).replace("map.osm.gz", "map.osm")
-    names = {"frame": 0, "T_world_lidar": np.eye(4), "road_points": road_at(0.0)}
-    exec(example, names)  # noqa: S102 - our own words
-    assert names["evaluation"].node_table.found.tolist() == [True]
-    assert names["detections"] is None
-
-
-def write_drive(root: Path, raw: Path) -> None:
-    """Write a drive through the crossing, with the OXTS of a raw drive beside, and its map."""
-    (root / "velodyne").mkdir(parents=True)
-    (root / "labels").mkdir()
-    (raw / "oxts" / "data").mkdir(parents=True)
-    (raw / "calib_imu_to_velo.txt").write_text("R: 1 0 0 0 1 0 0 0 1\nT: 0 0 0\n")
-    lines = []
-    for frame in range(48):
-        x_m = SPACING_M * frame
-        points = np.pad(road_at(x_m), ((0, 0), (0, 1)))
-        points.tofile(root / f"velodyne/{frame:06d}.bin")
-        np.full(len(points), 40, np.uint32).tofile(root / f"labels/{frame:06d}.label")
-        lines.append(" ".join(f"{value:g}" for value in pose_at(x_m)[:3].ravel()))
-        lon_deg = 8.4 + np.degrees(x_m / (6_390_400 * np.cos(np.radians(49.0))))
-        values = [49.0, lon_deg, 110.0, 0.0, 0.0, 0.0, *([0.0] * 24)]
-        (raw / f"oxts/data/{frame:010d}.txt").write_text(" ".join(f"{value:.12g}" for value in values) + "\n")
-    (root / "poses.txt").write_text("\n".join(lines) + "\n")
-    east, north = np.degrees(60 / (6_390_400 * np.cos(np.radians(49.0)))), np.degrees(100 / 6_382_000)
-    nodes = [(0, 0), (east, 0), (4 * east, 0), (east, -north), (east, north)]
-    Path("map.osm").write_text(
-        '<osm version="0.6">'
-        + "".join(
-            f'<node id="{i}" lat="{49 + lat:.9f}" lon="{8.4 + lon:.9f}"/>' for i, (lon, lat) in enumerate(nodes, 1)
-        )
-        + "".join(
-            f'<way id="{i}">{"".join(f"<nd ref={chr(34)}{ref}{chr(34)}/>" for ref in refs)}'
-            '<tag k="highway" v="residential"/></way>'
-            for i, refs in enumerate([(1, 2, 3), (4, 2, 5)], 1)
-        )
-        + "</osm>"
+def test_stream_takes_a_drive_or_scans_and_answers_every_keyframe() -> None:
+    scans = [interloc.Scan(frame, pose_at(SPACING_M * frame), road_at(SPACING_M * frame)) for frame in range(48)]
+    detector = interloc.Detector()
+    pushed = [answer for scan in scans if (answer := detector.push(scan)) is not None] + list(detector.finish())
+    streamed = list(interloc.stream(iter(scans)))
+    assert [repr(each) for each in streamed] == [repr(each) for each in pushed]
+    assert [each.keyframe.frame for each in streamed] == list(range(48))
+    assert any(
+        re.fullmatch(r"<KeyframeDetections frame \d+: 1 at \(-?\d+\.\d, -?\d+\.\d\) m>", repr(each))
+        for each in streamed
     )
+
+
+def test_help_is_fit_to_read() -> None:
+    text = pydoc.plain(pydoc.render_doc(interloc.Detector))
+    assert "finish" in text
+    assert max(map(len, text.splitlines())) <= 125
+    assert max(map(len, pydoc.plain(pydoc.render_doc(interloc)).splitlines())) < 2000
+    assert repr(interloc.preset("paper")) == "<DetectorConfig paper>"
+    coarse = interloc.DetectorConfig.model_validate({"bev": {"resolution_m": 0.25}})
+    assert str(coarse) == "<DetectorConfig custom, bev.resolution_m=0.25>"
+
+
+def test_python_m_interloc() -> None:
+    answer = subprocess.run([sys.executable, "-m", "interloc", "--version"], capture_output=True, text=True, check=True)
+    assert answer.stdout.startswith("InterLoc ")

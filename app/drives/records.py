@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from sqlalchemy import ColumnElement, and_, or_, select
+from sqlalchemy import ColumnElement, and_, func, or_, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
@@ -15,7 +15,7 @@ from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.parameters import Box
 from app.http.problems import Problem
 from app.jobs.queue import key_used, no_drive
-from app.paths import is_map
+from app.paths import MAP_ENDINGS, is_map
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.settings import Settings
 from app.states import DriveState
@@ -24,6 +24,8 @@ from app.store.database import moment
 from app.store.models import Drive, DriveFile
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
+from interloc.drives.options import LabelFolder
+from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import InterLocError
 from interloc.output.geojson import read_json
 
@@ -267,6 +269,7 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> Dri
     return DriveModel(
         id=drive.id,
         name=drive.name,
+        note=drive.note,
         state=drive.state,
         owner=drive.owner,
         keep_raw=drive.keep_raw,
@@ -279,6 +282,27 @@ def drive_model(drive: Drive, settings: Settings, *, report: bool = True) -> Dri
         expires_at=moment(expires_at) if drive.state == DriveState.UPLOADING else None,
         report=DriveReport.model_validate(drive.report) if report and drive.report else None,
     )
+
+
+def whole_drive_model(session: Session, context: Context, drive: Drive) -> DriveModel:
+    """Return a drive as clients see it, with its report and what jobs can take of it."""
+    model = drive_model(drive, context.settings)
+    if drive.state != DriveState.READY:
+        return model
+    paths = session.scalars(
+        select(DriveFile.path).where(
+            DriveFile.drive_id == drive.id, or_(*(func.lower(DriveFile.path).endswith(end) for end in MAP_ENDINGS))
+        )
+    )
+    return model.model_copy(update={"maps": sorted(paths), "label_folders": _label_folders(context, drive.id)})
+
+
+def _label_folders(context: Context, drive_id: str) -> list[LabelFolder]:
+    try:
+        manifest = read_manifest(context.storage.folder(reduced_key(drive_id)))
+    except InterLocError:  # damaged from outside: jobs tell what is wrong
+        return []
+    return [labels.folder for labels in manifest.labels]
 
 
 def file_model(file: DriveFile) -> UploadedFile:

@@ -35,6 +35,7 @@ MEDIA_TYPES = {
     ".mjs": "text/javascript; charset=utf-8",
     ".png": "image/png",
     ".svg": "image/svg+xml",
+    ".tif": "image/tiff; application=geotiff",
     ".webmanifest": "application/manifest+json",
     ".woff2": "font/woff2",
     ".zip": "application/zip",
@@ -158,9 +159,38 @@ def deliver(
 
 def answer_tagged(request: Request, content: bytes, media_type: str = "application/json", **headers: str) -> Response:
     """Answer a GET or HEAD with what was made for it, and its ETag: 200, or 304 where the client has the same."""
-    tag = hashlib.sha256(content).hexdigest()[:24]
-    headers = {"etag": f'"{tag}"', "cache-control": REVALIDATE, **headers}
+    headers = {"etag": tag_of(content), "cache-control": REVALIDATE, **headers}
     return not_modified(request, headers) or Response(content, headers=headers, media_type=media_type)
+
+
+def tag_of(content: bytes) -> str:
+    """Return the ETag of an answer."""
+    return f'"{hashlib.sha256(content).hexdigest()[:24]}"'
+
+
+def require_unchanged(if_match: str | None, content: bytes) -> None:
+    """Refuse a change of what is no longer the version that the client has seen.
+
+    Parameters
+    ----------
+    if_match
+        Header If-Match: ETags, or ``*`` for any version; None: the client does not mind.
+    content
+        What GET would answer now.
+
+    Raises
+    ------
+    Problem
+        412.
+    """
+    if if_match is None or {tag.strip() for tag in if_match.split(",")} & {"*", tag_of(content)}:
+        return
+    raise Problem(
+        412,
+        "Changed meanwhile",
+        f"If-Match: {if_match[:80]} is not its current version, which is {tag_of(content)}. Get it again, and send the "
+        "change with that ETag if it is still wanted.",
+    )
 
 
 def not_modified(request: Request, headers: dict[str, str]) -> Response | None:

@@ -81,6 +81,16 @@ IdempotencyKey = Annotated[
 ]
 
 
+IfMatch = Annotated[
+    str | None,
+    Header(
+        alias="If-Match",
+        max_length=1000,
+        description="ETag of the version that is to be changed: it is refused if it has changed meanwhile (412).",
+    ),
+]
+
+
 def sha256_of(headers: Headers) -> str | None:
     """Return the SHA-256 that the body must have, hexadecimal; None where the client sends no digest (RFC 9530).
 

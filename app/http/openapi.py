@@ -29,10 +29,10 @@ curl $API/jobs/$JOB/intersections                                               
 
 `interloc push DRIVE --server URL --run -o OUT` does all of that, and sends only what the method needs.
 
-Lists come in pages: follow `Link: <...>; rel="next"`, or give `next` of one as `after` of the following. Drives, jobs
-and results carry an `ETag`: ask again with `If-None-Match`, and the answer is 304 while nothing has changed. A query
-parameter that an address does not have is refused. Times are RFC 3339, lengths metres, angles degrees clockwise from
-north. Every answer carries an `X-Request-ID`, by which its line in the log is found.
+Lists come in pages: follow `Link: <...>; rel="next"`, or give `next` of one as `after` of the following. Lists,
+drives, jobs and results carry an `ETag`: ask again with `If-None-Match`, and the answer is 304 while nothing has
+changed. A query parameter that an address does not have is refused. Times are RFC 3339, lengths metres, angles degrees
+clockwise from north. Every answer carries an `X-Request-ID`, by which its line in the log is found.
 
 Every error is a problem document (RFC 9457) whose `detail` says what was found, what was expected and what to do. Its
 `type` tells programs what has happened. It is the same in every version and under every address of the service
@@ -62,7 +62,7 @@ HEADERS: dict[str, dict[str, Any]] = {
     },
     "Content-Range": {"description": "Which part of the file it is.", "example": "bytes 0-99/2048"},
     "ETag": {
-        "description": "Version of what is answered, for If-None-Match.",
+        "description": "Version of what is answered, for If-None-Match; of a drive or job also for If-Match.",
         "example": '"17f0a2c4b1d3e5f6a7b8c9d0"',
     },
     "Last-Modified": {"description": "When the file was made.", "example": "Sat, 31 Jan 2026 12:00:00 GMT"},
@@ -98,6 +98,9 @@ TAGGED: dict[int | str, dict[str, Any]] = {
     304: {"description": "Nothing has changed (If-None-Match).", "headers": headers_named("ETag")},
 }
 """Answers of `app.http.delivery.answer_tagged`, for `responses` of an operation."""
+
+PAGED: dict[int | str, dict[str, Any]] = {**TAGGED, 200: {"headers": headers_named("ETag", "Link")}}
+"""Answers of `app.http.paging.answer_page`, likewise."""
 
 _CHALLENGE = headers_named("WWW-Authenticate")
 _WAIT = headers_named("Retry-After")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 from urllib.parse import quote, urlencode
 
 from fastapi import Query, Request, Response
 from sqlalchemy import ColumnElement, and_, func, or_
 
+from app.http.delivery import answer_tagged
 from app.http.gate import path_of
 from app.http.problems import Problem
 from app.store.models import Drive, Job
@@ -24,13 +25,27 @@ After = Annotated[
 """Where a page begins."""
 
 
-def link_next(request: Request, response: Response, cursor: str | None) -> None:
-    """Name the next page of a list in the header Link, with all filters of this one (RFC 8288)."""
+class Page(Protocol):
+    """A page of a list."""
+
+    next: str | None
+
+    def model_dump_json(self) -> str:
+        """Return it as JSON."""
+
+
+def answer_page(request: Request, page: Page) -> Response:
+    """Answer with a page and its ETag: 304 where the client has the same; the header Link names the next (RFC 8288)."""
+    return answer_tagged(request, page.model_dump_json().encode(), **next_link(request, page.next))
+
+
+def next_link(request: Request, cursor: str | None) -> dict[str, str]:
+    """Return the header that names the next page of a list, with all filters of this one; none on the last page."""
     if cursor is None:
-        return
+        return {}
     same = [(name, value) for name, value in request.query_params.multi_items() if name != "after"]
     path = quote(f"{request.scope.get('root_path', '')}{path_of(request.scope)}")
-    response.headers["Link"] = f'<{path}?{urlencode([*same, ("after", cursor)])}>; rel="next"'
+    return {"link": f'<{path}?{urlencode([*same, ("after", cursor)])}>; rel="next"'}
 
 
 def cursor_of(row: Drive | Job) -> str:

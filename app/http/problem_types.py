@@ -18,6 +18,7 @@ MEANINGS = {
     "Body refused": "A body is too large, or came too slowly.",
     "Busy": "Too much work of this kind waits already.",
     "Cancelled": "The job was cancelled.",
+    "Changed meanwhile": "The drive or job is no longer the version that If-Match names.",
     "Compressed body": "The body has a Content-Encoding or Transfer-Encoding that is not taken.",
     "Database busy": "The database did not answer in time.",
     "Different drives": "The jobs to compare are not of one drive.",

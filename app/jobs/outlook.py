@@ -15,6 +15,8 @@ from app.states import ACTIVE, DriveState, JobState
 from app.store.models import Drive, Job
 from app.work.kinds import DRIVE_CHANGING, URGENT
 
+_STEADY_S = 5.0
+_STEADY_SHARE = 0.05
 _RECENT = 20  # jobs from whose time is judged how long the next ones will take
 
 
@@ -69,9 +71,20 @@ def _usual_seconds(session: Session, *, urgent: bool) -> float | None:
 def _seconds_left(row: Any, now: float, usual_s: float | None) -> float | None:  # noqa: ANN401 - a row of columns
     """Return how long a job will still run; None where nothing tells."""
     spent = max(0.0, now - (row.started_at or now))
-    if row.total and 0 < row.done <= row.total:
-        return float(spent * (row.total - row.done) / row.done)
+    known = seconds_left(spent, row.done, row.total)
+    if known is not None:
+        return known
     return None if usual_s is None else max(0.0, usual_s - spent)
+
+
+def seconds_left(spent_s: float, done: int, total: int | None) -> float | None:
+    """Return how long work that has taken some time so far will still take; None before that can be told.
+
+    The beginning tells nothing: drive and map are read first.
+    """
+    if not total or not 0 < done <= total or spent_s < _STEADY_S or done < _STEADY_SHARE * total:
+        return None
+    return spent_s * (total - done) / done
 
 
 def _starts(count: int, left: list[float | None], at_once: int, usual_s: float | None) -> list[float | None]:

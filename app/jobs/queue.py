@@ -266,6 +266,7 @@ def submit(
         drive_id=drive_id,
         owner=owner,
         request=request,
+        name=request.get("name"),
         idempotency_key=key,
         message=_WAITS_FOR_CHECK if kind not in DRIVE_CHANGING and drive.state == DriveState.CHECKING else None,
         created_at=database.clock(session),

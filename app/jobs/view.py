@@ -11,7 +11,8 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.http.problem_types import type_of
 from app.http.problems import Problem, ProblemDocument
-from app.jobs.outlook import outlook
+from app.jobs.outlook import outlook, seconds_left
+from app.jobs.titles import own_settings, title_of
 from app.schemas.jobs import JobModel, Progress
 from app.states import JobKind, JobState
 from app.store.database import moment
@@ -69,6 +70,10 @@ def _job_model(job: Job, drive_name: str, root_path: str, now: float, message: s
         kind=job.kind,
         drive_id=job.drive_id,
         drive_name=drive_name,
+        title=title_of(job),
+        name=job.name,
+        note=job.note,
+        own_settings=own_settings(job.request),
         owner=job.owner,
         state=job.state,
         stage=job.stage,
@@ -94,8 +99,9 @@ def _error_of(stored: dict[str, Any]) -> ProblemDocument:
 def _progress(job: Job, now: float) -> Progress:
     fraction = 1.0 if job.state == JobState.SUCCESSFUL else min(1.0, job.done / job.total) if job.total else 0.0
     left = None
-    if job.state == JobState.RUNNING and job.started_at is not None and 0.0 < fraction < 1.0:
-        left = round(max(0.0, now - job.started_at) * (1.0 - fraction) / fraction, 1)
+    if job.state == JobState.RUNNING and job.started_at is not None and fraction < 1.0:
+        left = seconds_left(now - job.started_at, job.done, job.total)
+    left = None if left is None else round(left, 1)
     return Progress(done=job.done, total=job.total, fraction=round(fraction, 4), seconds_left=left)
 
 
@@ -107,7 +113,7 @@ def _links(job: Job, address: str) -> dict[str, str]:
         return links
     names = ["run", "files", "archive.zip"]
     if summary["georeferenced"]:
-        names += [*_LAYERS, "export.gpkg", "export.kml"]
+        names += [*_LAYERS, "export.gpkg", "export.fgb", "export.kml", "export.csv", "export.geojson"]
     else:
         links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
     if summary["report"] is not None:

@@ -13,6 +13,7 @@ from app.http.problems import Problem
 from app.jobs.view import find_job
 from app.states import JobKind, JobState
 from interloc.output.layout import RUN_FILE, TABLES, file_names
+from interloc.output.road import ROAD_FILE
 
 _MAX_KNOWN = 1000
 _BELIEVED_S = 1.0
@@ -107,6 +108,23 @@ class Result:
                 f"Job {self.job_id} was submitted without a map, so it has no evaluation. Submit one with "
                 '"osm": {"file": "map.osm.gz"} or {"overpass": true}.',
             )
+        return path
+
+    def road(self) -> Path:
+        """Return the GeoTIFF of the road seen by LiDAR.
+
+        Raises
+        ------
+        Problem
+            404 that says why the result has none.
+        """
+        path = self.folder / ROAD_FILE
+        if not path.exists():
+            detail = (
+                f"The result of job {self.job_id} has no {ROAD_FILE}: no road was seen, or an older version of the "
+                "service made it. Submit the job again."
+            )
+            raise Problem(404, "Not in this result", detail)
         return path
 
     def file(self, name: str) -> Path:

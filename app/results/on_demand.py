@@ -14,7 +14,7 @@ from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.results.folder import Result
 from app.states import JobKind
-from app.work.on_demand import VIEW, draw_keyframe, write_export
+from app.work.on_demand import VIEW, draw_keyframe, draw_road_picture, write_export
 from app.work.task import Task
 from interloc.errors import DamagedResultError
 
@@ -41,16 +41,21 @@ class OnDemand:
             500: the result is damaged. Otherwise as of `Runner.run_in_worker`.
         """
         write = partial(self._runner.run_in_worker, write_export, result.folder, path, layer, client=client)
-        try:
-            await self._once(path, write)
-        except DamagedResultError as error:
-            _log.error("job %s: %s", result.job_id, error)
-            raise Problem(
-                500,
-                "Result damaged",
-                f"A file of the result of job {result.job_id} is damaged or missing; the log of the service has the "
-                "details. Submit the job again.",
-            ) from error
+        await self._once_of(result, path, write)
+
+    async def road(self, result: Result, client: str) -> Path:
+        """Return the folder of the picture of the road seen by LiDAR.
+
+        Raises
+        ------
+        Problem
+            As of `export`.
+        """
+        folder = result.cache / "road"
+        if not (folder / VIEW).exists():
+            draw = partial(self._runner.run_in_worker, draw_road_picture, result.folder, folder, client=client)
+            await self._once_of(result, folder, draw)
+        return folder
 
     async def keyframe(self, result: Result, frame: int, client: str) -> Path:
         """Return the folder of the pictures of a keyframe.
@@ -79,6 +84,19 @@ class OnDemand:
     async def _draw(self, task: Task, frame: int, folder: Path, client: str) -> int:
         async with self._drawing:
             return await self._runner.run_in_worker(draw_keyframe, task, frame, folder, client=client)
+
+    async def _once_of(self, result: Result, path: Path, work: Callable[[], Coroutine[Any, Any, Any]]) -> None:
+        """Wait for the work on a file that is made of a result only."""
+        try:
+            await self._once(path, work)
+        except DamagedResultError as error:
+            _log.error("job %s: %s", result.job_id, error)
+            raise Problem(
+                500,
+                "Result damaged",
+                f"A file of the result of job {result.job_id} is damaged or missing; the log of the service has the "
+                "details. Submit the job again.",
+            ) from error
 
     async def _once(self, path: Path, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:  # noqa: ANN401
         """Wait for the work on a file, begun here or by another request; a request that goes away does not end it."""

@@ -7,7 +7,7 @@ from threading import BoundedSemaphore
 from typing import Any
 
 from app.http.parameters import Box
-from interloc.output.geojson import encode, read_json
+from interloc.output.geojson import box_around, encode, read_json
 
 MAX_FEATURES = 10_000
 
@@ -33,10 +33,9 @@ def select_features(path: Path, box: Box | None, limit: int | None) -> bytes:
             features = [feature for feature in features if _touches(_extent(feature), box)]
         kept = features if limit is None else features[:limit]
         collection.pop("bbox", None)
-        extents = [extent for feature in kept if (extent := _extent(feature)) is not None]
-        if extents:
-            west, south, east, north = zip(*extents, strict=True)
-            collection["bbox"] = [min(west), min(south), max(east), max(north)]
+        around = box_around(feature["geometry"] for feature in kept)
+        if around is not None:
+            collection["bbox"] = around
         counts = {"numberMatched": len(features), "numberReturned": len(kept)}
         return encode({**collection, **counts, "features": kept}).encode()
 

@@ -10,9 +10,13 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
+from app.context import ContextDep
 from app.http.problems import Problem
+from app.jobs.titles import distinct_titles, own_settings
+from app.jobs.view import find_job
 from app.results.folder import ResultsDep
 from app.routes.results import PROBLEMS
+from interloc.output.layout import settings_of
 
 _MAX_JOBS = 8
 _JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{_MAX_JOBS - 1}}}$"
@@ -24,6 +28,7 @@ class Setting(BaseModel):
     """A setting in which jobs differ."""
 
     name: str = Field(examples=["bev.resolution_m"])
+    is_own: bool = Field(description="Whether a job has another value than its preset; else only the presets differ.")
     values: list[Any] = Field(description="In the order of the jobs.", examples=[[0.16, 0.25]])
 
 
@@ -51,6 +56,10 @@ class Comparison(BaseModel):
     """Reports of one drive side by side; lists of values are in the order of the jobs."""
 
     runs: list[str] = Field(description="Ids of the jobs.")
+    names: list[str] = Field(
+        description="What tells the jobs apart: their names, or what was asked for without what they have in common.",
+        examples=[["default", "r = 0.25"]],
+    )
     drive_id: str
     settings: list[Setting] = Field(description="Settings in which the jobs differ.")
     figures: list[Figure]
@@ -69,6 +78,7 @@ class Comparison(BaseModel):
     responses=PROBLEMS,
 )
 def compare_jobs(
+    context: ContextDep,
     results: ResultsDep,
     jobs: Annotated[
         str,
@@ -91,9 +101,15 @@ def compare_jobs(
     if len(drives) > 1:
         names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in opened)
         raise Problem(422, "Different drives", f"Jobs of one drive can be compared; these are {names}.")
+    with context.database.reading() as session:
+        rows = [find_job(session, job_id)[0] for job_id in ids]
     reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]
     runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
-    return {"drive_id": opened[0].drive_id, **compare_reports(ids, reports, runs)}
+    compared = compare_reports(ids, reports, runs)
+    own = set().union(*(own_settings({"config": settings_of(run)}) for run in runs))
+    for setting in compared["settings"]:
+        setting["is_own"] = setting["name"] in own
+    return {"drive_id": opened[0].drive_id, "names": distinct_titles(rows), **compared}
 
 
 class PublishedFigures(BaseModel):

@@ -5,21 +5,23 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
+from sqlalchemy.orm import Session
 
-from app.context import ContextDep
+from app.context import Context, ContextDep
 from app.drives import records, trash
 from app.drives.plan import judge_label_counts
-from app.http.delivery import answer_tagged
-from app.http.headers import IdempotencyKey
-from app.http.openapi import CHANGES_NOTHING, TAGGED, get_and_head, headers_named
-from app.http.paging import After, has_part, link_next, made_between
+from app.http.delivery import answer_tagged, require_unchanged, tag_of
+from app.http.headers import IdempotencyKey, IfMatch
+from app.http.openapi import CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named
+from app.http.paging import After, answer_page, has_part, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.problems import ProblemDocument
 from app.results.folder import ResultsDep
-from app.schemas.drives import DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
+from app.schemas.drives import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
 from app.schemas.strict import ID_PATTERN
 from app.security import ClientDep
 from app.states import DriveState
+from app.store import sidecars
 from app.store.models import Drive
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
@@ -52,10 +54,9 @@ def create_drive(
     return drive
 
 
-@get_and_head(router, "", summary="List drives", responses={200: {"headers": headers_named("Link")}})
+@get_and_head(router, "", response_model=DriveList, summary="List drives", responses=PAGED)
 def list_drives(
     request: Request,
-    response: Response,
     context: ContextDep,
     _client: ClientDep,
     box: BoxFilter,
@@ -65,7 +66,7 @@ def list_drives(
     created_before: CreatedBefore = None,
     after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-) -> DriveList:
+) -> Response:
     """List drives, the newest first, without their reports."""
     conditions = [*made_between(Drive, created_after, created_before)]
     if state is not None:
@@ -75,8 +76,7 @@ def list_drives(
     if box is not None:
         conditions.append(records.lies_in(box))
     page = records.list_drives(context, after, limit, conditions)
-    link_next(request, response, page.next)
-    return page
+    return answer_page(request, page)
 
 
 @router.post("/labels", summary="Tell what label ids mean", openapi_extra=CHANGES_NOTHING)
@@ -98,8 +98,37 @@ def judge_labels(request: LabelsRequest, _client: ClientDep) -> LabelsAnswer:
 def show_drive(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
     """Show a drive, with the report of its last commit."""
     with context.database.reading() as session:
-        drive = records.drive_model(records.find_drive(session, drive_id), context.settings)
-    return answer_tagged(request, drive.model_dump_json().encode())
+        content = _shown(session, context, records.find_drive(session, drive_id))
+    return answer_tagged(request, content)
+
+
+def _shown(session: Session, context: Context, drive: Drive) -> bytes:
+    return records.whole_drive_model(session, context, drive).model_dump_json().encode()
+
+
+@router.patch(
+    "/{drive_id}",
+    response_model=DriveModel,
+    summary="Rename a drive, or note something about it",
+    responses={
+        **NOT_FOUND,
+        200: {"headers": headers_named("ETag")},
+        412: {"model": ProblemDocument, "description": "It is not the version that If-Match names."},
+        422: {"model": ProblemDocument, "description": "A member is refused."},
+    },
+)
+def change_drive(
+    drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None
+) -> Response:
+    """Change the name or the note of a drive, in whatever state it is; what is left out stays as it is."""
+    with context.database.writing() as session:
+        drive = records.lock_drive(session, drive_id)
+        require_unchanged(if_match, _shown(session, context, drive))
+        for name, value in changes.model_dump(exclude_unset=True).items():
+            setattr(drive, name, value)
+        content = _shown(session, context, drive)
+    sidecars.write_drive(context.storage, drive)
+    return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
 
 
 @router.delete("/{drive_id}", status_code=204, responses=NOT_FOUND, summary="Delete a drive")

@@ -14,11 +14,28 @@ from app.http.problems import ProblemDocument
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.routes.results import PROBLEMS, JobId, answers
+from interloc.output.layers import DERIVED
 
-Layer = Literal["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads", "places"]
-LayerQuery = Annotated[Layer, Query(description="Layer to export.")]
+Layer = Literal[
+    "intersections",
+    "detections",
+    "trajectory",
+    "keyframes",
+    "osm-nodes",
+    "matches",
+    "osm-roads",
+    "places",
+    "branches",
+    "uncertainty",
+]
+LayerQuery = Annotated[
+    Layer,
+    Query(description="Layer to export; branches (lines) and uncertainty (circles) are made of the intersections."),
+]
 
 router = APIRouter(tags=["Exports"])
+
+_TEXT = {".kml", ".csv"}
 
 _PROBLEMS: dict[int | str, dict[str, Any]] = {
     **PROBLEMS,
@@ -29,7 +46,7 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 
 def _export(suffix: str, summary: str) -> Callable[[Endpoint], Endpoint]:
     """Register an export."""
-    binary = {"type": "string"} if suffix == ".kml" else {"type": "string", "format": "binary"}
+    binary = {"type": "string"} if suffix in _TEXT else {"type": "string", "format": "binary"}
     return get_and_head(
         router,
         f"/jobs/{{job_id}}/export{suffix}",
@@ -50,8 +67,9 @@ async def export_gpkg(
 ) -> Response:
     """Give all layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches.
 
-    EPSG:4326. Lists (bearings of branches) are JSON text. Layers with data of OpenStreetMap say so in their
-    description: © OpenStreetMap contributors, ODbL 1.0.
+    Also the branches of the intersections as lines, and their uncertainty as circles. EPSG:4326. Lists (bearings of
+    branches) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with data of
+    OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0.
     """
     return await _deliver(request, results, on_demand, job_id, ".gpkg", layer)
 
@@ -80,6 +98,33 @@ async def export_kml(
     return await _deliver(request, results, on_demand, job_id, ".kml", layer)
 
 
+@_export(".csv", "Download a layer as a table")
+async def export_csv(
+    job_id: JobId,
+    request: Request,
+    results: ResultsDep,
+    on_demand: OnDemandDep,
+    layer: LayerQuery = "intersections",
+) -> Response:
+    """Give one layer as CSV (RFC 4180): points with `lon` and `lat`, lines and circles with `wkt`; null is empty.
+
+    A text that spreadsheets would run as a formula gets an apostrophe in front.
+    """
+    return await _deliver(request, results, on_demand, job_id, ".csv", layer)
+
+
+@_export(".geojson", "Download a layer as GeoJSON")
+async def export_geojson(
+    job_id: JobId,
+    request: Request,
+    results: ResultsDep,
+    on_demand: OnDemandDep,
+    layer: LayerQuery = "intersections",
+) -> Response:
+    """Give one layer as GeoJSON: also those that are made of the intersections, which have no address of their own."""
+    return await _deliver(request, results, on_demand, job_id, ".geojson", layer)
+
+
 async def _deliver(
     request: Request, results: Results, on_demand: OnDemand, job_id: str, suffix: str, layer: Layer | None
 ) -> Response:
@@ -90,7 +135,7 @@ async def _deliver(
         if layer is None:
             result.require_georeference(f"Its files are in {result.address}/files")
         else:
-            result.layer(layer)
+            result.layer("intersections" if layer in DERIVED else layer)
         await on_demand.export(result, path, layer, request.state.holder.name)
     file_name = f"{result.slug}{suffix}" if layer is None else f"{result.slug}-{name}{suffix}"
     return await run_in_threadpool(deliver, request, path, name=file_name, download=True)

@@ -14,8 +14,8 @@ from app.http.delivery import WholeFile
 from app.http.headers import sha256_of
 from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import check_free_space, declared_length
-from app.http.openapi import headers_named
-from app.http.paging import link_next
+from app.http.openapi import PAGED
+from app.http.paging import answer_page
 from app.http.problems import ProblemDocument
 from app.paths import MAX_PATH, PATH_PATTERN, check_path, is_recording
 from app.routes.drives import DriveId
@@ -54,24 +54,23 @@ UPLOAD: dict[int | str, dict[str, Any]] = {
 
 @router.get(
     "",
-    responses={200: {"headers": headers_named("Link")}, **NOT_FOUND},
+    responses={**PAGED, **NOT_FOUND},
+    response_model=FileList,
     summary="List the files of a drive",
 )
 def list_files(
     drive_id: DriveId,
     request: Request,
-    response: Response,
     context: ContextDep,
     _client: ClientDep,
     after: Annotated[
         str | None, Query(max_length=MAX_PATH, pattern=r"^[^\x00]*$", description="`next` of the previous page.")
     ] = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
-) -> FileList:
+) -> Response:
     """List what was uploaded, in the order of the paths. To resume an upload, send what is missing or differs."""
     page = records.list_files(context, drive_id, after, limit)
-    link_next(request, response, page.next)
-    return page
+    return answer_page(request, page)
 
 
 @router.put(

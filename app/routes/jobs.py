@@ -7,15 +7,16 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from sqlalchemy import or_, select
+from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.drives.records import lies_in
 from app.drives.trash import delete_job as delete_ended_job
-from app.http.delivery import answer_tagged
-from app.http.headers import IdempotencyKey, WaitIfAsked
+from app.http.delivery import answer_tagged, require_unchanged, tag_of
+from app.http.headers import IdempotencyKey, IfMatch, WaitIfAsked
 from app.http.limits import job_limit
-from app.http.openapi import TAGGED, get_and_head, headers_named
-from app.http.paging import After, cursor_of, has_part, link_next, made_between, newest_first, rows_after
+from app.http.openapi import PAGED, TAGGED, get_and_head, headers_named
+from app.http.paging import After, answer_page, cursor_of, has_part, made_between, newest_first, rows_after
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.problems import ProblemDocument
 from app.jobs.queue import cancel, submit
@@ -23,10 +24,11 @@ from app.jobs.submission import check_request
 from app.jobs.view import find_job, is_alive, job_models
 from app.jobs.watcher import wait_for_job
 from app.results.folder import ResultsDep
-from app.schemas.jobs import JobList, JobModel, NewJob, PresetList, PresetModel
+from app.schemas.jobs import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
 from app.schemas.strict import ID_PATTERN
 from app.security import ClientDep
 from app.states import FINAL, JobKind, JobState
+from app.store import sidecars
 from app.store.models import Drive, Job
 from interloc.config import PRESETS, DetectorConfig
 
@@ -106,12 +108,12 @@ def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tupl
 @get_and_head(
     router,
     "/jobs",
+    response_model=JobList,
     summary="List jobs",
-    responses={200: {"headers": headers_named("Link")}, 422: _problem("A parameter is refused.")},
+    responses={**PAGED, 422: _problem("A parameter is refused.")},
 )
 def list_jobs(
     request: Request,
-    response: Response,
     context: ContextDep,
     _client: ClientDep,
     box: BoxFilter,
@@ -126,7 +128,7 @@ def list_jobs(
     created_before: CreatedBefore = None,
     after: After = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-) -> JobList:
+) -> Response:
     """List jobs, the newest first; `name` is looked for in the names of jobs and of their drives."""
     query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
     query = query.order_by(*newest_first(Job)).limit(limit + 1).where(*made_between(Job, created_after, created_before))
@@ -137,7 +139,7 @@ def list_jobs(
     if state is not None:
         query = query.where(Job.state == state)
     if name is not None:
-        query = query.where(or_(has_part(Drive.name, name), has_part(Job.request["name"].as_string(), name)))
+        query = query.where(or_(has_part(Drive.name, name), has_part(Job.name, name)))
     if box is not None:
         query = query.where(lies_in(box))
     if after is not None:
@@ -146,8 +148,7 @@ def list_jobs(
         rows = [(job, drive_name) for job, drive_name in session.execute(query)]
         jobs = job_models(session, context, rows[:limit])
     page = JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
-    link_next(request, response, page.next)
-    return page
+    return answer_page(request, page)
 
 
 def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
@@ -163,6 +164,44 @@ def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
 def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     return answer_tagged(request, job.model_dump_json().encode())
+
+
+@router.patch(
+    "/jobs/{job_id}",
+    response_model=JobModel,
+    summary="Rename a job, or note something about it",
+    responses={
+        **NOT_FOUND,
+        200: {"headers": headers_named("ETag")},
+        412: _problem("It is not the version that If-Match names."),
+        422: _problem("A member is refused."),
+    },
+)
+def change_job(
+    job_id: JobId, changes: JobChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None
+) -> Response:
+    """Change the name or the note of a job, in whatever state it is; what is left out stays as it is.
+
+    Its request keeps the name that it was sent with, so that the same Idempotency-Key still finds it.
+    """
+    with context.database.writing() as session:
+        job, drive_name = find_job(session, job_id)
+        session.refresh(job, with_for_update=True)
+        require_unchanged(if_match, _shown(session, context, job, drive_name))
+        values = changes.model_dump(exclude_unset=True)
+        if any(getattr(job, name) != value for name, value in values.items()):
+            job.version += 1
+        for name, value in values.items():
+            setattr(job, name, value)
+        content = _shown(session, context, job, drive_name)
+    if job.state == JobState.SUCCESSFUL and job.kind == JobKind.INTERSECTIONS:
+        sidecars.write_job(context.storage, job)
+    return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
+
+
+def _shown(session: Session, context: Context, job: Job, drive_name: str) -> bytes:
+    (model,) = job_models(session, context, [(job, drive_name)])
+    return model.model_dump_json().encode()
 
 
 @router.delete(

@@ -71,7 +71,7 @@ def _add_layer(layer: Layer) -> None:
             return deliver(request, path, gzip_copies=result.cache, name=name)
         return answer_tagged(request, select_features(path, box, limit), GEOJSON)
 
-    properties = "\n".join(f"- `{name}`: {field.description}" for name, field in layer.properties.model_fields.items())
+    properties = "\n".join(f"- `{each.name}`: {each.description}" for each in layer.attributes)
     get_and_head(
         router,
         f"/jobs/{{job_id}}/{layer.address}",

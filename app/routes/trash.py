@@ -8,8 +8,8 @@ from fastapi import APIRouter, Path, Query, Request, Response
 
 from app.context import ContextDep
 from app.drives import trash
-from app.http.openapi import headers_named
-from app.http.paging import link_next
+from app.http.openapi import PAGED
+from app.http.paging import answer_page
 from app.http.problems import ProblemDocument
 from app.schemas.trash import TrashItem, TrashKind, TrashList
 from app.security import ClientDep
@@ -25,19 +25,17 @@ NOT_THERE: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("", summary="List the trash", responses={200: {"headers": headers_named("Link")}})
+@router.get("", response_model=TrashList, summary="List the trash", responses=PAGED)
 def list_trash(
     request: Request,
-    response: Response,
     context: ContextDep,
     _client: ClientDep,
     after: Annotated[str | None, Query(max_length=100, description="`next` of the previous page.")] = None,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-) -> TrashList:
+) -> Response:
     """List deleted drives and jobs, the last deleted first. Jobs of a deleted drive come and go with it."""
     page = trash.list_trash(context, after, limit)
-    link_next(request, response, page.next)
-    return page
+    return answer_page(request, page)
 
 
 @router.delete("", status_code=204, summary="Empty the trash")

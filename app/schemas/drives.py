@@ -6,11 +6,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from app.http.problems import FileProblem
 from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
-from app.schemas.strict import Flag, Whole, strictly
+from app.schemas.strict import Flag, Name, Note, Whole, strictly
 from app.states import DriveState
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
@@ -18,16 +18,6 @@ from interloc.drives.layouts import ScanFolder
 from interloc.drives.options import LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced_format import MAX_SCANS
 
-_PRINTED = r"[^\x00-\x1f\x7f]*"
-Name = Annotated[
-    str,
-    StringConstraints(
-        strip_whitespace=True,
-        min_length=1,
-        max_length=200,
-        pattern=rf"^{_PRINTED}[^\s\x00-\x1f\x7f]{_PRINTED}$",  # not only blanks
-    ),
-]
 LabelCounts = Annotated[
     dict[Annotated[int, Field(ge=0, le=65535)], Annotated[Whole, Field(ge=1, le=2**62)]], Field(max_length=65536)
 ]
@@ -89,6 +79,17 @@ class NewDrive(BaseModel):
     options: DriveOptionsModel = Field(default_factory=DriveOptionsModel)
 
 
+class DriveChanges(BaseModel):
+    """What is to change of a drive; what is left out stays as it is."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"examples": [{"name": "town, second run", "note": "Wet road."}]}
+    )
+
+    name: Name = Field(default_factory=str, description="Name shown in lists.")
+    note: Note | None = Field(None, description="Some lines about it; null for none.")
+
+
 class DriveModel(BaseModel):
     """A drive."""
 
@@ -98,6 +99,7 @@ class DriveModel(BaseModel):
                 {
                     "id": "5f0c2b7d9a41e386",
                     "name": "town",
+                    "note": None,
                     "state": "ready",
                     "owner": "anonymous",
                     "keep_raw": False,
@@ -109,6 +111,8 @@ class DriveModel(BaseModel):
                     "created_at": "2026-01-31T12:00:00Z",
                     "expires_at": None,
                     "report": None,
+                    "label_folders": ["labels"],
+                    "maps": ["map.osm.gz"],
                 }
             ]
         }
@@ -116,6 +120,7 @@ class DriveModel(BaseModel):
 
     id: str = Field(examples=["5f0c2b7d9a41e386"])
     name: str
+    note: str | None = None
     state: DriveState = Field(
         description="uploading: takes files. checking: its commit runs. ready: jobs can use it, files are fixed."
     )
@@ -134,6 +139,12 @@ class DriveModel(BaseModel):
     expires_at: datetime | None = Field(None, description="When the upload goes to the trash if it is left alone.")
     report: DriveReport | None = Field(
         None, description="What the last commit found, in the form of `interloc info --json`."
+    )
+    label_folders: list[LabelFolder] | None = Field(
+        None, description="Labels that jobs can take, of a ready drive; null in lists."
+    )
+    maps: list[str] | None = Field(
+        None, description="Its OpenStreetMap files, by their paths, of a ready drive; null in lists."
     )
 
 

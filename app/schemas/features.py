@@ -31,6 +31,8 @@ class _Collection(BaseModel):
     model_config = ConfigDict(json_schema_extra={"x-media-type": MEDIA_TYPE})
 
     type: Literal["FeatureCollection"]
+    attribution: str = Field("", description="Whose data it is.")
+    license: str = Field("", description="Address of the licence of OpenStreetMap, where it holds data of it.")
     bbox: list[float] = Field([], description="West, south, east, north of all features; absent where there are none.")
     numberMatched: int = Field(
         0, description="Number of features in `bbox` before `limit`; only where one of them was given."

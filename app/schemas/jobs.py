@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.problems import ProblemDocument
 from app.paths import MAX_PATH
-from app.schemas.strict import ID_PATTERN, Number, Yes
+from app.schemas.strict import ID_PATTERN, Name, Note, Number, Yes
 from app.states import JobKind, JobState
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
@@ -71,6 +71,17 @@ class NewJob(BaseModel):
     name: str | None = Field(None, max_length=200, pattern=r"^[^\x00]*$", description="Name shown in lists.")
 
 
+class JobChanges(BaseModel):
+    """What is to change of a job; what is left out stays as it is."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"examples": [{"name": "coarse cells", "note": "For the table."}]}
+    )
+
+    name: Name | None = Field(None, description="Name shown in lists; null for one by what was asked for.")
+    note: Note | None = Field(None, description="Some lines about it; null for none.")
+
+
 class Progress(BaseModel):
     """The progress of a job."""
 
@@ -79,7 +90,7 @@ class Progress(BaseModel):
         description="Number of keyframes (of scans for a commit, of files for an archive); null until known."
     )
     fraction: float = Field(ge=0, le=1)
-    seconds_left: float | None
+    seconds_left: float | None = Field(description="Null before some seconds of steady work: it cannot be told yet.")
 
 
 class JobModel(BaseModel):
@@ -93,12 +104,20 @@ class JobModel(BaseModel):
                     "kind": "intersections",
                     "drive_id": "5f0c2b7d9a41e386",
                     "drive_name": "town",
+                    "title": "default, r = 0.25",
+                    "name": None,
+                    "note": None,
+                    "own_settings": {"bev.resolution_m": 0.25},
                     "owner": "anonymous",
                     "state": "running",
                     "stage": "detecting",
                     "message": None,
                     "progress": {"done": 120, "total": 281, "fraction": 0.427, "seconds_left": 2.1},
-                    "request": {"preset": "default", "osm": {"file": "map.osm.gz"}},
+                    "request": {
+                        "preset": "default",
+                        "config": {"bev": {"resolution_m": 0.25}},
+                        "osm": {"file": "map.osm.gz"},
+                    },
                     "created_at": "2026-01-31T12:00:00Z",
                     "started_at": "2026-01-31T12:00:01Z",
                     "finished_at": None,
@@ -116,6 +135,17 @@ class JobModel(BaseModel):
     kind: JobKind
     drive_id: str
     drive_name: str
+    title: str = Field(
+        description="Its name; or where it has none what was asked for: the preset, and what differs from the usual.",
+        examples=["default, predictions, r = 0.25"],
+    )
+    name: str | None = None
+    note: str | None = None
+    own_settings: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Settings that differ from those of its preset, by their dotted names.",
+        examples=[{"bev.resolution_m": 0.25}],
+    )
     owner: str
     state: JobState
     stage: str = Field(description="waiting, preparing, detecting, mapping, evaluating, ...", examples=["detecting"])

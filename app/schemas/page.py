@@ -37,6 +37,16 @@ class PolicyModel(BaseModel):
     description: str
 
 
+class FieldModel(BaseModel):
+    """A property of the features of a layer."""
+
+    name: str = Field(examples=["error_m"])
+    title: str = Field(examples=["Error"])
+    description: str
+    kind: str = Field(description="int, float, bool, text, time or list.")
+    unit: str | None = Field(description="m, s, rad or degree.")
+
+
 class LayerModel(BaseModel):
     """A layer of a result."""
 
@@ -44,6 +54,7 @@ class LayerModel(BaseModel):
     title: str
     description: str
     geometry: str = Field(description="Point or LineString.")
+    fields: list[FieldModel] = Field(description="Properties of a feature.")
     is_osm: bool = Field(description="Whether the layer holds data of OpenStreetMap.")
     attribution: str = Field(description="Sources to name where the layer is shown.")
 
@@ -117,6 +128,9 @@ _LAYERS = [
         title=layer.title,
         description=layer.description,
         geometry=layer.geometry,
+        fields=[
+            FieldModel(**{name: getattr(each, name) for name in FieldModel.model_fields}) for each in layer.attributes
+        ],
         is_osm=layer.is_osm,
         attribution=layer.attribution,
     )

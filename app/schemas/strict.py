@@ -1,10 +1,10 @@
-"""Types of bodies that take what their schema says: no number as text, no 0 for false; and ids in addresses."""
+"""Types of bodies that take what their schema says: no number as text, no 0 for false; names, notes and ids."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, Strict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Strict, StringConstraints
 
 
 def _refuse_text(value: object) -> object:
@@ -24,6 +24,23 @@ Yes = Annotated[Literal[True], BeforeValidator(_refuse_number)]
 Whole = Annotated[int, BeforeValidator(_refuse_text)]
 """A whole number; 3.0 is one in JSON."""
 Number = Annotated[float, BeforeValidator(_refuse_text)]
+
+_PRINTED = r"[^\x00-\x1f\x7f]*"
+Name = Annotated[
+    str,
+    StringConstraints(
+        strip_whitespace=True,
+        min_length=1,
+        max_length=200,
+        pattern=rf"^{_PRINTED}[^\s\x00-\x1f\x7f]{_PRINTED}$",  # not only blanks
+    ),
+]
+Note = Annotated[
+    str,
+    StringConstraints(strip_whitespace=True, max_length=2000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*$"),
+    AfterValidator(lambda note: note or None),
+]
+"""Some lines of text; without any it is None."""
 
 ID_PATTERN = r"^[A-Za-z0-9_-]{1,64}$"
 """What ids of drives and jobs look like; there may be one or not."""

@@ -51,6 +51,8 @@ class Drive(Base):
     idempotency_key: Mapped[str | None]
     request_sha256: Mapped[str | None] = mapped_column(String(64))
     """SHA-256 of the request that made it under its key: its options may change with a commit."""
+    note: Mapped[str | None] = mapped_column(Text)
+    """What somebody wrote about it."""
     west: Mapped[float | None]
     """Where it is once it is ready, degrees; None without georeference, and for drives of older versions at first."""
     south: Mapped[float | None]
@@ -99,6 +101,11 @@ class Job(Base):
     drive_id: Mapped[str] = mapped_column(ForeignKey("drives.id", ondelete="CASCADE"))
     owner: Mapped[str]
     request: Mapped[dict[str, Any]]
+    """As it was sent; its `name` is only what the job was called at first."""
+    name: Mapped[str | None]
+    """None: it is called by what it was asked for, see `app.jobs.titles`."""
+    note: Mapped[str | None] = mapped_column(Text)
+    """What somebody wrote about it."""
     idempotency_key: Mapped[str | None]
 
     state: Mapped[str] = mapped_column(default=JobState.ACCEPTED)

@@ -30,6 +30,7 @@ class DriveSidecar(BaseModel):
     """What cannot be told from the files of a drive."""
 
     name: str = Field(min_length=1, max_length=255)
+    note: str | None = None
     owner: str = Field(min_length=1, max_length=255)
     state: DriveState
     options: dict[str, Any]
@@ -45,6 +46,8 @@ class JobSidecar(BaseModel):
     drive_id: str = Field(max_length=255)
     owner: str = Field(min_length=1, max_length=255)
     request: dict[str, Any]
+    name: str | None = None
+    note: str | None = None
     summary: dict[str, Any]
     done: int = Field(ge=0)
     total: int | None = Field(None, ge=0)

@@ -199,6 +199,7 @@ def _drive_of(sidecar: DriveSidecar | None, id_: str, *, keep_raw: bool) -> Driv
         owner=sidecar.owner,
         options=options,
         keep_raw=sidecar.keep_raw,
+        note=sidecar.note,
         report=report,
         created_at=sidecar.created_at,
     )
@@ -220,6 +221,8 @@ def _adopt_job(context: Context, place: str, id_: str, adopted: dict[str, str], 
         _move(context, place, f"jobs/{id_}")
         with context.database.writing() as session:
             job = Job(id=id_, state=JobState.SUCCESSFUL, stage="finished", **sidecar.model_dump())
+            if "name" not in sidecar.model_fields_set:  # of an older version
+                job.name = sidecar.request.get("name")
             session.add(job)
         sidecars.write_job(context.storage, job)
     return f"job of drive {name!r}, of {sidecar.owner}, with its result"

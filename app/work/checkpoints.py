@@ -17,6 +17,7 @@ from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
 from interloc.files import atomic_write
 from interloc.pipeline import RangeResult, versions
+from interloc.results import RoadPatch
 
 Array = NDArray[Any]
 
@@ -46,6 +47,12 @@ def write_checkpoint(path: Path, part: RangeResult) -> None:
         "score": _joined([k.score for k in found], (0,)),
         "branches": np.array([len(a) for a in angles], dtype=np.int64),
         "branch_angles_rad": _joined(angles, (0,)),
+        "road_keyframe": np.array([p.keyframe for p in part.road], dtype=np.int64),
+        "road_corner_xy": np.array([p.corner_xy for p in part.road], dtype=np.float64).reshape(-1, 2),
+        "road_resolution_m": np.array([p.resolution_m for p in part.road], dtype=np.float64),
+        "road_size": np.array([p.size for p in part.road], dtype=np.int64),
+        "road_bytes": np.array([len(p.packed) for p in part.road], dtype=np.int64),
+        "road_packed": np.frombuffer(b"".join(p.packed for p in part.road), np.uint8),
     }
     with atomic_write(path) as file:
         np.savez(file, allow_pickle=False, **arrays)
@@ -58,7 +65,7 @@ def read_checkpoint(path: Path) -> RangeResult | None:
             arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
-    if str(arrays.get("made_by")) != _made_by():
+    if str(arrays.get("made_by")) != _made_by() or "road_packed" not in arrays:
         return None
     angles = _cut(arrays["branch_angles_rad"], arrays["branches"])
     angles_of = _grouped(angles, arrays["detections"])
@@ -75,7 +82,13 @@ def read_checkpoint(path: Path) -> RangeResult | None:
         for row, frame in enumerate(arrays["frame"])
     ]
     seconds = dict(zip(arrays["stages"].tolist(), arrays["seconds"].tolist(), strict=True))
-    return RangeResult(int(arrays["start"]), detections, seconds, int(arrays["peak_memory_bytes"]))
+    packed = _cut(arrays["road_packed"], arrays["road_bytes"])
+    columns = (arrays[f"road_{name}"] for name in ("keyframe", "corner_xy", "resolution_m", "size"))
+    road = tuple(
+        RoadPatch(int(keyframe), corner_xy, float(resolution_m), int(size), data.tobytes())
+        for keyframe, corner_xy, resolution_m, size, data in zip(*columns, packed, strict=True)
+    )
+    return RangeResult(int(arrays["start"]), detections, seconds, int(arrays["peak_memory_bytes"]), road)
 
 
 def _made_by() -> str:

@@ -17,6 +17,7 @@ from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
+from interloc.detection.warm import are_cold, warm_up
 from interloc.drive import Drive
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
@@ -51,6 +52,9 @@ class DriveGoneError(InterLocError):
 def prepare(task: Task) -> Plan:
     """Open the drive and the map, so that what is wrong with them is reported before the long work."""
     progress = ProgressFiles(task)
+    if are_cold():  # the service has just been installed and started
+        progress.report_stage("preparing", "Compiling the kernels, once")
+        warm_up(config_of(task))
     progress.report_stage("preparing")
     drive, keyframes = open_input(task)
     if not len(keyframes):
@@ -236,21 +240,18 @@ def _place(
         radius_m=None if near is None else 1000.0 * near["radius_km"],
         progress=report,
     )
-    write_places(placed.location, folder)
+    write_places(placed.location, graph, folder)
     return placed.result, placed.scored
 
 
 def _evaluate(task: Task, result: DriveResult, scored: DriveResult, graph: RoadGraph, folder: Path) -> dict[str, Any]:
     from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once per job
     from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
-    from interloc.output.osm_roads import write_roads  # noqa: PLC0415
 
     evaluation = evaluate(
         scored, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
     )
-    write_report(evaluation, result, folder)
-    assert result.keyframes.lonlat is not None
-    write_roads(graph, track_bounds(result.keyframes.lonlat), folder)
+    write_report(evaluation, folder, result=result)
     return report_record(evaluation)
 
 

@@ -74,6 +74,16 @@ URGENT = tuple(name for name, kind in KINDS.items() if kind.urgent)
 DRIVE_CHANGING = tuple(name for name, kind in KINDS.items() if kind.changes_drive)
 
 
+def compile_kernels() -> None:
+    """Compile the kernels of the method where this machine has none yet, so that no job waits for that."""
+    from interloc.config import PRESETS  # noqa: PLC0415 - workers need them, the server need not
+    from interloc.detection.warm import are_cold, warm_up  # noqa: PLC0415
+
+    if are_cold():
+        for config in PRESETS.values():
+            warm_up(config)
+
+
 def prepare(task: Task) -> Plan:
     """Look at the input of a task, and cut it into parts."""
     _check(task)

@@ -23,7 +23,9 @@ from interloc.output.vector_files import write_vector_file
 from interloc.reduction.plan import ReductionPlan, judge_counts, plan_reduction
 
 VIEW = "view.json"
-"""File with the corners of the pictures of a keyframe and the numbers behind them; it is written last."""
+"""File with the place of pictures and the numbers behind them; it is written last."""
+
+ROAD_PICTURE = "road.png"
 
 _KEPT = 300  # keyframes per job whose pictures are kept, about 100 kB each
 
@@ -82,6 +84,35 @@ def write_export(folder: Path, path: Path, layer: str | None) -> None:
     """Write a layer of a result, or all of them, as a file for other programs; its suffix says which format."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_vector_file(folder, path, layer=layer)
+
+
+def draw_road_picture(result: Path, folder: Path) -> None:
+    """Draw the road seen by LiDAR into a folder, which appears complete or not at all.
+
+    Raises
+    ------
+    InterLocError
+        The file of the result is damaged, or the disk is full.
+    """
+    from interloc.output.road import ROAD_FILE, draw_road, read_road  # noqa: PLC0415
+
+    mosaic = read_road(result / ROAD_FILE)
+    picture = draw_road(mosaic)
+    bounds = list(picture.bounds)
+    view = {
+        "bounds_lonlat": None if mosaic.epsg is None else bounds,
+        "bounds_world_m": bounds if mosaic.epsg is None else None,
+        "size_px": list(picture.size),
+        "picture_resolution_m": picture.cell_m,
+        "resolution_m": mosaic.raster.cell_m,
+        "crs": None if mosaic.epsg is None else f"EPSG:{mosaic.epsg}",
+    }
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_folder(folder, marker=VIEW) as new:
+        with atomic_write(new / ROAD_PICTURE) as file:
+            file.write(picture.png)
+        with atomic_write(new / VIEW) as file:
+            file.write(json.dumps(view, allow_nan=False).encode() + b"\n")
 
 
 def plan_and_judge(

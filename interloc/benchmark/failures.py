@@ -1,7 +1,8 @@
-"""What went wrong, place by place: false detections in groups, and nodes that were missed, with a guess at the kind."""
+"""What went wrong, place by place: false detections in groups, and nodes that were missed, with the kind of reason."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -11,21 +12,10 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.geometry import enu_from_lonlat
-from interloc.osm.intersections import intersection_nodes
-from interloc.osm.policies import Policy
 from interloc.output.geojson import DEGREE_DECIMALS, rounded
 
 GROUP_M = 6.0
 """False detections nearer than this to each other are one group."""
-
-SAME_PLACE_M = 8.0
-"""A node of another policy so near explains a false detection."""
-
-OFF_TARGET_M = 15.0
-"""A false detection so near a node is an inaccurate one rather than one of nothing."""
-
-COMPOUND_M = 25.0
-"""Nodes so near each other are one compound junction."""
 
 Explain = Callable[[int], list[str]]
 """Returns the command lines that show a frame."""
@@ -45,12 +35,11 @@ def find_failures(evaluation: Evaluation, explain: Explain) -> dict[str, Any]:
     dict
         `false_detections`: groups, largest first: `lon`, `lat`, `detections`, `frames`, `error_m` (median),
         `nearest_node` (`osm_id`, `degree`, `distance_m`), `kind`, `see`.
-        Kinds: "double" (beside a true detection of the same node at the same time), "off target" (5 to 15 m from a
-        node), "service road" and "path" (a junction of the map, but not of the policy), "no junction".
+        Kinds: those of a wrong detection in `interloc.evaluation.reasons.KINDS`, the most frequent one of a group.
         `missed_nodes`: those with most missed keyframes first: `osm_id`, `lon`, `lat`, `degree`, `found`,
         `keyframes_in_zone`, `keyframes_missed`, `frames`, `best_error_m`, `kind`, `see`.
-        Kinds: "part of the time" (found, but not at every keyframe), "compound" (another node within 25 m),
-        "off target" (seen, but never within 5 m), "not seen".
+        Kinds: those of a missed node; "part_of_the_time" (found, but not at every keyframe); "on_the_map" (by no
+        detection within 5 m, but by an intersection of the map within 10 m).
     """
     return {
         "false_detections": _false_detections(evaluation, explain),
@@ -67,26 +56,14 @@ def _false_detections(evaluation: Evaluation, explain: Explain) -> list[dict[str
     lon, lat = np.median(detections.lonlat, axis=0)
     xy = enu_from_lonlat(lat, lon, detections.lonlat[false])
     nodes_xy = enu_from_lonlat(lat, lon, evaluation.nodes.lonlat)
-    others = {
-        "service road": enu_from_lonlat(lat, lon, _junctions(evaluation, "drive+service")),
-        "path": enu_from_lonlat(lat, lon, _junctions(evaluation, "all")),
-    }
-    true_pairs = {
-        (int(detections.keyframe[row]), int(matching.node[row]))
-        for row in np.flatnonzero(matching.error_m < STANDARD_THRESHOLD_M)
-    }
+    kinds = evaluation.verdicts.false_kind
     groups = []
     for rows in _groups(xy):
         place = np.median(xy[rows], axis=0)
         node, distance = _nearest(nodes_xy, place)
         members = false[rows]
         frames = evaluation.keyframes.frame[detections.keyframe[members]]
-        beside = [(int(detections.keyframe[row]), int(matching.node[row])) in true_pairs for row in members]
-        if distance < OFF_TARGET_M:
-            kind = "double" if np.mean(beside) > 0.5 else "off target"
-        else:
-            near = (kind for kind, places in others.items() if _nearest(places, place)[1] < SAME_PLACE_M)
-            kind = next(near, "no junction")
+        ((kind, _),) = Counter(kinds[row] for row in members.tolist()).most_common(1)
         lonlat = np.median(detections.lonlat[members], axis=0)
         errors = matching.error_m[members]
         groups.append(
@@ -108,21 +85,12 @@ def _missed_nodes(evaluation: Evaluation, explain: Explain) -> list[dict[str, An
     table, matching, nodes = evaluation.node_table, evaluation.matching, evaluation.nodes
     if len(nodes) == 0:
         return []
-    lon, lat = np.median(nodes.lonlat, axis=0)
-    xy = enu_from_lonlat(lat, lon, nodes.lonlat)
     missed = []
     for node in np.flatnonzero(table.in_zone & (~table.found | (table.missed_keyframes > 0))).tolist():
         at_node = matching.zone_node == node
         misses = matching.zone_keyframe[at_node & ~matching.zone_found]
         frames = evaluation.keyframes.frame[misses if len(misses) else matching.zone_keyframe[at_node]]
-        if table.found[node]:
-            kind = "part of the time"
-        elif np.count_nonzero(np.hypot(*(xy - xy[node]).T) < COMPOUND_M) > 1:
-            kind = "compound"
-        elif table.best_error_m[node] < OFF_TARGET_M:
-            kind = "off target"
-        else:
-            kind = "not seen"
+        kind = "part_of_the_time" if table.found[node] else evaluation.verdicts.miss_kind[node] or "on_the_map"
         missed.append(
             {
                 **_node(evaluation, node),
@@ -138,10 +106,6 @@ def _missed_nodes(evaluation: Evaluation, explain: Explain) -> list[dict[str, An
             }
         )
     return sorted(missed, key=lambda entry: (entry["found"], -entry["keyframes_missed"]))
-
-
-def _junctions(evaluation: Evaluation, policy: Policy) -> FloatArray:
-    return intersection_nodes(evaluation.graph, policy).lonlat
 
 
 def _node(evaluation: Evaluation, node: int) -> dict[str, Any]:

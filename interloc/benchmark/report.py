@@ -16,10 +16,13 @@ from interloc.benchmark.tables import ALL, Measured, Table, ours, performance_ta
 from interloc.config import DetectorConfig
 from interloc.drawing import image, metres, percent, write_image
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
+from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.report import data_address, make_folder
 from interloc.files import atomic_write
 from interloc.output.geojson import encode, rounded
 from interloc.pipeline import versions
+
+_MEANINGS = {str(kind): meaning for kind, meaning in KINDS.items()}
 
 
 def benchmark_record(title: str, measured: Measured, configs: dict[str, DetectorConfig], policy: str) -> dict[str, Any]:
@@ -162,7 +165,7 @@ def kinds_table(measured: Measured) -> Table:
         lines: list[tuple[str, ...]] = []
         for kind in kinds:
             cells = [f"{c[title, kind][0]} ({c[title, kind][1]})" if (title, kind) in c else "0" for c in counts]
-            lines.append((f"{title}: {what}" if not lines else "", kind, *cells))
+            lines.append((f"{title}: {what}" if not lines else "", _meaning(kind), *cells))
         if lines:
             groups.append(tuple(lines))
     return Table(title="Failures by kind", header=tuple(header), groups=tuple(groups), labels=2)
@@ -175,10 +178,10 @@ def worst_places(measured: Measured, preset: str, count: int = 40) -> list[dict[
     for row in measured.of(preset=preset, noise=measured.noises[0]):
         for entry in row.failures["false_detections"]:
             off = entry["nearest_node"]["distance_m"] if entry["nearest_node"] else None
-            places.append((entry["detections"], row.cell, f"false: {entry['kind']}", off, entry))
+            places.append((entry["detections"], row.cell, f"false: {_meaning(entry['kind'])}", off, entry))
         for entry in row.failures["missed_nodes"]:
             cost = max(entry["keyframes_missed"], 0 if entry["found"] else 1)
-            places.append((cost, row.cell, f"missed: {entry['kind']}", entry["best_error_m"], entry))
+            places.append((cost, row.cell, f"missed: {_meaning(entry['kind'])}", entry["best_error_m"], entry))
     places.sort(key=lambda place: -place[0])
     return [
         {
@@ -192,6 +195,11 @@ def worst_places(measured: Measured, preset: str, count: int = 40) -> list[dict[
         }
         for cost, cell, kind, off, entry in places[:count]
     ]
+
+
+def _meaning(kind: str) -> str:
+    """Return a kind of failure in words."""
+    return _MEANINGS.get(kind, kind.replace("_", " "))
 
 
 def _kinds(rows: list[Row]) -> dict[tuple[str, str], tuple[int, int]]:

@@ -12,19 +12,26 @@ from interloc.cli import console, options
 
 @click.command(short_help="Put the reports of several results side by side.")
 @click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Also write a page (.html), or a picture of precision, recall and F1 of all runs over D (.svg, .png).",
+)
 @options.JSON
-def command(results: tuple[Path, ...], as_json: bool) -> None:
+def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     """Show in which settings RESULTS differ, their figures, and which intersections only one of them found.
 
     RESULTS are two or more result folders of `interloc run` over one drive.
 
     \b
     Example:
-      interloc compare out_default out_paper
+      interloc compare out_default out_paper -o compare.html
     """
     from interloc.errors import ConfigError
-    from interloc.evaluation.compare import compare_reports
+    from interloc.evaluation.compare import compare_reports, write_comparison
     from interloc.output.geojson import read_json
+    from interloc.results import counted
 
     names = [str(result) for result in results]
     for result in results:
@@ -34,6 +41,8 @@ def command(results: tuple[Path, ...], as_json: bool) -> None:
             )
     reports = [read_json(result / "report.json") for result in results]
     comparison = compare_reports(names, reports, [read_json(result / "run.json") for result in results])
+    if out is not None:
+        write_comparison(comparison, reports, out)
     if as_json:
         console.say_json(comparison)
         return
@@ -44,7 +53,8 @@ def command(results: tuple[Path, ...], as_json: bool) -> None:
     else:
         click.echo("the same settings")
     click.echo()
-    click.echo(f"{comparison['found_by_all']} nodes found by all, {comparison['missed_by_all']} missed by all")
+    found, missed = comparison["found_by_all"], comparison["missed_by_all"]
+    click.echo(f"{counted(found, 'OSM node')} found by all, {counted(missed, 'OSM node')} missed by all")
     for name, only in zip(names, comparison["found_only_by"], strict=True):
         click.echo(f"only {name}: {len(only)}" + (f" ({', '.join(map(str, only[:20]))})" if only else ""))
     for warning in comparison["warnings"]:

@@ -44,7 +44,7 @@ def command(
         for name in (*file_names(georeferenced=True).values(), RUN_FILE):
             with atomic_write(folder / name) as file:
                 file.write((out / name).read_bytes())
-        write_report(evaluation, result, folder)
+        write_report(evaluation, folder)
     report = report_record(evaluation)
     if as_json:
         console.say_json(report)

@@ -9,31 +9,47 @@ import click
 from interloc.cli import console, options
 
 
-@click.command(short_help="Write a result as GeoPackage, FlatGeobuf or KML.")
+@click.command(short_help="Write a result as GeoPackage, FlatGeobuf, KML, CSV, GeoJSON or GeoTIFF.")
 @click.argument("result", type=click.Path(path_type=Path))
 @click.option(
     "-o",
     "--out",
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write; its name ends in .gpkg, .fgb or .kml.",
+    help="File to write; its name ends in .gpkg, .fgb, .kml, .csv or .geojson, or .tif for the layer road.",
 )
-@click.option("--layer", help="Only this layer, such as detections. [default: all in a .gpkg, else intersections]")
+@click.option(
+    "--layer",
+    help="Only this layer, such as detections or road; also branches and uncertainty, made of the intersections. "
+    "[default: all in a .gpkg, road in a .tif, else intersections]",
+)
 @options.QUIET
 @options.JSON
 def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bool) -> None:
-    """Write RESULT, the result folder of `interloc detect` or `run`, as one file for QGIS or Google Earth.
+    """Write RESULT, the result folder of `interloc detect` or `run`, as one file for GIS or a spreadsheet.
+
+    The layer road is the road seen by LiDAR, a raster; it needs no georeference.
 
     \b
     Example:
       interloc export out -o out.gpkg
       interloc export out -o matches.kml --layer matches
+      interloc export out -o intersections.csv
+      interloc export out -o road.tif
     """
-    from interloc.output.vector_files import write_vector_file
+    from interloc.output.road import RASTER_SUFFIXES, ROAD_LAYER, export_road
+    from interloc.output.vector_files import PLACE_IT, is_local, write_vector_file
 
     console.set_up_log(quiet=quiet)
-    layers = write_vector_file(result, out, layer=layer)
+    if layer == ROAD_LAYER or (layer is None and out.suffix.lower() in RASTER_SUFFIXES):
+        export_road(result, out)
+        layers = [ROAD_LAYER]
+    else:
+        layers = write_vector_file(result, out, layer=layer)
     if as_json:
         console.say_json({"file": str(out), "layers": layers})
     elif not quiet:
-        console.say_facts([("file", str(out)), ("layers", ", ".join(layers))])
+        facts = [("file", str(out)), ("layers", ", ".join(layers))]
+        if is_local(result):
+            facts.append(("place", f"none: metres in the frame of the first scan. {PLACE_IT}"))
+        console.say_facts(facts)

@@ -172,9 +172,8 @@ def open_drive(drive: Path, options: dict[str, Any]) -> FolderDrive:
 def configure(preset: str, settings: tuple[str, ...]) -> DetectorConfig:
     """Return the configuration by the values of `config_options`."""
     from interloc.config import preset as preset_of
-    from interloc.config import with_settings
 
-    return with_settings(preset_of(preset), settings)
+    return preset_of(preset, *settings)
 
 
 def open_for_evaluation(
@@ -196,8 +195,10 @@ def open_for_evaluation(
         The drive, which has a georeference where it needs one; the configuration; the map, None if it will come from
         Overpass.
     """
-    check_map_choice(osm, overpass=overpass)
     console.set_up_log(quiet=quiet)
+    if osm is None and not overpass and needs_georeference:
+        raise click.UsageError(_no_map(drive, reading))
+    check_map_choice(osm, overpass=overpass)
     config = configure(preset, settings)
     source = open_drive(drive, reading)
     if not needs_georeference:  # where on the map it was is not known yet
@@ -216,6 +217,27 @@ def _keyframe_places(drive: Drive, config: DetectorConfig) -> FloatArray:
     rows = select_keyframes(drive.T_world_lidar, config.keyframes)
     fixes = drive.georeference
     return np.stack([fixes.lon_deg[rows], fixes.lat_deg[rows]], axis=-1)
+
+
+def _no_map(drive: Path, reading: dict[str, Any]) -> str:
+    """Return that no map was given, and how to get one for this drive."""
+    import numpy as np
+
+    from interloc.errors import InterLocError
+    from interloc.evaluation.coverage import track_bounds
+
+    text = (
+        "give the map by one of --osm FILE and --overpass, which fetches it; `interloc detect` needs none. "
+        "--osm takes any extract that covers the drive, such as its region from https://download.geofabrik.de"
+    )
+    try:
+        fixes = open_drive(drive, {**reading, "check": False}).georeference
+    except InterLocError:  # what is wrong with the drive is said once there is a map
+        return text
+    if fixes is None:
+        return text
+    west, south, east, north = track_bounds(np.stack([fixes.lon_deg, fixes.lat_deg], axis=-1))
+    return f"{text}; around this drive: --bbox {west:.4f},{south:.4f},{east:.4f},{north:.4f} of `osmium extract`"
 
 
 def check_map_choice(osm: Path | None, *, overpass: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +72,8 @@ def command(
 ) -> None:
     """Send DRIVE to a server, reduced to what the method needs. After an interruption only what is missing is sent.
 
+    A job that has done the same before, with the same settings, is not repeated.
+
     \b
     Examples:
       interloc push sequences/07 --server https://interloc.example.org
@@ -78,7 +81,7 @@ def command(
     """
     _check_usage(run=run, out=out, osm=osm, overpass=overpass, settings=settings)
     from interloc.client.connection import Connection
-    from interloc.client.jobs import submit
+    from interloc.client.jobs import finished, submit
     from interloc.client.prepare import PushOptions, prepare
     from interloc.drives.options import ReadingOptions
 
@@ -103,16 +106,19 @@ def command(
         pushed = _send(connection, drive, prepared, push_options, threads=jobs, quiet=quiet)
         job: JobAnswer | None = None
         if run:
-            job = submit(
-                connection,
-                pushed.drive_id,
-                config=config,
-                labels="predictions" if model is not None else label_folders[0] if label_folders else None,
-                osm=None if osm is None else osm.name,
-                overpass=overpass,
-                policy=policy,
-                tolerance_m=tolerance_m,
-            )
+            wanted: dict[str, Any] = {
+                "config": config,
+                "labels": "predictions" if model is not None else label_folders[0] if label_folders else None,
+                "osm": None if osm is None else osm.name,
+                "policy": policy,
+                "tolerance_m": tolerance_m,
+            }
+            if not pushed.files_sent and not overpass:
+                job = finished(connection, pushed.drive_id, **wanted)
+            if job is None:
+                job = submit(connection, pushed.drive_id, overpass=overpass, **wanted)
+            elif not quiet:
+                click.echo(f"job {job.id} has done the same already: it is not repeated", err=True)
             job = _finish(connection, job, out, quiet=quiet)
     if as_json:
         result = {} if job is None else {"job": job.id, "summary": job.summary}
@@ -189,8 +195,13 @@ def _finish(connection: Connection, job: JobAnswer, out: Path | None, *, quiet: 
     except BaseException as error:
         if not is_interruption(error):
             raise
-        raise InterLocError(f"interrupted; the job goes on: interloc fetch {job.id} -o OUT") from error
+        raise InterLocError(f"interrupted; the job goes on: {_fetch_line(job, connection.server)}") from error
     return job
+
+
+def _fetch_line(job: JobAnswer, server: str) -> str:
+    """Return the command that fetches a result, as it is to be typed."""
+    return shlex.join(["interloc", "fetch", job.id, "-o", "OUT", "--server", server])
 
 
 def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tuple[str, str]]:
@@ -213,7 +224,7 @@ def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tupl
         return [*rows, ("next", f"the same command with --run -o OUT (nothing is sent twice), or {pushed.server}")]
     rows.append(("job", job.id))
     if out is None:
-        rows.append(("next", f"interloc fetch {job.id} -o OUT"))
+        rows.append(("next", _fetch_line(job, pushed.server)))
     else:
         rows += result_facts(job, out)[1:]
     return [*rows, ("page", f"{pushed.server}/#panel=report&job={job.id}")]

@@ -63,7 +63,7 @@ def command(
         if graph is None:
             graph = options.fetch_map(result, quiet=quiet)
         evaluation = evaluate(scored, graph, policy=policy, tolerance_m=tolerance_m)
-        write_report(evaluation, result, folder)
+        write_report(evaluation, folder, result=result)
     report = report_record(evaluation)
     if as_json:
         console.say_json({"run": summary.run_summary(result, out), "report": report})
@@ -98,5 +98,5 @@ def _place(
             radius_m=radius_m,
             progress=bar,
         )
-    write_places(placed.location, folder)
+    write_places(placed.location, graph, folder)
     return placed.result, placed.scored

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from interloc.simulate.town import Part
 
 
+_LASERS, _SHOT_BYTES, _GROUND_SHARE = 64, 18, 0.5  # bytes: those shots that return, with their labels
+_SHOT_S = 8e-7
+_LARGE_BYTES = 100_000_000
+
 DRIVE = click.option(
     "-o",
     "--out",
@@ -114,13 +118,14 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: 
 
     quiet = common["quiet"]
     console.set_up_log(quiet=quiet)
+    options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan", quiet=quiet) as bar:
         scans = simulate_town(
             drive,
-            _options(every_scan=every_scan, **common),
+            options,
             part=part,
             track=_track_config(speed_mps),
-            progress=bar,
+            progress=_Announced(bar, options, quiet=quiet),
         )
     _go_on(scans, drive, drive / MAP_FILE)
 
@@ -246,6 +251,25 @@ def _options(
         scene=SceneConfig(**empty),
         sensor=LidarConfig(columns=columns, **no_noise),
     )
+
+
+class _Announced:
+    """A progress bar that first says how much there will be, where it is much."""
+
+    def __init__(self, bar: console.Bar, options: SimulationOptions, *, quiet: bool) -> None:
+        self._bar, self._options, self._is_said = bar, options, quiet
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how many scans are done."""
+        if not self._is_said:
+            shots = total * self._options.sensor.columns * _LASERS
+            size = int(shots * _SHOT_BYTES * (_GROUND_SHARE if self._options.ground_only else 1.0))
+            minutes = max(1, round(shots * _SHOT_S / 60))
+            if size > _LARGE_BYTES:
+                long = f"{minutes} minute{'' if minutes == 1 else 's'}"
+                click.echo(f"{total:,} scans, about {console.size(size)} and {long} on one core", err=True)
+            self._is_said = True
+        self._bar(done, total)
 
 
 def _track_config(speed_mps: float, offset_m: float = 0.0) -> TrackConfig:

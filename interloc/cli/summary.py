@@ -41,6 +41,20 @@ def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
     }
 
 
+def _wrong(report: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return what the wrong detections are, which the mean error and the precision come from."""
+    from interloc.evaluation.reasons import KINDS
+    from interloc.results import counted
+
+    kinds = {kind: count for kind, count in report.get("reasons", {}).get("detections", {}).items() if count}
+    if not kinds:
+        return []
+    meanings: dict[str, str] = dict(KINDS)  # type: ignore[arg-type]
+    listed = sorted(kinds.items(), key=lambda row: -row[1])
+    reasons = "; ".join(f"{count} x {meanings.get(kind, kind)}" for kind, count in listed)
+    return [("wrong", f"{counted(sum(kinds.values()), 'detection')}: {reasons}")]
+
+
 def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     """Return the main figures of report.json for a person, the map first."""
     from interloc.drawing import metres, percent
@@ -51,6 +65,7 @@ def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
         ("nodes found", f"{report['nodes_found']} of {report['nodes_in_zone']} by a detection within 5 m"),
         ("center error", f"{metres(report['ace_m'])} mean (ACE), {metres(report['median_m'])} median"),
         ("at D = 5 m", f"precision {percent(report['precision']['5.0'])}, recall {percent(report['recall']['5.0'])}"),
+        *_wrong(report),
         *(("warning", text) for text in report["warnings"]),
         ("report", str(out / "report.html")),
     ]

@@ -93,11 +93,18 @@ class JobAnswer(BaseModel):
     error: ProblemAnswer | None = None
     summary: dict[str, Any] | None = None
     version: int = 0
+    request: dict[str, Any] = {}
 
     @property
     def is_final(self) -> bool:
         """True when the job will not change any more."""
         return self.state in {"successful", "failed", "dismissed"}
+
+
+class JobsAnswer(BaseModel):
+    """Some jobs."""
+
+    jobs: list[JobAnswer] = Field(max_length=1000)
 
 
 class ResultFileAnswer(BaseModel):

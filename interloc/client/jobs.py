@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from pydantic import ValidationError
 
-from interloc.client.answers import JobAnswer, media_type
+from interloc.client.answers import JobAnswer, JobsAnswer, media_type
 from interloc.client.connection import Connection
 from interloc.config import DetectorConfig, preset
 from interloc.errors import InterLocError, NetworkError
@@ -71,6 +71,35 @@ def submit(
         request["name"] = name
     # The key makes it safe to ask again when an answer is lost: there will be one job.
     return connection.ask("POST", "/jobs", JobAnswer, json=request, headers={"Idempotency-Key": secrets.token_hex(16)})
+
+
+def finished(
+    connection: Connection,
+    drive_id: str,
+    *,
+    config: DetectorConfig,
+    labels: str | None,
+    osm: str | None,
+    policy: Policy,
+    tolerance_m: float,
+) -> JobAnswer | None:
+    """Return the newest job of a drive that has done what `submit` would ask for; None where there is none.
+
+    It counts only if the files of the drive have not changed since; a map of Overpass is another one every day.
+    """
+    wanted = {
+        "config": config.model_dump(mode="json"),
+        "labels": labels,
+        "osm": None if osm is None else {"file": osm},
+        "policy": policy,
+        "tolerance_m": tolerance_m,
+        "georeference": "drive",
+    }
+    address = f"/jobs?drive={quote(drive_id, safe='')}&state=successful&limit=1000"
+    for job in connection.ask("GET", address, JobsAnswer).jobs:
+        if {name: job.request.get(name) for name in wanted} == wanted:
+            return job
+    return None
 
 
 def follow(connection: Connection, job_id: str, on_change: OnChange | None = None) -> JobAnswer:

@@ -47,6 +47,12 @@ class KeyframeDetections:
     branch_angles_rad: list[FloatArray]
     score: FloatArray
 
+    def __repr__(self) -> str:
+        places = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in self.lidar_xy.tolist())
+        return (
+            f"<KeyframeDetections frame {self.keyframe.frame}: {len(self.score)}{f' at {places} m' if places else ''}>"
+        )
+
 
 @dataclass(frozen=True)
 class Steps:
@@ -126,7 +132,25 @@ class Detector:
     Parameters
     ----------
     config : DetectorConfig
-        ``config.keyframes.lookahead`` keyframes pass before the detections of one come back; 0 is causal.
+        Settings of the method; see `interloc.preset`. ``config.keyframes.lookahead`` keyframes (20, about 40 m, unless
+        set) pass before the detections of one come back: `push` answers late. 0 is causal: `push` answers at once, and
+        fewer intersections ahead of the vehicle are found.
+
+    Notes
+    -----
+    The last keyframes come by `finish` alone: their windows are cut short by the end of the drive. `interloc.stream`
+    does both in one loop.
+
+    Examples
+    --------
+    ::
+
+        detector = interloc.Detector()
+        for scan in scans:
+            if (found := detector.push(scan)) is not None:
+                print(found.keyframe.frame, found.world_xy)
+        for found in detector.finish():
+            print(found.keyframe.frame, found.world_xy)
     """
 
     def __init__(self, config: DetectorConfig = DEFAULT) -> None:
@@ -136,7 +160,18 @@ class Detector:
         self._road = RoadAccumulator(config.keyframes, config.bev)
 
     def push(self, scan: ScanLike) -> KeyframeDetections | None:
-        """Take the next scan; return the detections of the keyframe that it completes, if any."""
+        """Take the next scan; return the detections of the keyframe that it completes, if any.
+
+        Parameters
+        ----------
+        scan : Scan
+            With its pose. A scan that is no keyframe is not looked at.
+
+        Returns
+        -------
+        KeyframeDetections or None
+            Of an earlier keyframe, unless the look-ahead is 0. None where no keyframe is complete yet.
+        """
         window = self._take(scan)
         return None if window is None else window.detect()
 

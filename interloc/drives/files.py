@@ -6,6 +6,7 @@ import gzip
 import math
 import os
 import zlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -238,7 +239,10 @@ def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
     except OSError as error:
         raise folder.unreadable(error) from error
     if not stems:
-        raise folder.fault(f"holds no {suffix} file. Expected one per scan: 000000{suffix}, 000001{suffix}, ...")
+        raise folder.fault(
+            f"holds no {suffix} file{_others_in(folder.path)}. "
+            f"Expected one per scan: 000000{suffix}, 000001{suffix}, ..."
+        )
     odd = sorted(stem for stem in stems if not (stem.isascii() and stem.isdigit() and len(stem) <= 18))
     if odd:
         raise fault(
@@ -257,6 +261,12 @@ def list_numbered(folder: SourceFile, suffix: str) -> NumberedFiles:
     return NumberedFiles(folder, suffix, digits, numbers[order], np.array(sizes, dtype=np.int64)[order])
 
 
+def _others_in(folder: Path) -> str:
+    """Return which other files lie in a folder, for the message that those expected do not: ", but 281 .ply"."""
+    endings = Counter(path.suffix or "without ending" for path in folder.iterdir() if not path.name.startswith("."))
+    return f", but {' and '.join(f'{count:,} {ending}' for ending, count in endings.most_common(3))}" if endings else ""
+
+
 def missing_numbers(numbers: IntArray, wanted: IntArray) -> IntArray:
     """Return the wanted numbers that are not there."""
     return np.setdiff1d(wanted, numbers)
@@ -267,6 +277,17 @@ def listed(numbers: Sequence[int] | IntArray, most: int = 5) -> str:
     head = ", ".join(str(int(number)) for number in numbers[:most])
     rest = len(numbers) - most
     return head if rest <= 0 else f"{head} and {rest:,} more"
+
+
+MAX_NAMED = 3
+"""Scans with a message each; of more with the same fault, the first speaks for all."""
+
+
+def others_like_it(numbers: IntArray, of: int) -> str:
+    """Return how many scans are like the first of some, where one message is for all of them."""
+    if len(numbers) <= MAX_NAMED:
+        return ""
+    return f" {len(numbers):,} of {of:,} scans are like this ({listed(numbers)})."
 
 
 def rows_by_frame(frames: IntArray, rows: int) -> IntArray | None:

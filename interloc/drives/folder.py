@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from interloc.arrays import FloatArray, IntArray
@@ -203,6 +204,13 @@ class FolderDrive:
     scheme: LabelScheme
     pose_frame: str
     pose_frame_reason: str
+
+    def __repr__(self) -> str:
+        length_m = float(np.linalg.norm(np.diff(self.T_world_lidar[:, :3, 3], axis=0), axis=1).sum())
+        return (
+            f"<FolderDrive {self.name}: {len(self.frames):,} scans, {length_m:,.0f} m, {self.layout}, "
+            f"{'without' if self.georeference is None else 'with'} georeference>"
+        )
 
     @property
     def is_slow(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -73,6 +74,13 @@ class DriveReport(ScanFacts):
     flatness_m: float | None = None
     looked_into: int = 0
     problems: list[Finding] = Field([])
+
+    def __repr__(self) -> str:
+        found = Counter(problem.severity for problem in self.problems)
+        counts = "".join(f", {count} {severity}{'' if count == 1 else 's'}" for severity, count in found.items())
+        return f"<DriveReport {self.name}: {'can' if self.ok else 'cannot'} be used, {self.scans:,} scans{counts}>"
+
+    __str__ = __repr__
 
     @property
     def ok(self) -> bool:

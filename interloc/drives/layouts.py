@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -260,6 +262,50 @@ _USUAL_MISTAKES: tuple[tuple[str, str], ...] = (
 )
 
 
+_SINGLE_FILES = {
+    ".pcd": "a PCD file is one scan, give the folder that holds them all",
+    ".bin": "a .bin file is one scan, give the drive that holds them all, the folder above velodyne/",
+    ".label": "labels are given with their drive, the folder above labels/",
+}
+
+_FOREIGN = {
+    ".pcap": "packets of the sensor are not read, have its driver write a ROS bag or PCD files",
+    ".ply": "PLY is not read, write PCD files (x y z intensity label)",
+    ".npy": "NumPy files are not read, write PCD files, or .bin (float32 x y z remission)",
+    ".npz": "NumPy files are not read, write PCD files, or .bin (float32 x y z remission)",
+    ".xyz": "text is not read, write PCD files, or LAS where it is a cloud of mobile mapping",
+    ".e57": "E57 is not read, convert it to LAS, or to one PCD file per scan",
+}
+"""Formats of points that are not read -> what to do instead."""
+
+_KNOWN_SCANS = (".pcd", ".las", ".laz", ".bag", ".db3", ".mcap", ".bin")
+_MAX_LOOKED_AT = 20_000
+
+
+def _seen_in(root: Path) -> str:
+    """Return what scans a folder holds that is no drive, there or below, and what to do with them; "" for none."""
+    counts: Counter[tuple[str, str]] = Counter()
+    below = (each for pattern in ("*", "*/*", "*/*/*") for each in root.glob(pattern))
+    for path in islice(below, _MAX_LOOKED_AT):
+        if (suffix := path.suffix.lower()) in _KNOWN_SCANS or suffix in _FOREIGN:
+            counts[str(path.parent), suffix] += 1
+    if not counts:
+        return ""
+    (folder, suffix), count = counts.most_common(1)[0]
+    seen = f"It holds {count:,} {suffix} {'file' if count == 1 else 'files'}"
+    if suffix in _FOREIGN:
+        return f"{seen}: {_FOREIGN[suffix]}. "
+    if folder == str(root):
+        return f"{seen} without the files that go with them. "
+    place = Path(folder).relative_to(root)
+    if suffix == ".bin":
+        return f"{seen} in {place}: name that folder velodyne/, and put poses.txt and labels/ beside it. "
+    return (
+        f"{seen} in {place}: give that folder; where its poses lie elsewhere, "
+        f"`interloc convert {folder} --poses FILE -o DRIVE` writes a drive of all. "
+    )
+
+
 def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts:
     """Detect the layout of a drive folder and find its parts.
 
@@ -277,9 +323,9 @@ def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | No
     if not root.exists():
         raise DriveFileError(name, "does not exist. Expected the folder of one drive.")
     if not root.is_dir():
-        raise DriveFileError(
-            name, "is a file. Expected the folder of one drive; unpack an archive first, and give the folder."
-        )
+        suffix = root.suffix.lower()
+        hint = _FOREIGN.get(suffix) or _SINGLE_FILES.get(suffix, "unpack an archive first, and give the folder")
+        raise DriveFileError(name, f"is a file. Expected the folder of one drive, a ROS bag or a LAS file: {hint}.")
     inside = {entry.name for entry in root.iterdir()}
     if not inside and announced is None:
         raise DriveFileError(name, f"is an empty folder. Expected {_LAYOUTS['semantickitti'][1]}.")
@@ -309,5 +355,7 @@ def _choose(root: Path, inside: set[str], options: DriveOptions, announced: Scan
         if (parts := find(root, options.labels, scan_folders)) is not None:
             return parts
     usual = next((text for pattern, text in _USUAL_MISTAKES if any(re.fullmatch(pattern, each) for each in inside)), "")
+    if seen := usual or _seen_in(root):
+        raise DriveFileError(name, f"is not a drive. {seen}docs/own-data.md lists all formats.")
     expected = ", or ".join([_LAYOUTS[layout][1] for layout in get_args(LayoutName) if layout in _LAYOUTS] + _OTHERS)
     raise DriveFileError(name, f"is not a drive. {usual}Expected {expected}.")

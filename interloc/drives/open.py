@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Unpack
 
-from interloc.drives.checks import check_flat_road, check_georeference, sample_indices
+from interloc.drives.checks import check_flat_road, check_georeference, check_turns, sample_indices
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, ScanStore
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
@@ -195,6 +195,7 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
         with findings.stage():
             drive.ground_points(index)
     reading = replace(reading, flatness_m=check_flat_road(drive, store.usable, pose_file, findings))
+    check_turns(drive, store.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading
     error = check_georeference(drive.T_world_lidar, drive.georeference, findings)

@@ -13,14 +13,17 @@ from interloc.drives.files import SourceFile, gaps, is_number, listed, missing_n
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.georeference.geodetic import poses_of
 from interloc.drives.georeference.kitti360 import georeference_of_kitti360, is_karlsruhe
-from interloc.drives.georeference.read import read_georeference
+from interloc.drives.georeference.read import AS_PUBLISHED, read_georeference
 from interloc.drives.layouts import DriveParts, PoseOwner
 from interloc.drives.options import DriveOptions, PoseFrame
+from interloc.drives.poses.calibration import IMU_CALIBRATION
 from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
 from interloc.drives.poses.tum import looks_like_tum, read_tum
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, invert_transform
+
+_MAX_SPEED_MPS = 80.0
 
 _FIX_ERROR_M = 50.0
 """OXTS of KITTI-360 and its poses lie at most some metres apart, where both are as published."""
@@ -72,6 +75,8 @@ class Trajectory:
     georeference : Georeference or None
     georeference_reason : str
         Why there is none.
+    is_odd : bool
+        Poses and times do not fit together, which was listed as a warning.
     """
 
     poses: LidarPoses | None = None
@@ -79,6 +84,7 @@ class Trajectory:
     times_s: FloatArray | None = None
     georeference: Georeference | None = None
     georeference_reason: str = "the drive has neither oxts/ nor geo.csv"
+    is_odd: bool = False
 
 
 def read_trajectory(
@@ -104,7 +110,7 @@ def read_trajectory(
         The first fault, where `findings` stops at it.
     """
     georeference, reason = None, Trajectory.georeference_reason
-    poses, pose_count = None, 0
+    poses, pose_count, is_odd = None, 0, False
     with findings.stage():
         try:
             georeference = read_georeference(parts, frames, options.oxts)
@@ -113,6 +119,11 @@ def read_trajectory(
             if options.oxts is not None or not parts.in_kitti360_world:  # its poses may tell
                 raise
             findings.note("oxts", f"is not used: {reason}")
+    if georeference is not None and georeference.source.endswith(AS_PUBLISHED):
+        findings.note(
+            IMU_CALIBRATION,
+            "is missing: the lever arm from IMU to LiDAR that KITTI publishes is used, good to a few cm.",
+        )
     with findings.stage():
         if times_s is None and parts.times is not None:
             times_s = _read_times(parts.file(parts.times), frames, findings)
@@ -125,9 +136,13 @@ def read_trajectory(
             lines = _read_timed(file, times_s, frames, findings) if looks_like_tum(file.path) else read_poses(file)
             pose_count = len(lines.poses)
             poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
+            if lines.frames is None and parts.times is not None:
+                is_odd = _differ_in_length(file, parts.file(parts.times), pose_count, findings)
+        if poses is not None and times_s is not None:
+            is_odd |= _is_too_fast(poses, times_s, parts, findings)
     if options.oxts is None and parts.geo is None and parts.in_kitti360_world and poses is not None:
         georeference = _in_kitti360_world(poses, parts, georeference, findings)
-    return Trajectory(poses, pose_count, times_s, georeference, reason)
+    return Trajectory(poses, pose_count, times_s, georeference, reason, is_odd)
 
 
 def _in_kitti360_world(
@@ -196,6 +211,35 @@ def _poses_of_scans(
         findings.note(file.name, f"the scans start at {frames[0]}, and there is one pose per scan: taken one to one.")
     lidar, frame, reason = to_lidar(lines.poses, parts, file, declared, findings)
     return LidarPoses(_from_first(lidar[rows]), frame, reason, lidar[rows[0]])
+
+
+def _differ_in_length(file: SourceFile, times: SourceFile, pose_count: int, findings: Findings) -> bool:
+    """Warn where there are not as many times as poses: both have a line per frame of their sequence."""
+    count = len("\n".join(times.lines()).rstrip().split("\n"))
+    if count == pose_count:
+        return False
+    findings.warning(
+        file.name,
+        f"{pose_count:,} poses, but {times.name} has {count:,} lines: they are of two sequences, or one was cut. "
+        "Usual cause: poses of another sequence.",
+    )
+    return True
+
+
+def _is_too_fast(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> bool:
+    """Warn where poses and times make a vehicle faster than any."""
+    passed_s = np.diff(times_s)
+    if not (passed_s > 0).any():
+        return False
+    speed_mps = float(np.median((poses.steps_m / np.where(passed_s > 0, passed_s, np.nan))[passed_s > 0]))
+    if speed_mps < _MAX_SPEED_MPS:
+        return False
+    findings.warning(
+        parts.file(parts.poses or parts.scans).name,
+        f"with the times of the scans it moves at {speed_mps:,.0f} m/s (usual: under 40 m/s). Usual cause: times or "
+        "poses of another drive, or poses that are not in metres.",
+    )
+    return True
 
 
 def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> IntArray:

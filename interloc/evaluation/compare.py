@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+from interloc.drawing import image
 from interloc.errors import ConfigError
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
-from interloc.evaluation.report import threshold_name
+from interloc.evaluation.report import data_address, template, threshold_name
+from interloc.files import atomic_write
 from interloc.output.layout import flatten, settings_of
 
 _STANDARD = threshold_name(STANDARD_THRESHOLD_M)
@@ -56,6 +60,44 @@ def compare_reports(
     }
 
 
+def write_comparison(comparison: Mapping[str, Any], reports: Sequence[Mapping[str, Any]], out: Path) -> None:
+    """Write a comparison as a page, or the curves of all runs over D as a picture.
+
+    Parameters
+    ----------
+    comparison
+        What `compare_reports` returned.
+    reports
+        Contents of each `report.json`, in the order of the runs.
+    out
+        ``.html``, ``.svg`` or ``.png``; an older file of that name is replaced.
+
+    Raises
+    ------
+    ConfigError
+        The format is unknown.
+    OutputError
+        The file could not be written.
+    """
+    from interloc.evaluation.figures import comparison_figure  # noqa: PLC0415 - slow to import
+
+    suffix = out.suffix.lower()
+    if suffix not in {".html", ".svg", ".png"}:
+        raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of .html, .svg, .png.")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing")  # of a name; the page has it in full
+        content = image(comparison_figure(comparison["runs"], reports), "png" if suffix == ".png" else "svg")
+    if suffix == ".html":
+        picture = data_address(content, "image/svg+xml")
+        made_up = all(report["osm"].get("made_up", False) for report in reports)
+        page: str = template("compare.html").render(
+            comparison=comparison, drive=reports[0]["drive"], picture=picture, made_up=made_up
+        )
+        content = page.encode()
+    with atomic_write(out) as file:
+        file.write(content)
+
+
 def differing_settings(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the settings in which runs differ, as ``{"name": "bev.resolution_m", "values": [...]}``."""
     flat = [dict(flatten(settings_of(run))) for run in runs]
@@ -102,7 +144,7 @@ _FIGURES: tuple[tuple[str, Callable[[Mapping[str, Any]], Any]], ...] = (
 
 def _warnings(reports: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return why figures may not be comparable."""
-    warnings = []
+    notes = []
     for what, values in (
         ("ground truth policies", [report["policy"] for report in reports]),
         ("maps", [report["osm"]["source"] for report in reports]),
@@ -111,5 +153,5 @@ def _warnings(reports: Sequence[Mapping[str, Any]]) -> list[str]:
     ):
         if len({str(value) for value in values}) > 1:
             listed = ", ".join(str(value) for value in values)
-            warnings.append(f"The runs have different {what} ({listed}): their figures cannot be compared.")
-    return warnings
+            notes.append(f"The runs have different {what} ({listed}): their figures cannot be compared.")
+    return notes

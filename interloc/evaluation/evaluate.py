@@ -9,15 +9,25 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import IntArray
+from interloc.drawing import Sign, map_sketch, metres
 from interloc.errors import ConfigError, GeoreferenceError
 from interloc.evaluation.coverage import check_coverage
 from interloc.evaluation.map_level import MapLevel, assign_intersections
 from interloc.evaluation.matching import Matching, match
-from interloc.evaluation.metrics import ErrorSummary, NodeTable, Scores, score, summarize_errors, tabulate_nodes
+from interloc.evaluation.metrics import (
+    STANDARD_THRESHOLD_M,
+    ErrorSummary,
+    NodeTable,
+    Scores,
+    score,
+    summarize_errors,
+    tabulate_nodes,
+)
 from interloc.evaluation.verdicts import RunVerdicts, judge
 from interloc.osm.graph import RoadGraph, within
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
+from interloc.output.geojson import positions
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 
 PAPER_ROI_M = 120.0
@@ -61,6 +71,8 @@ class Evaluation:
         Median distance of the track from the nearest drivable road, metres.
     warnings : tuple of str
         Reasons to read the figures with care.
+    result : DriveResult
+        The run that was scored.
     """
 
     drive: str
@@ -81,6 +93,88 @@ class Evaluation:
     georeference: dict[str, Any]
     track_to_road_m: float
     warnings: tuple[str, ...]
+    result: DriveResult
+
+    @property
+    def ace_m(self) -> float | None:
+        """Average center error of all matched detections, metres (the paper's ACE); None without any."""
+        return self.errors.ace_m
+
+    @property
+    def median_m(self) -> float | None:
+        """Median center error of all matched detections, metres; None without any."""
+        return self.errors.median_m
+
+    @property
+    def precision(self) -> float | None:
+        """Precision of the detections at D = 5 m, 0..1; `scores` has the other thresholds."""
+        return self.scores.at(STANDARD_THRESHOLD_M, self.scores.precision)
+
+    @property
+    def recall(self) -> float | None:
+        """Recall of the detections at D = 5 m, 0..1."""
+        return self.scores.at(STANDARD_THRESHOLD_M, self.scores.recall)
+
+    @property
+    def f1(self) -> float | None:
+        """F1 of the detections at D = 5 m, 0..1."""
+        return self.scores.at(STANDARD_THRESHOLD_M, self.scores.f1)
+
+    @property
+    def nodes_in_zone(self) -> int:
+        """Number of OpenStreetMap nodes that the drive should have found."""
+        return int(self.node_table.in_zone.sum())
+
+    @property
+    def nodes_found(self) -> int:
+        """Number of these that a detection within 5 m was matched to."""
+        return int((self.node_table.in_zone & self.node_table.found).sum())
+
+    def __repr__(self) -> str:
+        return f"<Evaluation {self._summary()}>"
+
+    def _repr_html_(self) -> str:
+        """Return a map: what a notebook shows."""
+        result, verdicts = self.result, self.verdicts
+        found, table = verdicts.intersections, self.intersections
+        signs = [
+            Sign(xy, outcome, f"Intersection {number}: {reason or outcome}")
+            for number, xy, outcome, reason in zip(
+                table.id.tolist(),
+                result.local_xy(table.lonlat, table.world_xy),
+                found.outcome,
+                found.reason,
+                strict=True,
+            )
+        ]
+        nodes = zip(
+            self.nodes.osm_id.tolist(),
+            result.local_xy(self.nodes.lonlat, self.nodes.lonlat),
+            verdicts.node_outcome,
+            verdicts.node_reason,
+            strict=True,
+        )
+        signs += [
+            Sign(xy, outcome, f"OSM node {osm_id}: {reason or outcome}")
+            for osm_id, xy, outcome, reason in nodes
+            if outcome == "missed"
+        ]
+        places = result.local_xy(self.graph.lonlat, self.graph.lonlat)
+        track = result.local_xy(result.trajectory_lonlat, result.trajectory_world_xy)
+        return map_sketch(track, signs, self._summary(), places[self.graph.edges])
+
+    def _summary(self) -> str:
+        return (
+            f"{self.drive}: ACE {metres(self.ace_m)}, precision {_percent(self.precision)}, "
+            f"recall {_percent(self.recall)} at {STANDARD_THRESHOLD_M:g} m, "
+            f"{self.nodes_found} of {self.nodes_in_zone} nodes"
+        )
+
+    def geodataframe(self, layer: str = "intersections") -> Any:  # noqa: ANN401 - geopandas has no types
+        """Return a layer, with its verdicts, as a GeoDataFrame: `interloc.geodataframe`."""
+        import interloc  # noqa: PLC0415 - the public face stands above everything
+
+        return interloc.geodataframe(self, layer)
 
     @cached_property
     def verdicts(self) -> RunVerdicts:
@@ -134,6 +228,7 @@ def evaluate(
     ConfigError
         The policy is unknown, or the sizes of the zones are not valid.
     """
+    result = _as_printed(result)
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(
             f"{result.drive}: the run has no georeference, so its detections cannot be compared with OpenStreetMap. "
@@ -184,7 +279,24 @@ def evaluate(
         georeference=_georeference(result.run),
         track_to_road_m=track_to_road_m,
         warnings=warnings,
+        result=result,
     )
+
+
+def _as_printed(result: DriveResult) -> DriveResult:
+    """Return a run with the positions of its files, so that a run and its result folder get the same report."""
+
+    def printed(table: Any) -> Any:  # noqa: ANN401 - one of three tables
+        if table.lonlat is None:
+            return table
+        return replace(table, lonlat=np.array(positions(table.lonlat, local=False)).reshape(-1, 2))
+
+    tables = ("keyframes", "detections", "intersections")
+    return replace(result, **{name: printed(getattr(result, name)) for name in tables})
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{100.0 * value:.3g} %"  # noqa: RUF001 - a dash, not a minus
 
 
 def _georeference(run: dict[str, Any]) -> dict[str, Any]:

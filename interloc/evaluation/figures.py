@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from interloc.drawing import (
     MUTED,
     PAPER,
     PURPLE,
+    SKY,
     VERMILION,
     YELLOW,
     mark,
@@ -71,6 +73,15 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     _draw_scale_bar(axes, low, high)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    if not evaluation.graph.is_made_up:
+        credit: dict[str, Any] = {
+            "fontsize": 7,
+            "color": MUTED,
+            "ha": "right",
+            "va": "bottom",
+            "transform": axes.transAxes,
+        }
+        axes.text(0.995, 0.005, "Roads © OpenStreetMap contributors, ODbL", zorder=9, **credit)
     return figure
 
 
@@ -195,6 +206,40 @@ def draw_boxes(axes: Axes, samples: list[FloatArray], *, horizontal: bool = Fals
             whiskerprops={"color": BLUE, "linewidth": 1.2},
             capprops={"color": BLUE, "linewidth": 1.2},
         )
+
+
+def comparison_figure(names: Sequence[str], reports: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw precision, recall and F1 of several runs over the confidence threshold D, from their `report.json`."""
+    figure = new_figure(11.0, 4.2 + 0.22 * ((len(names) + 1) // 2))
+    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    colours, styles, markers = (BLUE, VERMILION, GREEN, PURPLE, SKY, INK), ("-", "--", "-.", ":"), "o^sDvP*X"
+    for axes, measure in zip(panels, ("precision", "recall", "f1"), strict=True):
+        for run, (name, report) in enumerate(zip(names, reports, strict=True)):
+            points = [(float(d), value) for d, value in report[measure].items() if float(d) <= NEAR_PAIR_M]
+            thresholds = [d for d, _ in points]
+            values = [np.nan if value is None else 100.0 * value for _, value in points]
+            axes.plot(
+                thresholds,
+                values,
+                color=colours[run % len(colours)],
+                linestyle=styles[run % len(styles)],
+                marker=markers[run % len(markers)],
+                markersize=4,
+                linewidth=1.6,
+                label=name,
+            )
+        axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+        axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
+        axes.set(xlabel="confidence threshold D [m]")
+        axes.set_title("F1" if measure == "f1" else measure, loc="left", fontsize=12, color=INK)
+        quiet(axes)
+    panels[0].set_ylabel("[%]")
+    legend = figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
+    )
+    for text in legend.get_texts():
+        text.set_parse_math(False)  # names may hold dollars, which are formulas to matplotlib
+    return figure
 
 
 def threshold_figure(evaluation: Evaluation) -> Figure:

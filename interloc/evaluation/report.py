@@ -1,11 +1,12 @@
-"""The files of an evaluation: report.json, report.html, osm_nodes.geojson, matches.geojson, figures."""
+"""The files of an evaluation: report.json, report.html, the layers with data of OpenStreetMap, figures."""
 
 from __future__ import annotations
 
 import base64
 import json
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,18 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.drawing import image, metres, percent, write_image
 from interloc.errors import OutputError
+from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.map_level import MapLevel
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import KINDS
 from interloc.files import atomic_write, reason_of
 from interloc.osm.policies import POLICIES
+from interloc.output.credits import map_credit
 from interloc.output.geojson import DEGREE_DECIMALS, encode, positions, rounded, write_collection
 from interloc.output.layers import LAYERS
-from interloc.output.layout import RUN_SETTINGS, file_names, flatten, settings_of
+from interloc.output.layout import RUN_SETTINGS, flatten, settings_of
+from interloc.output.osm_roads import road_features
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
 
@@ -30,36 +34,37 @@ _METRE_DECIMALS = 4
 _RATIO_DECIMALS = 6
 
 
-def write_report(evaluation: Evaluation, result: DriveResult, out_dir: Path) -> None:
+def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, result: DriveResult | None = None) -> None:
     """Write the report of an evaluation into the result folder of its run.
 
     Parameters
     ----------
     evaluation
         Of `result`.
-    result
-        The run; its configuration and timings are part of the report.
     out_dir
-        Folder of the run. Files of an older report are replaced, each whole or not at all, and so are its detections
-        and intersections: the same with the verdicts of this evaluation. Write into an `interloc.files.atomic_folder`
-        for all or nothing.
+        Folder of the run, as `interloc.write_results` wrote it. Files of an older report are replaced, each whole or
+        not at all, and so are its detections and intersections: the same with the verdicts of this evaluation. Write
+        into an `interloc.files.atomic_folder` for all or nothing.
+    result
+        The run as it was written, where that is not the one that was scored (`interloc.localization.placing`). Its
+        configuration and timings are part of the report.
 
     Raises
     ------
     OutputError
         The folder is missing, or a file could not be written.
     """
+    result, out_dir = result or evaluation.result, Path(out_dir)
     if not out_dir.is_dir():
-        raise OutputError(f"{out_dir}: no such folder. Expected the result folder of `interloc detect`.")
+        raise OutputError(
+            f"{out_dir}: no such folder. Expected the result folder of `interloc detect` or `interloc.write_results`."
+        )
     pictures = _write_figures(evaluation, result, out_dir / "figures")
-    names, verdicts = file_names(georeferenced=True), evaluation.verdicts
-    for table, features in (
-        ("detections", detection_features(result, verdicts.detections)),
-        ("intersections", intersection_features(result, verdicts.intersections, verdicts.uids)),
-    ):
-        write_collection(out_dir / names[table], features, local=False)
-    write_collection(out_dir / "osm_nodes.geojson", _node_features(evaluation), local=False)
-    write_collection(out_dir / "matches.geojson", _match_features(evaluation, result), local=False)
+    graph = evaluation.graph
+    for layer, features_of in LAYER_FEATURES.items():
+        features = features_of(evaluation, result)
+        credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
+        write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit)
     record = report_record(evaluation)
     with atomic_write(out_dir / "report.html") as handle:
         handle.write(render_html(record, result, pictures).encode())
@@ -82,6 +87,10 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         record["nodes"],
         key=lambda n: (not n["in_zone"], n["found"], -(n["median_error_m"] or 0.0)),
     )
+    order = {"wrong": 0, "right": 1, "unscored": 2}
+    intersections = sorted(
+        record["intersections"], key=lambda each: (order[each["outcome"]], -(each["error_m"] or 0.0), each["id"])
+    )
     page: str = template("report.html").render(
         record=record,
         at={name: record[name][standard] for name in ("tp", "fp", "fn", "precision", "recall", "f1")},
@@ -89,6 +98,7 @@ def render_html(record: dict[str, Any], result: DriveResult, pictures: dict[str,
         threshold=f"{STANDARD_THRESHOLD_M:g}\N{NO-BREAK SPACE}m",
         policy_meaning=POLICIES[record["policy"]].meaning,
         nodes=nodes,
+        intersections=intersections,
         pictures=pictures,
         kinds=_kind_rows(record["reasons"]),
         # Read by people only, so what JSON does not know may appear as its text.
@@ -178,6 +188,23 @@ def _match_features(evaluation: Evaluation, result: DriveResult) -> list[dict[st
     )
 
 
+def _road_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
+    assert result.keyframes.lonlat is not None
+    return road_features(evaluation.graph, track_bounds(result.keyframes.lonlat))
+
+
+LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[dict[str, Any]]]] = {
+    "detections": lambda evaluation, result: detection_features(result, evaluation.verdicts.detections),
+    "intersections": lambda evaluation, result: intersection_features(
+        result, evaluation.verdicts.intersections, evaluation.verdicts.uids
+    ),
+    "osm_nodes": lambda evaluation, _: _node_features(evaluation),
+    "matches": _match_features,
+    "osm_roads": _road_features,
+}
+"""The features of each layer that an evaluation adds to a result, or says more of."""
+
+
 def _fact(name: str, value: object) -> tuple[str, str]:
     """Return a value of `run.json` for a person: ("peak_memory", "312 MB")."""
     if isinstance(value, list | tuple):
@@ -196,8 +223,10 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "drive": evaluation.drive,
         "policy": evaluation.nodes.policy,
         "tolerance_m": evaluation.nodes.tolerance_m,
+        **map_credit(is_made_up=evaluation.graph.is_made_up).members,
         "osm": {
             "source": evaluation.graph.source,
+            "made_up": evaluation.graph.is_made_up,
             "date": evaluation.graph.date,
             "nodes": len(evaluation.nodes),
             "bounds": evaluation.graph.bounds,
@@ -232,6 +261,7 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "georeference": evaluation.georeference,
         "track_to_road_m": _metres(evaluation.track_to_road_m),
         "warnings": list(evaluation.warnings),
+        "intersections": _intersection_rows(evaluation),
         "nodes": _node_rows(evaluation),
     }
 
@@ -292,6 +322,30 @@ def _node_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
         }
         rows.append({"osm_id": properties.pop("osm_id"), "lon": lon, "lat": lat, **properties, **errors})
     return rows
+
+
+def _intersection_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Return the fused intersections with their verdicts; positions as in `intersections.geojson`."""
+    table, verdicts = evaluation.intersections, evaluation.verdicts
+    assert table.lonlat is not None
+    judged = verdicts.intersections
+    return [
+        {
+            "id": int(table.id[row]),
+            "uid": verdicts.uids[row],
+            "lon": lon,
+            "lat": lat,
+            "outcome": judged.outcome[row],
+            "osm_id": judged.osm_id[row],
+            "error_m": _metres(judged.error_m[row]),
+            "position_std_m": _metres(table.position_std_m[row]),
+            "observations": int(table.observations[row]),
+            "confidence": _ratio(float(table.confidence[row])),
+            "branch_count": len(table.bearings_deg[row]),
+            "reason": judged.reason[row],
+        }
+        for row, (lon, lat) in enumerate(positions(table.lonlat, local=False))
+    ]
 
 
 def _map_level(level: MapLevel) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,6 +49,10 @@ class RunVerdicts:
         Row of the intersection assigned to each node, -1 for none.
     node_reason : list of N str or None
         Why a node was missed.
+    false_kind : list of E str or None
+        Kind of the reason, of `KINDS`, why each scored detection is wrong.
+    miss_kind : list of N str or None
+        The same of each missed node.
     counts : dict
         `detections`, `intersections` and `nodes`: kind of reason -> how many.
     """
@@ -59,6 +63,8 @@ class RunVerdicts:
     node_outcome: list[str]
     node_intersection: IntArray
     node_reason: list[str | None]
+    false_kind: list[str | None]
+    miss_kind: list[str | None]
     counts: dict[str, dict[str, int]]
 
 
@@ -112,7 +118,7 @@ def judge(
         ["right" if each else "wrong" for each in true.tolist()],
         [osm_ids[row] for row in matching.node.tolist()],
         matching.error_m,
-        _spread(len(detections), false_rows, false),
+        _spread(len(detections), false_rows, _sentences(false)),
     )
 
     level = map_level
@@ -131,7 +137,7 @@ def judge(
         ],
         [osm_ids[row] for row in level.node.tolist()],
         level.error_m,
-        _spread(len(intersections), wrong_rows, wrong),
+        _spread(len(intersections), wrong_rows, _sentences(wrong)),
     )
     inside = within(graph.bounds, intersections.lonlat)
     for row in np.flatnonzero(~level.counts).tolist():
@@ -158,7 +164,9 @@ def judge(
         uids=_uids(graph, intersections, level, osm_ids),
         node_outcome=_node_outcomes(level.node_found, node_table.in_zone),
         node_intersection=node_intersection,
-        node_reason=_spread(len(nodes), missed_rows, missed),
+        node_reason=_spread(len(nodes), missed_rows, _sentences(missed)),
+        false_kind=_spread(len(detections), false_rows, [reason.kind for reason in false]),
+        miss_kind=_spread(len(nodes), missed_rows, [reason.kind for reason in missed]),
         counts={
             "detections": count_kinds(false, FalseKind),
             "intersections": count_kinds(wrong, FalseKind),
@@ -167,11 +175,15 @@ def judge(
     )
 
 
-def _spread(count: int, rows: IntArray, reasons: Sequence[Reason]) -> list[str | None]:
-    """Return the sentences of some rows of a table as a column of all of them."""
+def _sentences(reasons: Iterable[Reason]) -> list[str]:
+    return [reason.sentence for reason in reasons]
+
+
+def _spread(count: int, rows: IntArray, values: Sequence[str]) -> list[str | None]:
+    """Return the values of some rows of a table as a column of all of them."""
     column: list[str | None] = [None] * count
-    for row, reason in zip(rows.tolist(), reasons, strict=True):
-        column[row] = reason.sentence
+    for row, value in zip(rows.tolist(), values, strict=True):
+        column[row] = value
     return column
 
 

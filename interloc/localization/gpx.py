@@ -18,14 +18,13 @@ from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
 from interloc.errors import LocationError
 from interloc.files import reason_of
-from interloc.geometry import rotate_2d
+from interloc.geometry import rotate_2d, thin
 from interloc.localization.locate import georeference_by
 from interloc.localization.refine import Chain, Nodes, fit, uncertainty
 from interloc.localization.roads import RoadMap, WayIndex, road_map
 from interloc.localization.sightings import no_sightings
 from interloc.localization.track import Track, track_of
 from interloc.osm.graph import RoadGraph, Ways
-from interloc.output.write import thin
 from interloc.results import EPOCH_S
 
 MAX_BYTES = 100_000_000

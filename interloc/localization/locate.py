@@ -99,6 +99,13 @@ class Location:
     leaving_out: dict[int, Georeference] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        best = ""
+        if self.places:
+            lon, lat = self.places[0].lonlat.tolist()
+            best = f", best {lat:.5f}, {lon:.5f} (latitude, longitude), score {self.places[0].score:.2f}"
+        return f"<Location {self.decision.outcome}: {len(self.places)} places{best}>"
+
     def record(self) -> dict[str, Any]:
         """Return it as JSON holds it; `run.json` and `--json` do."""
         return {

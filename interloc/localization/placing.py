@@ -84,7 +84,7 @@ def place_run(
     return PlacedRun(placed, fair_result(placed, drive, location, nodes), location)
 
 
-def write_places(location: Location, folder: Path) -> None:
+def write_places(location: Location, graph: RoadGraph, folder: Path) -> None:
     """Write the layer `places` into a result folder: the drive where it was found, and where it might have been.
 
     Raises
@@ -102,7 +102,8 @@ def write_places(location: Location, folder: Path) -> None:
         intersections_at_nodes=[place.evidence.at_nodes for place in places],
         heading_deg=[place.heading_deg for place in places],
     )
-    write_collection(folder / f"{PLACES}.geojson", features, local=False)
+    credit = LAYERS[PLACES].credit(features, made_up_map=graph.is_made_up)
+    write_collection(folder / f"{PLACES}.geojson", features, local=False, credit=credit)
 
 
 def require_found(location: Location, drive: str) -> Georeference:

@@ -22,6 +22,9 @@ Container = Literal["osm", "osm.gz", "osm.bz2", "pbf"]
 MAX_UNPACKED_BYTES = 16 * 1024**3
 """Larger maps are for .osm.pbf, whose blocks are bounded by the format."""
 
+SIMULATOR = "interloc simulate"
+"""Name of the program in the head of maps that the simulator made up."""
+
 _BLOCK_BYTES = 1 << 20
 _DATA_ELEMENTS = {"node", "way", "relation"}
 
@@ -37,11 +40,14 @@ class Prolog:
         Declared state of the data, ISO 8601.
     bounds : Bounds or None
         Declared extent; the hull where a file that was put together declares several.
+    is_made_up : bool
+        Whether the map says that the simulator made it up.
     """
 
     container: Container
     date: str | None
     bounds: Bounds | None
+    is_made_up: bool = False
 
 
 def read_prolog(path: Path, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES) -> Prolog:
@@ -112,7 +118,7 @@ def _pbf_prolog(path: Path) -> Prolog:
     if box.valid():
         bounds = (box.bottom_left.lon, box.bottom_left.lat, box.top_right.lon, box.top_right.lat)
     date = header.get("osmosis_replication_timestamp") or header.get("timestamp")
-    return Prolog("pbf", date or None, bounds)
+    return Prolog("pbf", date or None, bounds, header.get("generator") == SIMULATOR)
 
 
 def _scan_xml(path: Path, stream: BinaryIO, container: Container, max_unpacked_bytes: int) -> Prolog:
@@ -135,7 +141,7 @@ def _scan_xml(path: Path, stream: BinaryIO, container: Container, max_unpacked_b
     if unpacked == 0:
         raise MapError(f"{path}: holds nothing once unpacked. Usual cause: an export that failed.")
     scanner.close()
-    return Prolog(container, scanner.date, scanner.bounds)
+    return Prolog(container, scanner.date, scanner.bounds, scanner.is_made_up)
 
 
 class _PrologScanner:
@@ -146,6 +152,7 @@ class _PrologScanner:
         self.finished = False
         self.date: str | None = None
         self.bounds: Bounds | None = None
+        self.is_made_up = False
         self._root: str | None = None
         self._start = b""
         self._parser = expat.ParserCreate()
@@ -191,6 +198,7 @@ class _PrologScanner:
     def _check_root(self, name: str, attributes: dict[str, str]) -> None:
         if name == "osm":
             self.date = attributes.get("timestamp")
+            self.is_made_up = attributes.get("generator") == SIMULATOR
             return
         if name.lower() == "html":
             raise self._html()

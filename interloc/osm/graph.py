@@ -62,6 +62,8 @@ class RoadGraph:
         meet out there is not: a junction outside does not count as ground truth.
     clipped_ways : int
         Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist.
+    is_made_up : bool
+        The simulator made the map up: its ids are not those of OpenStreetMap.
     """
 
     node_id: IntArray
@@ -73,6 +75,14 @@ class RoadGraph:
     date: str | None = None
     bounds: Bounds | None = None
     clipped_ways: int = 0
+    is_made_up: bool = False
+
+    def __repr__(self) -> str:
+        west, south, east, north = self.extent
+        return (
+            f"<RoadGraph {self.source}: {len(self.ways):,} highways, {len(self.node_id):,} nodes, "
+            f"lon {west:.4f} .. {east:.4f}, lat {south:.4f} .. {north:.4f}>"
+        )
 
     @property
     def extent(self) -> Bounds:

@@ -6,6 +6,7 @@ Of a map that is larger than the drive, only what lies around the drive is kept;
 from __future__ import annotations
 
 import logging
+import os
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ _BATCH = 50_000
 
 
 def read_osm(
-    path: str | Path, bounds: Bounds | None = None, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES
+    path: str | os.PathLike[str], bounds: Bounds | None = None, *, max_unpacked_bytes: int = MAX_UNPACKED_BYTES
 ) -> RoadGraph:
     """Read the highways of an OSM file.
 
@@ -99,6 +100,7 @@ def read_osm(
         date=prolog.date or _latest_edit(found),
         bounds=_common(prolog.bounds, bounds) if left_out else prolog.bounds,
         clipped_ways=clipped,
+        is_made_up=prolog.is_made_up,
     )
 
 

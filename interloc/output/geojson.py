@@ -17,8 +17,9 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.errors import DamagedResultError
 from interloc.files import atomic_write, reason_of
+from interloc.output.credits import OWN_CREDIT, Credit
 
-DEGREE_DECIMALS = 9  # 0.1 mm
+DEGREE_DECIMALS = 7  # 1 cm, as OpenStreetMap has it
 METRE_DECIMALS = 4
 LOCAL_UNITS = "metres in W, the frame of the first LiDAR pose (x forward, y left); not longitude and latitude"
 RUN_AGAIN = "Run `interloc detect` again."
@@ -41,7 +42,9 @@ def positions(xy: FloatArray, *, local: bool) -> list[list[float]]:
     return pairs
 
 
-def write_collection(path: Path, features: Sequence[dict[str, Any]], *, local: bool) -> None:
+def write_collection(
+    path: Path, features: Sequence[dict[str, Any]], *, local: bool, credit: Credit = OWN_CREDIT
+) -> None:
     """Write a FeatureCollection, whole or not at all.
 
     Parameters
@@ -49,9 +52,11 @@ def write_collection(path: Path, features: Sequence[dict[str, Any]], *, local: b
     path
         The file.
     features
-        GeoJSON features with Point or LineString geometries, longitude first, or local metres.
+        GeoJSON features with Point, LineString or Polygon geometries, longitude first, or local metres.
     local
         True for metres of W.
+    credit
+        Whose data it is, see `interloc.output.layers.Layer.credit`.
 
     Raises
     ------
@@ -61,7 +66,8 @@ def write_collection(path: Path, features: Sequence[dict[str, Any]], *, local: b
     head: dict[str, Any] = {"type": "FeatureCollection"}
     if local:
         head |= {"local": True, "units": LOCAL_UNITS}
-    box = _bbox(features)
+    head |= credit.members
+    box = box_around((feature["geometry"] for feature in features), local=local)
     if box is not None:
         head["bbox"] = box
     with atomic_write(path) as handle:
@@ -77,20 +83,24 @@ def encode(value: object, *, indent: int | None = None) -> str:
     return json.dumps(value, allow_nan=False, ensure_ascii=False, separators=separators, indent=indent)
 
 
-def _bbox(features: Sequence[dict[str, Any]]) -> list[float] | None:
-    """Return the smallest box [west, south, east, north] around all positions; None without any."""
+def box_around(geometries: Iterable[dict[str, Any] | None], *, local: bool = False) -> list[float] | None:
+    """Return the smallest box [west, south, east, north] around geometries; None without any.
+
+    Across the antimeridian west is greater than east (RFC 7946, 5.2), unless they are in local metres.
+    """
     corners = [
-        feature["geometry"]["coordinates"]
-        if feature["geometry"]["type"] == "LineString"
-        else [feature["geometry"]["coordinates"]]
-        for feature in features
-        if feature["geometry"] is not None
+        np.asarray(geometry["coordinates"], dtype=np.float64).reshape(-1, 2)
+        for geometry in geometries
+        if geometry is not None
     ]
     if not corners:
         return None
-    every = np.concatenate([np.asarray(c, dtype=np.float64).reshape(-1, 2) for c in corners])
-    box: list[float] = [*every.min(axis=0).tolist(), *every.max(axis=0).tolist()]
-    return box
+    every = np.concatenate(corners)
+    (west, south), (east, north) = every.min(axis=0).tolist(), every.max(axis=0).tolist()
+    if not local and east - west > 180.0:
+        lon = every[:, 0]
+        west, east = float(lon[lon > 0.0].min()), float(lon[lon <= 0.0].max())
+    return [west, south, east, north]
 
 
 def damaged(path: Path, what: str) -> DamagedResultError:

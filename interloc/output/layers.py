@@ -1,214 +1,51 @@
-"""The layers of a result, one model per layer: the one place of their properties.
+"""The layers of a result: which there are, and how their GeoJSON files are read.
 
-Writing, reading, GeoPackage fields and the API take names, types, printed decimals and descriptions from the models
-below. Bearings and headings are degrees clockwise from north, or from +y of W without georeference. W is the frame of
-the first LiDAR pose, L that of the LiDAR at a keyframe, levelled.
+Their properties are the models of `interloc.output.properties`.
 """
 
 from __future__ import annotations
 
-import types
+import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import ValidationError, create_model
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.output.credits import OWN_CREDIT, Credit, holds_map_data, map_credit
 from interloc.output.geojson import damaged, read_file, rounded
+from interloc.output.properties import (
+    Attribute,
+    BranchProperties,
+    DetectionProperties,
+    IntersectionProperties,
+    KeyframeProperties,
+    MatchProperties,
+    OsmNodeProperties,
+    OsmRoadProperties,
+    PlaceProperties,
+    Properties,
+    Strict,
+    TrajectoryProperties,
+    UncertaintyProperties,
+    attributes_of,
+)
 
 Column = Sequence[Any] | NDArray[Any]
 """The values of a property, one per feature."""
 
+Geometry = Literal["Point", "LineString", "Polygon"]
+
 PLACES = "places"
 """Layer of a result that was placed on the map by its roads."""
 
-ATTRIBUTION = "Detections: InterLoc."
-OSM_ATTRIBUTION = "OSM data (c) OpenStreetMap contributors, ODbL 1.0, https://www.openstreetmap.org/copyright."
-
-
-@dataclass(frozen=True)
-class Decimals:
-    """How many decimals of a number are printed; NaN and infinity become null."""
-
-    places: int
-
-
-Metres = Annotated[float, Decimals(4)]
-Ratio = Annotated[float, Decimals(6)]
-WorldX = Annotated[Metres, Field(description="Position in W, metres forward of the first scan.")]
-WorldY = Annotated[Metres, Field(description="Position in W, metres to the left of the first scan.")]
-BranchCount = Annotated[int, Field(description="Number of branches.")]
-BranchBearings = Annotated[list[float], Field(description="Bearing of each branch, leaving the intersection, degrees.")]
-OsmNode = Annotated[int, Field(description="Id of the OpenStreetMap node.")]
-Verdict = Literal["right", "wrong", "unscored"]
-"""Of a detection or an intersection; unscored before an evaluation, and where the map cannot tell."""
-
 _Position = tuple[float, float]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
-
-
-class Properties(_Strict):
-    """Properties of the features of a layer."""
-
-
-class IntersectionProperties(Properties):
-    """A physical intersection, fused from all detections of it."""
-
-    id: int = Field(description="Number of the intersection, from 1 in the order of first sight.")
-    observations: int = Field(description="Number of detections fused.")
-    position_std_m: Metres = Field(description="One-sigma uncertainty of the position, metres.")
-    branch_count: BranchCount
-    branch_bearings_deg: BranchBearings
-    first_frame: int = Field(description="Scan number of the first keyframe that saw it.")
-    last_frame: int = Field(description="Scan number of the last keyframe that saw it.")
-    confidence: Ratio = Field(description="0..1, from how often it was seen when it could have been.")
-    world_x_m: WorldX
-    world_y_m: WorldY
-    uid: str | None = Field(
-        None,
-        description="Name of the place, the same in other runs: n and the id of the OpenStreetMap node where the "
-        "result was scored and there is a junction, else the cell of a grid of about 22 m.",
-    )
-    drive: str | None = Field(None, description="Name of the drive.")
-    first_time: str | None = Field(
-        None, description="Time of the first keyframe that saw it, RFC 3339; null where the drive has no times of day."
-    )
-    last_time: str | None = Field(
-        None, description="Time of the last keyframe that saw it, RFC 3339; null where the drive has no times of day."
-    )
-    outcome: Verdict = Field(
-        "unscored",
-        description="right: assigned to an OpenStreetMap node, one to one, within 10 m. wrong: to none. unscored: "
-        "before `evaluate`, beyond the map, or in the relevant zone of no keyframe.",
-    )
-    osm_id: int | None = Field(None, description="Id of the OpenStreetMap node that it is assigned to; null for none.")
-    error_m: Annotated[float | None, Decimals(4)] = Field(
-        None, description="Distance to that node, metres; null for none."
-    )
-    reason: str | None = Field(None, description="Why it is wrong or unscored; null where it is right.")
-
-
-class DetectionProperties(Properties):
-    """An intersection as one keyframe saw it, georeferenced by the fix of that keyframe."""
-
-    frame: int = Field(description="Scan number of the keyframe.")
-    x_m: Metres = Field(description="Position in L, metres forward.")
-    y_m: Metres = Field(description="Position in L, metres to the left.")
-    world_x_m: WorldX
-    world_y_m: WorldY
-    branch_count: BranchCount
-    branch_bearings_deg: BranchBearings
-    score: Ratio = Field(description="0..1, how sure the detector is.")
-    intersection: int | None = Field(description="Id of the fused intersection that it belongs to; null for none.")
-    id: str | None = Field(
-        None, description="Scan number of the keyframe and, from 1, the number of the detection at it, as 120-1."
-    )
-    time: str | None = Field(
-        None, description="Time of the keyframe, RFC 3339; null where the drive has no times of day."
-    )
-    outcome: Verdict = Field(
-        "unscored",
-        description="right: within 5 m of the nearest OpenStreetMap node of the region of interest. wrong: not. "
-        "unscored: before `evaluate`, or beyond the map.",
-    )
-    osm_id: int | None = Field(
-        None, description="Id of the nearest OpenStreetMap node in the region of interest, however far; null for none."
-    )
-    error_m: Annotated[float | None, Decimals(4)] = Field(
-        None, description="Distance to that node, metres; null for none."
-    )
-    reason: str | None = Field(None, description="Why it is wrong or unscored; null where it is right.")
-
-
-class TrajectoryProperties(Properties):
-    """The track of the LiDAR as one line; beside its geometry `world_xy_m`, the same line in W."""
-
-    scans: int = Field(description="Number of scans of the drive.")
-    thinned_to_m: float = Field(description="Smallest distance between two positions of the line, metres.")
-
-
-class KeyframeProperties(Properties):
-    """The LiDAR at a keyframe."""
-
-    frame: int = Field(description="Scan number.")
-    time_s: Annotated[float | None, Decimals(6)] = Field(description="Seconds since the first scan; null if unknown.")
-    heading_deg: Annotated[float, Decimals(6)] = Field(description="Heading of the LiDAR, degrees.")
-    detections: int = Field(description="Number of detections.")
-    world_x_m: WorldX
-    world_y_m: WorldY
-    world_yaw_rad: Annotated[float, Decimals(9)] = Field(
-        description="Heading in W, radians counter-clockwise from +x. "
-        "The region of interest is aligned with W, not with the heading."
-    )
-
-
-class OsmNodeProperties(Properties):
-    """A ground truth intersection of OpenStreetMap."""
-
-    osm_id: OsmNode
-    degree: int = Field(description="Number of roads that meet there.")
-    in_zone: bool = Field(description="Whether it was in the relevant zone of a keyframe, so it should be found.")
-    found: bool = Field(description="Whether a detection within 5 m was matched to it.")
-    keyframes_in_zone: int = Field(description="Number of keyframes with the node in their relevant zone.")
-    keyframes_missed: int = Field(description="Number of these keyframes without a detection matched to it.")
-    detections: int = Field(description="Number of detections matched to it.")
-    median_error_m: Annotated[float | None, Decimals(4)] = Field(
-        description="Median distance of these detections, metres; null if there are none."
-    )
-    outcome: Literal["found", "missed", "outside"] = Field(
-        "outside",
-        description="found: an intersection of the map is assigned to it, one to one, within 10 m. missed: none is. "
-        "outside: in the relevant zone of no keyframe, so it cannot be missed.",
-    )
-    intersection: int | None = Field(None, description="Id of the intersection assigned to it; null for none.")
-    reason: str | None = Field(None, description="Why it was missed; null where it was not.")
-
-
-class MatchProperties(Properties):
-    """A detection and the OpenStreetMap node that it was matched to."""
-
-    frame: int = Field(description="Scan number of the keyframe.")
-    error_m: Metres = Field(description="Length of the line, metres.")
-    outcome: Literal["TP", "FP"] = Field(description="TP within 5 m of the node, else FP.")
-    osm_id: OsmNode
-    detection: str | None = Field(
-        None, description="The detection: its scan number and, from 1, its number at that keyframe, as 120-1."
-    )
-    intersection: int | None = Field(
-        None, description="Id of the fused intersection that the detection belongs to; null for none."
-    )
-
-
-class OsmRoadProperties(Properties):
-    """A way of OpenStreetMap around the drive; one that leaves the surroundings and returns is several lines."""
-
-    osm_id: int = Field(description="Id of the OpenStreetMap way.")
-    highway: str = Field(description="Value of its tag `highway`.")
-    name: str | None = Field(description="Name or else reference number; null if it has none.")
-    is_drivable: bool = Field(description="Whether it is a road under policy drive+service.")
-
-
-class PlaceProperties(Properties):
-    """The track of a drive at a place of the map that it fits; the first is where it was found to be."""
-
-    rank: int = Field(description="1 for the best place; the others are those that came next.")
-    score: Ratio = Field(description="How well the place explains the drive; 1.5 is a perfect fit.")
-    on_roads: Ratio = Field(description="0..1, how much of the track runs along roads.")
-    intersections_seen: int = Field(description="Number of passages of intersections that the drive saw.")
-    intersections_at_nodes: int = Field(description="Number of these that lie at an intersection of the map.")
-    heading_deg: Annotated[float, Decimals(1)] = Field(description="Heading at the first scan, degrees.")
-
-
-_KINDS = {bool: "bool", int: "int", float: "float", str: "text", Literal: "text", list: "list"}
 
 
 @dataclass(frozen=True)
@@ -234,7 +71,7 @@ class Layer:
 
     name: str
     title: str
-    geometry: Literal["Point", "LineString"]
+    geometry: Geometry
     properties: type[Properties]
     label: str
     is_osm: bool = False
@@ -247,18 +84,36 @@ class Layer:
 
     @property
     def attribution(self) -> str:
-        """Who is to be named where the layer is shown."""
-        return f"{ATTRIBUTION} {OSM_ATTRIBUTION}" if self.is_osm else ATTRIBUTION
+        """Who is to be named where the layer is shown, as far as the layer alone tells; see `credit`."""
+        return self.credit([]).attribution
 
     @property
     def description(self) -> str:
         """What a feature is."""
         return self.properties.__doc__ or ""
 
+    @cached_property
+    def attributes(self) -> list[Attribute]:
+        """Its properties, described."""
+        return attributes_of(self.properties)
+
     @property
     def fields(self) -> dict[str, str]:
-        """Property -> int, float, bool, text or list."""
-        return {name: _kind(field.annotation) for name, field in self.properties.model_fields.items()}
+        """Property -> int, float, bool, text, time or list."""
+        return {each.name: each.kind for each in self.attributes}
+
+    def credit(self, features: Iterable[dict[str, Any]], *, made_up_map: bool = False) -> Credit:
+        """Return whose data features of the layer are: also of OpenStreetMap, where it is a layer of it or was scored.
+
+        Parameters
+        ----------
+        features
+            GeoJSON features.
+        made_up_map
+            Whether the map was made up by a simulator.
+        """
+        of_map = self.is_osm or holds_map_data(each["properties"] for each in features)
+        return map_credit(is_made_up=made_up_map) if of_map else OWN_CREDIT
 
     def features(self, coordinates: Iterable[Any], **columns: Column) -> list[dict[str, Any]]:
         """Return GeoJSON features as they are printed.
@@ -270,9 +125,9 @@ class Layer:
         **columns
             The values of each property of the layer.
         """
-        names = list(self.properties.model_fields)
+        names = [each.name for each in self.attributes]
         assert columns.keys() == set(names)
-        printed = [_printed(columns[name], self.properties.model_fields[name].metadata) for name in names]
+        printed = [_printed(columns[each.name], each.decimals) for each in self.attributes]
         rows = [dict(zip(names, row, strict=True)) for row in zip(*printed, strict=True)]
         ids = [self.name] * len(rows) if self.key is None else [row[self.key] for row in rows]
         return [
@@ -295,32 +150,45 @@ class Layer:
         """
         content = read_file(path)
         try:
-            return Rows(path, self._file.model_validate_json(content).features)
+            collection = self._file.model_validate_json(content)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             place = ".".join(str(step) for step in first["loc"])  # features.2.properties.x_m
             raise damaged(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+        rows: list[Any] = collection.features
+        if collection.attribution is not None:
+            return Rows(path, rows, Credit(collection.attribution, collection.license))
+        # Versions before did not write it.
+        return Rows(path, rows, self.credit({"properties": vars(row.properties)} for row in rows))
+
+    def rows(self, features: Sequence[dict[str, Any]], credit: Credit, path: Path) -> Rows:
+        """Return GeoJSON features of the layer as those of a file that was read."""
+        collection = {"type": "FeatureCollection", "features": features}
+        return Rows(path, self._file.model_validate_json(json.dumps(collection)).features, credit)
 
     @cached_property
     def _file(self) -> Any:  # noqa: ANN401 - a model that is made here
         """Model of the whole file."""
         is_point = self.geometry == "Point"
         kind: Any = Literal[self.geometry]
-        geometry = create_model(
-            "Geometry",
-            __base__=_Strict,
-            type=(kind, ...),
-            coordinates=(_Position if is_point else list[_Position], ...),
-        )
+        shapes: dict[str, Any] = {"Point": _Position, "LineString": list[_Position], "Polygon": list[list[_Position]]}
+        geometry = create_model("Geometry", __base__=Strict, type=(kind, ...), coordinates=(shapes[self.geometry], ...))
         feature = create_model(
             "Feature",
-            __base__=_Strict,
+            __base__=Strict,
             geometry=(geometry if is_point else geometry | None, ...),
             properties=(self.properties, ...),
             world_xy_m=(tuple[_Position, ...], ()),  # of the trajectory
         )
         collection: Any = Literal["FeatureCollection"]
-        return create_model("Collection", __base__=_Strict, type=(collection, ...), features=(list[feature], ...))
+        return create_model(
+            "Collection",
+            __base__=Strict,
+            type=(collection, ...),
+            features=(list[feature], ...),
+            attribution=(str | None, None),
+            license=(str | None, None),
+        )
 
 
 LAYERS = {
@@ -375,6 +243,23 @@ LAYERS = {
         ),
     )
 }
+"""The layers that are files of a result."""
+
+DERIVED = {
+    layer.name: layer
+    for layer in (
+        Layer("branches", "Branches of the intersections", "LineString", BranchProperties, "{bearing_deg:.0f} degrees"),
+        Layer(
+            "uncertainty",
+            "Uncertainty of the intersections",
+            "Polygon",
+            UncertaintyProperties,
+            "Intersection {intersection}, within {radius_m:.1f} m",
+            key="intersection",
+        ),
+    )
+}
+"""The layers that exports make of the intersections, see `interloc.output.derived`."""
 
 
 @dataclass(frozen=True)
@@ -387,10 +272,12 @@ class Rows:
         The file.
     features : list
         Features, with `geometry`, `properties` (a model of the layer) and `world_xy_m`.
+    credit : Credit
     """
 
     path: Path
     features: list[Any]
+    credit: Credit
 
     def column(self, name: str) -> list[Any]:
         """Return a property of all features."""
@@ -414,12 +301,6 @@ class Rows:
         return np.array([f.geometry.coordinates for f in self.features], dtype=np.float64).reshape(-1, 2)
 
 
-def _kind(annotation: Any) -> str:  # noqa: ANN401
-    """Return the kind of a property from its annotation, null aside."""
-    alternatives = get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
-    return _KINDS[get_origin(alternatives[0]) or alternatives[0]]
-
-
 def _unique(ids: list[Any]) -> list[Any]:
     """Return ids that are all different: 7, 7, 8 becomes "7-1", "7-2", "8"; those that are different already stay."""
     if len(set(ids)) == len(ids):
@@ -433,8 +314,11 @@ def _unique(ids: list[Any]) -> list[Any]:
     return named
 
 
-def _printed(values: Column, metadata: list[Any]) -> Sequence[Any]:
-    """Return a column as plain values, rounded where its field says so."""
+def _printed(values: Column, decimals: int | None) -> Sequence[Any]:
+    """Return a column as plain values, rounded where its property says so."""
     plain: Sequence[Any] = values.tolist() if isinstance(values, np.ndarray) else values
-    places = next((each.places for each in metadata if isinstance(each, Decimals)), None)
-    return plain if places is None else [rounded(value, places) for value in plain]
+    return plain if decimals is None else [_rounded(value, decimals) for value in plain]
+
+
+def _rounded(value: Any, decimals: int) -> Any:  # noqa: ANN401 - a number or a list of them
+    return [rounded(each, decimals) for each in value] if isinstance(value, list) else rounded(value, decimals)

@@ -6,6 +6,7 @@ file                      content
 ``run.json``              what the run was: format version, list of files, configuration, versions, timings
 ``LAYER.geojson``         one per table of the run; properties: the models of `interloc.output.layers`
 ``LAYER.local.json``      the same of a run without georeference, in metres of W
+``road.tif``              the road seen by LiDAR, a GeoTIFF; not in folders of older versions
 ``report.json``, ...      after an evaluation: the report, its figures, and the layers that hold OpenStreetMap data
 ========================  ==============================================================================================
 """
@@ -25,8 +26,9 @@ FORMAT_VERSION = 1
 RUN_FILE = "run.json"
 """The file that makes a folder a result folder; written last."""
 
-RUN_KEYS = ("format", "format_version", "drive_name", "georeferenced", "files")
-"""What `run.json` holds before what the run records about itself."""
+RUN_KEYS = ("format", "format_version", "drive_name", "georeferenced", "files", "first_time", "last_time")
+"""What `run.json` holds before what the run records about itself; the times are those of the first and the last
+keyframe, RFC 3339, or null."""
 
 RUN_SETTINGS = ("config", "fusion")
 """What of `run.json` is settings; the rest is facts about the run."""
@@ -64,6 +66,7 @@ RESULT_NAMES = frozenset(
         "report.html",
         *(f"{layer.name}.geojson" for layer in LAYERS.values() if layer.is_osm),
         "figures",
+        "road.tif",
     ]
 )
 """What InterLoc itself puts into a result folder. All else in there is the user's and survives a new run."""

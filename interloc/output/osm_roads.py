@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.osm.intersections import road_ways
-from interloc.output.geojson import positions, write_collection
+from interloc.output.geojson import positions
 from interloc.output.layers import LAYERS
-
-ROADS_FILE = "osm_roads.geojson"
 
 
 def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
@@ -51,14 +48,3 @@ def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
         name=[graph.ways.name[row] or None for row in rows],
         is_drivable=road_ways(graph, "drive+service")[rows],
     )
-
-
-def write_roads(graph: RoadGraph, bounds: Bounds, folder: Path) -> None:
-    """Write `osm_roads.geojson` into a result folder.
-
-    Raises
-    ------
-    OutputError
-        The file could not be written.
-    """
-    write_collection(folder / ROADS_FILE, road_features(graph, bounds), local=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,27 @@ from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, f
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
 
 
-def read_results(folder: Path) -> DriveResult:
-    """Read what `write_results` wrote, to the printed precision (0.1 mm; the trajectory is the thinned one).
+def read_results(folder: str | os.PathLike[str]) -> DriveResult:
+    """Read what `write_results` wrote, to the printed precision: 1 cm on the earth, 0.1 mm in W.
+
+    The trajectory is the thinned one.
+
+    Parameters
+    ----------
+    folder
+        The result folder.
+
+    Parameters
+    ----------
+    folder
+        The result folder.
 
     Raises
     ------
     OutputError
         The folder is not a result, is damaged, or was written by a newer version.
     """
+    folder = Path(folder)
     run = _read_run(folder)
     georeferenced = run["georeferenced"]
     names = file_names(georeferenced=georeferenced)

@@ -1,31 +1,59 @@
-"""A result as GeoPackage, FlatGeobuf or KML, for QGIS, Google Earth and other GIS.
+"""A result as GeoPackage, FlatGeobuf, KML, CSV or GeoJSON, for QGIS, Google Earth, spreadsheets and other programs.
 
-The layers are those of the GeoJSON files, position for position and property for property; lists are JSON text.
+The layers are those of the GeoJSON files, position for position and property for property, and those that are made of
+them (`interloc.output.derived`). Lists are JSON text, but in GeoJSON.
 """
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import os
+import re
+import sqlite3
+import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
 from interloc.files import atomic_write, reason_of
-from interloc.output.geojson import read_json
-from interloc.output.layers import LAYERS, Layer, Rows
+from interloc.output.derived import derive
+from interloc.output.geojson import read_file, read_json, write_collection
+from interloc.output.geopackage import describe
+from interloc.output.layers import DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
-"""Suffix -> driver of GDAL. A GeoPackage holds all layers, the others hold one."""
+"""Suffix -> driver of GDAL."""
 
-_DTYPES = {"int": "Int64", "float": "float64", "bool": "boolean", "text": "object", "list": "object"}
+SUFFIXES = (*DRIVERS, ".csv", ".geojson")
+"""A GeoPackage holds all layers, the others hold one."""
+
+EXPORTS = LAYERS | DERIVED
+
+PLACE_IT = (
+    "Place it: `interloc locate DRIVE --osm MAP -o geo.csv` finds it by its roads, or put a geo.csv into the drive; "
+    "then detect again"
+)
+"""What makes a result in metres one on the map."""
+
+_DTYPES = {
+    "int": "Int64",
+    "float": "float64",
+    "bool": "boolean",
+    "text": "object",
+    "time": "datetime64[ms, UTC]",
+    "list": "object",
+}
 """Kind of a property -> column of pandas; those with a capital letter and the objects know null."""
 
-_KML_NAMES = {"id": "number", "name": "street"}
-"""Properties that mean something else in KML -> what they are called there."""
+_KML_NAMES = {"id": "number", "name": "street", "time": "timestamp", "first_time": "begin", "last_time": "end"}
+"""Properties that mean something else in KML, or something that KML has a name for -> what they are called there."""
+
+_FORMULA = re.compile(r"[=+\-@\t\r](?![\d.,+-]*$)")
+"""Start of a text that spreadsheets would run; plain numbers are harmless."""
 
 
 def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> list[str]:
@@ -34,11 +62,11 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     Parameters
     ----------
     result
-        Result folder of a georeferenced drive.
+        Result folder. One without georeference is written in metres of its own frame, without a coordinate system.
     out
-        ``.gpkg``, ``.fgb`` or ``.kml``; an older file of that name is replaced.
+        ``.gpkg``, ``.fgb``, ``.kml``, ``.csv`` or ``.geojson``; an older file of that name is replaced.
     layer : str or None
-        One of `LAYERS`. None: all layers of the result in a GeoPackage, else the intersections.
+        One of `EXPORTS`. None: all layers of the result in a GeoPackage, else the intersections.
 
     Returns
     -------
@@ -50,27 +78,43 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     ConfigError
         The format or the layer is unknown, or the result has no such layer because it was not evaluated.
     GeoreferenceError
-        The result is in local metres.
+        The result is in local metres, and is to be written as KML.
     OutputError
         `result` is not a result folder, or `out` could not be written.
     """
-    driver = DRIVERS.get(out.suffix.lower())
-    if driver is None:
-        raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(DRIVERS)}.")
-    names = _choose(result, layer, driver)
-    layers = [(LAYERS[name], LAYERS[name].read(result / f"{name}.geojson")) for name in names]
-    if driver == "GPKG":
-        _write_database(out, layers)
+    suffix = out.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(SUFFIXES)}.")
+    names = _choose(result, layer, suffix)
+    layers = [(EXPORTS[name], _read(result, name)) for name in names]
+    if suffix == ".gpkg":
+        _write_database(out, layers, read_file(result / RUN_FILE).decode())
         return names
     ((only, rows),) = layers
+    if suffix == ".geojson":
+        write_collection(out, _features(only, rows), local=_in_metres(rows), credit=rows.credit)
+        return names
     buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
-    _write_layer(buffer, driver, only, rows)
+    if suffix == ".csv":
+        buffer.write(_csv(only, rows).encode())
+    else:
+        _write_layer(buffer, DRIVERS[suffix], only, rows)
     with atomic_write(out) as file:
         file.write(buffer.getvalue())
     return names
 
 
-def _write_database(out: Path, layers: list[tuple[Layer, Rows]]) -> None:
+def _read(result: Path, name: str) -> Rows:
+    if name in DERIVED:
+        return derive(name, LAYERS["intersections"].read(result / "intersections.geojson"))
+    return LAYERS[name].read(_file_of(result, name))
+
+
+def _in_metres(rows: Rows) -> bool:
+    return rows.path.name in file_names(georeferenced=False).values()
+
+
+def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str) -> None:
     """Write a GeoPackage: SQLite needs a file that it can seek in, and others beside it."""
     prefix = f".{out.name[:100]}.partial-"
     try:
@@ -78,35 +122,57 @@ def _write_database(out: Path, layers: list[tuple[Layer, Rows]]) -> None:
             database = Path(folder) / out.name
             for number, (layer, rows) in enumerate(layers):
                 _write_layer(database, "GPKG", layer, rows, append=number > 0)
+            describe(database, [(layer, rows.credit) for layer, rows in layers], run)
             with database.open("rb") as file:
                 os.fsync(file.fileno())
             database.replace(out)
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
-    except RuntimeError as error:  # of GDAL
+    except (RuntimeError, sqlite3.Error) as error:  # of GDAL, of SQLite
         reason = str(error).replace(folder, str(out.parent))
         raise OutputError(f"{out} could not be written: {reason}") from error
 
 
-def _choose(result: Path, layer: str | None, driver: str) -> list[str]:
+def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     """Return the names of the layers to write."""
     wanted = None if layer is None else layer.replace("-", "_")
-    if wanted is not None and wanted not in LAYERS:
-        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(LAYERS)}.")
-    if not read_json(result / RUN_FILE).get("georeferenced"):
-        local = file_names(georeferenced=False)["intersections"]
+    if wanted is not None and wanted not in EXPORTS:
+        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}.")
+    local = is_local(result)
+    if local and suffix == ".kml":
         raise GeoreferenceError(
-            f"{result} is in metres of its own frame, not in longitude and latitude: the drive has no georeference. "
-            f"{local} holds the same."
+            f"{result} is in metres of its own frame, and KML knows longitude and latitude only: the drive has no "
+            f"georeference. {PLACE_IT}, or write a .gpkg or .fgb, in metres."
         )
-    there = [name for name in LAYERS if (result / f"{name}.geojson").exists()]
+    there = [name for name in LAYERS if _file_of(result, name).exists()]
+    if not local:
+        there += DERIVED
     if wanted is None:
-        return there if driver == "GPKG" else ["intersections"]
+        return there if suffix == ".gpkg" else ["intersections"]
     if wanted not in there:
-        raise ConfigError(
-            f"{result} has no {wanted}.geojson. It was not scored against a map: `interloc evaluate` does that."
-        )
+        raise ConfigError(f"{result} has no {wanted}.geojson. {_why_missing(result, wanted)}")
     return [wanted]
+
+
+def _why_missing(result: Path, layer: str) -> str:
+    if is_local(result):
+        return f"It is in metres of its own frame: the drive has no georeference. {PLACE_IT}."
+    if layer == PLACES:
+        return "Only a drive that was placed on the map by its roads has it: `interloc run --locate` does that."
+    if (result / "report.json").exists():
+        return "An older version of InterLoc scored it; `interloc evaluate` writes the layer."
+    return "It was not scored against a map: `interloc evaluate` does that."
+
+
+def is_local(result: Path) -> bool:
+    """Return whether a result folder is in metres of its own frame, for want of a georeference."""
+    return not read_json(result / RUN_FILE).get("georeferenced")
+
+
+def _file_of(result: Path, name: str) -> Path:
+    """Return the file of a layer, which has another name where it is in metres."""
+    local = result / file_names(georeferenced=False).get(name, "")
+    return local if local.is_file() else result / f"{name}.geojson"
 
 
 def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows, *, append: bool = False) -> None:
@@ -117,33 +183,84 @@ def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows,
         small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
         table = table.astype(small).rename(columns=_KML_NAMES)
         table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
-    metadata = {"TITLE": layer.title, "ATTRIBUTION": layer.attribution}
+    told = f"{layer.description} {rows.credit.attribution}"
     title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]
-    table.to_file(
-        sink,
-        driver=driver,
-        engine="pyogrio",
-        mode="a" if append else "w",
-        layer=layer.name,
-        geometry_type=layer.geometry,
-        layer_metadata=metadata if driver == "GPKG" else None,
-        layer_options={title: layer.title, "DESCRIPTION": layer.attribution},
-    )
+    is_database = driver == "GPKG"
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "'crs' was not provided")  # metres claim no place
+        table.to_file(
+            sink,
+            driver=driver,
+            engine="pyogrio",
+            mode="a" if append else "w",
+            layer=layer.name,
+            geometry_type=layer.geometry,
+            # GDAL before 3.7, as in Debian 12, warns of version 1.4.
+            dataset_options={"VERSION": "1.3"} if is_database and not append else None,
+            layer_options={title: layer.title, "DESCRIPTION": told},
+        )
+
+
+def _features(layer: Layer, rows: Rows) -> list[dict[str, Any]]:
+    """Return rows as GeoJSON features again."""
+    places = [None if each.geometry is None else each.geometry.coordinates for each in rows.features]
+    return layer.features(places, **{name: rows.column(name) for name in layer.fields})
+
+
+def _csv(layer: Layer, rows: Rows) -> str:
+    """Return rows as RFC 4180 with a head: points with `lon`, `lat` or `x_m`, `y_m`, others with `wkt`; null is empty.
+
+    Where the rows hold data of OpenStreetMap, the last column says so.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text)
+    point = ["x_m", "y_m"] if _in_metres(rows) else ["lon", "lat"]
+    place = point if layer.geometry == "Point" else ["wkt"]
+    credit = [] if rows.credit.license is None else [rows.credit.attribution]
+    writer.writerow([*place, *layer.fields, *(["attribution"] if credit else [])])
+    for feature in rows.features:
+        values = [_cell(getattr(feature.properties, name)) for name in layer.fields]
+        writer.writerow([*_place(layer, feature.geometry), *values, *credit])
+    return text.getvalue()
+
+
+def _place(layer: Layer, geometry: Any) -> list[Any]:  # noqa: ANN401
+    if layer.geometry == "Point":
+        return list(geometry.coordinates)
+    if geometry is None:
+        return [""]
+    line = geometry.coordinates[0] if layer.geometry == "Polygon" else geometry.coordinates
+    inside = ", ".join(f"{lon:.7f} {lat:.7f}" for lon, lat in line)
+    return [f"{layer.geometry.upper()} (({inside}))" if layer.geometry == "Polygon" else f"LINESTRING ({inside})"]
+
+
+def _cell(value: Any) -> Any:  # noqa: ANN401
+    """Return a value as a cell; a text that spreadsheets would run as a formula gets an apostrophe in front."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return json.dumps(value, separators=(",", ":"))
+    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
 
 
 def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no types
     """Return a GeoDataFrame with the properties of the layer, null where they are null, and lists as JSON text."""
-    import shapely  # noqa: PLC0415 - slow to import
+    import pandas  # noqa: PLC0415, ICN001 - slow to import
+    import shapely  # noqa: PLC0415
     from geopandas import GeoDataFrame  # noqa: PLC0415
 
     places: Any
     if layer.geometry == "Point":
         places = shapely.points(rows.points())
-    else:
+    elif layer.geometry == "LineString":
         places = [f.geometry and shapely.LineString(f.geometry.coordinates) for f in rows.features]
+    else:
+        places = [shapely.Polygon(f.geometry.coordinates[0]) for f in rows.features]
     columns = {name: rows.column(name) for name in layer.fields}
     for name, kind in layer.fields.items():
         if kind == "list":
             columns[name] = [json.dumps(value, separators=(",", ":")) for value in columns[name]]
-    table = GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
+        if kind == "time":
+            columns[name] = pandas.to_datetime(columns[name], utc=True, format="ISO8601")
+    table = GeoDataFrame(columns, geometry=places, crs=None if _in_metres(rows) else "EPSG:4326")
     return table.astype({name: _DTYPES[kind] for name, kind in layer.fields.items()})

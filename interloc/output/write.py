@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic_core import to_jsonable_python
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
 from interloc.errors import OutputError
 from interloc.files import atomic_write, reason_of
-from interloc.geometry import bearing_deg
+from interloc.geometry import bearing_deg, thin
+from interloc.mapping.mosaic import build_mosaic
 from interloc.output.geojson import bearings, encode, positions, write_collection
 from interloc.output.layers import LAYERS
 from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, file_names
+from interloc.output.road import ROAD_FILE, write_road
 from interloc.output.uids import place_uids
 from interloc.results import DriveResult, Verdicts
 
 TRAJECTORY_STEP_M = 0.5
 
 
-def write_results(result: DriveResult, folder: Path) -> None:
+def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     """Write the files of a run into a folder.
 
     Parameters
@@ -40,30 +43,39 @@ def write_results(result: DriveResult, folder: Path) -> None:
 
     Notes
     -----
-    `run.json` is removed first and written last: a folder that has it is complete. The trajectory is thinned to one
+    `run.json` is removed first and written last: a folder that has it is complete. `road.tif` is written where the run
+    kept the road around its keyframes (`DriveResult.road`). The trajectory is thinned to one
     point every 0.5 m; first and last scan stay.
     """
+    folder = Path(folder)
     names = file_names(georeferenced=result.is_georeferenced)
     local = not result.is_georeferenced
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for stale in (RUN_FILE, *file_names(georeferenced=local).values()):
+        for stale in (RUN_FILE, ROAD_FILE, *file_names(georeferenced=local).values()):
             (folder / stale).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
-    tables = {
-        "detections": detection_features(result),
-        "keyframes": _keyframe_features(result),
-        "trajectory": [trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)],
-        "intersections": intersection_features(result),
-    }
-    for table, features in tables.items():
-        write_collection(folder / names[table], features, local=local)
-    own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, [*names.values(), RUN_FILE])
+    for table, features_of in TABLE_FEATURES.items():
+        write_collection(folder / names[table], features_of(result), local=local)
+    times = [each for each in result.keyframes.moments if each is not None]
+    first, last = (times[0], times[-1]) if times else (None, None)
+    rasters = _write_rasters(result, folder)
+    files = [*names.values(), *rasters, RUN_FILE]
+    own = (FORMAT, FORMAT_VERSION, result.drive, result.is_georeferenced, files, first, last)
     facts = to_jsonable_python(result.run, inf_nan_mode="null", fallback=_as_number_or_text)
     run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
     with atomic_write(folder / RUN_FILE) as handle:
         handle.write(encode(run, indent=2).encode() + b"\n")
+
+
+def _write_rasters(result: DriveResult, folder: Path) -> list[str]:
+    """Write the road seen by LiDAR, where the run kept any; returns the names of the files."""
+    mosaic = build_mosaic(result)
+    if not mosaic.raster.tiles:
+        return []
+    write_road(mosaic, folder / ROAD_FILE)
+    return [ROAD_FILE]
 
 
 def _coordinates(world_xy: FloatArray, lonlat: FloatArray | None) -> list[list[float]]:
@@ -107,6 +119,7 @@ def _keyframe_features(result: DriveResult) -> list[dict[str, Any]]:
         world_x_m=table.world_xy[:, 0],
         world_y_m=table.world_xy[:, 1],
         world_yaw_rad=table.world_yaw_rad,
+        time=table.moments,
     )
 
 
@@ -149,18 +162,6 @@ def intersection_features(
     )
 
 
-def thin(xy: FloatArray, step_m: float) -> IntArray:
-    """Return the rows of (N, 2) positions that lie `step_m` or more from the one kept before; first and last stay."""
-    kept: list[int] = []
-    x, y = xy[:, 0].tolist(), xy[:, 1].tolist()
-    for row in range(len(xy)):
-        if not kept or (x[row] - x[kept[-1]]) ** 2 + (y[row] - y[kept[-1]]) ** 2 >= step_m**2:
-            kept.append(row)
-    if kept and kept[-1] != len(xy) - 1:
-        kept.append(len(xy) - 1)
-    return np.array(kept, dtype=np.int64)
-
-
 def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: FloatArray | None) -> dict[str, Any]:
     """Return the LineString of a track over all N scans, thinned; one of a single scan repeats it (RFC 7946, 3.1.4).
 
@@ -179,6 +180,15 @@ def trajectory_feature(trajectory_world_xy: FloatArray, trajectory_lonlat: Float
         [line or None], scans=[len(trajectory_world_xy)], thinned_to_m=[TRAJECTORY_STEP_M]
     )
     return feature | {"world_xy_m": positions(world_xy, local=True)}
+
+
+TABLE_FEATURES: dict[str, Callable[[DriveResult], list[dict[str, Any]]]] = {
+    "detections": detection_features,
+    "keyframes": _keyframe_features,
+    "trajectory": lambda result: [trajectory_feature(result.trajectory_world_xy, result.trajectory_lonlat)],
+    "intersections": intersection_features,
+}
+"""The features of each layer of a run, before any evaluation, in the order in which they are written."""
 
 
 def _as_number_or_text(value: Any) -> Any:  # noqa: ANN401

@@ -16,6 +16,7 @@ from interloc.arrays import FloatArray
 from interloc.errors import ConfigError
 from interloc.files import atomic_write
 from interloc.geometry import bearing_deg
+from interloc.osm.container import SIMULATOR
 from interloc.osm.intersections import DRIVABLE
 from interloc.simulate.config import DEFAULT_OPTIONS, SceneConfig, SimulationOptions, TrackConfig
 from interloc.simulate.drive import Progress, simulate_map
@@ -118,7 +119,7 @@ class Town:
         low, high = np.min([p for _, p, _ in nodes], axis=0), np.max([p for _, p, _ in nodes], axis=0)
         lines = [
             "<?xml version='1.0' encoding='UTF-8'?>",
-            '<osm version="0.6" generator="interloc simulate">',
+            f'<osm version="0.6" generator="{SIMULATOR}">',
             f' <bounds minlat="{low[1]:.7f}" minlon="{low[0]:.7f}" maxlat="{high[1]:.7f}" maxlon="{high[0]:.7f}"/>',
         ]
         for node_id, (lon, lat), circle in nodes:

@@ -110,6 +110,11 @@ export function encodePath(path) {
   return path.split("/").map(encodeURIComponent).join("/");
 }
 
+/** @returns {string} A key that no other request has. */
+export function newKey() {
+  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
 /** @param {Record<string, string>} [extra] @returns {Record<string, string>} */
 export function authHeaders(extra = {}) {
   const token = getToken();

@@ -2,7 +2,7 @@
  * What panels are made of: fields, choices, buttons, tables, dialogs.
  * @module controls
  */
-import { el, icon } from "./dom.js";
+import { el, fill, icon } from "./dom.js";
 
 let count = 0;
 
@@ -96,6 +96,29 @@ export function filePicker(content, onPick, { accept, multiple, folder, name, cl
 export function iconButton(symbol, label, onClick, title = label) {
   const props = { type: "button", class: "square plain", title, "aria-label": label, onClick };
   return el("button", props, icon(symbol));
+}
+
+/**
+ * A button that copies a text.
+ * @param {string} name
+ * @param {() => string} text
+ */
+export function copyButton(name, text) {
+  const button = el("button", { type: "button", onClick: () => void copy() }, icon("copy"), name);
+  const copy = async () => {
+    try {
+      await navigator.clipboard.writeText(text());
+    } catch {
+      const area = el("textarea", { value: text(), class: "unseen" }); // plain http has no clipboard of its own
+      document.body.append(area);
+      area.select();
+      document.execCommand("copy");
+      area.remove();
+    }
+    fill(button, icon("check"), "Copied");
+    setTimeout(() => fill(button, icon("copy"), name), 1500);
+  };
+  return button;
 }
 
 /** @param {string} title @param {...any} children */

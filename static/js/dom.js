@@ -94,6 +94,12 @@ export function announce(text) {
   if (region && region.textContent !== text) region.textContent = text;
 }
 
+/** @param {KeyboardEvent} event @returns {boolean} Whether a key belongs to a field, a dialog or the browser. */
+export function isTyping({ target, ctrlKey, metaKey, altKey }) {
+  const fields = "input:not([type=range]):not([type=checkbox]):not([type=radio]), select, textarea, dialog";
+  return ctrlKey || metaKey || altKey || Boolean(/** @type {HTMLElement} */ (target).closest(fields));
+}
+
 const thin = "\u00a0";
 
 /** @param {number} count @returns {string} 12345 -> "12,345" */
@@ -151,5 +157,16 @@ export function formatAgo(iso) {
   if (seconds < 3600) return `${Math.max(1, Math.round(seconds / 60))} min ago`;
   if (seconds < 20 * 3600) return `${Math.round(seconds / 3600)} h ago`;
   if (seconds < 44 * 3600) return "yesterday";
-  return then.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric" });
+  return formatDate(iso, Intl.DateTimeFormat().resolvedOptions().timeZone);
+}
+
+/**
+ * @param {string} iso
+ * @param {string} [timeZone] Of the day.
+ * @returns {string} "2015-02-17T11:18:02Z" -> "17 Feb 2015"; what is not a date stays as it is.
+ */
+export function formatDate(iso, timeZone = "UTC") {
+  const day = new Date(iso);
+  if (Number.isNaN(day.getTime())) return iso;
+  return day.toLocaleDateString("en-GB", { day: "numeric", month: "short", year: "numeric", timeZone });
 }

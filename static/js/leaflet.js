@@ -17,6 +17,7 @@ export const {
   DivIcon,
   DomEvent,
   DomUtil,
+  ImageOverlay,
   latLngBounds,
   Layer,
   LayerGroup,

@@ -7,7 +7,7 @@
  * Layers, the lowest first; a module imports from its own folder and from lines above its own, no others:
  *   dom  leaflet  state
  *   api  controls
- *   messages  data
+ *   messages  data  shortcuts
  *   map  job
  *   bev  drives  exports  report  upload
  *   shell
@@ -19,7 +19,8 @@ import { mountDrawer } from "./bev/drawer.js";
 import { mountStage } from "./map/stage.js";
 import { askForToken, showError } from "./messages.js";
 import { mountHeader, mountTabs } from "./shell.js";
-import { getState, setState, subscribe } from "./state.js";
+import { mountShortcuts } from "./shortcuts.js";
+import { setState } from "./state.js";
 
 const PANELS = {
   drives: { title: "Drives", load: () => import("./drives/panel.js") },
@@ -47,7 +48,7 @@ async function start() {
   });
   mountDrawer(part("drawer"));
   await mountStage();
-  subscribe(["drive", "job"], () => (document.title = getState().job ? "InterLoc – result" : "InterLoc"));
+  mountShortcuts();
 }
 
 start().catch(showError);

@@ -3,20 +3,30 @@
  * @module shell
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
-import { lists, loadPresets, onListsChange, refreshLists } from "./data/lists.js";
+import { lists, onListsChange, refreshLists, watchLists } from "./data/lists.js";
+import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
 import { jobName, openDrive } from "./job/words.js";
 import { askForToken, problemNote, showError } from "./messages.js";
+import { listShortcuts } from "./shortcuts.js";
 import { getState, setState, subscribe } from "./state.js";
+
+/** Where the keyframe takes the place of the panel; see shell.css. */
+const narrow = matchMedia("(max-width: 1279.98px)");
 
 /** @param {HTMLElement} header */
 export function mountHeader(header) {
-  const openJob = () => setState({ job: jobs.value || null, frame: null, view: null });
+  const openJob = () => {
+    const { job: before, compare } = getState();
+    const others = compare?.map((each) => (each === jobs.value ? before : each)).filter((each) => each !== null);
+    setState({ job: jobs.value || null, compare: others?.length ? others : null, frame: null, view: null });
+  };
   const drives = el("select", { "aria-label": "Drive", onChange: () => openDrive(drives.value) });
   const jobs = el("select", { "aria-label": "Job", onChange: openJob });
   const token = el("button", { class: "plain", onClick: () => changeToken().catch(showError) });
   const logo = el("img", { src: new URL("static/icon.svg", ROOT).href, alt: "", width: 22, height: 22 });
   const docs = { class: "button plain", href: new URL("docs", ROOT).href, target: "_blank", rel: "noopener" };
+  const keys = { title: "Keyboard shortcuts (?)", "aria-label": "Keyboard shortcuts" };
   const slash = el("span", { class: "quiet", "aria-hidden": "true" }, "/");
   fill(
     header,
@@ -24,6 +34,7 @@ export function mountHeader(header) {
     el("nav", { class: "switcher", "aria-label": "Drive and job" }, drives, slash, jobs),
     el("span", { class: "grow" }),
     token,
+    el("button", { class: "square plain keys", ...keys, onClick: listShortcuts }, "?"),
     el("a", docs, "API"),
     el("span", { class: "small version" }, getConfig().version && `v${getConfig().version}`),
   );
@@ -47,6 +58,7 @@ export function mountHeader(header) {
     );
     jobs.value = job ?? "";
     jobs.disabled = !drive;
+    showTitle();
     token.hidden = !getConfig().needs_token && !getToken();
     fill(token, icon("key"), getToken() ? "Token set" : "Set token");
   };
@@ -56,10 +68,20 @@ export function mountHeader(header) {
     if (isNew) refreshLists().catch(showError); // just uploaded
   });
   onListsChange(update);
+  onUploadsChange(showTitle);
   onTokenChange(update);
   update();
-  loadPresets().catch(showError);
   refreshLists().catch(showError);
+  watchLists();
+}
+
+/** Say in the title of the page what it sends and shows, the narrowest first. */
+function showTitle() {
+  const sent = ownUpload()?.fraction ?? null;
+  const drive = lists.drives.find((each) => each.id === getState().drive);
+  const job = lists.jobs.find((each) => each.id === getState().job);
+  const parts = [sent !== null && percent(sent), job?.title, drive?.name, "InterLoc"];
+  document.title = parts.filter(Boolean).join(" – ");
 }
 
 /** @param {string} value @param {string} text */
@@ -87,16 +109,24 @@ export function mountTabs(panels) {
   const list = /** @type {HTMLElement} */ (document.getElementById("tabs"));
   const panel = /** @type {HTMLElement} */ (document.getElementById("panel"));
   const names = Object.keys(panels);
+  const uncover = () => narrow.matches && setState({ drawer: false });
+  const choose = (/** @type {string} */ name) => (setState({ panel: name }), uncover());
   /** @type {Record<string, HTMLElement>} */
   const bodies = {};
   const tabs = names.map((name) =>
     el(
       "button",
-      { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => setState({ panel: name }) },
+      { role: "tab", id: `tab-${name}`, "aria-controls": `panel-${name}`, onClick: () => choose(name) },
       panels[name].title,
     ),
   );
   fill(list, tabs);
+  const uploading = el("span", { class: "tab-badge" });
+  tabs[names.indexOf("upload")]?.append(uploading);
+  onUploadsChange(() => {
+    const upload = ownUpload();
+    uploading.textContent = upload ? (upload.fraction === null ? "…" : percent(upload.fraction)) : "";
+  });
   list.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
     if (!step) return;
@@ -138,5 +168,8 @@ export function mountTabs(panels) {
     panel.scrollTop = 0;
   };
   subscribe(["panel", "job"], update);
+  subscribe(["panel"], (now, before) => {
+    if (now.panel !== before.panel && before.drawer) uncover(); // "back" to a keyframe leaves it open
+  });
   update();
 }

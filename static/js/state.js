@@ -11,8 +11,10 @@
  * @property {number|null} frame Scan number of the keyframe that is shown.
  * @property {string|null} view Of the map: "zoom/lat/lon".
  * @property {string[]|null} layers Switched on; null for the usual ones.
+ * @property {string[]|null} compare Ids of the jobs beside which the shown one is.
  * @property {boolean} drawer Whether the keyframe is shown at large.
- * @property {number|null} node OSM id of the intersection that was chosen; not in permalinks.
+ * @property {string|null} intersection Id or uid of the intersection that is chosen; it belongs to the job.
+ * @property {number|null} node OSM id of the node that is chosen; it belongs to the job too.
  */
 
 /** @type {State} */
@@ -23,7 +25,9 @@ const initial = {
   frame: null,
   view: null,
   layers: null,
+  compare: null,
   drawer: false,
+  intersection: null,
   node: null,
 };
 
@@ -44,11 +48,19 @@ export function getState() {
  */
 export function setState(patch) {
   const before = state;
-  const changed = Object.keys(patch).filter(
-    (key) => !same(/** @type {any} */ (patch)[key], /** @type {any} */ (before)[key]),
+  const isOther = patch.job !== undefined && patch.job !== before.job;
+  const leaves = patch.drive !== undefined && before.drive !== null && patch.drive !== before.drive;
+  const next = {
+    ...before,
+    ...(isOther && { intersection: null, node: null }),
+    ...(leaves && { compare: null }), // they are of one drive
+    ...patch,
+  };
+  const changed = Object.keys(next).filter(
+    (key) => !same(/** @type {any} */ (next)[key], /** @type {any} */ (before)[key]),
   );
   if (!changed.length) return;
-  state = { ...before, ...patch };
+  state = next;
   writeHash(changed.some((key) => key === "panel" || key === "job" || key === "drive"));
   for (const { keys, call } of [...listeners]) {
     if (!keys || keys.some((key) => changed.includes(key))) call(state, before);
@@ -84,11 +96,12 @@ function same(a, b) {
 /** @param {State} shown @returns {string} */
 function format(shown) {
   const parts = [];
-  for (const key of /** @type {const} */ (["panel", "drive", "job", "frame", "view"])) {
+  for (const key of /** @type {const} */ (["panel", "drive", "job", "frame", "view", "intersection", "node"])) {
     const value = shown[key];
     if (value !== null && value !== initial[key])
-      parts.push(`${key}=${encodeURIComponent(value).replaceAll("%2F", "/")}`);
+      parts.push(`${key}=${encodeURIComponent(value).replaceAll("%2F", "/").replaceAll("%2C", ",")}`);
   }
+  if (shown.compare) parts.push(`compare=${shown.compare.map(encodeURIComponent).join(",")}`);
   if (shown.layers) parts.push(`layers=${shown.layers.join(",")}`);
   if (shown.drawer) parts.push("drawer=1");
   return parts.join("&");
@@ -97,17 +110,22 @@ function format(shown) {
 /** @param {string} hash @returns {State} */
 function parse(hash) {
   const fields = new URLSearchParams(hash.replace(/^#/, ""));
-  const frame = fields.get("frame");
+  /** @param {string} key */
+  const integer = (key) => (/^-?\d+$/.test(fields.get(key) ?? "") ? Number(fields.get(key)) : null);
+  const frame = integer("frame");
   const layers = fields.get("layers");
+  const compare = fields.get("compare")?.split(",").filter(Boolean) ?? [];
   return {
     panel: fields.get("panel") ?? initial.panel,
     drive: fields.get("drive"),
     job: fields.get("job"),
-    frame: frame !== null && /^\d+$/.test(frame) ? Number(frame) : null,
+    frame: frame !== null && frame >= 0 ? frame : null,
     view: fields.get("view"),
     layers: layers === null ? null : layers.split(",").filter(Boolean),
+    compare: compare.length ? [...new Set(compare)] : null,
     drawer: fields.get("drawer") === "1",
-    node: null,
+    intersection: fields.get("intersection") || null,
+    node: integer("node"),
   };
 }
 

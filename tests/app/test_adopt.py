@@ -36,6 +36,8 @@ def lost(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
         ready, raw = upload(client, street), upload(client, street, keep_raw=True)
         job = submit(client, ready, osm={"file": "map.osm"}, name="mine")
         assert ended(client, job)["state"] == "successful"
+        for thing in (f"drives/{ready}", f"jobs/{job}"):
+            client.patch(f"{API}/{thing}", json={"name": "renamed", "note": "Wet road."}).raise_for_status()
         begun = client.post(f"{API}/drives", json={"name": "Straße", "options": {"label_scheme": "40"}}).json()["id"]
         client.put(f"{API}/drives/{begun}/files/poses.txt", content=b"1 0 0 0 0 1 0 0 0 0 1 0\n")
         said = {address: client.get(address).json() for address in addresses(ready, raw, begun, job)}

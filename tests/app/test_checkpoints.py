@@ -24,6 +24,7 @@ from interloc.detection.keyframes import Keyframe
 from interloc.errors import InterLocError, OutputError
 from interloc.pipeline import RangeResult
 from interloc.reduction.reduce import reduce_drive
+from interloc.results import RoadPatch
 from tests.app.street import write_street
 
 REALS = st.floats(allow_nan=False, width=64)
@@ -44,7 +45,12 @@ def found(draw: st.DrawFn) -> RangeResult:
 
     detections = [keyframe(frame) for frame in range(draw(st.integers(0, 4)))]
     seconds = draw(st.dictionaries(st.sampled_from(["read", "bev", "centerline"]), REALS, max_size=3))
-    return RangeResult(draw(st.integers(0, 9)), detections, seconds, 123)
+    sizes = draw(st.lists(st.integers(1, 9), max_size=2))
+    road = tuple(
+        RoadPatch.pack(row, np.array([draw(REALS), draw(REALS)]), draw(REALS), np.eye(size, dtype=np.uint8))
+        for row, size in enumerate(sizes)
+    )
+    return RangeResult(draw(st.integers(0, 9)), detections, seconds, 123, road)
 
 
 def bits(part: RangeResult) -> list[object]:
@@ -53,7 +59,8 @@ def bits(part: RangeResult) -> list[object]:
         for k in part.detections
     ]
     frames = [(k.keyframe.frame, k.keyframe.time_s) for k in part.detections]
-    return [part.start, arrays, frames, part.seconds, part.peak_memory_bytes]
+    road = [(p.keyframe, p.corner_xy.tobytes(), p.resolution_m, p.size, p.packed) for p in part.road]
+    return [part.start, arrays, frames, part.seconds, part.peak_memory_bytes, road]
 
 
 @given(part=found())

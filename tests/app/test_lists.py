@@ -48,8 +48,8 @@ def _served(data_dir: Path, url: str) -> Iterator[httpx.Client]:
             session.flush()
             work: dict[str, Any] = {"kind": "intersections", "drive_id": "d2", "owner": "me", "state": "failed"}
             error = {"type": "about:blank", "title": "Disk full", "status": 507, "detail": "Full."}
-            session.add(Job(id="j1", request={"name": "coarse ÄPFEL"}, error=error, created_at=150.0, **work))
-            session.add(Job(id="j2", request={"name": None}, created_at=250.0, **work))
+            session.add(Job(id="j1", name="coarse ÄPFEL", request={}, error=error, created_at=150.0, **work))
+            session.add(Job(id="j2", request={"labels": "predictions"}, created_at=250.0, **work))
         database.close()
         yield client
 
@@ -137,17 +137,41 @@ def test_lists_link_to_their_next_page_with_their_filters(client: httpx.Client) 
 
 def test_what_has_not_changed_is_not_sent_again(client: httpx.Client) -> None:
     drive = client.post("/drives", json={"name": "changing"}).json()["id"]
-    for address in (f"/drives/{drive}", "/jobs/j1"):
+    for address in (f"/drives/{drive}", "/jobs/j1", "/drives?limit=1", "/jobs", "/trash", f"/drives/{drive}/files"):
         first = client.get(address).raise_for_status()
         assert first.headers["cache-control"] == "private, no-cache"
         known = {"If-None-Match": first.headers["etag"]}
         same = client.get(address, headers=known)
         assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", first.headers["etag"])
+        if address.endswith(("trash", "files")):
+            continue  # not for HEAD
         head = client.head(address)
         assert (head.status_code, head.content, head.headers["etag"]) == (200, b"", first.headers["etag"])
     known = {"If-None-Match": client.get(f"/drives/{drive}").headers["etag"]}
     client.put(f"/drives/{drive}/files/poses.txt", content=b"1").raise_for_status()
     assert client.get(f"/drives/{drive}", headers=known).json()["files"] == 1
+
+
+def test_drives_and_jobs_are_renamed(client: httpx.Client) -> None:
+    for address in ("/drives/d4", "/jobs/j2"):
+        before = client.get(address)
+        named = client.patch(
+            address, json={"name": " mine ", "note": "a\nb"}, headers={"If-Match": before.headers["etag"]}
+        )
+        assert (named.status_code, named.json()) == (200, client.get(address).json())
+        assert (named.json()["name"], named.json()["note"]) == ("mine", "a\nb")
+        assert named.headers["etag"] == client.get(address).headers["etag"] != before.headers["etag"]
+        late = client.patch(address, json={"name": "too late"}, headers={"If-Match": before.headers["etag"]})
+        assert (late.status_code, late.json()["type"]) == (412, "/problems/changed-meanwhile")
+        for refused in ({"name": "a\x07b"}, {"name": " "}, {"name": "x" * 201}, {"note": "x" * 2001}, {"nane": "x"}):
+            assert client.patch(address, json=refused).status_code == 422, refused
+        assert client.patch(address, json={}).json() == named.json()
+        assert client.patch(address, json={"note": " "}).json()["note"] is None
+        assert client.patch(f"{address[:-2]}none", json={}).status_code == 404
+    assert client.patch("/drives/d4", json={"name": None}).status_code == 422
+    assert client.get("/jobs?name=MINE").json()["jobs"][0]["title"] == "mine"
+    assert client.patch("/jobs/j2", json={"name": None}).json()["title"] == "default, predictions, no map"
+    client.patch("/drives/d4", json={"name": NAMES[3]}).raise_for_status()
 
 
 def test_errors_of_older_versions_get_their_type(client: httpx.Client) -> None:
@@ -191,7 +215,7 @@ def test_other_origins_and_other_methods_are_not_let_in(client: httpx.Client) ->
     foreign = preflight("https://evil.example", "GET")
     assert foreign.status_code == 400
     assert "access-control-allow-origin" not in foreign.headers
-    for method in ("POST", "PUT", "DELETE"):
+    for method in ("POST", "PUT", "PATCH", "DELETE"):
         assert preflight(SITE, method).status_code == 400
     assert "access-control-allow-origin" not in client.get("/drives", headers={"Origin": "null"}).headers
     sent = client.post("/drives", json={"name": "a"}, headers={"Origin": SITE})

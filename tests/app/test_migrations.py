@@ -16,7 +16,7 @@ from sqlalchemy import inspect, text
 
 from app.store import database as module
 from app.store.database import Database
-from app.store.models import Base, Drive, DriveFile, Token
+from app.store.models import Base, Drive, DriveFile, Job, Token
 from interloc.errors import ConfigError, InterLocError
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
@@ -26,6 +26,13 @@ OLD_DRIVE = """
 INSERT INTO drives
 (id, name, owner, state, options, keep_raw, file_count, size_bytes, stored_bytes, created_at, touched_at)
 VALUES ('d', 'old', 'me', 'ready', '{}', false, 0, 0, 0, 1.5, 2.5)
+"""
+OLD_JOBS = """
+INSERT INTO jobs
+(id, kind, drive_id, owner, request, state, stage, done, version, created_at, attempts, cancel_requested)
+VALUES ('a', 'intersections', 'd', 'me', '{"name": "mine"}', 'failed', 'finished', 0, 1, 1.5, 1, false),
+('b', 'intersections', 'd', 'me', '{"name": null}', 'failed', 'finished', 0, 1, 1.5, 1, false),
+('c', 'commit', 'd', 'me', '{}', 'failed', 'finished', 0, 1, 1.5, 1, false)
 """
 
 
@@ -92,12 +99,14 @@ def test_the_first_version_is_brought_up_to_date_with_its_content(url: str) -> N
         old.attributes["connection"] = connection
         command.upgrade(old, FIRST)
         connection.execute(text(OLD_DRIVE))
+        connection.execute(text(OLD_JOBS))
         connection.execute(text("INSERT INTO drive_files VALUES ('d', 'A.txt', 1, 'abc')"))
         connection.execute(text("INSERT INTO tokens VALUES ('alice', 'abc', 1.5)"))
     database.upgrade()
     with database.reading() as session:
         drive = session.get_one(Drive, "d")
         token = session.get_one(Token, "alice")
+        assert [session.get_one(Job, id_).name for id_ in "abc"] == ["mine", None, None]
         assert session.get_one(DriveFile, ("d", "A.txt")).folded is None
     assert (token.scope, token.expires_at, token.max_bytes, token.max_jobs) == ("write", None, None, None)
     assert (drive.name, drive.created_at) == ("old", 1.5)

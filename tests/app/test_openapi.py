@@ -129,7 +129,7 @@ def test_answers_describe_their_headers(document: dict[str, Any]) -> None:
         return set(dict(operations(document))[operation]["responses"][status]["headers"]) - {"X-Request-ID"}
 
     assert headers("POST /api/v1/drives", "201") == {"Location"}
-    assert headers("GET /api/v1/drives", "200") == {"Link"}
+    assert headers("GET /api/v1/drives", "200") == {"ETag", "Link"}
     assert headers("GET /api/v1/jobs/{job_id}", "200") == headers("GET /api/v1/jobs/{job_id}", "304") == {"ETag"}
     assert headers("POST /api/v1/jobs", "429") == {"Retry-After"}
     assert headers("GET /api/v1/jobs/{job_id}/intersections", "200") >= {"ETag", "Content-Disposition"}

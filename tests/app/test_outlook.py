@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.jobs.outlook import outlook
+from app.jobs.outlook import outlook, seconds_left
 from app.jobs.queue import JobQueue
 from app.store.database import Database
 from app.store.models import Drive, Job
@@ -109,3 +109,11 @@ def test_quick_jobs_have_a_line_of_their_own(database: Database) -> None:
 def test_a_job_that_waits_for_its_drive_has_no_place(database: Database) -> None:
     add(database, "waiting", drive_id="checking")
     assert told(database) == {}
+
+
+def test_the_time_left_is_told_once_it_is_known() -> None:
+    assert seconds_left(60.0, 50, 200) == 180.0
+    assert seconds_left(4.9, 50, 200) is None  # the reading of the map is most of it
+    assert seconds_left(60.0, 9, 200) is None
+    assert seconds_left(60.0, 0, 200) is None
+    assert seconds_left(60.0, 5, None) is None

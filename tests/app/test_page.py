@@ -187,6 +187,8 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
     told = serve_all().get("/config.json").json()
     assert [each["name"] for each in told["policies"]] == list(POLICIES)
     assert all(each["title"] and each["description"].endswith(".") for each in [*told["policies"], *told["layers"]])
+    (error,) = (each for each in told["layers"][0]["fields"] if each["name"] == "error_m")
+    assert (error["title"], error["unit"], error["kind"]) == ("Error", "m", "float")
     assert {each["name"] for each in told["layers"] if each["is_osm"]} == {
         "osm_nodes",
         "matches",

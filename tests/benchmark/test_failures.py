@@ -79,7 +79,7 @@ def test_false_detections_of_one_place_are_one_group() -> None:
     assert group["detections"] == 3
     assert group["frames"] == [20, 30, 40]
     assert group["see"] == ["show 30"]
-    assert group["kind"] == "no junction"
+    assert group["kind"] == "nothing"
     assert group["nearest_node"]["osm_id"] == 100
     assert abs(group["nearest_node"]["distance_m"] - np.hypot(29, 30)) < 0.1
 
@@ -88,12 +88,12 @@ def test_kinds_of_false_detections() -> None:
     places = (HERE, (0.0, 40.0, "service"), (90.0, -40.0, "footway"))
     detections = [(1, 1.0, 41.0), (4, 50.0, 0.0), (4, 58.0, 0.0), (8, 42.0, -10.0), (9, 91.0, -40.0)]
     found = failures(detections, *places)["false_detections"]
-    assert sorted(kinds(found)) == ["double", "off target", "path", "service road"]
+    assert sorted(kinds(found)) == ["left_out", "nothing", "off", "second"]
 
 
 def test_a_node_that_nothing_was_matched_to() -> None:
     (node,) = failures([], HERE)["missed_nodes"]
-    assert (node["kind"], node["found"]) == ("not seen", False)
+    assert (node["kind"], node["found"]) == ("not_seen", False)
     assert node["keyframes_in_zone"] == node["keyframes_missed"] == 4  # within 20 m: those at 40, 50, 60, 70 m
     assert node["frames"] == [40, 50, 60, 70]
     assert node["best_error_m"] is None
@@ -101,19 +101,23 @@ def test_a_node_that_nothing_was_matched_to() -> None:
 
 def test_a_node_found_at_some_keyframes_only() -> None:
     (node,) = failures([(3, 50.0, 1.0), (4, 50.0, 1.0)], HERE)["missed_nodes"]
-    assert (node["kind"], node["found"]) == ("part of the time", True)
+    assert (node["kind"], node["found"]) == ("part_of_the_time", True)
     assert node["frames"] == [50, 60, 70]
 
 
 def test_a_node_seen_in_the_wrong_place() -> None:
     (node,) = failures([(k, 51.0, 7.0) for k in range(3, 8)], HERE)["missed_nodes"]
-    assert (node["kind"], node["keyframes_missed"], node["best_error_m"]) == ("off target", 0, 7.0)
+    assert (node["kind"], node["keyframes_missed"], node["best_error_m"]) == (
+        "too_few",
+        0,
+        7.0,
+    )
 
 
-def test_a_missed_node_beside_another_is_a_compound_junction() -> None:
+def test_a_missed_node_beside_another() -> None:
     found = failures([(k, 50.0, 0.0) for k in range(2, 9)], HERE, (62.0, 0.0, "residential"))
     (node,) = (node for node in found["missed_nodes"] if not node["found"])
-    assert node["kind"] == "compound"
+    assert node["kind"] == "not_seen"
 
 
 def test_nothing_went_wrong() -> None:

@@ -5,6 +5,7 @@ Each refusal in detail: tests/drives, tests/osm.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -89,6 +90,14 @@ def test_empty_drive(refuse: Refuse, short_drive: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     assert "is an empty folder" in refuse(drive=tmp_path / "empty")
     assert "does not exist" in refuse(drive=tmp_path / "none")
+
+
+def test_a_run_without_a_map_says_how_to_get_one(interloc: Callable, drive: Path, tmp_path: Path) -> None:
+    outcome = interloc("run", drive, "-o", tmp_path / "out")
+    assert outcome.code == 2
+    assert "`interloc detect` needs none" in outcome.err
+    west, south, east, north = map(float, re.findall(r"--bbox (\S+) of `osmium extract`", outcome.err)[0].split(","))
+    assert (west < 8.4 < east, south < 49.0 < north) == (True, True)
 
 
 def test_a_map_that_is_damaged_or_missing(refuse: Refuse, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,7 +28,22 @@ def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Ca
     (line,) = [line.split() for line in text.splitlines() if line.startswith("nodes_found")]
     (figure,) = [row["values"] for row in told["figures"] if row["name"] == "nodes_found"]
     assert line[1:] == [str(value) for value in figure]
-    assert f"{told['found_by_all']} nodes found by all" in text
+    assert told["found_by_all"] == 1
+    assert "1 OSM node found by all, 0 OSM nodes missed by all" in text
+
+
+def test_curves_of_all_runs_in_one_figure(outs: tuple[Path, Path], tmp_path: Path, interloc: Callable) -> None:
+    third = tmp_path / "a $b$ 高速"
+    shutil.copytree(outs[0], third)
+    assert interloc("compare", *outs, third, "-o", tmp_path / "all.html").code == 0
+    page = (tmp_path / "all.html").read_text()
+    assert all(str(out) in page for out in (*outs, third))
+    assert "data:image/svg+xml;base64," in page
+    assert "<script" not in page
+    assert interloc("compare", *outs, "-o", tmp_path / "all.png").code == 0
+    assert (tmp_path / "all.png").read_bytes().startswith(b"\x89PNG")
+    outcome = interloc("compare", *outs, "-o", tmp_path / "all.pdf")
+    assert (outcome.code, outcome.complaint.count(".html, .svg, .png")) == (2, 1)
 
 
 def test_what_cannot_be_compared(outs: tuple[Path, Path], drive: Path, tmp_path: Path, interloc: Callable) -> None:

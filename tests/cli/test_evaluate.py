@@ -10,7 +10,7 @@ import pytest
 
 from interloc.cli.main import run
 
-REPORT = {"report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "figures"}
+REPORT = {"report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "osm_roads.geojson", "figures"}
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ def test_a_result_as_one_file_for_gis(drive: Path, osm: Path, tmp_path: Path, in
 def test_complaints_in_one_line(local_drive: Path, tmp_path: Path, interloc: Callable) -> None:
     out = tmp_path / "out"
     assert interloc("detect", local_drive, "-o", out, "--quiet").code == 0
-    assert "no georeference" in interloc("export", out, "-o", tmp_path / "out.gpkg").complaint
+    assert "no georeference. Place it: `interloc locate" in interloc("export", out, "-o", tmp_path / "o.kml").complaint
     outcome = interloc("export", out, "-o", tmp_path / "out.shp")
     assert outcome.code == 2
     assert "unknown format '.shp'" in outcome.complaint
@@ -31,3 +31,13 @@ def test_complaints_in_one_line(local_drive: Path, tmp_path: Path, interloc: Cal
     assert "Expected one of intersections, detections, trajectory" in outcome.complaint
     assert "run.json is missing" in interloc("export", tmp_path, "-o", tmp_path / "out.kml").complaint
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    said = interloc("export", out, "-o", tmp_path / "out.gpkg")
+    assert "none: metres in the frame of the first scan. Place it: " in said.out
+    assert not said.err
+    assert pyogrio.list_layers(tmp_path / "out.gpkg")[:, 0].tolist() == [
+        "intersections",
+        "detections",
+        "trajectory",
+        "keyframes",
+    ]
+    assert pyogrio.read_info(tmp_path / "out.gpkg", layer="detections")["crs"] in {None, 'LOCAL_CS["Undefined SRS"]'}

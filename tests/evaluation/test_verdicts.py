@@ -48,7 +48,7 @@ def folder(made: DriveResult, graph: Graph, tmp_path_factory: pytest.TempPathFac
     """A result that was scored. Shared: do not change it."""
     out = tmp_path_factory.mktemp("scored") / "out"
     write_results(made, out)
-    write_report(evaluate(made, graph([(0, 0), (0, -15), (80, 0)], arm_m=15)), made, out)
+    write_report(evaluate(made, graph([(0, 0), (0, -15), (80, 0)], arm_m=15)), out)
     return out
 
 
@@ -126,9 +126,9 @@ def test_the_line_of_a_map_with_nothing_in_it() -> None:
 def test_scoring_again_replaces_the_verdicts(folder: Path, graph: Graph, tmp_path: Path) -> None:
     out = tmp_path / "out"
     write_results(read_results(folder), out)
-    write_report(evaluate(read_results(out), graph([(12, 14)])), read_results(out), out)
+    write_report(evaluate(read_results(out), graph([(12, 14)])), out)
     assert told(out, "intersections", "outcome", "osm_id")[:2] == [("wrong", None), ("right", 100)]
-    write_report(evaluate(read_results(out), graph([(0, 0), (0, -15), (80, 0)], arm_m=15)), read_results(out), out)
+    write_report(evaluate(read_results(out), graph([(0, 0), (0, -15), (80, 0)], arm_m=15)), out)
     for layer in ("intersections", "detections", "osm_nodes", "matches"):
         assert (out / f"{layer}.geojson").read_bytes() == (folder / f"{layer}.geojson").read_bytes()
 
@@ -136,7 +136,7 @@ def test_scoring_again_replaces_the_verdicts(folder: Path, graph: Graph, tmp_pat
 def test_detections_beyond_the_map_are_unscored(made: DriveResult, graph: Graph, at: Any, tmp_path: Path) -> None:
     west, south = at((-60, -60))[0]
     east, north = at((30, 30))[0]
-    write_report(evaluate(made, graph([(0, 0)], bounds=(west, south, east, north))), made, tmp_path)
+    write_report(evaluate(made, graph([(0, 0)], bounds=(west, south, east, north))), tmp_path)
     assert told(tmp_path, "detections", "outcome", "reason")[3] == ("unscored", "beyond the bounds of the map")
 
 
@@ -152,7 +152,7 @@ def test_a_full_disk_keeps_the_verdicts_that_were_there(
 
     monkeypatch.setattr(files.os, "fsync", full)
     with pytest.raises(OutputError):
-        write_report(evaluation, made, tmp_path)
+        write_report(evaluation, tmp_path)
     assert (tmp_path / "intersections.geojson").read_bytes() == before
 
 

@@ -10,7 +10,7 @@ import pytest
 from tests.app.processes import ServerProcess, started
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, chromium
-from tests.page.results import SCANS, TOKEN, Done, run_street
+from tests.page.results import SCANS, TOKEN, Done, Scored, run_street, write_other_map
 
 
 @pytest.fixture(scope="package")
@@ -43,6 +43,14 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
     with started(folder / "data", folder / "log", workers=1) as server:
         scored = run_street(server, street, osm={"file": "map.osm"})
         yield Done(server, scored, run_street(server, local), street)
+
+
+@pytest.fixture(scope="package")
+def scored(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Scored:
+    """A result with something right, wrong, found, missed and out of reach."""
+    street = write_street(tmp_path_factory.mktemp("layers") / "other map", SCANS)
+    write_other_map(street)
+    return Scored(done.server, run_street(done.server, street, osm={"file": "map.osm"}))
 
 
 @pytest.fixture(scope="package")

@@ -84,6 +84,7 @@ def see_job(page: Any, done: Done) -> None:
 def see_report(page: Any, done: Done) -> None:
     show(page, done, "panel=report&frame=12")
     page.wait_for_selector("#panel-report tbody tr")
+    page.evaluate("document.querySelectorAll('#panel-report details').forEach((each) => (each.open = true))")
 
 
 def see_unscored(page: Any, done: Done) -> None:
@@ -223,7 +224,7 @@ class Keyboard:
     def __init__(self, page: Any) -> None:
         self.page = page
 
-    def tab_to(self, name: str, most: int = 60) -> None:
+    def tab_to(self, name: str, most: int = 100) -> None:
         """Press Tab until something of this name has the focus; each stop on the way must be seen."""
         stops = []
         for _ in range(most):

@@ -96,6 +96,10 @@ def test_each_layer_comes_in_each_format_with_all_its_features(opened: Open, tmp
             lon, lat, *_ = frame.total_bounds
             assert (round(lon), round(lat)) == (8, 49), path.name  # of the street
         assert json.loads((tmp_path / path.with_suffix(".geojson").name).read_text())["type"] == "FeatureCollection"
+    table = opened.click("CSV: street-intersections.csv", tmp_path).read_text()
+    assert len(table.splitlines()) == 1 + opened.count("intersections")
+    circles = json.loads(opened.click("GeoJSON: street-uncertainty.geojson", tmp_path).read_text())
+    assert len(circles["features"]) == opened.count("intersections")
 
 
 def test_the_geopackage_and_the_archive_hold_everything(opened: Open, tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -18,78 +17,18 @@ from interloc.geometry import lonlat_from_enu
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.results import DriveResult
-from tests.app.processes import API, ServerProcess
 from tests.app.results.conftest import add_drive, add_job
-from tests.app.street import LAT_DEG, LON_DEG, write_street
+from tests.app.street import LAT_DEG, LON_DEG
 from tests.page.browsers import Browser, needs_page
 from tests.page.canvas import NOTE_PATHS, Part, painted, pixels_per_metre, screen_of
 from tests.page.canvas import Path as Painted
-from tests.page.results import Done, run_street
+from tests.page.results import SCANS, Done, Scored
 
 pytestmark = needs_page
 
-SCANS = 90
 MANY = 10_500
 WIDE = {"width": 3000, "height": 1100}  # the whole street at a scale at which its features lie apart
 NEAR_PX = 1.5
-
-
-def write_other_map(street: Path) -> None:
-    """A map that differs from the street: one crossing is not in it, one is that is not there, roads of all kinds."""
-    root = ET.parse(street / "map.osm").getroot()  # noqa: S314 - written by the test itself
-    at = {node.get("id"): float(node.get("lon", 0)) for node in root.iter("node")}
-    gone = lonlat_from_enu(LAT_DEG, LON_DEG, np.array([[60.0, 0.0]]))[0, 0]
-    crossings = [way for way in root.iter("way") if len({round(at[nd.get("ref")], 6) for nd in way.iter("nd")}) == 1]
-    root.remove(next(way for way in crossings if abs(at[way.find("nd").get("ref")] - gone) < 1e-6))  # type: ignore[union-attr]
-    along = next(way for way in root.iter("way") if way not in crossings)
-    for number, kind in enumerate(("residential", "primary", "service", "footway")):
-        x = (90.0, -25.0, 75.0, 105.0)[number]
-        ends = [(x, -50.0), (x, 0.0), (x, 50.0)] if number == 0 else [(x, 20.0), (x, 50.0)]
-        refs = [str(5000 + 10 * number + i) for i in range(len(ends))]
-        for ref, (lon, lat) in zip(refs, lonlat_from_enu(LAT_DEG, LON_DEG, np.array(ends)), strict=True):
-            root.insert(0, ET.Element("node", id=ref, lat=f"{lat:.9f}", lon=f"{lon:.9f}"))
-        way = ET.SubElement(root, "way", id=str(7000 + number))
-        for ref in refs:
-            ET.SubElement(way, "nd", ref=ref)
-        ET.SubElement(way, "tag", k="highway", v=kind)
-        if number == 0:  # it meets the street between its nodes at 60 and 120 m
-            places = [at.get(nd.get("ref"), 0.0) for nd in along.iter("nd")]
-            middle = lonlat_from_enu(LAT_DEG, LON_DEG, np.array([[90.0, 0.0]]))[0, 0]
-            along.insert(sum(lon < middle for lon in places), ET.Element("nd", ref=refs[1]))
-    ET.ElementTree(root).write(street / "map.osm")
-
-
-@dataclass(frozen=True)
-class Scored:
-    """A result that has features of every kind."""
-
-    server: ServerProcess
-    job: str
-
-    def features(self, layer: str) -> list[dict[str, Any]]:
-        return list(self.server.client.get(f"{API}/jobs/{self.job}/{layer}").raise_for_status().json()["features"])
-
-    def nodes(self, kind: str) -> list[dict[str, Any]]:
-        """Nodes of the map: found, missed, or outside of what the drive could see."""
-
-        def kind_of(properties: dict[str, Any]) -> str:
-            return "found" if properties["found"] else "missed" if properties["in_zone"] else "outside"
-
-        return [node for node in self.features("osm-nodes") if kind_of(node["properties"]) == kind]
-
-    def detections(self, outcome: str) -> list[dict[str, Any]]:
-        """Detections, by what the matches say of those at their places."""
-        found = self.features("matches")
-        true = {tuple(match["geometry"]["coordinates"][0]) for match in found if match["properties"]["outcome"] == "TP"}
-        every = self.features("detections")
-        return [each for each in every if (tuple(each["geometry"]["coordinates"]) in true) == (outcome == "TP")]
-
-
-@pytest.fixture(scope="module")
-def scored(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Scored:
-    street = write_street(tmp_path_factory.mktemp("layers") / "other map", SCANS)
-    write_other_map(street)
-    return Scored(done.server, run_street(done.server, street, osm={"file": "map.osm"}))
 
 
 @dataclass(frozen=True)
@@ -170,24 +109,25 @@ def test_the_trajectory_is_one_line_through_all_its_points(sheet: Any, scored: S
     assert_ink([part])
 
 
-@pytest.mark.parametrize("layer", ["keyframes", "intersections", "wrong", "tp", "fp", "found", "missed", "outside"])
+@pytest.mark.parametrize("layer", ["keyframes", "right", "wrong", "tp", "fp", "found", "missed", "outside"])
 def test_each_feature_has_its_sign(sheet: Any, scored: Scored, layer: str) -> None:
     if layer in {"tp", "fp"}:
         features = scored.detections(layer.upper())
     elif layer in {"found", "missed", "outside"}:
         features = scored.nodes(layer)
-    elif layer in {"intersections", "wrong"}:
-        every = scored.features("intersections")
-        features = [each for each in every if (each["properties"]["outcome"] == "wrong") == (layer == "wrong")]
+    elif layer in {"right", "wrong"}:
+        features = scored.intersections(layer)
     else:
         features = scored.features(layer)
     drawn = sheet(layer, zoom=19 if layer == "outside" else 20.5)
-    found = np.array([part.middle for part in drawn.parts])
-    if layer in {"fp", "wrong"}:  # a cross has two lines
+    signs, *glyphs = drawn.paths
+    assert len(glyphs) == (layer in {"right", "wrong"})
+    found = np.array([part.middle for part in signs.parts])
+    if layer == "fp":  # a cross has two lines
         assert np.abs(found[::2] - found[1::2]).max() < 1e-6
         found = found[::2]
     assert_one_sign_each(found, drawn.screen(features))
-    if layer in {"keyframes", "tp", "intersections"}:  # full ones; the others are outlines
+    if layer in {"keyframes", "tp", "right", "wrong"}:  # full ones; the others are outlines
         assert {kind for path in drawn.paths for kind, _, _ in path.styles} >= {"fill"}
     assert_ink(drawn.parts)
 

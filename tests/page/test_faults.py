@@ -95,8 +95,10 @@ def test_tiles_come_from_the_configured_server_only(page: Any, tiled: Done, watc
     assert all(re.fullmatch(r"https://tiles\.example/\d+/\d+/\d+\.png", request.url) for request in asked)
     assert {request.headers.get("referer") for request in asked} == {f"{tiled.server.address}/"}
     assert set(watch.elsewhere) == {request.url for request in asked}
+    assert page.locator("#map.with-tiles").count() == 1  # which dims the roads
     page.locator("#layer-tiles").uncheck()
     page.wait_for_selector(".leaflet-tile-pane .tiles", state="detached")
+    assert page.locator("#map.with-tiles").count() == 0
     watch.elsewhere.clear()
 
 
@@ -108,6 +110,7 @@ def test_a_tile_server_that_fails_is_named(page: Any, tiled: Done, watch: Watch)
     told.wait_for()
     assert "tiles.example gave no tiles" in told.inner_text()
     assert "INTERLOC_TILE_URL" in told.inner_text()
+    assert page.locator("#map.with-tiles").count() == 0  # the roads are the base map
     assert page.locator(".toast").count() == 1
     assert {re.match(r"https://[^/]+/", url)[0] for url in watch.elsewhere} == {"https://tiles.example/"}
     watch.elsewhere.clear()
@@ -156,7 +159,7 @@ def test_a_job_that_fails_says_why(page: Any, done: Done) -> None:
     assert error["detail"] in note.inner_text()
     assert page.locator("#panel-job .badge.error").inner_text() == "Failed"
     page.get_by_role("button", name="Run again…").click()
-    page.get_by_label("Map to score against").select_option("")
+    page.locator("dialog label.check", has_text="No map").locator("input").check()
     page.get_by_role("button", name="Run", exact=True).click()
     page.wait_for_selector("#panel-job .badge.good")
 

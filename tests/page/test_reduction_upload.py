@@ -135,7 +135,7 @@ def check_results(
     write_results(result, out)
     if scored:
         evaluation = evaluate(result, read_osm(drive / "map.osm"))
-        write_report(evaluation, result, out)
+        write_report(evaluation, out)
     for name in ("detections", "intersections", "keyframes", "trajectory"):
         served = client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status().content
         assert features(served) == features((out / f"{name}.geojson").read_bytes()), name
@@ -154,6 +154,8 @@ def test_a_folder_is_reduced_in_the_browser_and_gives_the_same_results(
     text = upload.text()
     assert "60 scans, 0 to 59" in text
     assert "geo.csv" in text
+    upload.page.get_by_text(re.compile(r"The map covers 100 % .* 0\.0.m from the track")).wait_for()
+    assert re.search(r"60 scans · 12[0-9].m · roads of map\.osm", upload.page.inner_text(".stage-note"))
     upload.press("Upload and run")
     job_id = upload.job()
     check_results(server.client, job_id, street, tmp_path / "out")
@@ -172,6 +174,10 @@ def test_real_scans_with_two_kinds_of_labels_give_the_same_results(
 ) -> None:
     upload.pick(SAMPLE)
     upload.page.get_by_label("Labels to find intersections with").select_option("predictions")
+    assert "Choose the map to score against" in upload.text()
+    assert upload.page.get_by_role("button", name="Upload and run").is_disabled()
+    assert upload.page.get_by_role("button", name="Upload only").is_enabled()
+    upload.choose("No map")
     upload.press("Upload and run")
     job_id = upload.job()
     check_results(server.client, job_id, SAMPLE, tmp_path / "out", scored=False, labels="predictions")
@@ -251,8 +257,27 @@ def test_a_paused_upload_stands_still_and_goes_on(upload: Upload, server: Server
     assert sent < 60
     upload.page.wait_for_timeout(700)
     assert len(upload.sent) == sent
+    check_that_others_leave_it(upload, server, street)
     upload.press("Resume")
     assert ended(server.client, upload.job())["state"] == "successful"
+
+
+def check_that_others_leave_it(upload: Upload, server: ServerProcess, street: Path) -> None:
+    """While a tab sends a drive, it says how far it is; another one says so too, and does not send the same."""
+    title = re.match(r"(\d+\s%) \S InterLoc", upload.page.title())
+    assert title is not None
+    assert title[1] in upload.page.get_by_role("tab", name="Upload").inner_text()
+    other = Upload(upload.page.context.new_page(), server.address)
+    other.page.get_by_text(f"Another tab sends it, {title[1]}").wait_for()
+    assert "Continue" not in other.text()
+    other.page.get_by_role("tab", name="Drives").click()
+    other.page.locator("#panel-drives").get_by_text(f"Another tab sends it, {title[1]}").wait_for()
+    other.page.get_by_role("tab", name="Upload").click()
+    other.pick(street)
+    other.press("Upload only")
+    other.page.get_by_text("Another tab sends this drive").wait_for()
+    assert not other.sent
+    other.page.close()
 
 
 def test_a_server_that_comes_back_is_waited_for(browser: Browser, watch: Watch, street: Path, tmp_path: Path) -> None:

@@ -50,15 +50,16 @@ def test_each_intersection_is_where_its_coordinates_say(page: Any, done: Done) -
 def test_counts_of_the_legend_are_those_of_the_files(page: Any, done: Done) -> None:
     show(page, done, "panel=report")
     outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
-    nodes = [feature["properties"] for feature in done.features("osm-nodes")]
+    nodes = [feature["properties"]["outcome"] for feature in done.features("osm-nodes")]
     fused = [feature["properties"]["outcome"] for feature in done.features("intersections")]
     expected = {
-        "Intersections": fused.count("right") + fused.count("unscored"),
-        "Wrong intersections": fused.count("wrong"),
-        "True detections": outcomes.count("TP"),
-        "False detections": len(done.features("detections")) - outcomes.count("TP"),
-        "Found intersections": sum(node["found"] for node in nodes),
-        "Missed intersections": sum(node["in_zone"] and not node["found"] for node in nodes),
+        "Right": fused.count("right"),
+        "Wrong": fused.count("wrong"),
+        "Not scored": fused.count("unscored"),
+        "True": outcomes.count("TP"),
+        "False": len(done.features("detections")) - outcomes.count("TP"),
+        "Found": nodes.count("found"),
+        "Missed": nodes.count("missed"),
         "Keyframes": SCANS,
     }
     legend = page.inner_text(".legend")
@@ -127,10 +128,12 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     assert f"{report['ace_m']:.2f} m" in text
     assert f"{100 * report['precision']['5.0']:.1f} %" in text
     assert f"{report['nodes_found']} of {report['nodes_in_zone']}" in text
-    rows = page.locator("#panel-report tbody tr.can")
+    level = report["map_level"]
+    assert f"{level['true']} of {level['intersections_in_zone']}" in text
+    rows = page.locator(".osm-nodes tbody tr.can")
     assert rows.count() == len(report["nodes"])
-    page.get_by_role("button", name=re.compile("^OSM node")).click()
-    ids = [int(each) for each in page.locator("#panel-report tbody tr.can td:nth-child(2)").all_inner_texts()]
+    page.get_by_role("button", name="Node", exact=True).click()
+    ids = [int(each) for each in page.locator(".osm-nodes tbody tr.can td:nth-child(2)").all_inner_texts()]
     assert ids == sorted(node["osm_id"] for node in report["nodes"])
     rows.nth(1).focus()
     page.keyboard.press("Enter")
@@ -139,7 +142,7 @@ def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done
     assert str(ids[1]) in popup.inner_text()
     page.locator("#tab-job").click()
     popup.get_by_role("button", name="See it in the report").click()
-    page.locator("#panel-report tbody tr.is", has_text=str(ids[1])).wait_for()
+    page.locator(".osm-nodes tbody tr.is", has_text=str(ids[1])).wait_for()
 
 
 def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
@@ -192,6 +195,39 @@ def test_the_pictures_of_a_drive_without_georeference_lie_in_its_frame(page: Any
     assert (picture["width"], picture["height"]) == pytest.approx((side, side), abs=1.0)
 
 
+def test_the_road_seen_by_lidar_lies_where_the_server_says(page: Any, done: Done) -> None:
+    view = done.server.client.get(f"{API}/jobs/{done.job}/road").raise_for_status().json()
+    west, south, east, north = view["bounds_lonlat"]
+    show(page, done, f"view=18/{(south + north) / 2}/{(west + east) / 2}")
+    picture = page.locator("img.road-surface")
+    picture.wait_for()
+    box = picture.bounding_box()
+    left, top = on_screen(page, west, north)
+    right, bottom = on_screen(page, east, south)
+    found = (box["x"], box["y"], box["x"] + box["width"], box["y"] + box["height"])
+    assert found == pytest.approx((left, top, right, bottom), abs=1.5)
+    page.locator("#layer-surface").uncheck()
+    picture.wait_for(state="detached")
+    assert "surface" not in page.url.split("layers=")[1]
+    show(page, done, "view=1.5/0/80", done.local_job)
+    picture.wait_for()
+
+
+def test_keys_play_the_drive_and_list_themselves(page: Any, done: Done) -> None:
+    show(page, done, "panel=job&frame=0")
+    page.keyboard.press("Space")
+    page.get_by_role("button", name="Pause").wait_for()
+    page.keyboard.press("Space")
+    page.get_by_role("button", name="Play").wait_for()
+    page.locator("#tab-job").focus()
+    page.keyboard.press("Space")  # which presses the tab
+    assert page.get_by_role("button", name="Pause").count() == 0
+    page.keyboard.press("?")
+    assert "Previous keyframe" in page.get_by_role("dialog", name="Keyboard shortcuts").inner_text()
+    page.keyboard.press("Escape")
+    page.locator("dialog").wait_for(state="detached")
+
+
 @pytest.mark.parametrize(
     ("button", "path", "beginning"),
     [
@@ -235,7 +271,7 @@ def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -
     cards = page.locator("article.drive", has=page.get_by_role("button", name="street", exact=True))
     card = cards.last  # the newest are first, and other tests may have sent a drive of this name
     card.get_by_role("button", name="Run street").click()
-    page.get_by_label("Preset").select_option("paper")
+    page.get_by_role("combobox", name=re.compile("^Preset")).select_option("paper")
     page.get_by_role("button", name="Run", exact=True).click()
     page.wait_for_selector("#panel-job .badge.good")
     page.wait_for_selector(".legend:visible")
@@ -244,6 +280,22 @@ def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -
     summary = done.server.client.get(f"{API}/jobs/{job}").json()["summary"]
     assert re.search(rf"{summary['detections']}\s+detections", page.inner_text("#panel-job"))
     assert "paper" in page.inner_text("#panel-job")
+
+
+def test_the_start_shows_all_drives_on_one_map(page: Any, done: Done) -> None:
+    page.goto(done.server.address)
+    note = page.locator(".stage-note")
+    note.get_by_text(re.compile("to choose from")).wait_for()
+    assert re.match(r"\d+ drives?\s", note.inner_text())
+    assert re.search(r"\d+ drives? without georeference in the list", note.inner_text())
+    box = page.locator("#map").bounding_box()
+    x, y = box["x"] + 56 + (box["width"] - 96) / 2, box["y"] + (box["height"] + note.bounding_box()["height"]) / 2
+    page.mouse.move(x, y, steps=3)
+    page.locator(".tip", has_text="street").wait_for()
+    page.mouse.click(x, y)
+    page.wait_for_url(re.compile("drive=.*job="))
+    page.locator(".legend:visible").wait_for()
+    assert not note.is_visible()
 
 
 def test_errors_are_told_in_the_words_of_the_server(page: Any, done: Done, watch: Watch) -> None:
@@ -267,6 +319,10 @@ def test_a_token_is_asked_for_once_and_refused_in_words(browser: Browser, watch:
     tab.locator("dialog").wait_for(state="detached")
     tab.reload()
     tab.locator(".empty").wait_for()
+    drop = tab.locator(".drop-stage")
+    assert drop.get_by_role("button", name="Try the demo").is_enabled()
+    drop.get_by_role("button", name="Upload a drive").click()
+    tab.get_by_role("button", name="Choose a folder").wait_for()
     assert tab.locator("dialog").count() == 0
     assert TOKEN not in tab.url
     tab.close()

@@ -33,7 +33,8 @@ def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> Float
         row = int(np.argmax(off))
         raise file.fault(
             f"frame {frames[row]}: latitude {rows[row, 0]:g}, longitude {rows[row, 1]:g}, altitude {rows[row, 2]:g} "
-            "is no place to drive. Expected degrees and metres. Usual cause: projected coordinates."
+            "is no place to drive. Expected degrees and metres. Usual cause: projected coordinates, or latitude and "
+            "longitude swapped."
         )
     if ((lat == 0) & (lon == 0)).any():
         row = int(np.argmax((lat == 0) & (lon == 0)))

@@ -38,6 +38,11 @@ ODOMETRY_OF_RAW = {
 """KITTI raw drive -> odometry sequence, first and last raw frame (devkit of the odometry benchmark; 03: none)."""
 
 
+def raw_drive_of(sequence: str) -> str | None:
+    """Return the KITTI raw drive of an odometry sequence; None where there is none."""
+    return next((raw for raw, (theirs, *_) in ODOMETRY_OF_RAW.items() if theirs == sequence), None)
+
+
 def raw_offset(raw_drive: Path, sequence: str, frames: IntArray) -> int:
     """Return the raw frame of frame 0 of an odometry sequence, from KITTI's published table.
 
@@ -53,7 +58,7 @@ def raw_offset(raw_drive: Path, sequence: str, frames: IntArray) -> int:
         return 0
     expected, first, last = known
     if re.fullmatch(r"(0\d|10)", sequence) and sequence != expected:
-        theirs = next((raw for raw, (seq, *_) in ODOMETRY_OF_RAW.items() if seq == sequence), None)
+        theirs = raw_drive_of(sequence)
         right = (
             f"the raw drive of {sequence} is {theirs}" if theirs else f"the raw drive of {sequence} was never published"
         )

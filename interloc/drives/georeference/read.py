@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -11,7 +10,13 @@ from interloc.arrays import IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import GeoreferenceFile
 from interloc.drives.georeference.geo_csv import read_geo_csv
-from interloc.drives.georeference.oxts import georeference_of_lidar, raw_offset, read_oxts_folder, read_oxts_rows
+from interloc.drives.georeference.oxts import (
+    georeference_of_lidar,
+    raw_drive_of,
+    raw_offset,
+    read_oxts_folder,
+    read_oxts_rows,
+)
 from interloc.drives.layouts import DriveParts
 from interloc.drives.poses.calibration import (
     IMU_CALIBRATION,
@@ -21,7 +26,8 @@ from interloc.drives.poses.calibration import (
     read_rt,
 )
 
-_log = logging.getLogger(__name__)
+AS_PUBLISHED = "lever arm as published by KITTI"
+"""Of a georeference without a calib_imu_to_velo.txt."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +102,7 @@ def read_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -
     if files.imu_calibration is None and (T_lidar_imu := find_kitti360_imu(parts)) is not None:
         return georeference_of_lidar(rows, T_lidar_imu, f"{file.name}, lever arm of calib_cam_to_pose.txt")
     if files.imu_calibration is None:
-        _log.info("%s: no calib_imu_to_velo.txt; the lever arm that KITTI publishes is used", parts.root.name)
-        return georeference_of_lidar(rows, KITTI_T_VELO_IMU, f"{file.name}, lever arm as published by KITTI")
+        return georeference_of_lidar(rows, KITTI_T_VELO_IMU, f"{file.name}, {AS_PUBLISHED}")
     calibration = GeoreferenceFile(files.imu_calibration, parts.root)
     return georeference_of_lidar(rows, read_rt(calibration), f"{file.name}, lever arm of {calibration.name}")
 
@@ -111,6 +116,7 @@ def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> Georefere
     if given.is_dir():
         if (given / "geo.csv").is_file() and not (given / "oxts").exists():
             return GeoreferenceFiles("geo", given / "geo.csv")
+        given = _raw_drive_in(given, parts)
         folder = _data_folder(given / "oxts" if (given / "oxts").is_dir() else given)
         first = raw_offset(given, parts.drive_name, frames)
         return GeoreferenceFiles("folder", folder, first, _imu_calibration_near(given, parts))
@@ -118,6 +124,28 @@ def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> Georefere
         return GeoreferenceFiles("geo", given)
     near = given.absolute().parent
     return GeoreferenceFiles("rows", given, imu_calibration=_imu_calibration_near(near, parts))
+
+
+def _raw_drive_in(given: Path, parts: DriveParts) -> Path:
+    """Return the KITTI raw drive that is meant by the folder of a day, which holds several; else the folder itself.
+
+    Raises
+    ------
+    GeoreferenceError
+        The folder holds several drives, and none is known to be that of the sequence.
+    """
+    drives = sorted(folder for folder in given.iterdir() if (folder / "oxts").is_dir())
+    if (given / "oxts").is_dir() or (given / "data").is_dir() or not drives:
+        return given
+    wanted = raw_drive_of(parts.drive_name)
+    chosen = drives if len(drives) == 1 else [folder for folder in drives if wanted and wanted in folder.name]
+    if len(chosen) == 1:
+        return chosen[0]
+    names = ", ".join(folder.name for folder in drives[:5])
+    raise GeoreferenceFile(given, parts.root).fault(
+        f"holds {len(drives)} raw drives ({names}{', ...' if len(drives) > 5 else ''}): give one of them"
+        + (f"; that of {parts.drive_name} is {wanted}." if wanted else ".")
+    )
 
 
 def _imu_calibration_near(folder: Path, parts: DriveParts) -> Path | None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import Float32Array
-from interloc.drives.files import NumberedFiles, SourceFile, list_numbered
+from interloc.drives.files import MAX_NAMED, NumberedFiles, SourceFile, list_numbered, others_like_it
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
@@ -77,7 +77,7 @@ def open_bin_files(parts: DriveParts, findings: Findings, *, check: bool) -> Rec
     usable = np.arange(len(scans.numbers), dtype=np.int64)
     if check:
         wrong = (scans.sizes % point_bytes != 0) | (scans.sizes == 0)
-        if wrong.all() and len(wrong) > 1 and (scans.sizes % _BARE_POINT_BYTES == 0).all() and scans.sizes.all():
+        if wrong.any() and len(wrong) > 1 and (scans.sizes % _BARE_POINT_BYTES == 0).all() and scans.sizes.all():
             findings.error(
                 scans.folder.fault(
                     f"all {len(wrong):,} scans have 12 bytes per point: x y z without remission. Expected four float32 "
@@ -85,9 +85,12 @@ def open_bin_files(parts: DriveParts, findings: Findings, *, check: bool) -> Rec
                 )
             )
         else:
-            for row in np.flatnonzero(wrong):
-                file = scans.file(int(scans.numbers[row]))
-                findings.error(file.fault(_size_complaint(int(scans.sizes[row]), point_bytes)))
+            for kind in (wrong & (scans.sizes == 0), wrong & (scans.sizes > 0)):
+                rows = np.flatnonzero(kind)
+                for row in rows[: 1 if len(rows) > MAX_NAMED else None]:
+                    complaint = _size_complaint(int(scans.sizes[row]), point_bytes)
+                    complaint += others_like_it(scans.numbers[kind], len(scans.numbers))
+                    findings.error(scans.file(int(scans.numbers[row])).fault(complaint))
         usable = usable[~wrong]
     if point_bytes == RING_POINT_BYTES:
         findings.note(scans.folder.name, "20 bytes per point: read as x y z intensity ring (nuScenes).")

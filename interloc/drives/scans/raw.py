@@ -12,7 +12,15 @@ import numpy as np
 
 from interloc.arrays import IntArray, UInt8Array, UInt32Array
 from interloc.drive import GroundPoints
-from interloc.drives.files import NumberedFiles, SourceFile, list_numbered, listed, missing_numbers
+from interloc.drives.files import (
+    MAX_NAMED,
+    NumberedFiles,
+    SourceFile,
+    list_numbered,
+    listed,
+    missing_numbers,
+    others_like_it,
+)
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.folder import ScanFacts
 from interloc.drives.labels import LabelJudgement, LabelScheme, judge_labels
@@ -329,10 +337,11 @@ def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) 
         return PointLabels("labels of the points", recording.scheme)
     other = parts.root / ("predictions" if folder.name == "labels" else "labels")
     hint = (
-        f"There is {other.name}/: choose it as the label folder."
+        f"There is {other.name}/: choose it as the label folder (--labels {other.name})."
         if other.is_dir()
-        else "Any semantic segmentation that writes SemanticKITTI .label files will do, or a network: interloc label, "
-        "--model with any command, the option model in the service."
+        else "A network of the RangeNet++ family makes them: `interloc label DRIVE --model NETWORK`, or --model with "
+        "any command, or the option model in the service; any other segmentation that writes SemanticKITTI .label "
+        "files will do."
     )
     if parts.layout == "kitti360":
         hint = f"KITTI-360 publishes none per scan. {hint}"
@@ -375,7 +384,8 @@ def _check_label_files(
     fits = labels.sizes[at_label] % LABEL_BYTES == 0
     if recording.point_counts is not None:
         fits &= labels.sizes[at_label] == LABEL_BYTES * recording.point_counts[at_scan]
-    for row in np.flatnonzero(is_sound & ~fits):
+    bad = np.flatnonzero(is_sound & ~fits)
+    for row in bad[: 1 if len(bad) > MAX_NAMED else None]:
         number = int(common[row])
         count, left = divmod(int(labels.sizes[at_label[row]]), LABEL_BYTES)
         if left or recording.point_counts is None:
@@ -385,7 +395,7 @@ def _check_label_files(
         else:
             count_of_points = int(recording.point_counts[at_scan[row]])
             message = _label_count_complaint(count, count_of_points, points.name(number))
-        findings.error(labels.file(number).fault(message))
+        findings.error(labels.file(number).fault(message + others_like_it(common[bad], len(frames))))
     usable: IntArray = at_scan[is_sound & fits]
     return usable
 

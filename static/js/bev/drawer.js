@@ -22,6 +22,7 @@ const STEPS = [
   { layer: "branches", name: "Branches", hint: "Lines along the branches; they meet in the intersection." },
   { layer: "all", name: "All together", hint: "Every step over the road." },
 ];
+const OF_CANDIDATES = new Set(["candidates", "branches"]); // these pictures are empty where there is no candidate
 const PAUSE_MS = 120; // while the slider moves, only the last keyframe is asked for
 const MAX_KEPT = 120;
 
@@ -62,8 +63,9 @@ export function mountDrawer(drawer) {
     const isAll = layer === "all";
     const caption = el("span", {}, el("b", {}, isAll ? "" : `${number + 1} `), name);
     const choice = !isAll && el("label", { title: "Show it on the map" }, box, "on map");
-    const button = el("button", { class: "picture", ...label, onClick: enlarge }, image);
-    return { layer, image, figure: el("figure", {}, button, el("figcaption", {}, caption, choice)) };
+    const nothing = el("span", { class: "nothing", hidden: true }, "none");
+    const button = el("button", { class: "picture", ...label, onClick: enlarge }, image, nothing);
+    return { layer, image, button, nothing, figure: el("figure", {}, button, el("figcaption", {}, caption, choice)) };
   });
   const fade = el("input", { type: "range", min: 0.1, max: 1, step: 0.05, value: opacity });
   fade.setAttribute("aria-label", "Opacity on the map");
@@ -71,12 +73,14 @@ export function mountDrawer(drawer) {
     opacity = Number(fade.value);
     for (const overlay of overlays.values()) overlay.setOpacity(opacity);
   });
+  const wider = iconButton("wide", "Wider", widen);
+  wider.classList.add("widen");
   const buttons = el(
     "div",
-    { class: "row" },
+    { class: "row tight" },
     iconButton("previous", "Previous keyframe", () => step(-1), "Previous keyframe (,)"),
     iconButton("next", "Next keyframe", () => step(1), "Next keyframe (.)"),
-    iconButton("wide", "Wider", widen),
+    wider,
     iconButton("close", "Close", () => setState({ drawer: false })),
   );
   const pictureGrid = el("div", { class: "pictures" });
@@ -152,6 +156,12 @@ export function mountDrawer(drawer) {
       await Promise.all(figures.map(showPicture));
       fill(trouble);
       const { corners_lonlat, corners_world_m, candidates } = await geometry;
+      if (signal.aborted) return;
+      for (const { layer, image, button, nothing } of figures) {
+        const isEmpty = OF_CANDIDATES.has(layer) && !candidates.length;
+        image.hidden = button.disabled = isEmpty;
+        nothing.hidden = !isEmpty;
+      }
       fill(rejected, rejectedCandidates(candidates));
       place(result.local ? corners_world_m : corners_lonlat);
     } catch (error) {

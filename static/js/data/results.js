@@ -8,7 +8,7 @@ import { Frame } from "./frame.js";
 /**
  * @typedef {{lng: number, lat: number, properties: any}} Place A point; metres of W in place of degrees without georeference.
  * @typedef {Place & {row: number, outcome: "TP"|"FP"|"none", error_m: number|null, osm_id: number|null}} Detection
- *   Outcome "none": there is no evaluation.
+ *   Outcome "none": there is no evaluation, or the map does not reach there.
  * @typedef {{osm_id: number|null, outcome: string, error_m: number, frame: number, detection: string|null, line: number[][]}} Match
  */
 
@@ -17,6 +17,7 @@ import { Frame } from "./frame.js";
  * @property {any} job
  * @property {any} run `run.json`
  * @property {any|null} report `report.json`; null without an evaluation.
+ * @property {boolean} isMadeUp The map was made up by a simulator: its ids are not those of OpenStreetMap.
  * @property {boolean} local No georeference: positions are metres of W.
  * @property {Frame} frame Between metres and the map.
  * @property {Place[]} keyframes
@@ -27,7 +28,9 @@ import { Frame } from "./frame.js";
  * @property {Place[]} nodes
  * @property {Match[]} matches
  * @property {Array<{line: number[][], properties: any}>} roads
+ * @property {import("./compared.js").Compared[]} compared Beside those of other jobs; empty where none are compared.
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
+ * @property {string|null} surface Path of the road seen by LiDAR; null where the result has none.
  * @property {number} roi_m Side S of the region of interest.
  * @property {number|null} zone_m Side S - 2 a_o of the relevant zone.
  */
@@ -68,6 +71,7 @@ async function load(job) {
     ...["report", "osm-nodes", "matches", "osm-roads"].map(evaluated),
     isPlaced ? orNull(getJson(`${at}/places`)) : null,
   ]);
+  const hasSurface = (run.files ?? []).includes("road.tif"); // older versions made none
 
   const points = keyframes.features.map(place);
   const pairs = (matches?.features ?? []).map(match);
@@ -78,6 +82,7 @@ async function load(job) {
     job,
     run,
     report,
+    isMadeUp: report?.osm?.made_up === true,
     local,
     frame: new Frame(points, local),
     keyframes: points,
@@ -87,11 +92,13 @@ async function load(job) {
     trajectory: trajectory.features[0]?.geometry?.coordinates ?? [],
     nodes: (nodes?.features ?? []).map(place),
     matches: pairs,
+    compared: [],
     places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => f.geometry.coordinates),
     roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
       line: f.geometry.coordinates,
       properties: f.properties,
     })),
+    surface: hasSurface ? `${at}/road` : null,
     roi_m: report?.roi_m ?? size,
     zone_m: report?.relevant_zone_m ?? (config.branches ? size - 2 * config.branches.outer_radius_m : null),
   };
@@ -103,12 +110,19 @@ async function load(job) {
  * @returns {Promise<Result|null>} null where the drive has none.
  */
 export async function loadTrajectory(job) {
-  const at = `drives/${job.drive_id}/trajectory`;
-  const lonlat = await getJson(at).catch(() => null);
-  const found = lonlat ?? (await getJson(`${at}?local=true`).catch(() => null));
-  const trajectory = (found?.geometry ?? found?.features?.[0]?.geometry ?? found)?.coordinates ?? [];
+  const found = await getJson(`drives/${job.drive_id}/trajectory`).catch(() => null);
+  const trajectory = found?.features?.[0]?.geometry?.coordinates ?? [];
   if (!trajectory.length) return null;
-  const local = !lonlat;
+  return { ...trackAlone(trajectory, found.local === true), job }; // local: metres of W
+}
+
+/**
+ * A result of which nothing but the track is known.
+ * @param {number[][]} trajectory
+ * @param {boolean} local
+ * @returns {Result}
+ */
+export function trackAlone(trajectory, local) {
   const frame = new Frame([], local);
   /** @type {any} */
   const nothing = {
@@ -118,10 +132,13 @@ export async function loadTrajectory(job) {
     nodes: [],
     matches: [],
     roads: [],
+    compared: [],
     places: [],
+    surface: null,
     byFrame: new Map(),
   };
-  return { ...nothing, job, run: {}, report: null, local, frame, trajectory, roi_m: 0, zone_m: null };
+  const scores = { report: null, isMadeUp: false, roi_m: 0, zone_m: null };
+  return { ...nothing, ...scores, job: null, run: {}, local, frame, trajectory };
 }
 
 /** @param {Promise<any>} answer @returns {Promise<any>} null where the result has no such part. */
@@ -135,7 +152,7 @@ async function orNull(answer) {
 }
 
 /** @param {any} feature @returns {Place} */
-function place({ geometry, properties }) {
+export function place({ geometry, properties }) {
   return { lng: geometry.coordinates[0], lat: geometry.coordinates[1], properties };
 }
 
@@ -153,15 +170,32 @@ function detectionsOf(features, matches, evaluated) {
   return features.map((feature, row) => {
     const { frame } = feature.properties;
     number = row > 0 && features[row - 1].properties.frame === frame ? number + 1 : 1;
+    const isScored = evaluated && feature.properties.outcome !== "unscored";
     const pair = matched.get(`${frame}-${number}`) ?? matched.get(key(frame, feature.geometry.coordinates));
     return {
       ...place(feature),
       row,
-      outcome: evaluated ? /** @type {"TP"|"FP"} */ (pair?.outcome ?? "FP") : "none",
+      outcome: isScored ? /** @type {"TP"|"FP"} */ (pair?.outcome ?? "FP") : "none",
       error_m: pair?.error_m ?? null,
       osm_id: pair?.osm_id ?? null,
     };
   });
+}
+
+/**
+ * The median error of the detections of a node: of the true ones where it has any, since a wrong one is no measure of
+ * how well it was found.
+ * @param {Result} result
+ * @param {any} node Its properties.
+ * @returns {number|null}
+ */
+export function medianError({ matches }, { osm_id, median_error_m }) {
+  const isTrue = (/** @type {Match} */ each) => each.osm_id === osm_id && each.outcome === "TP";
+  const errors = matches.filter(isTrue).map((each) => each.error_m);
+  if (!errors.length) return median_error_m;
+  errors.sort((a, b) => a - b);
+  const half = errors.length >> 1;
+  return errors.length % 2 ? errors[half] : (errors[half - 1] + errors[half]) / 2;
 }
 
 /** @param {Detection} detection @returns {number} */

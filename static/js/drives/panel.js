@@ -2,12 +2,14 @@
  * The drives of the server and their jobs: to come back to, to run again, to delete; and the demo.
  * @module drives/panel
  */
-import { getJson, sendJson, sleep } from "../api.js";
+import { getJson, sendJson } from "../api.js";
 import { iconButton } from "../controls.js";
-import { lists, onListsChange, refreshLists, rememberDrive, rememberJob } from "../data/lists.js";
+import { demo, onDemoChange, tryDemo } from "../data/demo.js";
+import { lists, onListsChange, refreshLists, rememberDrive } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
+import { isEditing, naming } from "../job/naming.js";
 import { openRunDialog } from "../job/run_dialog.js";
-import { afterDeletion, jobTitle, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
+import { ANYONE, afterDeletion, driveBadge, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { trashSection } from "./trash.js";
@@ -18,32 +20,31 @@ const reports = new Map();
 /** @param {HTMLElement} container */
 export function mount(container) {
   const trouble = el("div", {});
-  const demo = el("button", { onClick: () => tryDemo() }, "Try the demo");
+  const button = el("button", { onClick: () => void tryDemo() }, "Try the demo");
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
   const body = el("div", { class: "stack-s" });
   fill(
     container,
-    el("div", { class: "stack" }, el("div", { class: "row" }, upload, demo), trouble, body, trashSection()),
+    el("div", { class: "stack" }, el("div", { class: "row" }, upload, button), trouble, body, trashSection()),
   );
 
-  const tryDemo = async () => {
-    demo.disabled = true;
-    const text = "The server drives through a small made-up town. This takes half a minute the first time.";
-    fill(trouble, el("div", { class: "note" }, el("strong", {}, "Preparing the demo"), text));
-    try {
-      await runDemo();
-      fill(trouble);
-    } catch (error) {
-      fill(trouble, problemNote(error));
-    } finally {
-      demo.disabled = false;
-    }
+  const showDemo = () => {
+    button.disabled = demo.isRunning;
+    if (demo.error !== null) fill(trouble, problemNote(demo.error));
+    else if (demo.isRunning)
+      fill(trouble, el("div", { class: "note" }, el("strong", {}, "Preparing the demo"), demo.text));
+    else fill(trouble);
   };
+  onDemoChange(showDemo);
+  showDemo();
 
   const update = () => {
+    if (isEditing(body)) return;
     if (!lists.isLoaded) return fill(body, el("p", { class: "quiet" }, "Loading…"));
+    const focused = body.contains(document.activeElement) ? labelOf(document.activeElement) : null;
     fill(body, lists.drives.length ? lists.drives.map(driveCard) : emptyNote());
+    if (focused) [...body.querySelectorAll("button")].find((each) => labelOf(each) === focused)?.focus();
     void loadReport();
   };
   const loadReport = async () => {
@@ -56,23 +57,12 @@ export function mount(container) {
   onListsChange(update);
   subscribe(["drive", "job"], update);
   subscribe(["panel"], ({ panel }) => panel === "drives" && refreshLists().catch(showError));
+  if (lists.isLoaded) refreshLists().catch(showError); // they were loaded for another panel, some time ago
   update();
 }
 
-/** Create the demo drive on the server, run it, show the job. */
-async function runDemo() {
-  let drive = await sendJson("POST", "demo");
-  rememberDrive(drive);
-  while (drive.state !== "ready") {
-    await sleep(1500);
-    drive = await getJson(`drives/${drive.id}`);
-  }
-  await refreshLists();
-  const request = { drive_id: drive.id, osm: { file: "map.osm" }, policy: "drive", name: "Demo" };
-  const job = await sendJson("POST", "jobs", request);
-  rememberJob(job);
-  openJob(job);
-}
+/** @param {Element|null} button */
+const labelOf = (button) => button?.getAttribute("aria-label") ?? button?.textContent;
 
 function emptyNote() {
   const text =
@@ -91,17 +81,29 @@ function driveCard(drive) {
   else if (drive.files) facts.push(plural(drive.files, "file"));
   if (report?.length_m) facts.push(formatMetres(report.length_m, 0));
   facts.push(formatBytes(drive.stored_bytes || drive.size_bytes), formatAgo(drive.created_at));
+  if (drive.owner !== ANYONE) facts.push(`by ${drive.owner}`);
   const place = report?.georeference ? `Georeference: ${report.georeference}` : "No georeference: local metres only";
   const network = report?.label_folder?.startsWith("network ") ? report.label_folder : null;
   const open = () =>
     drive.state === "uploading" ? setState({ drive: drive.id, job: null, panel: "upload" }) : openDrive(drive.id);
   const run = () => openRunDialog(drive.id).catch(showError);
+  const { button: rename, element: name } = naming({
+    path: `drives/${drive.id}`,
+    item: drive,
+    heading: el("h3", {}, el("button", { class: "link", title: drive.name, onClick: open }, drive.name)),
+    title: drive.name,
+    mayBeUnnamed: false,
+    onChange: (changed) => {
+      rememberDrive(changed);
+      refreshLists().catch(showError); // jobs tell the name of their drive
+    },
+  });
   const text = el(
     "div",
     { class: "grow" },
-    el("h3", {}, el("button", { class: "link", title: drive.name, onClick: open }, drive.name)),
+    name,
     el("p", { class: "small cut" }, facts.join(" · ")),
-    drive.state !== "ready" && el("p", {}, stateBadge(drive.state)),
+    drive.state !== "ready" && el("p", {}, driveBadge(drive)),
     current && report && el("p", { class: "small" }, place),
     current && network && el("p", { class: "small" }, `Labels: ${network}`),
   );
@@ -113,6 +115,7 @@ function driveCard(drive) {
       {},
       text,
       drive.state === "ready" && iconButton("run", `Run ${drive.name}`, run, "Run it with other settings"),
+      rename,
       iconButton("trash", `Delete ${drive.name}`, () => removeDrive(drive).catch(showError), "Delete the drive"),
     ),
     jobs.length > 0 && el("ul", { class: "jobs" }, jobs.map(jobRow)),
@@ -125,7 +128,7 @@ function jobRow(job) {
   const button = el(
     "button",
     { "aria-current": String(getState().job === job.id), onClick: () => openJob(job) },
-    el("span", { class: "cut" }, jobTitle(job)),
+    el("span", { class: "cut", title: job.title }, job.title),
     isDone ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
     isDone && el("span", { class: "small number both" }, outcomeOf(job)),
   );

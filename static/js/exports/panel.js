@@ -3,7 +3,7 @@
  * @module exports/panel
  */
 import { address, download, getConfig, getToken, onTokenChange } from "../api.js";
-import { resultSection } from "../controls.js";
+import { copyButton, resultSection } from "../controls.js";
 import { el, fill, icon } from "../dom.js";
 import { onResult } from "../map/shown.js";
 import { showError } from "../messages.js";
@@ -17,6 +17,13 @@ const LAYERS = /** @type {Record<string, string>} */ ({
   trajectory: "Trajectory",
   osm_nodes: "OSM intersections",
   matches: "Matches",
+  osm_roads: "OSM roads",
+});
+
+/** Layers that an export makes of the intersections. */
+const DERIVED = /** @type {Record<string, string>} */ ({
+  branches: "Branches, as lines",
+  uncertainty: "Uncertainty, as circles",
 });
 
 /** @param {HTMLElement} container */
@@ -40,7 +47,7 @@ export function mount(container) {
 
 /** @param {import("../data/results.js").Result} result @param {HTMLElement} link */
 function sections(result, link) {
-  const { job, local } = result;
+  const { job, local, surface } = result;
   const at = `jobs/${job.id}`;
   const slug = job.drive_name.replace(/[^A-Za-z0-9._-]+/g, "_");
   const scored = result.report !== null;
@@ -51,16 +58,26 @@ function sections(result, link) {
   const files = (title, ...buttons) => [el("span", {}, title), el("div", { class: "formats" }, buttons)];
   /** @param {string} name */
   const vector = (name) => {
-    const title = el("span", { title: known.get(name)?.description }, LAYERS[name]);
+    const title = el("span", { title: known.get(name)?.description }, LAYERS[name] ?? DERIVED[name]);
     if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`));
     const path = name.replaceAll("_", "-");
-    const others = ["fgb", "kml"].map((format) =>
+    const others = ["fgb", "kml", "csv"].map((format) =>
       get(format.toUpperCase(), `${at}/export.${format}?layer=${path}`, `${slug}-${name}.${format}`),
     );
-    return files(title, get("GeoJSON", `${at}/${path}`, `${slug}-${name}.geojson`), others);
+    const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
+    return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
+  };
+  const raster = () => {
+    const hint =
+      "Cells of 0.5 m: from how many keyframes each was seen as road. In UTM, or in metres without georeference.";
+    return files(
+      el("span", { title: hint }, "Road seen by LiDAR"),
+      get("GeoTIFF", `${surface}.tif`, `${slug}-road.tif`),
+    );
   };
   const known = new Map(getConfig().layers.map((layer) => [layer.name, layer]));
   const layers = Object.keys(LAYERS).filter((name) => scored || !known.get(name)?.is_osm);
+  if (!local) layers.push(...Object.keys(DERIVED));
   const gpkg = `${at}/export.gpkg`;
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
   const whole = address(local ? `${at}/archive.zip` : gpkg);
@@ -78,7 +95,7 @@ function sections(result, link) {
         { class: "note" },
         "Without a georeference the files hold local metres; there are no GIS formats of them.",
       ),
-    resultSection("Layers", el("div", { class: "downloads" }, layers.map(vector))),
+    resultSection("Layers", el("div", { class: "downloads" }, layers.map(vector), surface && raster())),
     resultSection(
       "Report",
       el(
@@ -95,17 +112,18 @@ function sections(result, link) {
     ),
     resultSection(
       "Link to this view",
-      el("div", { class: "row" }, el("div", { class: "grow" }, link), copyButton(permalink)),
+      el("div", { class: "row" }, el("div", { class: "grow" }, link), copyButton("Copy", permalink)),
       el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for everybody who can reach this server."),
     ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
     !local && resultSection("In QGIS", qgis(address(`${at}/intersections`))),
     scored &&
+      !result.isMadeUp &&
       el(
         "p",
         { class: "small section" },
-        "Report, matches and OSM intersections hold data of OpenStreetMap: © OpenStreetMap contributors, ODbL. " +
-          "State this where you publish them.",
+        "Report, verdicts, matches, OSM roads and intersections hold data of OpenStreetMap: © OpenStreetMap contributors, " +
+          "ODbL. State this where you publish them.",
       ),
   ];
 }
@@ -122,25 +140,6 @@ function qgis(geojson) {
 /** @param {string} text */
 function codeBox(text) {
   const code = el("pre", { class: "code", tabIndex: 0 }, text);
-  const copy = copyButton(() => text);
+  const copy = copyButton("Copy", () => text);
   return el("div", { class: "code-box" }, code, copy);
-}
-
-/** @param {() => string} text */
-function copyButton(text) {
-  const button = el("button", { onClick: () => void copy() }, icon("copy"), "Copy");
-  const copy = async () => {
-    try {
-      await navigator.clipboard.writeText(text());
-    } catch {
-      const area = el("textarea", { value: text(), class: "unseen" }); // plain http has no clipboard of its own
-      document.body.append(area);
-      area.select();
-      document.execCommand("copy");
-      area.remove();
-    }
-    fill(button, icon("check"), "Copied");
-    setTimeout(() => fill(button, icon("copy"), "Copy"), 1500);
-  };
-  return button;
 }

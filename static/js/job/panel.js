@@ -4,7 +4,7 @@
  */
 import { follow, getJson, sendJson } from "../api.js";
 import { factRows, figure } from "../controls.js";
-import { lists, ownSettings, refreshLists, rememberJob } from "../data/lists.js";
+import { lists, refreshLists, rememberJob } from "../data/lists.js";
 import {
   announce,
   el,
@@ -19,8 +19,9 @@ import {
 } from "../dom.js";
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
+import { isEditing, naming } from "./naming.js";
 import { openRunDialog } from "./run_dialog.js";
-import { afterDeletion, stateBadge } from "./words.js";
+import { ANYONE, afterDeletion, stateBadge } from "./words.js";
 
 const STAGES = [
   ["waiting", "Waiting for its turn"],
@@ -92,11 +93,23 @@ export function mount(container) {
     }
   };
 
+  /** @type {string|null} */
+  let shownId = null;
   /** @param {any} job */
   const show = (job) => {
+    if (isEditing(container) && shownId === job.id) return;
+    shownId = job.id;
     const focused = container.contains(document.activeElement) ? document.activeElement?.textContent : null;
     const title = el("h2", { class: "cut", title: job.drive_name }, job.drive_name);
-    const submitted = `Preset ${job.request.preset ?? "default"}, submitted ${formatAgo(job.created_at)}`;
+    const owner = job.owner === ANYONE ? "" : ` by ${job.owner}`;
+    const { button: rename, element: name } = naming({
+      path: `jobs/${job.id}`,
+      item: job,
+      heading: el("h3", { class: "job-title" }, job.title),
+      title: "this job",
+      mayBeUnnamed: true,
+      onChange: update,
+    });
     const bodies = /** @type {Record<string, (job: any) => any>} */ ({
       successful: outcome,
       failed: failure,
@@ -111,7 +124,8 @@ export function mount(container) {
           "div",
           {},
           el("div", { class: "spread" }, title, stateBadge(job.state)),
-          el("p", { class: "small" }, submitted),
+          el("div", { class: "spread named" }, name, rename),
+          el("p", { class: "small" }, `Submitted ${formatAgo(job.created_at)}${owner}`),
         ),
         silence,
         (bodies[job.state] ?? progress)(job),
@@ -164,10 +178,16 @@ async function cancel(job) {
 function outcome(job) {
   const summary = job.summary ?? {};
   const { report, seconds, keyframes } = summary;
+  /** @type {number[]} */
+  const stages = Object.values(summary.stage_seconds ?? {});
+  const methodSeconds = stages.reduce((sum, each) => sum + each, 0); // without the start of workers, and the map
   const { osm, policy } = job.request;
-  const own = ownSettings(job.request).map(([name, value]) => el("code", {}, `${name} = ${JSON.stringify(value)} `));
+  const own = Object.entries(job.own_settings).map(([name, value]) =>
+    el("code", {}, `${name} = ${JSON.stringify(value)} `),
+  );
   const finished = new Date(job.finished_at).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "short" });
-  const unscored = "The job had no map. Run it again with a map to see which intersections are right.";
+  const unscored = "The job had no map. Run it again with one to see which intersections are right.";
+  const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
   return [
     el("div", { class: "tiles-row" }, [
       figure(formatCount(summary.intersections ?? 0), "intersections"),
@@ -180,20 +200,27 @@ function outcome(job) {
       ],
     ]),
     !osm && el("p", { class: "note" }, el("strong", {}, "Not scored"), unscored),
+    !osm && row(el("button", { class: "primary", onClick: withMap }, "Run again with a map…")),
     row(
-      osm && el("button", { class: "primary", onClick: () => setState({ panel: "report" }) }, "Open the report"),
+      el(
+        "button",
+        { class: "primary", onClick: () => setState({ panel: "report" }) },
+        osm ? "Open the report" : "List the intersections",
+      ),
       el("button", { onClick: () => setState({ panel: "export" }) }, icon("download"), "Download"),
     ),
     el(
       "dl",
       { class: "figures section" },
       factRows([
+        ["Preset", job.request.preset ?? "default"],
+        job.request.labels && ["Labels", job.request.labels],
         ["Map", osm ? (osm.file ?? "OpenStreetMap, by Overpass") : "none"],
         osm && ["Policy", policy ?? "drive"],
         summary.location && ["Placed by its roads", placedText(summary.location)],
         ["Own settings", own.length ? own : "none"],
         seconds !== undefined && ["Time", formatDuration(seconds)],
-        seconds && keyframes && ["Per keyframe", `${((1000 * seconds) / keyframes).toFixed(1)} ms`],
+        methodSeconds && keyframes && ["Per keyframe", `${((1000 * methodSeconds) / keyframes).toFixed(1)} ms`],
         summary.peak_memory_bytes && ["Peak memory", formatBytes(summary.peak_memory_bytes)],
         ["Finished", finished],
         ["Job", el("code", {}, job.id)],
@@ -246,7 +273,7 @@ async function remove(job) {
 
 /** @param {any} job @param {string} [kind] */
 function runAgain(job, kind = "primary") {
-  const open = () => openRunDialog(job.drive_id).catch(showError);
+  const open = () => openRunDialog(job.drive_id, { job }).catch(showError);
   return el("button", { class: kind, onClick: open }, "Run again…");
 }
 

@@ -1,84 +1,125 @@
 /**
- * Run a drive that is there already: preset, map, policy.
+ * Run a drive that is there already: afresh, or once more as an earlier job, with what is to be different.
  * @module job/run_dialog
  */
-import { getConfig, getJson, isMap, sendJson } from "../api.js";
-import { field, openDialog, select } from "../controls.js";
-import { lists, loadPresets, rememberJob } from "../data/lists.js";
+import { encodePath, getJson, putFile, sendJson } from "../api.js";
+import { field, openDialog } from "../controls.js";
+import { rememberJob } from "../data/lists.js";
 import { el, fill } from "../dom.js";
 import { problemNote } from "../messages.js";
-import { placingField } from "./placing.js";
+import { jobForm, nest } from "./job_form.js";
 import { openJob } from "./words.js";
 
 /**
- * The choice of which OSM nodes count, with an explanation below it.
- * @param {string} [chosen]
- * @param {(policy: string) => void} [onChange]
+ * @param {string} id Of the drive.
+ * @param {object} [start]
+ * @param {any} [start.job] The job to start from.
+ * @param {boolean} [start.withMap] It had no map, and is to get one.
  */
-export function policyField(chosen, onChange) {
-  const { policies } = getConfig();
-  const hint = el("small", {});
-  const explain = () => fill(hint, policies.find(({ name }) => name === policy.value)?.description);
-  const policy = select(Object.fromEntries(policies.map(({ name, title }) => [name, title])), chosen, (value) => {
-    explain();
-    onChange?.(value);
-  });
-  explain();
-  const element = el("label", { class: "field" }, el("span", {}, "What counts as an intersection"), policy, hint);
-  return { element, value: () => policy.value };
-}
-
-/** @param {string} id Of the drive. */
-export async function openRunDialog(id) {
-  const [drive, { files }] = await Promise.all([
-    getJson(`drives/${id}`), // with its report, which lists leave out
-    getJson(`drives/${id}/files?limit=10000`),
-    loadPresets(),
-  ]);
-  const maps = files.map((/** @type {any} */ file) => file.path).filter(isMap);
-  const preset = select(
-    Object.fromEntries(lists.presets.map(({ name, description }) => [name, `${name} – ${description}`])),
-  );
-  const map = select({
-    ...Object.fromEntries(maps.map((/** @type {string} */ path) => [`file:${path}`, path])),
-    ...(getConfig().overpass ? { overpass: "From OpenStreetMap now (Overpass)" } : {}),
-    "": "None – only detect",
-  });
-  const policy = policyField();
-  const placing = placingField(null, () => {});
-  const chooseMap = () => placing.setMap(map.value === "overpass" ? "overpass" : map.value ? "file" : "none");
-  map.addEventListener("change", chooseMap);
-  placing.suggest(!drive.report?.georeference);
-  chooseMap();
-  const trouble = el("div", {});
+export async function openRunDialog(id, { job, withMap = false } = {}) {
+  const [drive, presets] = await Promise.all([getJson(`drives/${id}`), getJson("presets")]);
+  const hasGeoreference = Boolean(drive.report?.georeference);
+  const before = job ? settingsOf(job) : null;
+  if (before && withMap) {
+    before.osm ??= { file: "" }; // one that the drive does not have: to be chosen
+    if (!hasGeoreference) before.georeference = "map";
+  }
+  const [maps, folders] = [drive.maps ?? [], drive.label_folders ?? []];
+  const form = jobForm({ maps, isArchive: false, folders, hasGeoreference, presets, before }, refresh);
+  const name = el("input", { type: "text", maxLength: 200, placeholder: "made from what is chosen below" });
+  const why = el("small", { role: "status" });
+  const trouble = el("div", { role: "status" });
   const run = el("button", { class: "primary", value: "run" }, "Run");
-  const form = el(
-    "form",
-    { method: "dialog", class: "stack", onSubmit: (/** @type {Event} */ e) => (e.preventDefault(), void submit()) },
-    el("h2", {}, `Run ${drive.name}`),
-    field("Preset", preset),
-    field("Map to score against", map),
-    placing.element,
-    policy.element,
-    trouble,
-    el("div", { class: "actions" }, el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"), run),
+  const stop = new AbortController();
+  const dialog = openDialog(
+    { class: "tall" },
+    [
+      el(
+        "form",
+        { method: "dialog", onSubmit: (/** @type {Event} */ e) => (e.preventDefault(), void submit()) },
+        el(
+          "div",
+          { class: "stack tall-body" },
+          el("h2", {}, job ? `Run ${drive.name} again` : `Run ${drive.name}`),
+          job && el("p", { class: "small" }, `All is chosen as it was for the job “${job.title}”.`),
+          field("Name of the job", name),
+          form.element,
+        ),
+        trouble,
+        el(
+          "div",
+          { class: "actions" },
+          why,
+          el("button", { type: "button", onClick: () => dialog.close() }, "Cancel"),
+          run,
+        ),
+      ),
+    ],
+    () => stop.abort(),
   );
-  const dialog = openDialog({}, [form]);
+
+  function refresh() {
+    const complaint = form.complaint();
+    run.disabled = complaint !== null;
+    why.textContent = complaint ?? "";
+  }
+
+  /** The map that was sent, so that it is not sent again where the job is refused. @type {{file: File, path: string}|null} */
+  let sent = null;
+  /** @param {File} file @returns {Promise<{file: string}>} As the job is asked for it. */
+  const send = async (file) => {
+    if (sent?.file !== file) {
+      const path = freeName(file.name, maps);
+      const onProgress = (/** @type {number} */ bytes) =>
+        fill(trouble, el("p", { class: "small" }, `Sending the map: ${Math.floor((100 * bytes) / file.size)} %`));
+      await putFile(`drives/${drive.id}/files/${encodePath(path)}`, file, { onProgress, signal: stop.signal });
+      sent = { file, path };
+    }
+    return { file: sent.path };
+  };
 
   const submit = async () => {
-    const complaint = placing.complaint();
-    if (complaint) return fill(trouble, el("p", { class: "note warning" }, complaint));
     run.disabled = true;
-    const osm = map.value === "overpass" ? { overpass: true } : map.value ? { file: map.value.slice(5) } : undefined;
+    fill(trouble);
     try {
-      const body = { drive_id: drive.id, preset: preset.value, policy: policy.value(), osm, ...placing.read() };
-      const job = await sendJson("POST", "jobs", body);
-      rememberJob(job);
+      const { job: chosen, map } = form.read();
+      const { key, ...settings } = chosen;
+      const osm = map ? await send(map) : settings.osm;
+      const body = { drive_id: drive.id, name: name.value.trim() || null, ...settings, osm };
+      const made = await sendJson("POST", "jobs", body, { headers: { "Idempotency-Key": key } });
+      rememberJob(made);
       dialog.close();
-      openJob(job);
+      openJob(made);
     } catch (error) {
+      if (stop.signal.aborted) return;
       fill(trouble, problemNote(error));
       run.disabled = false;
     }
   };
+  refresh();
+}
+
+/** @param {any} job @returns {import("./job_form.js").JobSettings} What it was asked for. */
+function settingsOf({ request, own_settings }) {
+  return {
+    preset: request.preset ?? "default",
+    config: nest(Object.entries(own_settings)),
+    labels: request.labels ?? null,
+    osm: request.osm ?? null,
+    georeference: request.georeference ?? "drive",
+    near: request.near ?? null,
+    policy: request.policy,
+    tolerance_m: request.tolerance_m,
+    key: "",
+  };
+}
+
+/** @param {string} name @param {string[]} taken @returns {string} "map-2.osm.gz" where the drive has a map.osm.gz. */
+export function freeName(name, taken) {
+  const dot = name.indexOf(".", 1);
+  const [stem, ending] = dot < 0 ? [name, ""] : [name.slice(0, dot), name.slice(dot)];
+  let free = name;
+  for (let i = 2; taken.some((each) => each.toLowerCase() === free.toLowerCase()); i += 1)
+    free = `${stem}-${i}${ending}`;
+  return free;
 }

@@ -3,9 +3,12 @@
  * @module job/words
  */
 import { getConfig } from "../api.js";
-import { lists, ownSettings } from "../data/lists.js";
+import { lists } from "../data/lists.js";
+import { onUploadsChange, uploadOf, uploadText } from "../data/uploads.js";
 import { el, formatAgo, formatDuration, formatMetres, plural } from "../dom.js";
 import { setState } from "../state.js";
+
+export const ANYONE = "anonymous"; // the owner of all where nobody has a token
 
 const STATES = /** @type {Record<string, [string, string]>} */ ({
   uploading: ["Upload unfinished", ""],
@@ -24,20 +27,22 @@ export function stateBadge(state) {
   return el("span", { class: `badge ${kind}` }, text);
 }
 
-/** @param {any} job @returns {string} Its name, or what it was asked for. */
-export function jobTitle(job) {
-  const request = job.request ?? {};
-  if (request.name) return request.name;
-  const parts = [`Preset ${request.preset ?? "default"}`];
-  if (request.osm) parts.push(`policy ${request.policy ?? "drive"}`);
-  if (ownSettings(request).length) parts.push("own settings");
-  return parts.join(", ");
+/** @param {any} drive @returns {HTMLElement} Its state, or how far its upload is. */
+export function driveBadge({ id, state }) {
+  const upload = state === "uploading" ? uploadOf(id) : null;
+  return upload ? el("span", { class: "badge busy", dataset: { upload: id } }, uploadText(upload)) : stateBadge(state);
 }
+
+onUploadsChange(() => {
+  for (const badge of document.querySelectorAll("[data-upload]")) {
+    const upload = uploadOf(/** @type {HTMLElement} */ (badge).dataset.upload ?? "");
+    if (upload) badge.textContent = uploadText(upload);
+  }
+});
 
 /** @param {any} job @returns {string} Its title, and when it ended or which state it is in. */
 export function jobName(job) {
-  const title = jobTitle(job).replace("Preset ", "").replace("policy ", "");
-  return `${title} · ${job.state === "successful" ? formatAgo(job.finished_at ?? job.created_at) : job.state}`;
+  return `${job.title} · ${job.state === "successful" ? formatAgo(job.finished_at ?? job.created_at) : job.state}`;
 }
 
 /** @param {any} job @returns {string} The result in a few words. */

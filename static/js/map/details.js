@@ -1,38 +1,35 @@
 /**
- * Tips under the pointer, and the details of what is clicked.
+ * Tips under the pointer, and the details of what is chosen: by a click, from a list, by a link.
  * @module map/details
  */
 
 /** @typedef {import("./scene.js").Hit} Hit */
 
-import { factRows } from "../controls.js";
-import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
-import { CircleMarker, Popup, SVG, Tooltip } from "../leaflet.js";
+import { copyButton, factRows } from "../controls.js";
+import { el } from "../dom.js";
+import { CircleMarker, Popup, Tooltip } from "../leaflet.js";
+import { showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
-import { isWrong, kindOfNode } from "./layers.js";
+import { factsOf, isOsmNode, signOf, summaryOf, titleOf, whyOf } from "./facts.js";
+import { coordinates, linksAt, noteText } from "./links.js";
 import { shown } from "./shown.js";
 import { View } from "./surface.js";
+import { signIcon } from "./symbols.js";
 
 /**
  * Watch the pointer over the scene of a map.
  * @param {any} map
  * @param {() => import("./scene.js").Scene|null} scene
+ * @param {() => boolean} isBusy Whether clicks mean something else now.
  */
-export function watchPointer(map, scene) {
-  const mark = new CircleMarker([0, 0], {
-    radius: 10,
-    className: "mark",
-    fill: false,
-    interactive: false,
-    renderer: new SVG({ pane: "marks" }),
-    pane: "marks",
-  });
+export function watchPointer(map, scene, isBusy) {
+  const mark = ring("mark");
   const tip = new Tooltip({ direction: "top", offset: [0, -10], opacity: 1, className: "tip", interactive: false });
 
   /** @param {any} event @returns {Hit|null} */
   const find = (event) => {
     const current = scene();
-    if (!current) return null;
+    if (!current || isBusy()) return null;
     const view = new View(map, map.getZoom(), map.getPixelBounds().min, map.getSize());
     return current.find(view, event.containerPoint.x, event.containerPoint.y);
   };
@@ -62,7 +59,7 @@ export function watchPointer(map, scene) {
     if (!hit) return;
     show(null);
     if (hit.kind === "keyframe") setState({ frame: hit.item.properties.frame });
-    else openDetails(map, hit, Boolean(scene()?.result.local));
+    else openDetails(hit);
   });
 }
 
@@ -71,33 +68,38 @@ function overControl(event) {
   return event.originalEvent.target.closest?.(".leaflet-control, .leaflet-popup");
 }
 
+/** @param {string} className */
+function ring(className) {
+  return new CircleMarker([0, 0], { radius: 11, className, fill: false, interactive: false, pane: "marks" });
+}
+
+/** What is open now, and what a move of the map leads to: the newest counts. @type {Hit|null} */
+let chosen = null;
+
 /**
  * Show all that is known of a thing.
- * @param {any} map
  * @param {Hit} hit
- * @param {boolean} local
  */
-export function openDetails(map, hit, local) {
+export function openDetails(hit) {
+  const { map, result } = shown;
+  if (!map || !result) return;
   const { item, kind } = hit;
-  const frame = {
-    detection: item.properties.frame,
-    intersection: Math.round((item.properties.first_frame + item.properties.last_frame) / 2),
-  }[/** @type {string} */ (kind)];
-  const look = () => setState({ frame, drawer: true });
-  const report = () => setState({ panel: "report", node: item.properties.osm_id });
-  const content = el(
-    "div",
-    { class: "details" },
-    el("h3", {}, titleOf(hit)),
-    el("dl", { class: "figures" }, factRows(factsOf(hit, local))),
-    frame !== undefined && el("button", { onClick: look }, "Look at its keyframe"),
-    kind === "node" && el("button", { onClick: report }, "See it in the report"),
-  );
-  if (kind === "detection" && getState().frame !== frame) setState({ frame });
-  new Popup({ maxWidth: 320, minWidth: 240, maxHeight: Math.max(140, map.getSize().y - 110), autoPanPadding: [24, 24] })
-    .setLatLng([item.lat, item.lng])
-    .setContent(content)
-    .openOn(map);
+  chosen = hit;
+  const around = ring("chosen").setLatLng([item.lat, item.lng]).addTo(map);
+  const popup = new Popup({
+    maxWidth: 320,
+    minWidth: Math.min(290, map.getSize().x - 80),
+    maxHeight: Math.max(140, map.getSize().y - 110),
+    autoPanPadding: [24, 24],
+  });
+  popup.on("remove", () => {
+    around.remove();
+    if (chosen !== hit) return; // another one takes its place
+    chosen = null;
+    setState({ intersection: null, node: null });
+  });
+  popup.setLatLng([item.lat, item.lng]).setContent(contentOf(hit, result)).openOn(map);
+  setState({ ...selectionOf(hit), ...(kind === "detection" && { frame: item.properties.frame }) });
 }
 
 /**
@@ -107,114 +109,100 @@ export function openDetails(map, hit, local) {
 export function goTo(hit) {
   const { map, result } = shown;
   if (!map || !result) return;
+  chosen = hit;
+  setState(selectionOf(hit));
   const zoom = Math.max(map.getZoom(), result.local ? 2.5 : 18.5);
-  map.once("moveend", () => openDetails(map, hit, result.local)); // while it moves the box would not find its room
-  map.setView([hit.item.lat, hit.item.lng], zoom, { animate: true });
+  // While the map moves the box would not find its room; a move that is overtaken by another opens nothing.
+  map.once("moveend", () => chosen === hit && openDetails(hit));
+  map.setView([hit.item.lat, hit.item.lng], zoom, { animate: !matchMedia("(prefers-reduced-motion: reduce)").matches });
 }
 
-const NODES = { found: "found", missed: "missed", outside: "out of reach" };
-const DETECTIONS = /** @type {Record<string, string>} */ ({
-  none: "Detection",
-  TP: "True detection",
-  FP: "False detection",
-});
-
-/** @param {Hit} hit @returns {string} */
-function titleOf({ kind, item }) {
-  if (kind === "intersection") return `Intersection ${item.properties.id}${isWrong(item) ? ", wrong" : ""}`;
-  if (kind === "node") return `OSM intersection, ${NODES[kindOfNode(item)]}`;
-  return kind === "detection" ? DETECTIONS[item.outcome] : `Keyframe at scan ${item.properties.frame}`;
+/** @param {Hit} hit @returns {{intersection: string|null, node: number|null}} */
+function selectionOf({ kind, item }) {
+  return {
+    intersection: kind === "intersection" ? String(item.properties.id) : null,
+    node: kind === "node" ? item.properties.osm_id : null,
+  };
 }
 
-/** @param {Hit} hit @returns {string} One line below the title. */
-function summaryOf({ kind, item }) {
+/** @param {string|null} name Id or uid. @param {import("../data/results.js").Place} intersection @returns {boolean} */
+export const isNamed = (name, { properties: p }) => name !== null && (name === String(p.id) || name === p.uid);
+
+/**
+ * Show what the address names, where that is not what is shown.
+ * @param {(hit: Hit) => void} open
+ */
+export function openSelection(open) {
+  const { result, map } = shown;
+  const { intersection, node, job } = getState();
+  if (!result || result.job.id !== job) return;
+  const own = chosen && selectionOf(chosen);
+  if (own?.intersection === intersection && own?.node === node) return;
+  const place = result.intersections.find((each) => isNamed(intersection, each));
+  const osm = result.nodes.find(({ properties }) => properties.osm_id === node);
+  if (place) open({ kind: "intersection", item: place });
+  else if (osm) open({ kind: "node", item: osm });
+  else if (intersection !== null) showMessage(`This result has no intersection ${intersection}.`);
+  else if (node !== null) showMessage(`This result has no OSM node ${node}.`);
+  else if (own?.intersection || own?.node) map.closePopup();
+}
+
+/** Close the details; what is chosen stays so, for the result that comes. */
+export function closeDetails() {
+  chosen = null;
+  shown.map?.closePopup();
+}
+
+/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+function contentOf(hit, result) {
+  const sign = signOf(hit);
+  const why = whyOf(hit, result);
+  return el(
+    "div",
+    { class: "details" },
+    el("h3", {}, sign && signIcon(sign), titleOf(hit)),
+    why && el("p", { class: "why" }, why),
+    el("dl", { class: "figures" }, factRows(factsOf(hit, result))),
+    el("div", { class: "row" }, actionsOf(hit, result)),
+    waysOut(hit, result),
+  );
+}
+
+/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+function actionsOf({ kind, item }, result) {
   const { properties: p } = item;
-  if (kind === "detection") {
-    return `scan ${p.frame}${item.error_m === null ? "" : `, ${formatMetres(item.error_m)} from the OSM intersection`}`;
-  }
-  const detections = plural(p.observations ?? p.detections, "detection");
-  if (kind === "intersection") {
-    return `${detections}, ±${formatMetres(p.position_std_m)}, ${plural(p.branch_count, "branch", "branches")}`;
-  }
-  if (kind === "keyframe") return p.detections ? detections : "no detections";
-  return p.detections
-    ? `${detections}, ${formatMetres(p.median_error_m)} off (median)`
-    : "no detection was matched to it";
+  const frame = kind === "detection" ? p.frame : kind === "intersection" ? frameOf(p, result) : null;
+  const inReport = () => setState({ panel: "report" });
+  return [
+    frame !== null && el("button", { onClick: () => setState({ frame, drawer: true }) }, "Look at its keyframe"),
+    kind !== "detection" &&
+      el("button", { onClick: inReport }, kind === "node" ? "See it in the report" : "In the list"),
+  ];
 }
 
 /**
- * All that is known of it.
- * @param {Hit} hit
- * @param {boolean} local
- * @returns {Array<[string, any]|false>}
+ * @param {any} properties Of an intersection.
+ * @param {import("../data/results.js").Result} result
+ * @returns {number} The keyframe in the middle of those that saw it.
  */
-function factsOf({ kind, item }, local) {
-  const { properties: p } = item;
-  const { lng, lat, error_m, osm_id } = item;
-  /** @type {() => [string, any]} */
-  const branches = () => [`Branches (${p.branch_count})`, bearings(p.branch_bearings_deg, local)];
-  const ahead = `${formatMetres(Math.abs(p.x_m), 1)} ${p.x_m < 0 ? "behind" : "ahead"}`;
-  const left = `${formatMetres(Math.abs(p.y_m), 1)} ${p.y_m < 0 ? "right" : "left"}`;
-  /** @type {Record<Hit["kind"], () => Array<[string, any]|false>>} */
-  const facts = {
-    intersection: () => [
-      p.outcome === "right" && [
-        "Right",
-        el("span", {}, `${formatMetres(p.error_m)} from OSM node `, osmLink(p.osm_id)),
-      ],
-      p.reason && ["Why wrong", p.reason],
-      ["Detections", String(p.observations)],
-      ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
-      ["Confidence", formatPercent(p.confidence)],
-      ["Seen in scans", `${p.first_frame} to ${p.last_frame}`],
-      branches(),
-    ],
-    node: () => [
-      ["OSM node", osmLink(p.osm_id)],
-      p.reason && ["Why missed", p.reason],
-      ["Roads that meet", String(p.degree)],
-      ["In the relevant zone of", plural(p.keyframes_in_zone, "keyframe")],
-      ["Not found in", plural(p.keyframes_missed, "of these", "of these")],
-      ["Detections", String(p.detections)],
-      ["Median error", formatMetres(p.median_error_m)],
-    ],
-    detection: () => [
-      ["Scan", String(p.frame)],
-      error_m !== null && ["Error", formatMetres(error_m)],
-      osm_id !== null && ["Matched to OSM node", osmLink(osm_id)],
-      item.outcome === "FP" && p.reason && ["Why false", p.reason],
-      item.outcome === "FP" &&
-        !p.reason &&
-        error_m === null && ["Why false", "no OSM intersection in its region of interest"],
-      ["Score", p.score?.toFixed(2) ?? "–"],
-      ["From the LiDAR", `${ahead}, ${left}`],
-      branches(),
-      ["Part of", p.intersection === null ? "no intersection of the map" : `intersection ${p.intersection}`],
-    ],
-    keyframe: () => [
-      ["Scan", String(p.frame)],
-      p.time_s !== null && ["Time", formatDuration(p.time_s)],
-      ["Heading", `${Math.round(p.heading_deg)}°`],
-      ["Detections", String(p.detections)],
-    ],
-  };
-  const metres = `${lng.toFixed(2)} m, ${lat.toFixed(2)} m`;
-  const degrees = `${lat.toFixed(7)}, ${lng.toFixed(7)}`;
-  return [...facts[kind](), local ? ["x, y in W", metres] : ["Latitude, longitude", degrees]];
+function frameOf({ id, first_frame, last_frame }, result) {
+  const own = result.detections.filter(({ properties }) => properties.intersection === id);
+  return own[own.length >> 1]?.properties.frame ?? Math.round((first_frame + last_frame) / 2);
 }
 
-/** @param {number[]} values @param {boolean} local @returns {string} */
-function bearings(values, local) {
-  const names = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"];
-  return [...values]
-    .sort((a, b) => a - b)
-    .map((b) => `${Math.round(b)}°${local ? "" : ` ${names[Math.round(b / 45) % 8]}`}`)
-    .join(", ");
+/** @param {Hit} hit @param {import("../data/results.js").Result} result */
+function waysOut(hit, result) {
+  const { item, kind } = hit;
+  const copy = copyButton("Copy coordinates", () => coordinates(item, result.local));
+  if (result.local || result.isMadeUp) return el("div", { class: "ways-out" }, copy);
+  const id = kind === "detection" ? null : item.properties.osm_id;
+  const links = linksAt(item.lat, item.lng, isOsmNode(id, result) ? id : null).map(({ name, href, title }) =>
+    el("a", { href, title, target: "_blank", rel: "noopener", onClick: name === "JOSM" && tellOfJosm }, name),
+  );
+  const note = copyButton("Copy OSM note", () => noteText(hit, result.report?.osm.date));
+  return el("div", { class: "ways-out" }, el("p", {}, links), copy, note);
 }
 
-/** @param {number|null|undefined} id @returns {string|Node} */
-function osmLink(id) {
-  if (id === null || id === undefined) return "–";
-  if (id <= 0) return String(id);
-  return el("a", { href: `https://www.openstreetmap.org/node/${id}`, target: "_blank", rel: "noopener" }, String(id));
+function tellOfJosm() {
+  showMessage("Sent to JOSM, in a new tab. Did it not answer? Start JOSM and switch on its remote control.");
 }

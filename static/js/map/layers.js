@@ -2,9 +2,10 @@
  * The layers of a result: what they are called, what they hold, which are on.
  * @module map/layers
  */
+import { kindOfCompared } from "../data/compared.js";
 
 /** @typedef {import("../data/results.js").Result} Result */
-/** @typedef {"Base"|"Drive"|"Found"|"Score"|"Keyframe"} Group */
+/** @typedef {"Base"|"Drive"|"Intersections"|"OSM intersections"|"Detections"|"Compare"|"Keyframe"} Group */
 
 /**
  * @param {string} id In permalinks.
@@ -17,33 +18,44 @@ const layer = (id, group, title, look, hint) => ({ id, group, title, look, hint 
 
 export const LAYERS = [
   layer("tiles", "Base", "Map tiles", "line tiles", "Pictures from a tile server; needs the internet."),
+  layer("surface", "Base", "Road seen by LiDAR", "line surface", "Where the drive's LiDAR saw road: a map of its own."),
   layer("roads", "Base", "OSM roads", "line road", "Roads of the map that the drive was scored against."),
   layer("track", "Drive", "Trajectory", "line track", "Where the vehicle drove."),
   layer("places", "Drive", "Next best places", "line place", "Where else the roads of the map fit the drive, worse."),
   layer("keyframes", "Drive", "Keyframes", "keyframe", "Places at which the method looked for intersections."),
-  layer("intersections", "Found", "Intersections", "fused", "One for each place, from all its detections."),
+  layer("right", "Intersections", "Right", "right", "An OSM intersection of its own lies within 10 m."),
+  layer("wrong", "Intersections", "Wrong", "wrong", "No OSM intersection of its own lies within 10 m."),
+  layer("unscored", "Intersections", "Not scored", "unscored", "Found, but not compared with OpenStreetMap."),
   layer(
     "uncertainty",
-    "Found",
+    "Intersections",
     "Uncertainty (2 σ)",
     "line uncertainty",
     "It lies in the circle with a chance of 86 %.",
   ),
-  layer("branches", "Found", "Branches", "line branch", "Bearings of the roads that leave an intersection."),
-  layer("detections", "Found", "Detections", "detection", "One per keyframe that saw the intersection."),
-  layer("tp", "Score", "True detections", "tp", "An OSM intersection lies within D (TP)."),
-  layer("fp", "Score", "False detections", "fp", "No OSM intersection within D (FP)."),
-  layer("errors", "Score", "Error lines", "line error", "From a detection to the OSM intersection it was matched to."),
+  layer("branches", "Intersections", "Branches", "line branch", "Bearings of the roads that leave an intersection."),
+  layer("found", "OSM intersections", "Found", "found", "An intersection of the map is assigned to it, within 10 m."),
+  layer("missed", "OSM intersections", "Missed", "missed", "Passed, and no intersection of the map is assigned to it."),
+  layer("outside", "OSM intersections", "Out of reach", "outside", "In no relevant zone; they do not count."),
+  layer("detections", "Detections", "Not scored", "detection", "Detections not compared with OpenStreetMap."),
+  layer("tp", "Detections", "True", "tp", "An OSM intersection lies within D (TP)."),
+  layer("fp", "Detections", "False", "fp", "No OSM intersection within D (FP)."),
   layer(
-    "wrong",
-    "Score",
-    "Wrong intersections",
-    "wrong",
-    "Intersections without an OSM intersection of their own within 10 m.",
+    "errors",
+    "Detections",
+    "Error lines",
+    "line error",
+    "From a detection to the OSM intersection it is matched to.",
   ),
-  layer("found", "Score", "Found intersections", "found", "OSM intersections with a true detection."),
-  layer("missed", "Score", "Missed intersections", "missed", "OSM intersections passed without a true detection."),
-  layer("outside", "Score", "Out of reach", "outside", "OSM intersections in no relevant zone; they do not count."),
+  layer("shared", "Compare", "Found by all", "shared", "Intersections that all compared jobs found."),
+  layer("here", "Compare", "Not by all others", "here", "Intersections of this job that another one did not find."),
+  layer(
+    "elsewhere",
+    "Compare",
+    "Only by others",
+    "elsewhere",
+    "Intersections of other jobs that this one did not find.",
+  ),
   layer(
     "zone",
     "Keyframe",
@@ -53,43 +65,70 @@ export const LAYERS = [
   ),
 ];
 
+/** Titles where nothing is scored: then these are all. */
+const UNSCORED = /** @type {Record<string, string>} */ ({ unscored: "Intersections", detections: "Detections" });
+
+/** Names of layers in older permalinks. */
+const ALIASES = /** @type {Record<string, string[]>} */ ({ intersections: ["right", "unscored"] });
+
 const OFF_BY_DEFAULT = new Set(["tiles", "keyframes", "outside"]);
 
 /** How many things a layer holds; null: no number is shown; 0 hides the layer. */
 const COUNTS = /** @type {Record<string, (result: Result) => number|null>} */ ({
   tiles: (r) => (r.local ? 0 : null),
+  surface: (r) => (r.surface ? null : 0),
   roads: (r) => r.roads.length,
   places: (r) => r.places.length,
   keyframes: (r) => r.keyframes.length,
-  intersections: (r) => r.intersections.filter((each) => !isWrong(each)).length,
+  right: (r) => countVerdicts(r, "right"),
+  wrong: (r) => countVerdicts(r, "wrong"),
+  unscored: (r) => countVerdicts(r, "unscored"),
   uncertainty: (r) => (r.intersections.length ? null : 0),
   branches: (r) => (r.intersections.length ? null : 0),
-  detections: (r) => (r.report ? 0 : r.detections.length),
-  tp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "TP").length : 0),
-  fp: (r) => (r.report ? r.detections.filter((each) => each.outcome === "FP").length : 0),
+  detections: (r) => countDetections(r, "none"),
+  tp: (r) => countDetections(r, "TP"),
+  fp: (r) => countDetections(r, "FP"),
   errors: (r) => (r.matches.length ? null : 0),
-  wrong: (r) => r.intersections.filter(isWrong).length,
+  shared: (r) => r.compared.filter((each) => kindOfCompared(each) === "shared").length,
+  here: (r) => r.compared.filter((each) => kindOfCompared(each) === "here").length,
+  elsewhere: (r) => r.compared.filter((each) => kindOfCompared(each) === "elsewhere").length,
   found: (r) => r.nodes.filter((each) => kindOfNode(each) === "found").length,
   missed: (r) => r.nodes.filter((each) => kindOfNode(each) === "missed").length,
   outside: (r) => r.nodes.filter((each) => kindOfNode(each) === "outside").length,
 });
 
+/** @param {Result} result @param {string} outcome */
+const countDetections = (result, outcome) => result.detections.filter((each) => each.outcome === outcome).length;
+
+/** @param {Result} result @param {string} verdict */
+const countVerdicts = (result, verdict) => result.intersections.filter((each) => verdictOf(each) === verdict).length;
+
 /** @param {Result} result @returns {{layer: typeof LAYERS[0], count: number|null}[]} Layers that hold something. */
 export function layersOf(result) {
-  const all = LAYERS.map((each) => ({ layer: each, count: COUNTS[each.id]?.(result) ?? null }));
+  const all = LAYERS.map((each) => {
+    const title = result.report ? each.title : (UNSCORED[each.id] ?? each.title);
+    return { layer: { ...each, title }, count: COUNTS[each.id]?.(result) ?? null };
+  });
   return all.filter(({ count }) => count !== 0);
 }
 
-/** @param {import("../data/results.js").Place} node @returns {"found"|"missed"|"outside"} */
+/**
+ * What became of an OSM intersection, by the intersections of the map; by the detections where the result is of a
+ * version that knew no better.
+ * @param {{properties: any}} node
+ * @returns {"found"|"missed"|"outside"}
+ */
 export function kindOfNode({ properties }) {
+  if (properties.outcome) return properties.outcome;
   if (properties.found) return "found";
   return properties.in_zone ? "missed" : "outside";
 }
 
-/** @param {import("../data/results.js").Place} intersection @returns {boolean} By its score, where it has one. */
-export const isWrong = ({ properties }) => properties.outcome === "wrong";
+/** @param {{properties: any}} intersection @returns {"right"|"wrong"|"unscored"} */
+export const verdictOf = ({ properties }) => properties.outcome ?? "unscored";
 
 /** @param {string[]|null} chosen @returns {Set<string>} Ids of the layers that are on. */
 export function layersOn(chosen) {
-  return new Set(chosen ?? LAYERS.map((each) => each.id).filter((id) => !OFF_BY_DEFAULT.has(id)));
+  const ids = chosen?.flatMap((id) => ALIASES[id] ?? [id]);
+  return new Set(ids ?? LAYERS.map((each) => each.id).filter((id) => !OFF_BY_DEFAULT.has(id)));
 }

@@ -11,6 +11,8 @@ import { signIcon } from "./symbols.js";
 import { tileBox } from "./tiles.js";
 
 const OPEN_KEY = "interloc.legend";
+/** Groups whose name is needed to read their rows; the others' names are for screen readers. */
+const HEADED = new Set(["Intersections", "OSM intersections", "Detections"]);
 const WIDE_PX = 640; // on a narrower map the legend is folded: it would hide the half of it
 
 /**
@@ -43,7 +45,7 @@ export function addLegend(map) {
       el(
         "fieldset",
         {},
-        el("legend", { class: "unseen" }, group),
+        el("legend", { class: HEADED.has(group) ? "legend-group" : "unseen" }, group),
         rows.filter(({ layer }) => layer.group === group).map(({ layer, count }) => row(layer, count, on)),
         group === "Base" && on.has("tiles") && tileBox(),
       );

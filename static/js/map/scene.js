@@ -2,7 +2,9 @@
  * A result on the surface: positions projected once, painted layer by layer, found again under the pointer.
  * @module map/scene
  */
-import { isWrong, kindOfNode } from "./layers.js";
+import { passes } from "./filter.js";
+import { kindOfNode, verdictOf } from "./layers.js";
+import { paintStreetNames } from "./street_names.js";
 import { colour, SIGNS, trace } from "./symbols.js";
 
 /**
@@ -12,6 +14,7 @@ import { colour, SIGNS, trace } from "./symbols.js";
 
 const MAJOR = new Set(["motorway", "trunk", "primary", "secondary", "tertiary"]);
 const RAY_M = 14;
+const VERDICT_PX = { unscored: 7.5, right: 8, wrong: 10 };
 
 export class Scene {
   /**
@@ -46,6 +49,7 @@ export class Scene {
       path: flat(line),
       width: widthOf(properties),
       drivable: isDrivable(properties),
+      name: properties.name ?? null,
     }));
     this.roads.sort((a, b) => a.width - b.width);
     /** @type {Set<string>} */
@@ -74,6 +78,7 @@ export class Scene {
     const size = Math.min(1.35, Math.max(0.6, (view.zoom - (this.result.local ? -4 : 12)) / 6));
     context.lineCap = "round";
     context.lineJoin = "round";
+    if (this.on.has("roads") && !this.on.has("tiles")) paintStreetNames(context, view, this.roads); // tiles have their own
     if (this.on.has("places")) strokePaths(context, view, this.places, colour("--track"), 1.4, 0.4);
     if (this.on.has("track")) strokePaths(context, view, [this.track], colour("--track"), 1.6, 0.85);
     if (this.progress > 0)
@@ -101,12 +106,10 @@ export class Scene {
     if (this.on.has("uncertainty")) this.#paintUncertainty(context, view);
     const detections = this.detections;
     const evaluated = this.result.report !== null;
-    if (!evaluated && this.on.has("detections"))
-      this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7);
+    if (this.on.has("detections"))
+      this.#paintPoints(context, view, detections, "detection", 3 * size, 0.7, (each) => each.outcome === "none");
     if (evaluated && this.on.has("tp"))
       this.#paintPoints(context, view, detections, "tp", 3 * size, 0.7, (each) => each.outcome === "TP");
-    if (evaluated && this.on.has("fp"))
-      this.#paintPoints(context, view, detections, "fp", 4 * size, 0.85, (each) => each.outcome === "FP");
     for (const kind of ["outside", "found", "missed"]) {
       if (this.on.has(kind))
         this.#paintPoints(
@@ -114,15 +117,28 @@ export class Scene {
           view,
           this.nodes,
           kind,
-          (kind === "outside" ? 4 : 7.5) * size,
+          (kind === "outside" ? 4 : kind === "found" ? 9 : 8) * size,
           1,
           (each) => kindOfNode(each) === kind,
         );
     }
     if (this.on.has("branches")) this.#paintBranches(context, view);
-    if (this.on.has("intersections"))
-      this.#paintPoints(context, view, this.intersections, "fused", 7.5 * size, 1, (each) => !isWrong(each));
-    if (this.on.has("wrong")) this.#paintPoints(context, view, this.intersections, "wrong", 6.5 * size, 1, isWrong);
+    for (const verdict of /** @type {const} */ (["unscored", "right", "wrong"])) {
+      const isOne = (/** @type {any} */ each) => verdictOf(each) === verdict && passes(each);
+      if (this.on.has(verdict))
+        this.#paintPoints(
+          context,
+          view,
+          this.intersections,
+          verdict,
+          VERDICT_PX[verdict] * Math.max(0.85, size),
+          1,
+          isOne,
+        );
+    }
+    if (evaluated && this.on.has("fp"))
+      // on top: what is wrong must not lie under the sign of what it is a part of
+      this.#paintPoints(context, view, detections, "fp", 3.2 * size, 1, (each) => each.outcome === "FP");
   }
 
   /** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view */
@@ -167,6 +183,7 @@ export class Scene {
   #paintPoints(context, view, { xs, ys, items }, name, r, alpha, chosen) {
     const sign = SIGNS[name];
     const taken = new Set(); // pixels: a sign over a sign of the same kind changes nothing
+    const drawn = [];
     context.beginPath();
     for (let i = 0; i < items.length; i += 1) {
       if (chosen && !chosen(items[i])) continue;
@@ -175,10 +192,12 @@ export class Scene {
       const pixel = Math.round(x) * 65536 + Math.round(y);
       if (!view.shows(x, y) || taken.has(pixel)) continue;
       taken.add(pixel);
+      drawn.push([x, y]);
       trace(context, sign.shape, x, y, r);
     }
+    if (!drawn.length) return;
     context.globalAlpha = alpha;
-    if (!sign.filled && sign.width > 2) {
+    if (sign.rim) {
       context.strokeStyle = colour("--surface"); // a rim, so that the sign stands out from road and detections
       context.lineWidth = sign.width + 2.5;
       context.stroke();
@@ -192,6 +211,13 @@ export class Scene {
       context.lineWidth = sign.width;
       context.stroke();
     }
+    if (sign.glyph) {
+      context.beginPath();
+      for (const [x, y] of drawn) trace(context, sign.glyph, x, y, r);
+      context.strokeStyle = colour("--surface");
+      context.lineWidth = r / 4;
+      context.stroke();
+    }
     context.globalAlpha = 1;
   }
 
@@ -202,7 +228,7 @@ export class Scene {
     items.forEach((item, i) => {
       const r = 2 * (item.properties.position_std_m ?? 0) * view.perMetre;
       const [x, y] = [view.x(xs[i]), view.y(ys[i])];
-      if (r > 2 && view.shows(x, y, r)) trace(context, "ring", x, y, r);
+      if (r > 2 && view.shows(x, y, r) && passes(item)) trace(context, "ring", x, y, r);
     });
     context.fillStyle = colour("--fused");
     context.globalAlpha = 0.28;
@@ -222,7 +248,7 @@ export class Scene {
     context.beginPath();
     items.forEach((item, i) => {
       const [x, y] = [view.x(xs[i]), view.y(ys[i])];
-      if (!view.shows(x, y, reach)) return;
+      if (!view.shows(x, y, reach) || !passes(item)) return;
       for (const bearing of item.properties.branch_bearings_deg) {
         const angle = (bearing * Math.PI) / 180;
         context.moveTo(x + 9 * Math.sin(angle), y - 9 * Math.cos(angle));
@@ -245,12 +271,16 @@ export class Scene {
    * @returns {Hit|null}
    */
   find(view, x, y) {
-    const evaluated = this.result.report !== null;
     /** @type {Array<[Hit["kind"], Points, number, (item: any) => boolean]>} */
     const stack = [
-      ["intersection", this.intersections, 9, (item) => this.on.has(isWrong(item) ? "wrong" : "intersections")],
+      ["intersection", this.intersections, 9, (item) => this.on.has(verdictOf(item)) && passes(item)],
       ["node", this.nodes, 10, (item) => this.on.has(kindOfNode(item))],
-      ["detection", this.detections, 7, (item) => this.on.has(evaluated ? item.outcome.toLowerCase() : "detections")],
+      [
+        "detection",
+        this.detections,
+        7,
+        ({ outcome }) => this.on.has(outcome === "none" ? "detections" : outcome.toLowerCase()),
+      ],
       ["keyframe", this.keyframes, 7, () => this.on.has("track") || this.on.has("keyframes")],
     ];
     for (const [kind, points, reach, chosen] of stack) {

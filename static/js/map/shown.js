@@ -4,9 +4,19 @@
  */
 
 /** @typedef {import("../data/results.js").Result} Result */
+/**
+ * @typedef {object} Preview Of a drive that is to be sent, or is being sent.
+ * @property {Result} result Its track, where its scans were taken, and the roads of its map.
+ * @property {string} title
+ * @property {string} text
+ * @property {number} progress How much of it was sent, 0..1.
+ */
 
-/** @type {{result: Result|null, map: any}} `map`: of Leaflet; null until there is something to show. */
-export const shown = { result: null, map: null };
+/**
+ * @type {{result: Result|null, preview: Preview|null, map: any}} `map`: of Leaflet; null until there is something to
+ *   show.
+ */
+export const shown = { result: null, preview: null, map: null };
 
 /** @type {Set<(result: Result|null) => void>} */
 const listeners = new Set();
@@ -21,6 +31,21 @@ export function onResult(call) {
 export function setResult(result) {
   shown.result = result;
   for (const call of listeners) call(result);
+}
+
+/** @type {Set<() => void>} */
+const previewListeners = new Set();
+
+/** @param {() => void} call Called whenever there is another preview, or news of it. */
+export function onPreview(call) {
+  previewListeners.add(call);
+}
+
+/** @param {Preview|null} preview */
+export function setPreview(preview) {
+  if (preview === null && shown.preview === null) return;
+  shown.preview = preview;
+  for (const call of previewListeners) call();
 }
 
 /** @param {Result|null} result @returns {number|null} The keyframe of the first detection: there is something to see. */

@@ -4,18 +4,28 @@
  */
 
 import { getJson } from "../api.js";
+import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { lists, onListsChange, rememberJob } from "../data/lists.js";
+import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory } from "../data/results.js";
-import { el, fill, icon } from "../dom.js";
-import { CRS, control, LeafletMap, latLngBounds } from "../leaflet.js";
+import { el, fill, icon, plural } from "../dom.js";
+import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
 import { problemNote } from "../messages.js";
+import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
-import { watchPointer } from "./details.js";
+import { ComparedLayer, followCompared, onCompared } from "./compared.js";
+import { addCoordinates } from "./coordinates.js";
+import { closeDetails, goTo, openDetails, openSelection, watchPointer } from "./details.js";
+import { clearFilter, isFiltering, onFilterChange } from "./filter.js";
 import { KeyframeLayer } from "./keyframe.js";
 import { layersOn } from "./layers.js";
 import { addLegend } from "./legend.js";
+import { addMeasure, MEASURE_KEYS } from "./measure.js";
+import { OverviewScene, watchDrives } from "./overview.js";
+import { QUEUE_KEYS, queue } from "./queue.js";
+import { roadSurface } from "./road_surface.js";
 import { Scene } from "./scene.js";
-import { setResult, shown } from "./shown.js";
+import { onPreview, setResult, shown } from "./shown.js";
 import { Surface } from "./surface.js";
 import { makeTiles, onTilesChange } from "./tiles.js";
 import { mountTimeline } from "./timeline.js";
@@ -23,8 +33,10 @@ import { mountTimeline } from "./timeline.js";
 const OSM_CREDIT = "© OpenStreetMap contributors, ODbL";
 const LOCAL_CREDIT = "Metres of the drive’s own frame: it has no georeference";
 
-/** @type {Scene|null} */
+/** @type {Scene|OverviewScene|null} */
 let scene = null;
+/** What the map was last fitted to. @type {{places: number[][], local: boolean, padding: number[][]}|null} */
+let whole = null;
 /** Whether the map shows a place of the result, worth a permalink. */
 let isPlaced = false;
 
@@ -32,7 +44,8 @@ let isPlaced = false;
 export async function mountStage() {
   const holder = /** @type {HTMLElement} */ (document.getElementById("map"));
   const cover = el("div", { class: "cover" });
-  holder.before(cover);
+  const note = el("div", { class: "stage-note" });
+  holder.before(cover, note);
   const timeline = mountTimeline(/** @type {HTMLElement} */ (document.getElementById("strip")));
   /** @type {any} */
   let parts = null;
@@ -49,13 +62,21 @@ export async function mountStage() {
 
   const showDrive = async () => {
     const mine = ++token;
-    const { job: id, drive } = getState();
-    if (!id) {
-      clear();
-      fill(cover, welcome(drive));
+    const { job: id, drive, panel } = getState();
+    fill(note);
+    if (panel === "upload" && shown.preview) {
+      showPreview(shown.preview);
       return;
     }
     try {
+      if (!id) {
+        if (drive || !(await showOverview(mine))) {
+          if (mine !== token) return;
+          clear();
+          fill(cover, welcome(drive));
+        }
+        return;
+      }
       const job =
         lists.jobs.find((each) => each.id === id && each.state === "successful") ?? (await getJson(`jobs/${id}`));
       if (mine !== token) return;
@@ -92,9 +113,46 @@ export async function mountStage() {
     parts.redraw();
   };
 
+  /** @param {import("./shown.js").Preview} preview */
+  const showPreview = ({ result, title, text, progress }) => {
+    const isNew = !(scene instanceof Scene) || scene.result.trajectory !== result.trajectory;
+    if (isNew) clear();
+    fill(cover);
+    fill(note, el("strong", {}, title), ` ${text}`);
+    build(result.local);
+    if (!(scene instanceof Scene) || scene.result !== result) scene = new Scene(result, shown.map);
+    scene.find = () => null; // its places have no details yet
+    scene.on = new Set(["roads", "places", "track", "keyframes"]);
+    scene.progress = progress;
+    parts.setAttribution(result);
+    const places = result.trajectory.map(([lng, lat]) => [lat, lng]);
+    if (isNew) fit(places, false, result.local, below(note));
+    parts.redraw();
+  };
+
+  /** @param {number} mine @returns {Promise<boolean>} Whether there is a drive to show. */
+  const showOverview = async (mine) => {
+    const { drives, unplaced } = await loadOverview();
+    if (mine !== token) return true;
+    if (!drives.length) return false;
+    const isNew = !(scene instanceof OverviewScene);
+    if (isNew) clear();
+    fill(cover);
+    const more = unplaced > 0 && ` · ${plural(unplaced, "drive")} without georeference in the list`;
+    fill(note, el("strong", {}, plural(drives.length, "drive")), " to choose from", more, tileSwitch());
+    build(false);
+    scene = new OverviewScene(drives, shown.map);
+    updateLayers();
+    parts.setAttribution({ roads: [], nodes: [], local: false, isMadeUp: false });
+    const places = drives.flatMap(({ track }) => track.map(([lng, lat]) => [lat, lng]));
+    if (isNew) fit(places, false, false, below(note));
+    return true;
+  };
+
   /** @param {import("../data/results.js").Result} next */
   const show = (next) => {
     fill(cover);
+    closeDetails();
     build(next.local);
     scene = new Scene(next, shown.map);
     updateLayers();
@@ -103,10 +161,12 @@ export async function mountStage() {
     isPlaced = false;
     timeline.show(next);
     setResult(next);
+    if (isFiltering()) clearFilter(); // it was one of another result
     shown.map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
     isPlaced = true;
+    openSelection(view ? openDetails : goTo);
     if (frame !== null && !next.frame.rows.has(frame)) setState({ frame: null });
     updateKeyframe();
   };
@@ -115,18 +175,23 @@ export async function mountStage() {
     isPlaced = false;
     scene = null;
     parts?.legend.show(null);
+    parts?.compared.show(new Set());
     parts?.redraw();
     parts?.keyframe.show(null, null, false);
-    shown.map?.closePopup();
+    closeDetails();
     parts?.setTiles(false);
+    parts?.surface.show(null);
     timeline.show(null);
     setResult(null);
+    parts?.filterNote.update();
   };
 
   const updateLayers = () => {
     if (!scene) return;
     scene.on = layersOn(getState().layers);
     parts.setTiles(scene.on.has("tiles") && !scene.result.local);
+    parts.compared.show(scene.on);
+    parts.surface.show(scene instanceof Scene && scene.on.has("surface") ? scene.result.surface : null);
     parts.redraw();
   };
 
@@ -139,21 +204,48 @@ export async function mountStage() {
   };
 
   subscribe(["job", "drive"], () => void showDrive());
+  subscribe(["panel"], () => shown.preview && void showDrive());
+  onPreview(() => {
+    const { panel, job, drive } = getState();
+    if (panel === "upload" || (!job && !drive)) void showDrive();
+  });
   subscribe(["layers"], () => (updateLayers(), updateKeyframe()));
   subscribe(["frame", "drawer"], updateKeyframe);
+  subscribe(["intersection", "node"], () => openSelection(goTo)); // another address, or back in the history
+  onFilterChange(() => {
+    parts?.redraw();
+    parts?.filterNote.update();
+  });
   onTilesChange(() => (parts?.setTiles(false), updateLayers()));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
   document.addEventListener("job-finished", () => void showDrive());
+  followCompared();
+  onCompared(() => {
+    if (!parts || !shown.result) return;
+    parts.legend.show(shown.result);
+    updateLayers();
+  });
   onListsChange(() => {
     const job = lists.jobs.find((each) => each.id === getState().job);
     if (!job || !scene || shown.result || scene.progress === job.progress.fraction) return;
     scene.progress = job.progress.fraction;
     parts.redraw();
   });
+  let drivesShown = "";
+  onListsChange(() => {
+    const { job, drive } = getState();
+    const done = lists.jobs.filter(({ state }) => state === "successful");
+    const now = [...lists.drives.map(({ id, state }) => `${id} ${state}`), ...done.map(({ id }) => id)].join();
+    if (now === drivesShown) return;
+    drivesShown = now;
+    if (!job && !drive) void showDrive();
+  });
+  onDemoChange(() => !getState().job && !getState().drive && void showDrive());
+  for (const { key, text, run } of [...QUEUE_KEYS, ...MEASURE_KEYS]) addShortcut(key, text, run);
   await showDrive();
 }
 
-/** @param {HTMLElement} holder @param {boolean} local @param {() => Scene|null} current */
+/** @param {HTMLElement} holder @param {boolean} local @param {() => any} current */
 function makeMap(holder, local, current) {
   const made = new LeafletMap(holder, {
     crs: local ? CRS.Simple : CRS.EPSG3857,
@@ -187,10 +279,14 @@ function makeMap(holder, local, current) {
   ).addTo(made);
   control.zoom({ position: "topleft" }).addTo(made);
   addFit(made);
+  const measure = addMeasure(made, local);
   control.scale({ position: "bottomleft", imperial: false, maxWidth: 140 }).addTo(made);
   const attribution = control.attribution({ position: "bottomright", prefix: false }).addTo(made);
   const legend = addLegend(made);
-  watchPointer(made, current);
+  addCoordinates(made, local);
+  const filterNote = addFilterNote(made);
+  watchPointer(made, current, measure.isOn);
+  watchDrives(made, current, () => surface.redraw());
   /** @type {any} */
   let tiles = null;
   /** @type {string|null} */
@@ -203,26 +299,48 @@ function makeMap(holder, local, current) {
       surface.redraw();
     },
     legend,
+    filterNote,
+    compared: new ComparedLayer(made),
     keyframe: new KeyframeLayer(made),
+    surface: roadSurface(made),
     /** @param {boolean} on */
     setTiles(on) {
       if (on && !tiles) {
         tiles = makeTiles();
+        tiles?.once("tileload", () => holder.classList.add("with-tiles")); // else the roads stay the base map
         tiles?.addTo(made);
       } else if (!on && tiles) {
+        tiles.off();
         tiles.remove();
         tiles = null;
+        holder.classList.remove("with-tiles");
       }
-      holder.classList.toggle("with-tiles", Boolean(tiles));
     },
-    /** @param {import("../data/results.js").Result} shown */
+    /** @param {{roads: any[], nodes: any[], local: boolean, isMadeUp: boolean}} shown */
     setAttribution(shown) {
       if (credit) attribution.removeAttribution(credit);
-      const osm = shown.roads.length || shown.nodes.length ? OSM_CREDIT : null;
+      const osm = !shown.isMadeUp && (shown.roads.length || shown.nodes.length) ? OSM_CREDIT : null;
       credit = shown.local ? LOCAL_CREDIT : osm;
       if (credit) attribution.addAttribution(credit);
     },
   };
+}
+
+/** Says on the map that a filter leaves intersections out. @param {any} made */
+function addFilterNote(made) {
+  const box = el("div", { class: "filter-note", role: "status", hidden: true });
+  const note = new Control({ position: "topleft" });
+  note.onAdd = () => {
+    DomEvent.disableClickPropagation(box);
+    return box;
+  };
+  note.addTo(made);
+  const update = () => {
+    box.hidden = !isFiltering() || !shown.result;
+    const count = `${queue().length} of ${plural(shown.result?.intersections.length ?? 0, "intersection")}`;
+    fill(box, count, el("button", { class: "link", onClick: clearFilter }, "Show all"));
+  };
+  return { update };
 }
 
 /** @param {any} made */
@@ -240,17 +358,32 @@ function addFit(made) {
 /** @param {boolean} animate */
 function fitDrive(animate) {
   const { result } = shown;
-  if (!result) return;
+  if (!result) {
+    if (whole) fit(whole.places, animate, whole.local, whole.padding);
+    return;
+  }
   const places = [...result.keyframes, ...result.intersections].map(({ lat, lng }) => [lat, lng]);
   fit(places, animate, result.local);
 }
 
-/** @param {number[][]} places lat, lng @param {boolean} animate @param {boolean} local */
-function fit(places, animate, local) {
+/**
+ * @param {number[][]} places lat, lng
+ * @param {boolean} animate
+ * @param {boolean} local
+ * @param {number[][]} [padding] Left and top, right and bottom, pixels.
+ */
+function fit(places, animate, local, padding = margins()) {
   if (!places.length) return;
-  const [paddingTopLeft, paddingBottomRight] = margins();
+  whole = { places, local, padding };
+  const [paddingTopLeft, paddingBottomRight] = padding;
   shown.map.fitBounds(latLngBounds(places), { paddingTopLeft, paddingBottomRight, animate, maxZoom: local ? 4 : 19.5 });
 }
+
+/** @param {HTMLElement} note @returns {number[][]} What controls and note cover: left and top, right and bottom, pixels. */
+const below = (note) => [
+  [56, note.offsetHeight + 40],
+  [40, 40],
+];
 
 /** @returns {number[][]} What the controls cover: left and top, right and bottom, pixels. */
 function margins() {
@@ -293,23 +426,44 @@ function isOver(job) {
 
 /** @param {any} job @returns {string} */
 function waiting(job) {
-  if (job.state === "failed") return "This job failed; the panel at the left says why.";
+  if (job.state === "failed") return "This job failed; the panel says why.";
   if (job.state === "dismissed") return "This job was cancelled.";
   return "The map appears here when the job is done.";
 }
 
+/** @returns {HTMLElement} */
+function tileSwitch() {
+  const on = layersOn(getState().layers);
+  const checked = on.has("tiles");
+  const change = () => {
+    if (checked) on.delete("tiles");
+    else on.add("tiles");
+    setState({ layers: [...on] });
+  };
+  return el("label", { class: "check" }, el("input", { type: "checkbox", checked, onChange: change }), "Map tiles");
+}
+
 /** @param {string|null} drive */
 function welcome(drive) {
-  return drive
-    ? el("p", {}, "This drive has no result yet. Run it from the panel at the left.")
-    : el(
-        "div",
-        {},
-        el("h2", {}, "Intersections from LiDAR drives"),
-        el(
-          "p",
-          {},
-          "Upload a drive, or open one at the left: its intersections appear here, beside the roads of OpenStreetMap.",
-        ),
-      );
+  if (drive) return el("p", {}, "This drive has no result yet. Run it from the list of drives.");
+  if (!lists.isLoaded) return null;
+  if (lists.drives.length) return el("p", {}, "None of the drives has a place on the map yet. Open one from the list.");
+  const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
+  upload.append("Upload a drive");
+  const what = "Its intersections appear here, beside the roads of OpenStreetMap.";
+  return el(
+    "div",
+    { class: "drop drop-stage" },
+    icon("upload"),
+    el("h2", {}, "Drop the folder of a LiDAR drive here"),
+    el("p", {}, what),
+    el("div", { class: "row" }, upload, demoButton()),
+    demo.isRunning && el("p", { role: "status" }, demo.text),
+    demo.error !== null && problemNote(demo.error),
+  );
+}
+
+/** @returns {HTMLElement} */
+function demoButton() {
+  return el("button", { disabled: demo.isRunning, onClick: () => void tryDemo() }, "Try the demo");
 }

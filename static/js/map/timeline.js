@@ -4,6 +4,7 @@
  */
 import { iconButton, select } from "../controls.js";
 import { el, fill, formatDuration, icon, plural } from "../dom.js";
+import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { firstDetection } from "./shown.js";
 import { colour } from "./symbols.js";
@@ -23,7 +24,7 @@ export function mountTimeline(strip) {
   const chart = el("canvas", { class: "density", "aria-hidden": "true" });
   const slider = el("input", { type: "range", min: 0, max: 0, step: 1, "aria-label": "Keyframe" });
   slider.addEventListener("input", () => choose(Number(slider.value)));
-  const play = el("button", { class: "square", onClick: () => (playing ? stop() : start()) });
+  const play = el("button", { class: "square", onClick: () => toggle() });
   const speed = select(Object.fromEntries(SPEEDS.map((each) => [each, `${each}/s`])), "10");
   speed.title = "Keyframes per second";
   speed.setAttribute("aria-label", "Speed");
@@ -84,6 +85,8 @@ export function mountTimeline(strip) {
     update();
   };
 
+  const toggle = () => (playing ? stop() : start());
+
   const update = () => {
     strip.hidden = !result;
     if (!result) return;
@@ -104,7 +107,7 @@ export function mountTimeline(strip) {
     fill(label, el("strong", {}, first), el("span", {}, second));
     fill(play, icon(playing ? "pause" : "play"));
     play.setAttribute("aria-label", playing ? "Pause" : "Play");
-    play.title = playing ? "Pause" : "Play";
+    play.title = playing ? "Pause (space)" : "Play (space)";
     large.setAttribute("aria-expanded", String(drawer));
     large.setAttribute("aria-pressed", String(drawer));
   };
@@ -113,18 +116,9 @@ export function mountTimeline(strip) {
   const draw = () => result && drawDensity(chart, result);
   new ResizeObserver(draw).observe(chart);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
-  document.addEventListener("keydown", (event) => {
-    const target = /** @type {HTMLElement} */ (event.target);
-    if (
-      event.ctrlKey ||
-      event.metaKey ||
-      event.altKey ||
-      target.closest("input:not([type=range]):not([type=checkbox]), select, textarea, dialog")
-    )
-      return;
-    if (event.key === ",") step(-1);
-    else if (event.key === ".") step(1);
-  });
+  addShortcut(" ", "Play the drive, or pause", toggle, "Space");
+  addShortcut(",", "Previous keyframe", () => step(-1));
+  addShortcut(".", "Next keyframe", () => step(1));
 
   return {
     show(next) {

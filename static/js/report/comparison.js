@@ -1,91 +1,247 @@
 /**
- * Two jobs of one drive side by side.
+ * Jobs of one drive side by side.
  * @module report/comparison
  */
 import { getJson } from "../api.js";
-import { resultSection, table } from "../controls.js";
-import { lists } from "../data/lists.js";
+import { resultSection, select, table } from "../controls.js";
+import { kindOfCompared } from "../data/compared.js";
+import { lists, onListsChange } from "../data/lists.js";
 import { el, fill, formatMetres, formatPercent, plural } from "../dom.js";
 import { jobName } from "../job/words.js";
+import { comparedJobs, getCompared, onCompared } from "../map/compared.js";
 import { goTo } from "../map/details.js";
 import { shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { problemNote } from "../messages.js";
-import { at } from "./scores.js";
+import { setState, subscribe } from "../state.js";
+import { lineChart } from "./chart.js";
+import { at, curve } from "./scores.js";
+
+/** @typedef {import("../map/compared.js").Comparison} Comparison */
+
+const MAX_OTHERS = 7; // the service compares eight
+const COLOURS = ["--tp", "--fp", "--found", "--missed", "--warn", "--accent", "--ink", "--outside"];
+const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2", "12 4", "2 2", "6 2 2 2"];
+const MEASURES = { f1: "F1", precision: "Precision", recall: "Recall" };
+
+/** Of the report that is shown: jobs to choose from, what is compared, intersections that differ. */
+let showJobs = () => {};
+let showCompared = () => {};
+/** @type {(compared: Comparison|null) => void} */
+let showPlaces = () => {};
+onListsChange(() => showJobs());
+subscribe(["compare"], () => (showJobs(), showCompared()));
+onCompared((compared) => showPlaces(compared));
 
 /** @param {import("../data/results.js").Result} result */
 export function comparison({ job, report }) {
-  const isOther = (/** @type {any} */ each) =>
-    each.drive_id === job.drive_id && each.id !== job.id && each.state === "successful" && each.request.osm;
-  const others = lists.jobs.filter(isOther);
-  if (!others.length) return null;
-  const holder = el("div", {});
-  const options = others.map((each) => el("option", { value: each.id }, jobName(each)));
-  const first = el("option", { value: "" }, "Choose another job of this drive");
-  const choice = el("select", { "aria-label": "Other job", onChange: () => void show() }, first, options);
-  const show = async () => {
-    fill(holder);
-    if (!choice.value) return;
+  const choice = el("fieldset", { class: "others" });
+  const holder = el("div", { class: "stack-s" });
+  const places = el("div", { class: "stack-s" });
+  const section = resultSection("Compare", el("div", { class: "stack-s" }, choice, holder, places));
+  /** @type {string[]} */
+  let names = [];
+  let token = 0;
+
+  showJobs = () => {
+    const others = lists.jobs.filter((each) => isComparable(each, job));
+    section.hidden = !others.length;
+    const chosen = comparedJobs();
+    const focused = choice.contains(document.activeElement) ? document.activeElement?.id : null;
+    const row = (/** @type {any} */ each) => {
+      const isChosen = chosen.includes(each.id);
+      const onChange = () =>
+        setState({ compare: isChosen ? but(chosen, each.id) : chosen.concat(each.id).slice(0, MAX_OTHERS) });
+      const disabled = !isChosen && chosen.length >= MAX_OTHERS;
+      const box = el("input", { type: "checkbox", id: `compare-${each.id}`, checked: isChosen, disabled, onChange });
+      return el("label", { class: "check" }, box, el("span", {}, jobName(each)));
+    };
+    fill(choice, el("legend", { class: "field-name" }, "With other jobs of this drive"), others.map(row));
+    if (focused) document.getElementById(focused)?.focus();
+  };
+
+  showCompared = async () => {
+    const mine = ++token;
+    const ids = [job.id, ...comparedJobs()];
+    fill(places);
+    if (ids.length < 2) return fill(holder);
     try {
-      const [compared, other] = await Promise.all([
-        getJson(`compare?jobs=${job.id},${choice.value}`),
-        getJson(`jobs/${choice.value}/report`),
+      const [compared, ...others] = await Promise.all([
+        getJson(`compare?jobs=${ids.map(encodeURIComponent).join(",")}`),
+        ...ids.slice(1).map((id) => getJson(`jobs/${encodeURIComponent(id)}/report`)),
       ]);
-      fill(holder, scores(report, other), differences(compared));
+      if (mine !== token) return;
+      names = compared.names;
+      const reports = [report, ...others];
+      const jobs = ids.map((id) => lists.jobs.find((each) => each.id === id));
+      fill(holder, scores(names, reports), curves(names, reports), differences(names, jobs, compared));
+      showPlaces(getCompared());
     } catch (error) {
-      fill(holder, problemNote(error));
+      if (mine === token) fill(holder, problemNote(error));
     }
   };
-  return resultSection("Compare", el("div", { class: "stack-s" }, choice, holder));
+
+  showPlaces = (compared) => {
+    fill(places);
+    const isKnown = compared !== null && compared.jobs[0] === job.id && compared.jobs.length === names.length;
+    if (isKnown) fill(places, placesOf(names, compared));
+  };
+
+  showJobs();
+  void showCompared();
+  return section;
 }
 
-/** @param {any} a @param {any} b */
-function scores(a, b) {
-  const [one, two] = [at(a, 5), at(b, 5)];
-  /** @type {Array<[string, number|null, number|null, (value: any) => string, number]>} The last: 1 where more is better. */
-  const rows = [
-    ["Mean error (ACE)", a.ace_m, b.ace_m, formatMetres, -1],
-    ["Median error", a.median_m, b.median_m, formatMetres, -1],
-    ["Precision, D = 5 m", one.precision, two.precision, formatPercent, 1],
-    ["Recall, D = 5 m", one.recall, two.recall, formatPercent, 1],
-    ["F1, D = 5 m", one.f1, two.f1, formatPercent, 1],
-    ["OSM nodes found", a.nodes_found, b.nodes_found, String, 1],
-    ["Precision of the map", a.map_level.precision, b.map_level.precision, formatPercent, 1],
-    ["Recall of the map", a.map_level.recall, b.map_level.recall, formatPercent, 1],
-  ];
-  const cells = rows.map(([name, x, y, text, more]) => {
-    const sign = x === null || y === null ? 0 : Math.sign(x - y) * more;
-    const cell = (/** @type {number|null} */ value, /** @type {boolean} */ isBetter) =>
-      el("td", { class: isBetter ? "better" : "" }, text(value));
-    return [name, cell(x, sign > 0), cell(y, sign < 0)];
+/** @param {any} other @param {any} job @returns {boolean} */
+function isComparable(other, job) {
+  const isOther = other.drive_id === job.drive_id && other.id !== job.id;
+  return isOther && other.state === "successful" && Boolean(other.summary?.report);
+}
+
+/** @param {string[]} ids @param {string} one @returns {string[]|null} */
+function but(ids, one) {
+  const rest = ids.filter((each) => each !== one);
+  return rest.length ? rest : null;
+}
+
+/**
+ * A table with a column for each job.
+ * @param {string} first
+ * @param {string[]} names
+ * @param {any[][]} rows
+ */
+function columns(first, names, rows) {
+  const made = table([first, ...names], rows);
+  made.querySelectorAll("thead th").forEach((head, i) => {
+    if (i) head.append(key(i - 1), i === 1 ? el("small", {}, "this job") : "");
   });
-  return table(["", "This job", "Other job"], cells);
+  return el("div", { class: "wide-table", tabIndex: 0, role: "group", "aria-label": first }, made);
 }
 
-/** @param {any} compared */
-function differences({ settings, nodes, warnings, found_by_all, missed_by_all }) {
-  const text = (/** @type {any} */ value) => (value === null ? "–" : String(value));
-  const changed = settings.map((/** @type {any} */ { name, values }) => [el("code", {}, name), ...values.map(text)]);
+/** @param {number} i Number of a job. */
+function key(i) {
+  const borderTopStyle = DASHES[i] ? (DASHES[i]?.startsWith("2") ? "dotted" : "dashed") : "solid";
+  return el("i", { class: "key", style: { borderColor: `var(${COLOURS[i]})`, borderTopStyle } });
+}
+
+/** @param {string[]} names @param {any[]} reports */
+function scores(names, reports) {
+  const of = (/** @type {(report: any) => number|null} */ value) => reports.map(value);
+  /** @type {Array<[string, Array<number|null>, (value: any) => string, number]>} The last: 1 where more is better. */
+  const rows = [
+    ["Mean error (ACE)", of((r) => r.ace_m), formatMetres, -1],
+    ["Median error", of((r) => r.median_m), formatMetres, -1],
+    ["Precision, D = 5 m", of((r) => at(r, 5).precision), formatPercent, 1],
+    ["Recall, D = 5 m", of((r) => at(r, 5).recall), formatPercent, 1],
+    ["F1, D = 5 m", of((r) => at(r, 5).f1), formatPercent, 1],
+    ["OSM nodes found", of((r) => r.nodes_found), String, 1],
+    ["Precision of the map", of((r) => r.map_level.precision), formatPercent, 1],
+    ["Recall of the map", of((r) => r.map_level.recall), formatPercent, 1],
+  ];
+  const cells = rows.map(([name, values, text, more]) => {
+    const known = values.filter((each) => each !== null).map((each) => /** @type {number} */ (each) * more);
+    const best = Math.max(...known);
+    const differ = known.some((each) => each !== best);
+    const isBetter = (/** @type {number|null} */ value) => differ && value !== null && value * more === best;
+    return [name, ...values.map((value) => el("td", { class: isBetter(value) ? "better" : "" }, text(value)))];
+  });
+  return columns("Figure", names, cells);
+}
+
+/** @param {string[]} names @param {any[]} reports */
+function curves(names, reports) {
+  const holder = el("div", {});
+  const show = (/** @type {string} */ measure) => {
+    const lines = reports.map((report, i) => ({
+      name: names[i],
+      colour: `var(${COLOURS[i]})`,
+      dash: DASHES[i],
+      points: curve(report).map((each) => [each.d, /** @type {any} */ (each)[measure]]),
+    }));
+    fill(holder, lineChart(/** @type {any} */ (lines), { max: 10, mark: 5, onMark: () => {} }));
+  };
+  const choice = select(MEASURES, "f1", show);
+  choice.setAttribute("aria-label", "Measure");
+  show("f1");
+  return [el("h4", { class: "spread" }, "Over D", choice), holder];
+}
+
+/** @param {string[]} names @param {any[]} jobs @param {any} compared */
+function differences(names, jobs, { settings, nodes, warnings, found_by_all, missed_by_all }) {
+  const row = (/** @type {any} */ { name, values }) => [el("code", {}, name), ...values.map(textOf)];
+  const own = [...choicesThatDiffer(jobs), ...settings.filter((/** @type {any} */ each) => each.is_own).map(row)];
+  const ofPresets = settings.filter((/** @type {any} */ each) => !each.is_own).map(row);
+  const summary = `${plural(ofPresets.length, "setting differs", "settings differ")} by the presets`;
   const moved = nodes.map((/** @type {any} */ node) => [
     el("button", { class: "link", onClick: () => showNode(node) }, node.osm_id),
-    ...node.outcomes.map(outcome),
+    ...node.outcomes.map((/** @type {string} */ name) => outcome(name, OUTCOMES[name] ?? name, names.length)),
   ]);
-  const summary = el("summary", {}, plural(settings.length, "setting differs", "settings differ"));
+  const each = names.length === 2 ? "both" : "all";
   return [
     warnings.map((/** @type {string} */ warning) => el("p", { class: "note warning" }, warning)),
-    settings.length
-      ? el("details", {}, summary, table(["Setting", "This job", "Other job"], changed))
-      : el("p", { class: "small" }, "Both ran with the same settings."),
+    el("h4", {}, "What was asked for"),
+    own.length > 0 && columns("Setting", names, own),
+    ofPresets.length > 0 && el("details", {}, el("summary", {}, summary), columns("Setting", names, ofPresets)),
+    !own.length && !ofPresets.length && el("p", { class: "small" }, "The same: map, labels and all settings."),
     el("h4", {}, "OSM intersections with another outcome"),
     nodes.length
-      ? table(["OSM node", "This job", "Other job"], moved)
-      : el("p", { class: "small" }, `None: both found ${found_by_all} and missed ${missed_by_all}.`),
+      ? columns("OSM node", names, moved)
+      : el("p", { class: "small" }, `None: ${each} found ${found_by_all} and missed ${missed_by_all}.`),
   ];
 }
 
-/** @param {string} name */
-function outcome(name) {
-  return [signIcon(name), ` ${name === "outside" ? "out of reach" : name}`];
+/** @param {any[]} jobs undefined where a job is not in the lists. @returns {any[][]} */
+function choicesThatDiffer(jobs) {
+  if (!jobs.every(Boolean)) return [];
+  const requests = jobs.map((each) => each.request);
+  /** @type {Array<[string, any[]]>} */
+  const rows = [
+    ["Labels", requests.map(({ labels }) => labels ?? "labels")],
+    ["Map", requests.map(({ osm }) => osm?.file ?? "Overpass")],
+    ["Policy", requests.map(({ policy }) => policy)],
+    ["Georeference", requests.map(({ georeference }) => (georeference === "map" ? "roads of the map" : "drive"))],
+  ];
+  return rows.filter(([, values]) => new Set(values).size > 1).map(([name, values]) => [name, ...values]);
+}
+
+/** @param {any} value */
+const textOf = (value) => (value === null ? "–" : String(value));
+
+const OUTCOMES = /** @type {Record<string, string>} */ ({ outside: "out of reach" });
+
+/** @param {string} sign @param {string} text Only read aloud where there are many columns. @param {number} count */
+function outcome(sign, text, count) {
+  return el("span", { title: text }, signIcon(sign), el("span", { class: count > 2 ? "unseen" : "" }, ` ${text}`));
+}
+
+/** @param {string[]} names @param {Comparison} compared */
+function placesOf(names, { items }) {
+  const differing = items.filter((each) => kindOfCompared(each) !== "shared");
+  const count = (/** @type {string} */ kind) => items.filter((each) => kindOfCompared(each) === kind).length;
+  const parts = [
+    `${count("shared")} found by ${names.length === 2 ? "both" : `all ${names.length}`}`,
+    `${count("here")} by this job${names.length === 2 ? " only" : " but not by all"}`,
+    `${count("elsewhere")} not by this job`,
+  ];
+  let others = 0;
+  const nameOf = (/** @type {any} */ { found, properties }) =>
+    found[0] ? `No. ${properties.id}` : `Other ${(others += 1)}`;
+  const rows = differing.map((item) => [
+    el("button", { class: "link", onClick: () => showPlace(item) }, nameOf(item)),
+    ...item.found.map((isFound) => (isFound ? outcome("unscored", "found", names.length) : "–")),
+  ]);
+  return [
+    el("h4", {}, "Intersections of the map"),
+    el("p", { class: "small" }, `${parts.join("; ")}. Within 10 m they are the same.`),
+    rows.length > 0 && columns("Intersection", names, rows),
+  ];
+}
+
+/** @param {import("../data/compared.js").Compared} item */
+function showPlace(item) {
+  const own = shown.result?.intersections.find((each) => each.properties.id === item.properties.id);
+  if (item.found[0] && own) return goTo({ kind: "intersection", item: own });
+  shown.map?.setView([item.lat, item.lng], Math.max(shown.map.getZoom(), shown.result?.local ? 2.5 : 18.5));
 }
 
 /** @param {any} node */

@@ -4,15 +4,20 @@
  */
 import { getJson } from "../api.js";
 import { figure, resultSection as section, table } from "../controls.js";
-import { el, fill, formatCount, formatMetres, formatPercent, plural } from "../dom.js";
+import { el, fill, formatCount, formatDate, formatMetres, formatPercent, plural } from "../dom.js";
+import { openRunDialog } from "../job/run_dialog.js";
 import { onResult } from "../map/shown.js";
+import { showError } from "../messages.js";
 import { setState } from "../state.js";
 import { barChart, lineChart } from "./chart.js";
 import { comparison } from "./comparison.js";
+import { intersectionList } from "./intersections.js";
 import { nodeTable } from "./nodes.js";
 import { at, curve, histogram, sequenceOf } from "./scores.js";
 
 const D = 5;
+const DETECTIONS_HINT =
+  "Every detection at every keyframe, against the nearest OSM intersection of its region of interest; true within D.";
 
 /** @param {HTMLElement} container */
 export function mount(container) {
@@ -31,13 +36,21 @@ function unscored(result) {
         "The drive has neither oxts/ nor geo.csv, so it cannot be laid over OpenStreetMap. Its intersections are on the " +
           "map in local metres.",
       ]
-    : ["No map", "The job was submitted without a map. Run the drive again with one."];
+    : ["No map", "The job was submitted without a map. Run it again with one to see which intersections are right."];
+  const { job } = result;
+  const withMap = () => openRunDialog(job.drive_id, { job, withMap: true }).catch(showError);
   return el(
     "div",
     { class: "stack" },
     el("h2", {}, "Not scored"),
     el("p", { class: "note" }, el("strong", {}, title), text),
-    el("div", { class: "row" }, el("button", { onClick: () => setState({ panel: "job" }) }, "To the job")),
+    el(
+      "div",
+      { class: "row" },
+      el("button", { class: "primary", onClick: withMap }, "Run again with a map…"),
+      el("button", { onClick: () => setState({ panel: "job" }) }, "To the job"),
+    ),
+    section("Intersections", intersectionList(result)),
   );
 }
 
@@ -54,7 +67,7 @@ function sections(result, report) {
     fill(counts, `${formatCount(tp)} true, ${formatCount(fp)} false; ${missed}.`);
   };
   explain(D);
-  const source = `Scored against ${osm.source}${osm.date ? ` of ${osm.date}` : ""}; ${plural(osm.nodes, "intersection")}`;
+  const source = `Scored against ${osm.source}${osm.date ? ` of ${formatDate(osm.date)}` : ""}; ${plural(osm.nodes, "intersection")}`;
   const merged = report.tolerance_m ? ` (merged within ${report.tolerance_m} m)` : "";
   const lines = [
     { name: "Precision", colour: "var(--tp)", points: points.map((p) => [p.d, p.precision]) },
@@ -70,36 +83,54 @@ function sections(result, report) {
     ),
     report.warnings.map((/** @type {string} */ text) => el("p", { class: "note warning" }, text)),
     el(
-      "div",
-      { class: "tiles-row" },
-      figure(formatMetres(report.ace_m), "mean error (ACE)", `median ${formatMetres(report.median_m)}`),
-      figure(formatPercent(scores.precision), "precision", `D = ${D} m`),
-      figure(formatPercent(scores.recall), "recall", `D = ${D} m`),
-      figure(`${report.nodes_found} of ${report.nodes_in_zone}`, "OSM nodes found", "in the relevant zone"),
-      figure(
-        formatPercent(level.precision),
-        "of the map right",
-        `${level.true} of ${level.true + level.false}, one to one`,
-      ),
-      figure(formatMetres(level.mean_m), "error of the map", `at most ${formatMetres(level.max_m)}`),
+      "section",
+      { class: "group" },
+      el("h3", {}, "The map"),
+      mapFigures(level),
+      el("h4", {}, "Intersections"),
+      intersectionList(result),
+      el("h4", {}, "OSM intersections"),
+      nodeTable(result),
     ),
-    paperNote(result, report),
-    section(
-      "Precision, recall and F1 over D",
+    el(
+      "section",
+      { class: "group" },
+      el("h3", {}, "Detections, the paper’s measure"),
+      el("p", { class: "small" }, DETECTIONS_HINT),
+      el(
+        "div",
+        { class: "tiles-row" },
+        figure(formatMetres(report.ace_m), "mean error (ACE)", `median ${formatMetres(report.median_m)}`),
+        figure(formatPercent(scores.precision), "precision", `D = ${D} m`),
+        figure(formatPercent(scores.recall), "recall", `D = ${D} m`),
+      ),
+      el(
+        "p",
+        { class: "small" },
+        `${report.nodes_found} of ${report.nodes_in_zone} OSM nodes have a detection within ${D} m.`,
+      ),
+      paperNote(result, report),
+      el("h4", {}, "Precision, recall and F1 over D"),
       lineChart(/** @type {any} */ (lines), { max: 10, mark: D, onMark: explain }),
       counts,
-    ),
-    section(
-      "Center errors",
+      el("h4", {}, "Center errors"),
       barChart(histogram(errors, 0.5, 20), { width: 0.5, limit: report.ace_tp_threshold_m ?? D }),
-    ),
-    section(
-      "OSM intersections",
-      nodeTable(result),
-      el("p", { class: "small" }, "Errors in metres. A row leads to its place on the map."),
     ),
     comparison(result),
   ];
+}
+
+/** @param {any} level `map_level` of the report. */
+function mapFigures(level) {
+  const gate = `within ${level.gate_m ?? 10} m, one to one`;
+  const found = level.nodes_in_zone - level.missed;
+  return el(
+    "div",
+    { class: "tiles-row large" },
+    figure(`${level.true} of ${level.true + level.false}`, "intersections right", gate),
+    figure(`${found} of ${level.nodes_in_zone}`, "OSM nodes found", gate),
+    figure(formatMetres(level.median_m), "median error", `at most ${formatMetres(level.max_m)}`),
+  );
 }
 
 /**

@@ -6,6 +6,7 @@
  */
 
 import { getConfig, isMap } from "../api.js";
+import { LABEL_FOLDERS } from "../data/lists.js";
 import { formatCount, plural } from "../dom.js";
 import {
   findRecorded,
@@ -47,10 +48,6 @@ export const LAYOUTS = {
   reduced: "reduced drive",
 };
 const SCAN_FOLDERS = ["velodyne", "velodyne_points/data"];
-export const LABEL_FOLDERS = /** @type {Record<string, string>} */ ({
-  labels: "labels (by hand)",
-  predictions: "predictions (of a network)",
-});
 const SMALL = [
   /^(poses|cam0_to_world|times|timestamps)\.txt$/,
   /^calib[^/]*\.txt$/,

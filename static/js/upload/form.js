@@ -2,7 +2,8 @@
 
 import { ApiError, isMap, sendJson } from "../api.js";
 import { factRows, field, filePicker, problemList, radios, select } from "../controls.js";
-import { el, fill, formatBytes, formatCount, icon, plural } from "../dom.js";
+import { el, fill, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
+import { jobForm } from "../job/job_form.js";
 import {
   checkDrive,
   error,
@@ -14,9 +15,9 @@ import {
   sorted,
 } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
-import { jobForm } from "./job_form.js";
 import { labelForm } from "./label_form.js";
 import { fingerprintOf } from "./memory.js";
+import { fitVerdict, mapVerdict, showPreview } from "./preview.js";
 import { readingForm } from "./reading_form.js";
 import { isBeside, isRecordedLayout } from "./recordings.js";
 import { countFolders, groundBytesOf } from "./upload.js";
@@ -66,6 +67,7 @@ export function formView(
   const name = el("input", { type: "text", required: true, maxLength: 200, value, onInput: refresh });
   const facts = el("dl", { class: "figures" });
   const problems = el("div", { "aria-live": "polite" });
+  const errors = el("div", { "aria-live": "assertive" });
   const added = el("span", { class: "small", role: "status" });
   const isReduced = drive?.layout === "reduced";
   const isOpen = drive !== null && !isReduced; // there are a scheme and folders to choose
@@ -133,6 +135,39 @@ export function formView(
     refresh();
   }
 
+  /** What the browser made of the track. @type {import("./preview.js").Found | null} */
+  let found = null;
+  /** Draw what is to be sent, and say how the map fits it. */
+  function look() {
+    const map = job.map.ownFile() ?? drive?.maps.get(chosenMap() ?? "") ?? null;
+    if (!drive) return;
+    const { pose_frame, poses } = reading.read();
+    showPreview({ drive, map, fix: reading.georeference(), pose_frame, poses }, (next) => {
+      found = next;
+      const [text, isBad] = map ? mapVerdict(map, next) : ["", false];
+      job.map.setVerdict(text, isBad);
+      showFacts();
+    });
+  }
+
+  /** @returns {string | null} Path of the map of the folder that was chosen. */
+  function chosenMap() {
+    const request = job.map.read();
+    return request && "file" in request ? request.file : null;
+  }
+
+  function showFacts() {
+    if (!drive) return;
+    const folders = isOpen ? labels.folders() : [];
+    const fit = found?.track ? fitVerdict(found.track) : null;
+    const rows = [
+      ...factsOf(drive, folders, groundBytesOf(drive, judged), sending()),
+      found?.track ? /** @type {[string, string]} */ (["Distance", formatMetres(found.track.length_m, 0)]) : null,
+      fit && /** @type {[string, any]} */ (["Poses", el("span", { class: fit[1] ? "warn" : "" }, fit[0])]),
+    ];
+    fill(facts, factRows(rows));
+  }
+
   /** @param {FileList} list */
   function addPredictions(list) {
     if (!drive) return;
@@ -161,7 +196,7 @@ export function formView(
     if (!drive) return;
     const refused = [];
     for (const file of list) {
-      if (isMap(file.name)) refused.push(`${file.name}: choose it under Map.`);
+      if (isMap(file.name)) refused.push(`${file.name}: choose it as the map to score against.`);
       else if (ADDED.test(file.name) || (recorded && isBeside(file.name, recorded))) drive.small.set(file.name, file);
       else if (/^\d\d\.txt$/.test(file.name)) drive.small.set("poses.txt", file);
       else refused.push(`${file.name}: expected ${MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti}.`);
@@ -192,26 +227,26 @@ export function formView(
     job.setFolders(model ? ["predictions"] : drive && isReduced ? labelNames(drive) : folders);
     if (drive) {
       job.setGeoreference(mayHaveFix(drive) || fix !== null);
-      fill(facts, factRows(factsOf(drive, folders, groundBytesOf(drive, judged), sending())));
+      showFacts();
+      look();
     } else if (archive) {
       const size = /** @type {[string, string]} */ (["Size", formatBytes(archive.size)]);
       fill(facts, factRows([["Archive", archive.name], size]));
     }
     const labelling = { model, canLabel: labels.canLabel };
     const list = drive ? sorted([...checkDrive(drive, folders, fix !== null, labelling), ...labelProblems]) : [];
-    fill(
-      problems,
-      problemList(list),
-      drive?.borrowed.map((text) => el("p", { class: "small" }, text)),
-    );
-    const complaint = list.some(({ severity }) => severity === "error")
+    const isError = (/** @type {FileProblem} */ each) => each.severity === "error";
+    const borrowed = drive?.borrowed.map((text) => el("p", { class: "small" }, text));
+    fill(errors, problemList(list.filter(isError)));
+    fill(problems, problemList(list.filter((each) => !isError(each))), borrowed);
+    const complaint = list.some(isError)
       ? "Correct what is listed as an error first: the service would refuse the drive."
       : !name.value.trim()
         ? "Give the drive a name."
         : (job.complaint() ??
           reading.complaint() ??
           (isOpen && !isWhole() && !folders.length ? "Choose a folder of labels." : null));
-    const ofRun = model ? keyframesComplaint(job.keyframes(), usualKeyframes) : null;
+    const ofRun = job.mapComplaint() ?? (model ? keyframesComplaint(job.keyframes(), usualKeyframes) : null);
     only.disabled = complaint !== null;
     run.disabled = (complaint ?? ofRun) !== null;
     why.textContent = complaint ?? ofRun ?? "";
@@ -243,7 +278,8 @@ export function formView(
     );
   }
 
-  const run = el("button", { class: "primary grow", onClick: () => start(true) }, icon("run"), "Upload and run");
+  const kind = begun ? "grow" : "primary grow"; // to go on with what was begun comes first
+  const run = el("button", { class: kind, onClick: () => start(true) }, icon("run"), "Upload and run");
   const only = el("button", { onClick: () => start(false) }, "Upload only");
   const why = el("small", { role: "status" });
   const files = filePicker("Add files …", addFiles, {
@@ -260,6 +296,9 @@ export function formView(
     el("div", { class: "spread" }, el("h2", {}, "What to upload"), other),
     begun && resumeNote(() => onContinue(begun)),
     drive && drives.length > 1 && driveChooser(drive, drives, onChoose),
+    errors,
+    field("Name", name, "Shown in lists and results."),
+    job.mapElement,
     el(
       "div",
       { class: "box stack-s" },
@@ -269,7 +308,6 @@ export function formView(
       added,
     ),
     problems,
-    field("Name", name, "Shown in lists and results."),
     !isReduced && labels.element,
     job.element,
     !isReduced && el("details", {}, el("summary", {}, "How the files are read"), reading.element),

@@ -2,8 +2,8 @@
 
 import { getConfig } from "../api.js";
 import { field, filePicker, radios, section, select } from "../controls.js";
+import { LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill, formatBytes, formatCount, formatDuration, formatPercent, plural } from "../dom.js";
-import { LABEL_FOLDERS } from "./drive_folder.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
 /** @typedef {import("./upload.js").JudgedLabels} JudgedLabels */

@@ -3,6 +3,7 @@
 import { ApiError, getConfig, getJson, isArchive, sendJson } from "../api.js";
 import { filePicker, iconButton, section } from "../controls.js";
 import { refreshLists, rememberJob } from "../data/lists.js";
+import { onUploadsChange, tellUpload, uploadElsewhere, uploadOf, uploadText } from "../data/uploads.js";
 import { el, fill, formatAgo, formatBytes, icon, plural } from "../dom.js";
 import { afterDeletion } from "../job/words.js";
 import { confirmAction, problemNote, showError, showMessage } from "../messages.js";
@@ -11,8 +12,9 @@ import { findDrives, noDriveReason } from "./drive_folder.js";
 import { canPickHandles, folderOfHandle, folderOfInput, measure, readDrop } from "./folder.js";
 import { fingerprintOfDrive, formView } from "./form.js";
 import { forget, handleOf, rememberedUploads } from "./memory.js";
+import { dropPreview, setPreviewProgress, showPreview } from "./preview.js";
 import { progressView } from "./progress_view.js";
-import { Upload } from "./upload.js";
+import { Refusal, Upload } from "./upload.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
 /** @typedef {import("./memory.js").Remembered} Remembered */
@@ -46,6 +48,9 @@ let current = null;
 /** @type {HTMLElement} Of this panel; there is one. */
 let panel;
 
+/** Begun uploads that the start shows as under way in other tabs; null while something else is shown. @type {string | null} */
+let busyElsewhere = null;
+
 /** @param {HTMLElement} container */
 export function mount(container) {
   panel = container;
@@ -53,7 +58,16 @@ export function mount(container) {
   window.addEventListener("beforeunload", (event) => {
     if (current?.isRunning) event.preventDefault(); // the browser asks whether to leave
   });
+  onUploadsChange(() => {
+    if (busyElsewhere !== null && busyElsewhere !== elsewhere()) run(() => showStart());
+  });
   showStart().catch(showError);
+}
+
+/** @returns {string} Ids of the uploads begun in this browser that other tabs send. */
+function elsewhere() {
+  const ids = rememberedUploads().map(({ driveId }) => driveId);
+  return ids.filter((driveId) => uploadOf(driveId)?.isElsewhere).join();
 }
 
 /**
@@ -63,6 +77,8 @@ export function mount(container) {
  * @param {Begun | null} [begun] An upload whose folder is to be picked again.
  */
 async function showStart(message = null, begun = null) {
+  dropPreview();
+  busyElsewhere = elsewhere();
   const uploads = await stillOpen();
   const handles = await Promise.all(uploads.map(({ driveId }) => handleOf(driveId)));
   const input = el("input", { type: "file", name: "folder", webkitdirectory: true, hidden: true });
@@ -91,10 +107,16 @@ async function showStart(message = null, begun = null) {
     const { name, at, arrived } = upload;
     const has = arrived && ` · ${plural(arrived.files, "file")} there, ${formatBytes(arrived.size_bytes)}`;
     const title = el("strong", { class: "cut" }, name);
+    const about = el("div", { class: "cut" }, title, el("br"), el("small", {}, formatAgo(at), has));
+    const other = uploadOf(upload.driveId);
+    if (other) {
+      const badge = el("span", { class: "badge busy", dataset: { upload: upload.driveId } }, uploadText(other));
+      return el("div", { class: "box" }, about, badge);
+    }
     return el(
       "div",
       { class: "box spread" },
-      el("div", { class: "cut" }, title, el("br"), el("small", {}, formatAgo(at), has)),
+      about,
       handles[i]
         ? el("button", { onClick: () => run(() => continueByHandle(upload)) }, "Continue")
         : el(
@@ -165,6 +187,7 @@ async function stillOpen() {
 
 /** @returns {(count: number) => void} */
 function counter() {
+  busyElsewhere = null;
   const text = el("p", { role: "status" }, "Reading the folder …");
   const bar = el("progress", { "aria-label": "Reading the folder" });
   fill(panel, el("div", { class: "stack" }, el("h2", {}, "Upload a drive"), bar, text));
@@ -212,6 +235,8 @@ async function showForm(picked, begun) {
       onContinue: (upload) => run(() => goOn(picked, upload)),
     },
   );
+  busyElsewhere = null;
+  if (!picked.drive) dropPreview();
   fill(panel, view);
 }
 
@@ -272,8 +297,22 @@ async function start(picked, upload) {
     onCorrect: () => run(() => showStart(el("p", { class: "note" }, again), begun())),
     onLeave: () => run(() => showStart()),
   });
+  busyElsewhere = null;
   fill(panel, view.element);
-  upload.onChange = () => view.update(upload);
+  if (picked.drive) previewOf(picked.drive, upload);
+  const { fingerprint } = upload.source;
+  upload.guard = async () => {
+    const other = await uploadElsewhere(upload.driveId, fingerprint);
+    if (!other) return;
+    const detail = `${uploadText(other)}. Wait for its end there, or stop it there and go on here.`;
+    throw new Refusal("Another tab sends this drive", detail);
+  };
+  upload.onChange = () => {
+    view.update(upload);
+    const { driveId, sent, isRunning } = upload;
+    if (sent !== null) setPreviewProgress(sent);
+    tellUpload(isRunning && driveId ? { driveId, fingerprint, fraction: sent } : null);
+  };
   upload.transfer.onChange = upload.onChange;
   await upload.run();
   view.update(upload);
@@ -288,6 +327,15 @@ async function start(picked, upload) {
   } else {
     setState({ drive: upload.driveId });
   }
+}
+
+/** Draw what is being sent. @param {DriveFolder} drive @param {Upload} upload */
+function previewOf(drive, { source, settings }) {
+  const { options, job } = settings;
+  const path = job?.osm && "file" in job.osm ? job.osm.file : "";
+  const map = source.extras.get(path) ?? drive.maps.get(path) ?? null;
+  const fix = source.extras.get(options.oxts ?? "") ?? null;
+  showPreview({ drive, map, fix, pose_frame: options.pose_frame, poses: options.poses }, () => {});
 }
 
 /** @param {Remembered} upload */

@@ -9,6 +9,7 @@ import { Transfer } from "./transfer.js";
 
 /** @typedef {import("../api.js").FileProblem} FileProblem */
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
+/** @typedef {import("../job/job_form.js").JobSettings} JobSettings */
 
 /**
  * @typedef {object} Settings
@@ -32,19 +33,6 @@ import { Transfer } from "./transfer.js";
  * @property {string | null} fix Topic of the GNSS fixes in a bag.
  * @property {string | null} crs Coordinate system of LAS files.
  * @property {string | null} model Network of the service that labels the scans.
- */
-
-/**
- * @typedef {object} JobSettings
- * @property {string} preset
- * @property {Record<string, any> | null} config Settings that differ from the preset.
- * @property {string | null} labels
- * @property {{file: string} | {overpass: true} | {inside: true} | null} osm `inside`: the map in an archive, if there is one.
- * @property {"drive"|"map"} georeference Where longitude and latitude come from.
- * @property {import("../job/placing.js").Near | null} near Where on the map to search.
- * @property {string} policy
- * @property {number} tolerance_m
- * @property {string} key Sent with the request, so that a repetition makes no second job.
  */
 
 /**
@@ -114,6 +102,14 @@ export class Upload {
     /** @type {string | null} */
     this.jobId = null;
     this.transfer = new Transfer(onChange);
+    /** Asked before each run; it throws where the upload must not run now. @type {() => Promise<void>} */
+    this.guard = async () => {};
+  }
+
+  /** @returns {number | null} How much of the scans or the archive was sent, 0..1; null before and after. */
+  get sent() {
+    const isSending = this.step === "scans" || this.step === "archive";
+    return isSending ? this.transfer.meter.fraction : null;
   }
 
   /** @returns {Step[]} */
@@ -153,6 +149,7 @@ export class Upload {
     this.transfer = new Transfer(this.onChange);
     this.#update({ status: "running", error: null, problems: [], message: "", step: this.steps[0] });
     try {
+      await this.guard();
       const state = await this.#openDrive();
       if (state === "uploading") await this.#send();
       await this.#commit();
@@ -368,11 +365,6 @@ export class Upload {
     const file = [...(await listPresent(this.transfer)).keys()].find(isMap);
     return file ? { file } : null;
   }
-}
-
-/** @returns {string} A key that no other request has. */
-export function newKey() {
-  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
 /**

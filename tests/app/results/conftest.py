@@ -15,11 +15,9 @@ from app.store.database import Database
 from app.store.models import Drive, Job
 from interloc.config import preset
 from interloc.drives.open import open_drive
-from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
 from interloc.osm.reader import read_osm
-from interloc.output.osm_roads import write_roads
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.reduction.reduce import reduce_drive
@@ -36,8 +34,7 @@ def work(root: Path, out: Path, *, preset_name: str = "default", scored: bool = 
     write_results(result, out)
     if scored:
         graph = read_osm(root / "map.osm")
-        write_report(evaluate(result, graph), result, out)
-        write_roads(graph, track_bounds(result.keyframes.lonlat), out)
+        write_report(evaluate(result, graph), out)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import pytest
 
 from tests.app.results.conftest import Finished
 
+DERIVED = ["branches", "uncertainty"]
 SCORED = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]
 
 
@@ -28,11 +29,13 @@ def test_a_geopackage_of_all_layers(finished: Finished, tmp_path: Path) -> None:
     assert answer.headers["content-type"] == "application/geopackage+sqlite3"
     assert answer.headers["content-disposition"] == 'attachment; filename="Stra_e_street.gpkg"'
     expected = {layer: features_in(finished.results / f"default/{layer}.geojson") for layer in SCORED}
-    assert layers_of(answer.content, tmp_path / "a.gpkg") == expected
+    made = layers_of(answer.content, tmp_path / "a.gpkg")
+    assert [made.pop(layer) > 0 for layer in DERIVED] == [True, True]
+    assert made == expected
     again = finished.get("/jobs/default/export.gpkg", headers={"if-none-match": answer.headers["etag"]})
     assert again.status_code == 304
     plain = layers_of(finished.get("/jobs/plain/export.gpkg").content, tmp_path / "plain.gpkg")
-    assert list(plain) == SCORED[:4]
+    assert list(plain) == [*SCORED[:4], *DERIVED]
 
 
 @pytest.mark.parametrize(("suffix", "media_type"), [
@@ -44,7 +47,19 @@ def test_one_layer(suffix: str, media_type: str, finished: Finished, tmp_path: P
         assert answer.headers["content-type"] == media_type
         (count,) = layers_of(answer.content, tmp_path / f"a.{suffix}").values()
         assert count == features_in(finished.results / f"default/{layer}.geojson")
-        assert (b"OpenStreetMap contributors" in answer.content) == (layer != "intersections")
+        assert b"OpenStreetMap contributors" in answer.content
+    bare = finished.get(f"/jobs/plain/export.{suffix}").content  # without verdicts it holds nothing of the map
+    assert b"OpenStreetMap contributors" not in bare
+
+
+def test_tables_and_layers_that_are_made_of_the_intersections(finished: Finished) -> None:
+    table = finished.get("/jobs/default/export.csv?layer=osm-roads")
+    assert table.headers["content-type"] == "text/csv; charset=utf-8"
+    assert table.text.startswith('wkt,osm_id,highway,name,is_drivable,attribution\r\n"LINESTRING (')
+    lines = finished.get("/jobs/default/export.geojson?layer=branches").json()
+    stored = json.loads((finished.results / "default/intersections.geojson").read_text())["features"]
+    assert len(lines["features"]) == sum(each["properties"]["branch_count"] for each in stored)
+    assert finished.get("/jobs/local/export.geojson?layer=uncertainty").status_code == 404
 
 
 def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:

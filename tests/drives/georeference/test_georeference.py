@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import logging
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -19,6 +18,7 @@ from interloc.drives.georeference.geo_csv import read_geo_csv
 from interloc.drives.georeference.geodetic import ecef_poses, poses_of
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW, raw_offset, read_oxts_rows
 from interloc.drives.georeference.read import georeference_of_lidar, read_georeference
+from interloc.drives.inspect import inspect_drive
 from interloc.drives.layouts import DriveParts
 from interloc.drives.poses.calibration import KITTI_T_VELO_IMU
 from interloc.drives.poses.lines import read_poses
@@ -40,14 +40,13 @@ def test_oxts_folder_with_lever_arm(tmp_path: Path, make: ModuleType) -> None:
     np.testing.assert_allclose(poses_of(georeference), make.lidar_poses(), atol=0.02)
 
 
-def test_published_lever_arm_is_said(tmp_path: Path, make: ModuleType, caplog: pytest.LogCaptureFixture) -> None:
+def test_published_lever_arm_is_said(tmp_path: Path, make: ModuleType) -> None:
     rows = tmp_path / "07.txt"
     rows.write_text("\n".join(make.oxts_lines(make.lidar_poses(), T_lidar_imu=KITTI_T_VELO_IMU)))
-    with caplog.at_level(logging.INFO):
-        georeference = read_georeference(parts(tmp_path), FRAMES, rows)
-    assert georeference is not None
-    assert "published by KITTI" in georeference.source
-    assert "lever arm that KITTI publishes" in caplog.text
+    report = inspect_drive(make.write_semantickitti(tmp_path / "07"), oxts=rows)
+    assert report.georeference is not None
+    assert "published by KITTI" in report.georeference
+    assert [(note.severity, note.path) for note in report.problems] == [("note", "calib_imu_to_velo.txt")]
 
 
 def test_rows_map_by_frame_number(tmp_path: Path, make: ModuleType) -> None:
@@ -146,6 +145,18 @@ def test_raw_drive_of_an_odometry_sequence(tmp_path: Path, make: ModuleType) -> 
     assert georeference is not None
     np.testing.assert_allclose(poses_of(georeference), make.lidar_poses(), atol=0.02)
     assert "calib_imu_to_velo.txt" in georeference.source
+
+
+def test_the_folder_of_a_day_holds_the_raw_drive(tmp_path: Path, make: ModuleType) -> None:
+    day = tmp_path / "2011_09_30"
+    for number in ("0020", "0027"):
+        make.write_kitti_raw(day / f"2011_09_30_drive_{number}_sync")
+    georeference = read_georeference(parts(tmp_path / "07"), FRAMES, day)
+    assert georeference is not None
+    assert "drive_0027_sync" in georeference.source
+    several = r"holds 2 raw drives \(2011_09_30_drive_0020_sync, .*give one of them\.$"
+    with pytest.raises(GeoreferenceError, match=several):
+        read_georeference(parts(tmp_path / "mine"), FRAMES, day)
 
 
 def test_raw_drive_of_another_sequence(tmp_path: Path) -> None:

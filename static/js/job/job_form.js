@@ -1,15 +1,27 @@
-/** What is to be done with the drive: the map to score against, the labels to use, the settings of the method. */
+/**
+ * What is to be done with a drive: the map to score against, the labels to use, the settings of the method.
+ * @module job/job_form
+ */
 
-import { getConfig, isMap } from "../api.js";
-import { field, filePicker, radios, section, select } from "../controls.js";
-import { flatten } from "../data/lists.js";
+import { getConfig, newKey } from "../api.js";
+import { field, section, select } from "../controls.js";
+import { flatten, LABEL_FOLDERS } from "../data/lists.js";
 import { el, fill } from "../dom.js";
-import { placingField } from "../job/placing.js";
-import { policyField } from "../job/run_dialog.js";
-import { LABEL_FOLDERS } from "./drive_folder.js";
-import { newKey } from "./upload.js";
+import { mapChoice } from "./map_choice.js";
+import { placingField } from "./placing.js";
 
-/** @typedef {import("./upload.js").JobSettings} JobSettings */
+/**
+ * @typedef {object} JobSettings
+ * @property {string} preset
+ * @property {Record<string, any> | null} config Settings that differ from the preset.
+ * @property {string | null} labels
+ * @property {import("./map_choice.js").MapRequest} osm
+ * @property {"drive"|"map"} georeference Where longitude and latitude come from.
+ * @property {import("./placing.js").Near | null} near Where on the map to search.
+ * @property {string} policy
+ * @property {number} tolerance_m
+ * @property {string} key Sent with the request, so that a repetition makes no second job.
+ */
 
 /**
  * @typedef {object} Known
@@ -26,27 +38,7 @@ import { newKey } from "./upload.js";
  * @param {() => void} onChange
  */
 export function jobForm(known, onChange) {
-  /** @type {File | null} */
-  let otherMap = null;
-  const endings = getConfig().file_kinds.maps;
-  const otherName = el("span", { class: "small quiet cut" }, "None chosen yet");
-  const pickMap = (/** @type {FileList} */ [file]) => {
-    otherMap = isMap(file.name) ? file : null;
-    otherName.textContent = otherMap ? file.name : `${file.name} is not an OSM file (${endings.join(", ")}).`;
-    onChange();
-  };
-  const mapPicker = filePicker("Choose a file …", pickMap, { accept: ".osm,.gz,.bz2,.pbf", name: "osm-file" });
-  const other = el("div", { class: "row" }, mapPicker, otherName);
-  const inside = "If there is an .osm file in it; otherwise intersections are found but not scored.";
-  const overpass = "From a public Overpass server, which learns where the drive is.";
-  const choices = [
-    ...known.maps.map((path) => ({ value: `file:${path}`, title: el("code", {}, path), hint: "In the folder." })),
-    ...(known.isArchive ? [{ value: "inside", title: "The map in the archive", hint: inside }] : []),
-    { value: "other", title: "A file of mine", hint: endings.join(", "), more: other },
-    ...(getConfig().overpass ? [{ value: "overpass", title: "Fetch the map of today", hint: overpass }] : []),
-    { value: "none", title: "No map", hint: "Intersections are found but not scored." },
-  ];
-  const map = radios("OpenStreetMap to score against", choices, usualMap(known), () => (showPolicy(), onChange()));
+  const map = mapChoice(known, () => (showPolicy(), onChange()));
 
   const usualReach = known.before?.tolerance_m ?? 15;
   const tolerance = el("input", { type: "number", min: 1, max: 100, step: "any", required: true, value: usualReach });
@@ -55,9 +47,9 @@ export function jobForm(known, onChange) {
   const policies = el("div", { class: "stack-s" }, policy.element, toleranceField);
   const placing = placingField(known.before, () => (showPolicy(), onChange()));
   function showPolicy() {
-    policies.hidden = map.value() === "none";
-    const chosen = map.value();
-    placing.setMap(chosen === "none" || chosen === "overpass" ? chosen : "file");
+    const chosen = map.kind() ?? "none";
+    policies.hidden = chosen === "none";
+    placing.setMap(chosen);
     noFix.hidden = hasFix || known.isArchive || policies.hidden || placing.isOn();
     toleranceField.hidden = policy.value() !== "consolidated";
   }
@@ -87,18 +79,18 @@ export function jobForm(known, onChange) {
   setFolders(known.folders);
   setGeoreference(known.hasGeoreference);
   const key = newKey();
-  const ofMap = section("Map", map.element, placing.element, noFix, policies);
+  const ofMap = el("section", { class: "stack-s" }, map.element, placing.element, noFix, policies);
 
   return {
-    element: el("div", { class: "stack" }, ofMap, section("Method", labelsField, settings.element)),
+    mapElement: ofMap,
+    element: section("Method", labelsField, settings.element),
+    map,
     setFolders,
     setGeoreference,
-    /** What has to be changed first, in words. @returns {string | null} */
-    complaint: () => {
-      if (map.value() === "other" && !otherMap) return "Choose the OSM file, or another map.";
-      if (placing.complaint()) return placing.complaint();
-      return settings.isValid() && tolerance.validity.valid ? null : "A setting is out of its range.";
-    },
+    /** What has to be changed before anything is sent, in words. @returns {string | null} */
+    complaint: () => (settings.isValid() && tolerance.validity.valid ? null : "A setting is out of its range."),
+    /** What has to be chosen before the job can run, in words. @returns {string | null} */
+    mapComplaint: () => map.complaint() ?? placing.complaint(),
     keyframes: () => ({
       distance_m: settings.value("keyframes.distance_m"),
       angle_deg: settings.value("keyframes.angle_deg"),
@@ -108,31 +100,33 @@ export function jobForm(known, onChange) {
       job: {
         ...settings.read(),
         labels: labels.value || null,
-        osm: readMap(map.value(), otherMap),
+        osm: map.read(),
         ...placing.read(),
         policy: policy.value(),
         tolerance_m: Number(tolerance.value),
         key,
       },
-      map: map.value() === "other" ? otherMap : null,
+      map: map.ownFile(),
     }),
   };
 }
 
-/** @param {Known} known */
-function usualMap({ maps, isArchive, before }) {
-  if (before?.osm && "overpass" in before.osm) return "overpass";
-  if (before?.osm && "file" in before.osm && maps.includes(before.osm.file)) return `file:${before.osm.file}`;
-  if (isArchive) return "inside";
-  return maps.length ? `file:${maps[0]}` : "none";
-}
-
-/** @param {string} value @param {File | null} other @returns {JobSettings["osm"]} */
-function readMap(value, other) {
-  if (value === "overpass") return { overpass: true };
-  if (value === "inside") return { inside: true };
-  if (value === "other" && other) return { file: other.name };
-  return value.startsWith("file:") ? { file: value.slice("file:".length) } : null;
+/**
+ * The choice of which OSM nodes count, with an explanation below it.
+ * @param {string} [chosen]
+ * @param {(policy: string) => void} [onChange]
+ */
+function policyField(chosen, onChange) {
+  const { policies } = getConfig();
+  const hint = el("small", {});
+  const explain = () => fill(hint, policies.find(({ name }) => name === policy.value)?.description);
+  const policy = select(Object.fromEntries(policies.map(({ name, title }) => [name, title])), chosen, (value) => {
+    explain();
+    onChange?.(value);
+  });
+  explain();
+  const element = el("label", { class: "field" }, el("span", {}, "What counts as an intersection"), policy, hint);
+  return { element, value: () => policy.value };
 }
 
 /** The settings that matter most, in words; the schema has the rest. */
@@ -316,13 +310,14 @@ function words(name) {
   return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
-/** @param {Map<string, any>} values @returns {Record<string, any>} */
-function nest(values) {
+/** @param {Iterable<[string, any]>} values By path. @returns {Record<string, any>} By section and name. */
+export function nest(values) {
   /** @type {Record<string, any>} */
   const nested = {};
   for (const [path, value] of values) {
     const [part, name] = path.split(".");
-    (nested[part] ??= {})[name] = value;
+    if (name === undefined) nested[part] = value;
+    else (nested[part] ??= {})[name] = value;
   }
   return nested;
 }

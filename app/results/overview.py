@@ -1,0 +1,117 @@
+"""All drives on one map: simplified tracks, and the intersections of the newest result of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.store.models import Job
+from app.store.storage import Storage
+from app.work.places import TRAJECTORY
+from interloc.arrays import FloatArray
+from interloc.errors import InterLocError
+from interloc.output.geojson import read_json
+from interloc.output.layout import file_names
+
+MAX_TRACK_POINTS = 300
+MAX_INTERSECTIONS = 5000
+"""Per drive."""
+
+_TOLERANCE_M = 1.0
+_METRES_PER_DEGREE = 111_320.0
+_KEPT = 4096
+_DECIMALS = 6  # 0.1 m
+
+_FILES = file_names(georeferenced=True)
+
+
+def drive_features(storage: Storage, drive_id: str, name: str, job: Job | None) -> Iterator[dict[str, Any]]:
+    """Yield the track of a drive as a line and its intersections as points, both GeoJSON features.
+
+    Parameters
+    ----------
+    storage
+    drive_id, name
+        Of the drive.
+    job
+        Its newest successful one; None: it has none.
+
+    Notes
+    -----
+    The track of a result comes first: a drive without GNSS may have been placed on the map by that job. A track that
+    has no longitude and latitude, or is no longer on disk, has no geometry.
+    """
+    result = None if job is None else storage.folder(f"jobs/{job.id}/result")
+    own = storage.folder(f"drives/{drive_id}") / TRAJECTORY[0]
+    track = (None if result is None else _geometry(result / _FILES["trajectory"])) or _geometry(own)
+    points = None if result is None else _geometry(result / _FILES["intersections"])
+    common = {"drive": drive_id, "name": name, "job": None if job is None else job.id}
+    count = None if job is None else (job.summary or {}).get("intersections")
+    yield {
+        "type": "Feature",
+        "id": drive_id,
+        "geometry": track,
+        "properties": {"layer": "drives", **common, "intersections": count},
+    }
+    if points is not None:
+        yield {
+            "type": "Feature",
+            "id": f"{drive_id}/intersections",
+            "geometry": points,
+            "properties": {"layer": "intersections", **common, "intersections": count},
+        }
+
+
+def _geometry(path: Path) -> dict[str, Any] | None:
+    """Return a layer as one geometry: its line simplified, or its points; None where there is none."""
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return _read_geometry(path, stat.st_mtime_ns, stat.st_size)
+
+
+@lru_cache(_KEPT)
+def _read_geometry(path: Path, _mtime_ns: int, _size: int) -> dict[str, Any] | None:
+    try:
+        found = [each["geometry"] for each in read_json(path)["features"] if each["geometry"] is not None]
+    except (InterLocError, KeyError, TypeError):  # damaged: `interloc check` finds it
+        return None
+    lines = [each["coordinates"] for each in found if each["type"] == "LineString"]
+    if lines:
+        return {"type": "LineString", "coordinates": _rounded(simplified(np.array(lines[0])[:, :2]))}
+    points = [each["coordinates"][:2] for each in found if each["type"] == "Point"][:MAX_INTERSECTIONS]
+    return {"type": "MultiPoint", "coordinates": _rounded(np.array(points))} if points else None
+
+
+def simplified(lonlat: FloatArray) -> FloatArray:
+    """Return a line with at most `MAX_TRACK_POINTS` points, to within a metre where that is enough.
+
+    Parameters
+    ----------
+    lonlat : (N, 2) float64
+        Degrees.
+
+    Returns
+    -------
+    (M, 2) float64
+    """
+    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+    scale = _METRES_PER_DEGREE * np.array([math.cos(math.radians(lonlat[0, 1])), 1.0])
+    tolerance_m = _TOLERANCE_M
+    while len(lonlat) > MAX_TRACK_POINTS:
+        line = shapely.linestrings(lonlat * scale)
+        lonlat = shapely.get_coordinates(shapely.simplify(line, tolerance_m, preserve_topology=False)) / scale
+        tolerance_m *= 2
+    return lonlat
+
+
+def _rounded(lonlat: FloatArray) -> list[list[float]]:
+    pairs: list[list[float]] = (np.round(lonlat, _DECIMALS) + 0.0).tolist()
+    return pairs

@@ -1,0 +1,73 @@
+"""The kernels compiled ahead: the first run of a new installation spends most of its time on that, and only it."""
+
+from __future__ import annotations
+
+import logging
+from functools import cache, lru_cache
+
+import numpy as np
+
+from interloc.arrays import Float32Array, FloatArray
+from interloc.config import DetectorConfig
+from interloc.detection.detector import Detector, locate
+from interloc.detection.image import BinaryImage
+from interloc.detection.road import road_patch
+from interloc.detection.scan import Scan
+from interloc.kernels import bits
+from interloc.kernels.points import select_points
+
+_log = logging.getLogger(__name__)
+
+
+@lru_cache(maxsize=16)
+def warm_up(config: DetectorConfig) -> None:
+    """Have the kernels of the method ready in this process: compiled, or read where an earlier process compiled them.
+
+    Does the method's steps once at a small crossing of roads; of no effect the second time.
+    """
+    _announce()
+    few = config.model_copy(
+        update={
+            "keyframes": config.keyframes.model_copy(update={"window": 1, "lookahead": 1}),
+            "bev": config.bev.model_copy(update={"min_points": 1}),
+        }
+    )
+    select_points(np.zeros((1, 4), np.float32), np.zeros(1, np.uint32), np.zeros(1, np.uint8))
+    detector = Detector(few)
+    road = _crossing(config.bev.size_m / 2)
+    scans = [Scan(number, _pose(number), road, None, road[:10]) for number in range(4)]
+    for number, window in enumerate(detector.completed(scans)):
+        steps = window.steps()
+        locate(steps, window.keyframe, few.score)
+        road_patch(number, steps.occupancy, steps.roi)
+
+
+@cache
+def are_cold() -> bool:
+    """Return whether this machine had no compiled kernels when this process began, judged by a small one."""
+    BinaryImage.empty(1, 1).to_array()
+    stats = getattr(bits.unpack, "stats", None)  # of numba; none where it is switched off
+    return bool(stats is not None and stats.cache_misses)
+
+
+@cache
+def _announce() -> None:
+    if are_cold():
+        _log.info("compiling the kernels, once (about 20 s)")
+
+
+def _crossing(reach_m: float) -> Float32Array:
+    """Return points of two roads that cross, one of them with a lay-by, which leaves a spur."""
+    parts = [_block(-reach_m, reach_m, -4.0, 4.0), _block(-4.0, 4.0, -reach_m, reach_m), _block(15.0, 19.0, 4.0, 7.0)]
+    return np.concatenate(parts)
+
+
+def _block(left: float, right: float, bottom: float, top: float) -> Float32Array:
+    x, y = np.meshgrid(np.arange(left, right, 0.15), np.arange(bottom, top, 0.15))
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1).astype(np.float32)
+
+
+def _pose(number: int) -> FloatArray:
+    pose = np.eye(4)
+    pose[0, 3] = 2.5 * number
+    return pose

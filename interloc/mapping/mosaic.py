@@ -1,0 +1,169 @@
+"""The road seen by LiDAR as one raster of a whole drive: the patches of its keyframes, pasted where each belongs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from interloc.arrays import FloatArray, UInt8Array
+from interloc.geometry import lonlat_from_enu, rotate_2d
+from interloc.results import DriveResult, RoadPatch
+
+TILE = 256
+"""Cells per side of a tile."""
+
+CELL_M = 0.5  # finer than the outline of a road is known
+_MAX_TILES = 250_000  # that a file lists, empty ones too: 64 km by 64 km of the finest cells
+_TANGENT_M = 100.0  # arm by which directions are compared
+
+
+@dataclass
+class Raster:
+    """A raster whose tiles exist only where it holds something, so that its memory grows with the road, not the area.
+
+    Attributes
+    ----------
+    cell_m : float
+        Side of a cell. The cell in row r and column c has its upper left corner at x = c cell_m, y = -r cell_m.
+    tiles : dict of (int, int) to (TILE, TILE) uint8
+        By row and column of the tile. 0: nothing is known.
+    """
+
+    cell_m: float
+    tiles: dict[tuple[int, int], UInt8Array] = field(default_factory=dict)
+
+    def add(self, row: int, col: int, cells: UInt8Array) -> None:
+        """Add cells to those that are there; sums end at 255."""
+        for key, here, there in _overlaps(row, col, *cells.shape):
+            piece = cells[here]
+            if piece.any():
+                tile = self.tiles.setdefault(key, np.zeros((TILE, TILE), np.uint8))
+                tile[there] = cv2.add(np.ascontiguousarray(tile[there]), np.ascontiguousarray(piece))
+
+    def window(self, row: int, col: int, height: int, width: int) -> UInt8Array | None:
+        """Return the cells of a rectangle; None where it holds nothing."""
+        cells: UInt8Array | None = None
+        for key, here, there in _overlaps(row, col, height, width):
+            tile = self.tiles.get(key)
+            if tile is not None:
+                if cells is None:
+                    cells = np.zeros((height, width), np.uint8)
+                cells[here] = tile[there]
+        return cells
+
+    def extent(self) -> tuple[int, int, int, int]:
+        """Return first row, first column, last row and last column of its tiles, of which there must be some."""
+        rows, cols = zip(*self.tiles, strict=True)
+        return min(rows), min(cols), max(rows), max(cols)
+
+    def coarser(self) -> Raster:
+        """Return it in cells of twice the side, each the greatest of four."""
+        coarse = Raster(2 * self.cell_m)
+        half = TILE // 2
+        for (row, col), tile in self.tiles.items():
+            reduced = tile.reshape(half, 2, half, 2).max(axis=(1, 3))
+            coarse.add(row * half, col * half, reduced)
+        return coarse
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """The road seen on a drive.
+
+    Attributes
+    ----------
+    raster : Raster
+        How many of the patches, which lie 10 m apart along the drive, hold road in the cell; 255 for more.
+    epsg : int or None
+        The raster is in metres of this coordinate system, x to the east, y to the north; None: in metres of W.
+    """
+
+    raster: Raster
+    epsg: int | None
+
+
+def build_mosaic(result: DriveResult) -> Mosaic:
+    """Paste the patches of a run.
+
+    Notes
+    -----
+    Each patch is placed as the detections of its keyframe are (paper, eq. 13): by the fix of that keyframe where the
+    run is georeferenced, so the drift of the poses over the drive does not reach the raster. The coordinate system is
+    then the UTM zone of the first keyframe; else it is W.
+    """
+    table = result.keyframes
+    rows = [patch.keyframe for patch in result.road]
+    world_xy, origin = table.world_xy[rows], table.world_xy[rows]
+    turn = np.broadcast_to(np.eye(2), (len(rows), 2, 2))  # from W to the raster
+    epsg = None
+    if table.lonlat is not None and table.enu_yaw_rad is not None and rows:
+        epsg = utm_zone(*table.lonlat[0].tolist())
+        angle = table.enu_yaw_rad[rows] - table.world_yaw_rad[rows]
+        origin, turn = _in_utm(table.lonlat[rows], angle, epsg)
+    raster = Raster(_cell_m(origin))
+    for patch, here, at, matrix in zip(result.road, world_xy, origin, turn, strict=True):
+        _paste(raster, patch, at + matrix @ (patch.corner_xy - here), matrix)
+    return Mosaic(raster, epsg)
+
+
+def utm_zone(lon_deg: float, lat_deg: float) -> int:
+    """Return the EPSG code of the UTM zone of a place, on WGS84."""
+    zone = int((lon_deg + 180.0) // 6.0) % 60 + 1
+    return (32600 if lat_deg >= 0 else 32700) + zone
+
+
+def _in_utm(lonlat: FloatArray, angle_rad: FloatArray, epsg: int) -> tuple[FloatArray, FloatArray]:
+    """Return where fixes are in a UTM zone, (N, 2), and the matrices from W to the zone, (N, 2, 2)."""
+    from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+    to_utm = Transformer.from_crs(4326, epsg, always_xy=True)
+
+    def place(enu_xy: FloatArray) -> FloatArray:
+        there = lonlat_from_enu(lonlat[:, 1], lonlat[:, 0], enu_xy)
+        return np.stack(to_utm.transform(there[:, 0], there[:, 1]), axis=-1)
+
+    axes = [rotate_2d(np.broadcast_to(axis, lonlat.shape), angle_rad) for axis in np.eye(2)]
+    origin = place(np.zeros_like(lonlat))
+    columns = [(place(_TANGENT_M * axis) - origin) / _TANGENT_M for axis in axes]  # scale and grid north are in them
+    return origin, np.stack(columns, axis=-1)
+
+
+def _cell_m(places: FloatArray) -> float:
+    """Return the side of the cells: coarser where the area of a drive has more tiles than can be listed."""
+    cell_m = CELL_M
+    if len(places):
+        across = np.ptp(places, axis=0) + 2 * _TANGENT_M
+        while np.prod(across / (TILE * cell_m) + 1) > _MAX_TILES:
+            cell_m *= 2
+    return cell_m
+
+
+def _paste(raster: Raster, patch: RoadPatch, corner_xy: FloatArray, turn: FloatArray) -> None:
+    """Add a patch whose upper left corner lies at a place of the raster, turned by a matrix."""
+    flip = np.diag([1.0, -1.0])  # rows go down
+    matrix = flip @ turn @ flip * (patch.resolution_m / raster.cell_m)
+    shift = flip @ corner_xy / raster.cell_m
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * float(patch.size) @ matrix.T + shift
+    first = np.floor(corners.min(axis=0)).astype(int)
+    width, height = (np.ceil(corners.max(axis=0)).astype(int) - first).tolist()
+    middle = matrix @ [0.5, 0.5] + shift - first - 0.5  # OpenCV counts from the middles of pixels
+    affine = np.column_stack([matrix, middle])
+    cells = cv2.warpAffine(patch.cells(), affine, (width, height), flags=cv2.INTER_NEAREST)
+    raster.add(int(first[1]), int(first[0]), np.asarray(cells, np.uint8))
+
+
+def _overlaps(
+    row: int, col: int, height: int, width: int
+) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
+    """Yield each tile that a rectangle touches, and the same cells of both as slices: of the rectangle, of the tile."""
+    for tile_row in range(row // TILE, (row + height - 1) // TILE + 1):
+        for tile_col in range(col // TILE, (col + width - 1) // TILE + 1):
+            top, left = tile_row * TILE, tile_col * TILE
+            rows = max(row, top), min(row + height, top + TILE)
+            cols = max(col, left), min(col + width, left + TILE)
+            here = slice(rows[0] - row, rows[1] - row), slice(cols[0] - col, cols[1] - col)
+            there = slice(rows[0] - top, rows[1] - top), slice(cols[0] - left, cols[1] - left)
+            yield (tile_row, tile_col), here, there

@@ -1,0 +1,83 @@
+"""docs/attributes.md, made from the layers: `python -m interloc.output.attributes > docs/attributes.md`."""
+
+from __future__ import annotations
+
+import sys
+
+from interloc.output.layers import DERIVED, LAYERS, Layer
+from interloc.output.properties import Attribute
+
+_HEAD = """# The attributes of the result layers
+
+Made by `make attributes` from `interloc/output/properties.py`; change the text there.
+
+Every layer is a GeoJSON file of the result folder, an address of the API (with hyphens: `osm-nodes`), and a table of
+the GeoPackage; `interloc export` and `export.*` of the API also give each as FlatGeobuf, KML and CSV. Positions are
+longitude and latitude (EPSG:4326) with 7 decimals, 1 cm. A GeoPackage holds these titles and descriptions
+(`gpkg_data_columns`), and whose data each layer is; GeoJSON says that in `attribution` and `license`.
+
+W is the frame of the first LiDAR pose (x forward, y to the left), L that of the LiDAR at a keyframe, levelled. Bearings
+and headings are degrees clockwise from north. Without a georeference the files `*.local.json` hold metres of W, and
+bearings from its +y.
+
+## Score and confidence
+
+`score` belongs to a detection: how clear the intersection was at that keyframe. Half of it is the agreement of the
+branches, exp(-(spread / 2 m)^2), where the spread says how far (root mean square) their lines pass the position. The
+other half is the length of the third longest branch, from 0 m (0) to 15 m and more (1). The settings are those of
+`score`.
+
+`confidence` belongs to an intersection of the map: the share of the keyframes near enough to see it that did. A prior
+of half a sighting and one and a half misses keeps it low where there were few keyframes, and low scores of its
+detections take up to 30 % away. Intersections under 0.3 are not written. The settings are those of `fusion`. It is no
+probability that the intersection exists: a junction with a service road that the policy leaves out has a high
+confidence, and is wrong against OpenStreetMap.
+
+`position_std_m` is the uncertainty of the position that the fusion estimates, one sigma along each axis; the layer
+`uncertainty` draws the circle of 95 %.
+"""
+
+_KINDS = {
+    "int": "whole number",
+    "float": "number",
+    "bool": "true or false",
+    "text": "text",
+    "time": "time",
+    "list": "list of numbers",
+}
+
+
+def render() -> str:
+    """Return the text of docs/attributes.md."""
+    parts = [_HEAD, *(_section(layer) for layer in LAYERS.values())]
+    parts.append("## Made by exports\n\nThese two are made of the intersections when a result is exported.\n")
+    parts += [_section(layer) for layer in DERIVED.values()]
+    return "\n".join(parts)
+
+
+def _section(layer: Layer) -> str:
+    lines = [
+        f"## `{layer.name}`: {layer.title}",
+        "",
+        f"{layer.description} Geometry: {layer.geometry}.",
+        "",
+        "| attribute | title | kind | unit | meaning |",
+        "|---|---|---|---|---|",
+        *(_row(each) for each in layer.attributes),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(attribute: Attribute) -> str:
+    cells = [
+        f"`{attribute.name}`",
+        attribute.title,
+        _KINDS[attribute.kind],
+        attribute.unit or "",
+        attribute.description,
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(render())

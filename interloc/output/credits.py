@@ -1,0 +1,49 @@
+"""Whose data a file of a result holds, and under which licence: the one place that decides it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+ATTRIBUTION = "Detections: InterLoc."
+OSM_ATTRIBUTION = "OSM data (c) OpenStreetMap contributors, ODbL 1.0, https://www.openstreetmap.org/copyright."
+MADE_UP_ATTRIBUTION = "The map was made up by a simulator; its ids are not those of OpenStreetMap."
+ODBL = "https://opendatacommons.org/licenses/odbl/1-0/"
+
+
+@dataclass(frozen=True)
+class Credit:
+    """What is to be said of a file.
+
+    Attributes
+    ----------
+    attribution : str
+        Whose data it holds.
+    license : str or None
+        Address of the licence of OpenStreetMap where the file holds data of it.
+    """
+
+    attribution: str = ATTRIBUTION
+    license: str | None = None
+
+    @property
+    def members(self) -> dict[str, str]:
+        """The same as foreign members of GeoJSON (RFC 7946, 6.1)."""
+        license_ = {} if self.license is None else {"license": self.license}
+        return {"attribution": self.attribution, **license_}
+
+
+OWN_CREDIT = Credit()
+
+
+def map_credit(*, is_made_up: bool) -> Credit:
+    """Return the credit of what was compared with a map: of OpenStreetMap, or made up by a simulator."""
+    if is_made_up:
+        return Credit(f"{ATTRIBUTION} {MADE_UP_ATTRIBUTION}")
+    return Credit(f"{ATTRIBUTION} {OSM_ATTRIBUTION}", ODBL)
+
+
+def holds_map_data(rows: Iterable[Mapping[str, Any]]) -> bool:
+    """Return whether features of the method's own layers name what an evaluation found on the map, by properties."""
+    return any(row.get("osm_id") is not None or row.get("reason") is not None for row in rows)

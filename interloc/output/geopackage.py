@@ -1,0 +1,117 @@
+"""What a GeoPackage says about its layers and fields beside the rows: titles, meanings, licence, the run.
+
+Tables of the standard (annexes F.6 metadata and F.9 schema) that GDAL's writer leaves out are added by SQL.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from interloc.output.credits import Credit
+from interloc.output.layers import Layer
+
+_JSON_URI = "https://www.rfc-editor.org/rfc/rfc8259"
+_QGIS_URI = "http://mrcc.com/qgis.dtd"
+"""Of layer metadata in the form that QGIS reads and shows."""
+
+_TABLES = """
+CREATE TABLE IF NOT EXISTS gpkg_extensions (
+  table_name TEXT, column_name TEXT, extension_name TEXT NOT NULL, definition TEXT NOT NULL, scope TEXT NOT NULL,
+  CONSTRAINT ge_tce UNIQUE (table_name, column_name, extension_name));
+CREATE TABLE IF NOT EXISTS gpkg_data_columns (
+  table_name TEXT NOT NULL, column_name TEXT NOT NULL, name TEXT, title TEXT, description TEXT, mime_type TEXT,
+  constraint_name TEXT, CONSTRAINT pk_gdc PRIMARY KEY (table_name, column_name),
+  CONSTRAINT gdc_tn UNIQUE (table_name, name));
+CREATE TABLE IF NOT EXISTS gpkg_data_column_constraints (
+  constraint_name TEXT NOT NULL, constraint_type TEXT NOT NULL, value TEXT, min NUMERIC, min_is_inclusive BOOLEAN,
+  max NUMERIC, max_is_inclusive BOOLEAN, description TEXT,
+  CONSTRAINT gdcc_ntv UNIQUE (constraint_name, constraint_type, value));
+CREATE TABLE IF NOT EXISTS gpkg_metadata (
+  id INTEGER CONSTRAINT m_pk PRIMARY KEY ASC NOT NULL, md_scope TEXT NOT NULL DEFAULT 'dataset',
+  md_standard_uri TEXT NOT NULL, mime_type TEXT NOT NULL DEFAULT 'text/xml', metadata TEXT NOT NULL DEFAULT '');
+CREATE TABLE IF NOT EXISTS gpkg_metadata_reference (
+  reference_scope TEXT NOT NULL, table_name TEXT, column_name TEXT, row_id_value INTEGER,
+  timestamp DATETIME NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')), md_file_id INTEGER NOT NULL,
+  md_parent_id INTEGER, CONSTRAINT crmr_mfi_fk FOREIGN KEY (md_file_id) REFERENCES gpkg_metadata(id),
+  CONSTRAINT crmr_mpi_fk FOREIGN KEY (md_parent_id) REFERENCES gpkg_metadata(id));
+"""
+
+_SCHEMA, _METADATA = (f"http://www.geopackage.org/spec121/#extension_{name}" for name in ("schema", "metadata"))
+_EXTENSIONS = [
+    ("gpkg_data_columns", "gpkg_schema", _SCHEMA),
+    ("gpkg_data_column_constraints", "gpkg_schema", _SCHEMA),
+    ("gpkg_metadata", "gpkg_metadata", _METADATA),
+    ("gpkg_metadata_reference", "gpkg_metadata", _METADATA),
+]
+
+
+def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -> None:
+    """Add what is known about layers and fields to a GeoPackage.
+
+    Parameters
+    ----------
+    database
+        The file.
+    layers
+        The layers in it, each with whose data it is.
+    run
+        Text of `run.json`.
+
+    Raises
+    ------
+    sqlite3.Error
+        The disk is full.
+    """
+    connection = sqlite3.connect(database)
+    try:
+        with connection:
+            connection.executescript(_TABLES)
+            connection.executemany(
+                "INSERT INTO gpkg_extensions SELECT ?1, NULL, ?2, ?3, 'read-write' "
+                "WHERE NOT EXISTS (SELECT 1 FROM gpkg_extensions WHERE table_name = ?1)",
+                _EXTENSIONS,
+            )
+            connection.executemany(
+                "INSERT OR REPLACE INTO gpkg_data_columns (table_name, column_name, name, title, description) "
+                "VALUES (?, ?, ?, ?, ?)",
+                [
+                    # GDAL takes the name here for the alias of a column; titles are unique within a layer.
+                    (layer.name, each.name, each.title, each.title, each.description)
+                    for layer, _ in layers
+                    for each in layer.attributes
+                ],
+            )
+            _add_metadata(connection, None, _JSON_URI, "application/json", run)
+            for layer, credit in layers:
+                _add_metadata(connection, layer.name, _QGIS_URI, "text/xml", _qgis_metadata(layer, credit))
+    finally:
+        connection.close()
+
+
+def _add_metadata(connection: sqlite3.Connection, table: str | None, uri: str, mime_type: str, text: str) -> None:
+    cursor = connection.execute(
+        "INSERT INTO gpkg_metadata (md_scope, md_standard_uri, mime_type, metadata) VALUES ('dataset', ?, ?, ?)",
+        (uri, mime_type, text),
+    )
+    connection.execute(
+        "INSERT INTO gpkg_metadata_reference (reference_scope, table_name, md_file_id) VALUES (?, ?, ?)",
+        ("geopackage" if table is None else "table", table, cursor.lastrowid),
+    )
+
+
+def _qgis_metadata(layer: Layer, credit: Credit) -> str:
+    root = ET.Element("qgis", version="3.22")
+    for tag, text in (
+        ("identifier", layer.name),
+        ("type", "dataset"),
+        ("title", layer.title),
+        ("abstract", layer.description),
+        ("rights", credit.attribution),
+        ("license", credit.license),
+    ):
+        if text is not None:
+            ET.SubElement(root, tag).text = text
+    return ET.tostring(root, encoding="unicode")

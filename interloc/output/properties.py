@@ -1,0 +1,344 @@
+"""The properties of the layers of a result, each described once: title, meaning, unit, printed decimals.
+
+Files, exports, the API, the page and docs/attributes.md take all of it from the models below. Bearings and headings are
+degrees clockwise from north, or from +y of W without georeference. W is the frame of the first LiDAR pose, L that of
+the LiDAR at a keyframe, levelled.
+"""
+
+from __future__ import annotations
+
+import types
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
+from pydantic_core import CoreSchema
+
+
+@dataclass(frozen=True)
+class Decimals:
+    """How many decimals of a number are printed (NaN and infinity become null), and its unit."""
+
+    places: int
+    unit: str | None = None
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Add the unit to the JSON schema of a number, under the key that OGC API - Features, part 5, has for it."""
+        made = handler(schema)
+        return made if self.unit is None else {**made, "x-ogc-unit": self.unit}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Marks a text as a time of the day, RFC 3339."""
+
+
+Metres = Annotated[float, Decimals(4, "m")]
+MetresOrNone = Annotated[float | None, Decimals(4, "m")]
+Seconds = Annotated[float | None, Decimals(6, "s")]
+Ratio = Annotated[float, Decimals(6)]
+Time = Annotated[str | None, Moment()]
+
+WorldX = Annotated[Metres, Field(title="x in W", description="Position in W, metres forward of the first scan.")]
+WorldY = Annotated[Metres, Field(title="y in W", description="Position in W, metres to the left of the first scan.")]
+BranchCount = Annotated[int, Field(title="Branches", description="Number of branches.")]
+BranchBearings = Annotated[
+    list[float],
+    Decimals(3, "degree"),
+    Field(title="Bearings of branches", description="Bearing of each branch, leaving the intersection, degrees."),
+]
+OsmNode = Annotated[int, Field(title="OSM node", description="Id of the OpenStreetMap node.")]
+Scan = Annotated[int, Field(title="Scan", description="Scan number of the keyframe.")]
+Reason = Annotated[
+    str | None, Field(title="Reason", description="Why it is wrong or unscored; null where it is right.")
+]
+KeyframeTime = Annotated[
+    Time,
+    Field(title="Time", description="Time of the keyframe, RFC 3339; null where the drive has no times of day."),
+]
+DriveName = Annotated[str | None, Field(title="Drive", description="Name of the drive.")]
+Verdict = Literal["right", "wrong", "unscored"]
+"""Of a detection or an intersection; unscored before an evaluation, and where the map cannot tell."""
+
+
+class Strict(BaseModel):
+    """A part of a file as it was written, and nothing else."""
+
+    model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Properties(Strict):
+    """Properties of the features of a layer."""
+
+
+class IntersectionProperties(Properties):
+    """A physical intersection, fused from all detections of it."""
+
+    id: int = Field(title="Number", description="Number of the intersection, from 1 in the order of first sight.")
+    observations: int = Field(title="Observations", description="Number of detections fused.")
+    position_std_m: Metres = Field(
+        title="Uncertainty", description="One-sigma uncertainty of the position along each axis, metres."
+    )
+    branch_count: BranchCount
+    branch_bearings_deg: BranchBearings
+    first_frame: int = Field(title="First scan", description="Scan number of the first keyframe that saw it.")
+    last_frame: int = Field(title="Last scan", description="Scan number of the last keyframe that saw it.")
+    confidence: Ratio = Field(
+        title="Confidence",
+        description="0 to 1: the share of the keyframes near enough to see it that did, lowered by up to "
+        "30 % where the scores of its detections are low. It is no probability that the intersection exists.",
+    )
+    world_x_m: WorldX
+    world_y_m: WorldY
+    uid: str | None = Field(
+        None,
+        title="Name of the place",
+        description="Name of the place, the same in other runs: n and the id of the OpenStreetMap node where the "
+        "result was scored and there is a junction, else the cell of a grid of about 22 m.",
+    )
+    drive: DriveName = None
+    first_time: Time = Field(
+        None,
+        title="First seen",
+        description="Time of the first keyframe that saw it, RFC 3339; null where the drive has no times of day.",
+    )
+    last_time: Time = Field(
+        None,
+        title="Last seen",
+        description="Time of the last keyframe that saw it, RFC 3339; null where the drive has no times of day.",
+    )
+    outcome: Verdict = Field(
+        "unscored",
+        title="Verdict",
+        description="right: assigned to an OpenStreetMap node, one to one, within 10 m. wrong: to none. unscored: "
+        "before `evaluate`, beyond the map, or in the relevant zone of no keyframe.",
+    )
+    osm_id: int | None = Field(
+        None,
+        title="OSM node",
+        description="Id of the OpenStreetMap node that it is assigned to; null for none.",
+    )
+    error_m: MetresOrNone = Field(None, title="Error", description="Distance to that node, metres; null for none.")
+    reason: Reason = None
+
+
+class DetectionProperties(Properties):
+    """An intersection as one keyframe saw it, georeferenced by the fix of that keyframe."""
+
+    frame: Scan
+    x_m: Metres = Field(title="Forward", description="Position in L, metres forward.")
+    y_m: Metres = Field(title="To the left", description="Position in L, metres to the left.")
+    world_x_m: WorldX
+    world_y_m: WorldY
+    branch_count: BranchCount
+    branch_bearings_deg: BranchBearings
+    score: Ratio = Field(
+        title="Score",
+        description="0 to 1, how sure the detector is: half of it says how well the lines of the branches meet in one "
+        "point, half how long the third longest branch is, up to 15 m (settings `score`).",
+    )
+    intersection: int | None = Field(
+        title="Intersection", description="Id of the fused intersection that it belongs to; null for none."
+    )
+    id: str | None = Field(
+        None,
+        title="Detection",
+        description="Scan number of the keyframe and, from 1, the number of the detection at it, as 120-1.",
+    )
+    time: KeyframeTime = None
+    outcome: Verdict = Field(
+        "unscored",
+        title="Verdict",
+        description="right: within 5 m of the nearest OpenStreetMap node of the region of interest. wrong: not. "
+        "unscored: before `evaluate`, or beyond the map.",
+    )
+    osm_id: int | None = Field(
+        None,
+        title="OSM node",
+        description="Id of the nearest OpenStreetMap node in the region of interest, however far; null for none.",
+    )
+    error_m: MetresOrNone = Field(None, title="Error", description="Distance to that node, metres; null for none.")
+    reason: Reason = None
+
+
+class TrajectoryProperties(Properties):
+    """The track of the LiDAR as one line; beside its geometry `world_xy_m`, the same line in W."""
+
+    scans: int = Field(title="Scans", description="Number of scans of the drive.")
+    thinned_to_m: Annotated[float, Decimals(4, "m")] = Field(
+        title="Thinned to", description="Smallest distance between two positions of the line, metres."
+    )
+
+
+class KeyframeProperties(Properties):
+    """The LiDAR at a keyframe."""
+
+    frame: int = Field(title="Scan", description="Scan number.")
+    time_s: Seconds = Field(
+        title="Seconds",
+        description="Time of the scan in seconds, as the drive counts them: since its start, or since 1970; null if "
+        "unknown.",
+    )
+    heading_deg: Annotated[float, Decimals(6, "degree")] = Field(
+        title="Heading", description="Heading of the LiDAR, degrees."
+    )
+    detections: int = Field(title="Detections", description="Number of detections.")
+    world_x_m: WorldX
+    world_y_m: WorldY
+    world_yaw_rad: Annotated[float, Decimals(9, "rad")] = Field(
+        title="Heading in W",
+        description="Heading in W, radians counter-clockwise from +x. "
+        "The region of interest is aligned with W, not with the heading.",
+    )
+    time: KeyframeTime = None
+
+
+class OsmNodeProperties(Properties):
+    """A ground truth intersection of OpenStreetMap."""
+
+    osm_id: OsmNode
+    degree: int = Field(title="Roads", description="Number of roads that meet there.")
+    in_zone: bool = Field(
+        title="In the zone",
+        description="Whether it was in the relevant zone of a keyframe, so it should be found.",
+    )
+    found: bool = Field(title="Detected", description="Whether a detection within 5 m was matched to it.")
+    keyframes_in_zone: int = Field(
+        title="Keyframes near", description="Number of keyframes with the node in their relevant zone."
+    )
+    keyframes_missed: int = Field(
+        title="Keyframes missed", description="Number of these keyframes without a detection matched to it."
+    )
+    detections: int = Field(title="Detections", description="Number of detections matched to it.")
+    median_error_m: MetresOrNone = Field(
+        title="Median error", description="Median distance of these detections, metres; null if there are none."
+    )
+    outcome: Literal["found", "missed", "outside"] = Field(
+        "outside",
+        title="Verdict",
+        description="found: an intersection of the map is assigned to it, one to one, within 10 m. missed: none is. "
+        "outside: in the relevant zone of no keyframe, so it cannot be missed.",
+    )
+    intersection: int | None = Field(
+        None, title="Intersection", description="Id of the intersection assigned to it; null for none."
+    )
+    reason: str | None = Field(None, title="Reason", description="Why it was missed; null where it was not.")
+
+
+class MatchProperties(Properties):
+    """A detection and the OpenStreetMap node that it was matched to."""
+
+    frame: Scan
+    error_m: Metres = Field(title="Error", description="Length of the line, metres.")
+    outcome: Literal["TP", "FP"] = Field(title="Verdict", description="TP within 5 m of the node, else FP.")
+    osm_id: OsmNode
+    detection: str | None = Field(
+        None,
+        title="Detection",
+        description="The detection: its scan number and, from 1, its number at that keyframe, as 120-1.",
+    )
+    intersection: int | None = Field(
+        None,
+        title="Intersection",
+        description="Id of the fused intersection that the detection belongs to; null for none.",
+    )
+
+
+class OsmRoadProperties(Properties):
+    """A way of OpenStreetMap around the drive; one that leaves the surroundings and returns is several lines."""
+
+    osm_id: int = Field(title="OSM way", description="Id of the OpenStreetMap way.")
+    highway: str = Field(title="Class of road", description="Value of its tag `highway`.")
+    name: str | None = Field(title="Name", description="Name or else reference number; null if it has none.")
+    is_drivable: bool = Field(title="Drivable", description="Whether it is a road under policy drive+service.")
+
+
+class PlaceProperties(Properties):
+    """The track of a drive at a place of the map that it fits; the first is where it was found to be."""
+
+    rank: int = Field(title="Rank", description="1 for the best place; the others are those that came next.")
+    score: Ratio = Field(title="Score", description="How well the place explains the drive; 1.5 is a perfect fit.")
+    on_roads: Ratio = Field(title="On roads", description="0 to 1, how much of the track runs along roads.")
+    intersections_seen: int = Field(
+        title="Intersections seen", description="Number of passages of intersections that the drive saw."
+    )
+    intersections_at_nodes: int = Field(
+        title="Intersections on the map", description="Number of these that lie at an intersection of the map."
+    )
+    heading_deg: Annotated[float, Decimals(1, "degree")] = Field(
+        title="Heading", description="Heading at the first scan, degrees."
+    )
+
+
+class BranchProperties(Properties):
+    """A branch of an intersection: a line of 20 m from its position along the bearing."""
+
+    intersection: int = Field(title="Intersection", description="Id of the intersection.")
+    bearing_deg: Annotated[float, Decimals(3, "degree")] = Field(
+        title="Bearing", description="Bearing of the branch, leaving the intersection, degrees."
+    )
+    drive: DriveName = None
+
+
+class UncertaintyProperties(Properties):
+    """The circle that holds the true position of an intersection with a probability of 95 %: 2.45 sigma."""
+
+    intersection: int = Field(title="Intersection", description="Id of the intersection.")
+    position_std_m: Metres = Field(
+        title="Uncertainty", description="One-sigma uncertainty of the position along each axis, metres."
+    )
+    radius_m: Metres = Field(title="Radius", description="Radius of the circle, 2.45 sigma, metres.")
+    drive: DriveName = None
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """A property of a layer, as files and documents describe it.
+
+    Attributes
+    ----------
+    name, title, description : str
+    kind : str
+        int, float, bool, text, time or list.
+    unit : str or None
+        m, s, rad or degree.
+    decimals : int or None
+        How many are printed.
+    """
+
+    name: str
+    title: str
+    description: str
+    kind: str
+    unit: str | None
+    decimals: int | None
+
+
+def attributes_of(properties: type[Properties]) -> list[Attribute]:
+    """Return the properties of a layer in their order."""
+    attributes = []
+    for name, field in properties.model_fields.items():
+        number = next((each for each in field.metadata if isinstance(each, Decimals)), None)
+        is_time = any(isinstance(each, Moment) for each in field.metadata)
+        assert field.title is not None
+        assert field.description is not None
+        attributes.append(
+            Attribute(
+                name=name,
+                title=field.title,
+                description=field.description,
+                kind="time" if is_time else _kind(field.annotation),
+                unit=None if number is None else number.unit,
+                decimals=None if number is None else number.places,
+            )
+        )
+    return attributes
+
+
+_KINDS = {bool: "bool", int: "int", float: "float", str: "text", Literal: "text", list: "list"}
+
+
+def _kind(annotation: Any) -> str:  # noqa: ANN401
+    """Return the kind of a property from its annotation, null aside."""
+    alternatives = get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
+    return _KINDS[get_origin(alternatives[0]) or alternatives[0]]

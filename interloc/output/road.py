@@ -1,0 +1,238 @@
+"""The road seen by LiDAR as files: a GeoTIFF in the result folder, and a picture of it for a web map."""
+
+from __future__ import annotations
+
+import io
+import math
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from interloc.arrays import FloatArray, UInt8Array
+from interloc.errors import ConfigError, DamagedResultError
+from interloc.files import atomic_write
+from interloc.mapping.mosaic import TILE, Mosaic, Raster
+from interloc.output.geojson import read_json
+from interloc.output.layout import RUN_FILE
+
+ROAD_FILE = "road.tif"
+ROAD_LAYER = "road"
+RASTER_SUFFIXES = (".tif", ".tiff")
+ROAD_TITLE = "Road seen by LiDAR"
+
+MAX_PICTURE_PX = 4096
+"""Longest side of the picture; a larger drive is shown in larger cells."""
+
+_DESCRIPTION = (
+    f"{ROAD_TITLE}. Value: number of keyframes, 10 m apart along the drive, from which the cell was seen as road; "
+    "0: not seen."
+)
+_PIXEL_SCALE, _TIEPOINT, _GEO_KEYS, _NODATA = 33550, 33922, 34735, 42113  # tags of GeoTIFF and GDAL
+_MODEL_TYPE, _RASTER_TYPE, _PROJECTED_CRS = 1024, 1025, 3072  # keys of GeoTIFF
+_PROJECTED, _PIXEL_IS_AREA = 1, 1
+_GREY = (146, 156, 164)
+_ALPHA = (0, 100, 160, 210)  # of 0, 1, 2, 3 and more
+
+_BLOCK = 256  # pixels of the picture per piece that is taken for plane
+_WEB_MERCATOR, _LONLAT = 3857, 4326
+
+
+def write_road(mosaic: Mosaic, path: Path) -> None:
+    """Write a mosaic as GeoTIFF: tiled, deflated, 0 is no data, empty tiles take no room.
+
+    Raises
+    ------
+    OutputError
+        The file could not be written.
+    """
+    from tifffile import TiffWriter  # noqa: PLC0415 - slow to import
+
+    raster = mosaic.raster
+    top, left, bottom, right = raster.extent()
+    side = TILE * raster.cell_m
+    keys = [(_RASTER_TYPE, _PIXEL_IS_AREA)]
+    if mosaic.epsg is not None:
+        keys = [(_MODEL_TYPE, _PROJECTED), *keys, (_PROJECTED_CRS, mosaic.epsg)]
+    directory = [1, 1, 0, len(keys), *(number for key, value in keys for number in (key, 0, 1, value))]
+    tags: list[tuple[int, str, int, Any, bool]] = [
+        (_PIXEL_SCALE, "d", 3, (raster.cell_m, raster.cell_m, 0.0), True),
+        (_TIEPOINT, "d", 6, (0.0, 0.0, 0.0, left * side, -top * side, 0.0), True),
+        (_GEO_KEYS, "H", len(directory), tuple(directory), True),
+        (_NODATA, "s", 0, "0", True),
+    ]
+    there = (raster.tiles.get((row, col)) for row in range(top, bottom + 1) for col in range(left, right + 1))
+    tiles = (b"" if tile is None else zlib.compress(tile.tobytes()) for tile in there)
+    with atomic_write(path) as file, TiffWriter(file) as tiff:
+        tiff.write(
+            tiles,
+            shape=((bottom - top + 1) * TILE, (right - left + 1) * TILE),
+            dtype=np.uint8,
+            tile=(TILE, TILE),
+            compression="zlib",
+            photometric="minisblack",
+            description=_DESCRIPTION,
+            software="InterLoc",
+            metadata=None,
+            extratags=tags,
+        )
+
+
+def read_road(path: Path) -> Mosaic:
+    """Read what `write_road` wrote.
+
+    Raises
+    ------
+    DamagedResultError
+        The file is missing or damaged.
+    """
+    from tifffile import TiffFile, TiffFileError  # noqa: PLC0415
+
+    try:
+        with TiffFile(path) as tiff:
+            page: Any = tiff.pages[0]
+            raster = Raster(float(page.tags[_PIXEL_SCALE].value[0]))
+            _, _, _, x, y, _ = page.tags[_TIEPOINT].value
+            side = TILE * raster.cell_m
+            left, top = round(x / side), round(-y / side)
+            keys = page.tags[_GEO_KEYS].value[4:]
+            epsg = next((int(keys[i + 3]) for i in range(0, len(keys), 4) if keys[i] == _PROJECTED_CRS), None)
+            for cells, index, _ in page.segments():
+                if cells is not None and cells.any():
+                    raster.tiles[top + index[-3] // TILE, left + index[-2] // TILE] = cells.reshape(TILE, TILE)
+    except (OSError, ValueError, KeyError, IndexError, TypeError, TiffFileError) as error:
+        raise DamagedResultError(f"{path} is missing or damaged. Run `interloc detect` again.") from error
+    return Mosaic(raster, epsg)
+
+
+def export_road(result: Path, out: Path) -> None:
+    """Copy the GeoTIFF of a result folder.
+
+    Raises
+    ------
+    ConfigError
+        The format is another one, or the result has no such file.
+    OutputError
+        `result` is not a result folder, or `out` could not be written.
+    """
+    if out.suffix.lower() not in RASTER_SUFFIXES:
+        raise ConfigError(f"{out}: the layer road is a raster, which is written as GeoTIFF. Give a name in .tif.")
+    read_json(result / RUN_FILE)  # or say that it is no result
+    source = result / ROAD_FILE
+    if not source.is_file():
+        raise ConfigError(
+            f"{result} has no {ROAD_FILE}: no road was seen, or an older version wrote it. "
+            "Run `interloc detect` on the drive again."
+        )
+    with atomic_write(out) as file:
+        file.write(source.read_bytes())
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the road for a web map.
+
+    Attributes
+    ----------
+    png : bytes
+        Transparent where no road was seen.
+    bounds : tuple of float
+        West, south, east, north: degrees, of a picture in Web Mercator; or metres of W.
+    size : tuple of int
+        Width and height, pixels.
+    cell_m : float
+        Side of the cells that it is drawn of.
+    """
+
+    png: bytes
+    bounds: tuple[float, float, float, float]
+    size: tuple[int, int]
+    cell_m: float
+
+
+def draw_road(mosaic: Mosaic) -> Picture:
+    """Draw a mosaic, in coarser cells where it is too large for a picture."""
+    forward, backward = _projections(mosaic.epsg)
+    raster = mosaic.raster
+    box = _bounds(raster, forward)
+    across = max(box[2] - box[0], box[3] - box[1])
+    stretch = across / max(_across(raster), 1e-9)  # Web Mercator makes things larger
+    while across / (raster.cell_m * stretch) > MAX_PICTURE_PX:
+        raster = raster.coarser()
+    pixel = raster.cell_m * stretch
+    width, height = (max(1, math.ceil((box[i + 2] - box[i]) / pixel)) for i in (0, 1))
+    cells = np.zeros((height, width), np.uint8)
+    for row in range(0, height, _BLOCK):
+        for col in range(0, width, _BLOCK):
+            part = cells[row : row + _BLOCK, col : col + _BLOCK]
+            corner = np.array([[box[0] + col * pixel, box[3] - row * pixel]])
+            step = _BLOCK * pixel
+            corners = backward(corner + np.array([[0.0, 0.0], [step, 0.0], [0.0, -step]]))
+            _draw_block(raster, corners * [1.0, -1.0] / raster.cell_m, part)
+    edge = np.array([[box[0], box[3] - height * pixel], [box[0] + width * pixel, box[3]]])
+    if mosaic.epsg is not None:
+        edge = _transform(_WEB_MERCATOR, _LONLAT)(edge)
+    (west, south), (east, north) = edge.tolist()
+    return Picture(_png(cells), (west, south, east, north), (width, height), raster.cell_m)
+
+
+def _draw_block(raster: Raster, corners: FloatArray, part: UInt8Array) -> None:
+    """Draw a block of the picture; its upper left, upper right and lower left corner are given in cells x, y."""
+    matrix = np.column_stack([corners[1] - corners[0], corners[2] - corners[0]]) / _BLOCK
+    far = corners[1] + corners[2] - corners[0]
+    every = np.vstack([corners, far])
+    first = np.floor(every.min(axis=0)).astype(int) - 1
+    size = np.ceil(every.max(axis=0)).astype(int) + 1 - first
+    window = raster.window(int(first[1]), int(first[0]), int(size[1]), int(size[0]))
+    if window is None:
+        return
+    middle = corners[0] - first + matrix @ [0.5, 0.5] - 0.5
+    affine = np.column_stack([matrix, middle])
+    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    part[:] = cv2.warpAffine(window, affine, part.shape[::-1], flags=flags)
+
+
+def _png(cells: UInt8Array) -> bytes:
+    from PIL import Image  # noqa: PLC0415
+
+    picture = Image.fromarray(np.minimum(cells, len(_ALPHA) - 1))
+    picture.putpalette(_GREY * len(_ALPHA))
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG", transparency=bytes(_ALPHA), bits=2, compress_level=6)
+    return buffer.getvalue()
+
+
+Projection = Callable[[FloatArray], FloatArray]
+
+
+def _projections(epsg: int | None) -> tuple[Projection, Projection]:
+    """Return what leads from the metres of a raster to those of its picture, and back."""
+    if epsg is None:
+        return (lambda xy: xy), (lambda xy: xy)
+    return _transform(epsg, _WEB_MERCATOR), _transform(_WEB_MERCATOR, epsg)
+
+
+def _transform(source: int, target: int) -> Projection:
+    from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+    transformer = Transformer.from_crs(source, target, always_xy=True)
+    return lambda xy: np.stack(transformer.transform(xy[:, 0], xy[:, 1]), axis=-1)
+
+
+def _across(raster: Raster) -> float:
+    """Return the longer side of what is drawn, metres of the raster."""
+    top, left, bottom, right = raster.extent()
+    return max(bottom - top + 1, right - left + 1) * TILE * raster.cell_m
+
+
+def _bounds(raster: Raster, forward: Projection) -> tuple[float, float, float, float]:
+    """Return west, south, east, north of all tiles, in the metres of the picture."""
+    side = TILE * raster.cell_m
+    corners = [(col + i, -(row + j)) for row, col in raster.tiles for i in (0, 1) for j in (0, 1)]
+    places = forward(side * np.array(corners, dtype=np.float64))
+    (west, south), (east, north) = places.min(axis=0).tolist(), places.max(axis=0).tolist()
+    return west, south, east, north

@@ -1,0 +1,56 @@
+/**
+ * The demo: a drive through a made-up town, made by the server, and its job.
+ * @module data/demo
+ */
+import { getJson, sendJson, sleep } from "../api.js";
+import { setState } from "../state.js";
+import { refreshLists, rememberDrive, rememberJob } from "./lists.js";
+
+const POLL_MS = 1500;
+
+/** @type {{isRunning: boolean, error: unknown, text: string}} */
+export const demo = {
+  isRunning: false,
+  error: null,
+  text: "The server drives through a small made-up town. This takes half a minute the first time.",
+};
+
+/** @type {Set<() => void>} */
+const listeners = new Set();
+
+/** @param {() => void} call */
+export function onDemoChange(call) {
+  listeners.add(call);
+}
+
+/** Make the demo drive on the server, run it, show the job. */
+export async function tryDemo() {
+  if (demo.isRunning) return;
+  change({ isRunning: true, error: null });
+  try {
+    await run();
+    change({ isRunning: false });
+  } catch (error) {
+    change({ isRunning: false, error });
+  }
+}
+
+/** @param {Partial<typeof demo>} news */
+function change(news) {
+  Object.assign(demo, news);
+  for (const call of listeners) call();
+}
+
+async function run() {
+  let drive = await sendJson("POST", "demo");
+  rememberDrive(drive);
+  while (drive.state !== "ready") {
+    await sleep(POLL_MS);
+    drive = await getJson(`drives/${drive.id}`);
+  }
+  await refreshLists();
+  const request = { drive_id: drive.id, osm: { file: "map.osm" }, policy: "drive", name: "Demo" };
+  const job = await sendJson("POST", "jobs", request);
+  rememberJob(job);
+  setState({ drive: job.drive_id, job: job.id, panel: "job", frame: null, view: null });
+}

@@ -1,0 +1,36 @@
+/**
+ * All drives on one map: their tracks, and the intersections of the newest result of each.
+ * @module data/overview
+ */
+import { getJson } from "../api.js";
+
+/**
+ * @typedef {object} DriveOnMap
+ * @property {string} id
+ * @property {string} name
+ * @property {string|null} job Its newest successful one.
+ * @property {number[][]} track Longitude, latitude.
+ * @property {number[][]} intersections
+ */
+/** @typedef {{drives: DriveOnMap[], unplaced: number}} Overview `unplaced`: how many drives have no georeference. */
+
+const MAX_DRIVES = 1000;
+const PAGE = 100;
+
+/** @returns {Promise<Overview>} */
+export async function loadOverview() {
+  /** @type {Map<string, DriveOnMap>} */
+  const drives = new Map();
+  let unplaced = 0;
+  for (let after = ""; ; ) {
+    const page = await getJson(`overview?limit=${PAGE}${after && `&after=${encodeURIComponent(after)}`}`);
+    for (const { geometry, properties } of page.features) {
+      const { layer, drive: id, name, job } = properties;
+      if (layer === "intersections") drives.get(id)?.intersections.push(...geometry.coordinates);
+      else if (geometry) drives.set(id, { id, name, job, track: geometry.coordinates, intersections: [] });
+      else unplaced += 1;
+    }
+    if (!page.next || drives.size + unplaced >= MAX_DRIVES) return { drives: [...drives.values()], unplaced };
+    after = page.next;
+  }
+}

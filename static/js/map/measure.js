@@ -1,0 +1,97 @@
+/**
+ * The measure: a click sets a point, the sum of the distances is at the last one, Escape ends.
+ * @module map/measure
+ */
+import { distanceM } from "../data/frame.js";
+import { announce, el, formatMetres, icon, isTyping } from "../dom.js";
+import { CircleMarker, Control, DomEvent, LayerGroup, Polyline, Tooltip } from "../leaflet.js";
+import { shown } from "./shown.js";
+
+/** Ends or begins the measure of the map that is shown. @type {() => void} */
+let toggle = () => {};
+
+/**
+ * @param {any} map
+ * @param {boolean} local
+ * @returns {{isOn: () => boolean}}
+ */
+export function addMeasure(map, local) {
+  const label = "Measure distances";
+  const onClick = (/** @type {Event} */ event) => (event.preventDefault(), toggle());
+  const title = `${label} (m): click points on the map, Backspace takes the last one back, Escape ends`;
+  const button = el(
+    "a",
+    { href: "#", role: "button", title, "aria-label": label, "aria-pressed": "false", onClick },
+    icon("ruler"),
+  );
+  const bar = el("div", { class: "leaflet-bar leaflet-control" }, button);
+  const control = new Control({ position: "topleft" });
+  control.onAdd = () => {
+    DomEvent.disableClickPropagation(bar);
+    return bar;
+  };
+  control.addTo(map);
+
+  const look = { interactive: false, pane: "marks" };
+  const drawing = new LayerGroup();
+  const sum = new Tooltip({
+    permanent: true,
+    direction: "right",
+    offset: [10, 0],
+    opacity: 1,
+    className: "tip measured",
+  });
+  /** @type {any[]} */
+  let points = [];
+  let isOn = false;
+
+  /** @param {any} [pointer] Where the next point would be. */
+  const draw = (pointer) => {
+    const line = pointer ? [...points, pointer] : points;
+    drawing.clearLayers();
+    drawing.addLayer(new Polyline(line, { ...look, className: "measure" }));
+    for (const point of points)
+      drawing.addLayer(new CircleMarker(point, { ...look, radius: 4, className: "measure-point" }));
+    sum.remove();
+    if (!points.length) return;
+    const metres = line.slice(1).reduce((total, point, i) => total + distanceM(line[i], point, local), 0);
+    sum.setLatLng(line[line.length - 1]).setContent(el("strong", {}, formatMetres(metres, metres < 100 ? 2 : 1)));
+    drawing.addLayer(sum);
+  };
+  /** @param {any} event */
+  const add = ({ latlng }) => {
+    points.push(latlng);
+    draw();
+    announce(sum.getContent()?.textContent ?? "");
+  };
+  const follow = (/** @type {any} */ { latlng }) => points.length && draw(latlng);
+
+  toggle = () => {
+    isOn = !isOn;
+    button.setAttribute("aria-pressed", String(isOn));
+    map.getContainer().classList.toggle("measuring", isOn);
+    map.doubleClickZoom[isOn ? "disable" : "enable"]();
+    points = [];
+    draw();
+    if (isOn) drawing.addTo(map);
+    else drawing.remove();
+    const listen = isOn ? "on" : "off";
+    map[listen]("click", add);
+    map[listen]("mousemove", follow);
+    if (isOn) document.addEventListener("keydown", onKey);
+    else document.removeEventListener("keydown", onKey);
+    if (isOn) map.closePopup();
+  };
+  const onKey = (/** @type {KeyboardEvent} */ event) => {
+    if (isTyping(event)) return;
+    if (event.key === "Escape") toggle();
+    if (event.key === "Backspace") {
+      points.pop();
+      draw();
+    }
+  };
+  map.on("unload", () => isOn && toggle());
+  return { isOn: () => isOn };
+}
+
+export const MEASURE_KEYS = [{ key: "m", text: "Measure distances; Escape ends", run: () => shown.result && toggle() }];

@@ -1,0 +1,51 @@
+/**
+ * The road seen by LiDAR as a picture below everything else: a base map that the drive made itself.
+ * @module map/road_surface
+ */
+import { getJson, request } from "../api.js";
+import { ImageOverlay } from "../leaflet.js";
+import { showError } from "../messages.js";
+
+/**
+ * @param {any} map
+ * @returns {{show: (path: string|null) => void}} Shows the picture of a result, by its path on the server; null: none.
+ */
+export function roadSurface(map) {
+  map.createPane("surface-of-road").style.zIndex = "220"; // above the tiles, below the roads of OpenStreetMap
+  map.getPane("surface-of-road").style.pointerEvents = "none";
+  /** @type {string|null} */
+  let wanted = null;
+  /** @type {any} */
+  let overlay = null;
+
+  /** @param {any} next */
+  const replace = (next) => {
+    overlay?.remove();
+    overlay = next;
+    overlay?.addTo(map);
+    map.getContainer().classList.toggle("with-surface", Boolean(overlay));
+  };
+  /** @param {string} path */
+  const load = async (path) => {
+    /** @type {[{bounds_lonlat: number[]|null, bounds_world_m: number[]|null}, Response]} */
+    const [view, picture] = await Promise.all([getJson(path), request(`${path}.png`)]);
+    const url = URL.createObjectURL(await picture.blob());
+    if (path !== wanted || overlay) return URL.revokeObjectURL(url);
+    const [west, south, east, north] = /** @type {number[]} */ (view.bounds_lonlat ?? view.bounds_world_m);
+    const corners = [
+      [south, west],
+      [north, east],
+    ];
+    const next = new ImageOverlay(url, corners, { pane: "surface-of-road", className: "road-surface" });
+    next.on("remove", () => URL.revokeObjectURL(url));
+    replace(next);
+  };
+  return {
+    show(path) {
+      if (path === wanted) return;
+      wanted = path;
+      replace(null);
+      if (path) load(path).catch(showError);
+    },
+  };
+}

@@ -1,0 +1,97 @@
+/**
+ * Names of streets, written along them, beside the track, where the map is large enough.
+ * @module map/street_names
+ */
+import { colour } from "./symbols.js";
+
+/** @typedef {{x: number, y: number, angle: number}} Spot */
+
+const MIN_PER_METRE = 0.9; // pixels: zoom 17 in the middle latitudes
+const FONT = "600 11.5px";
+const MAX_ROAD_PX = 40; // as drawn
+const MARGIN_PX = 12;
+const APART_PX = 320; // labels of the same name
+const STRAIGHT = 0.985; // chord by arc: letters stand on one line
+
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {import("./surface.js").View} view
+ * @param {{path: Float64Array, name: string|null, width: number}[]} roads Paths projected at zoom 0; widths in metres.
+ */
+export function paintStreetNames(context, view, roads) {
+  if (view.perMetre < MIN_PER_METRE) return;
+  context.save();
+  context.font = `${FONT} ${getComputedStyle(document.body).fontFamily}`;
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.lineWidth = 3;
+  context.strokeStyle = colour("--ground");
+  context.fillStyle = colour("--ink-2");
+  /** @type {(Spot & {name: string, width: number})[]} */
+  const taken = [];
+  for (const { path, name, width: metres } of roads) {
+    if (!name) continue;
+    const beside = Math.min(metres * view.perMetre, MAX_ROAD_PX) / 2 + 8;
+    const width = context.measureText(name).width;
+    for (const spot of spots(path, view, width + MARGIN_PX)) {
+      if (!view.shows(spot.x, spot.y)) continue;
+      const isNear = (/** @type {typeof taken[0]} */ other) =>
+        Math.hypot(other.x - spot.x, other.y - spot.y) <
+        (other.name === name ? APART_PX : (other.width + width) / 2 + MARGIN_PX);
+      if (taken.some(isNear)) continue;
+      taken.push({ ...spot, name, width });
+      context.save();
+      context.translate(spot.x, spot.y);
+      context.rotate(spot.angle);
+      context.strokeText(name, 0, -beside);
+      context.fillText(name, 0, -beside);
+      context.restore();
+    }
+  }
+  context.restore();
+}
+
+/**
+ * Where a text of some length fits along a line: the middles of straight stretches, one after the other.
+ * @param {Float64Array} path
+ * @param {{x: (x: number) => number, y: (y: number) => number}} view
+ * @param {number} length Pixels.
+ * @returns {Spot[]}
+ */
+export function spots(path, view, length) {
+  /** @type {number[]} */
+  const xs = [];
+  /** @type {number[]} */
+  const ys = [];
+  const along = [0]; // distance of each corner from the start, pixels
+  for (let i = 0; i < path.length; i += 2) {
+    xs.push(view.x(path[i]));
+    ys.push(view.y(path[i + 1]));
+    const k = xs.length - 1;
+    if (k) along.push(along[k - 1] + Math.hypot(xs[k] - xs[k - 1], ys[k] - ys[k - 1]));
+  }
+  const total = along[along.length - 1];
+  /** @type {Spot[]} */
+  const found = [];
+  const tries = Math.floor(total / length) * 2 - 1;
+  if (tries < 1) return found;
+  let k = 0;
+  /** @param {number} distance Ascending from call to call, but for the length of a text. @returns {[number, number]} */
+  const at = (distance) => {
+    while (k > 0 && along[k] > distance) k -= 1;
+    while (k < along.length - 2 && along[k + 1] < distance) k += 1;
+    const share = (distance - along[k]) / (along[k + 1] - along[k] || 1);
+    return [xs[k] + share * (xs[k + 1] - xs[k]), ys[k] + share * (ys[k + 1] - ys[k])];
+  };
+  const rest = total - ((tries + 1) / 2) * length; // so that a single one stands in the middle
+  for (let i = 0; i < tries; i += 1) {
+    const start = rest / 2 + (i * length) / 2;
+    const [x, y] = at(start);
+    const [toX, toY] = at(start + length);
+    if (Math.hypot(toX - x, toY - y) < STRAIGHT * length) continue;
+    let angle = Math.atan2(toY - y, toX - x);
+    if (Math.abs(angle) > Math.PI / 2) angle -= Math.sign(angle) * Math.PI; // never upside down
+    found.push({ x: (x + toX) / 2, y: (y + toY) / 2, angle });
+  }
+  return found;
+}

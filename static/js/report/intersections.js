@@ -1,0 +1,237 @@
+/**
+ * The list of the intersections that were found: filtered, sorted, gone through one by one.
+ * @module report/intersections
+ */
+import { iconButton } from "../controls.js";
+import { el, fill, plural } from "../dom.js";
+import { goTo, isNamed } from "../map/details.js";
+import { clearFilter, getFilter, isFiltering, onFilterChange, setFilter } from "../map/filter.js";
+import { verdictOf } from "../map/layers.js";
+import { queue, setOrder, step, VERDICT_ORDER } from "../map/queue.js";
+import { signIcon } from "../map/symbols.js";
+import { getState, subscribe } from "../state.js";
+import { sortedTable } from "./sorted_table.js";
+
+/** @typedef {import("../data/results.js").Place} Place */
+/** @typedef {import("../map/filter.js").Figure} Figure */
+
+const VERDICTS = { right: "right", wrong: "wrong", unscored: "not scored" };
+
+/** @type {import("./sorted_table.js").Column[]} */
+const COLUMNS = [
+  {
+    name: "Outcome",
+    class: "sign-cell",
+    meaning: "Right: an OSM intersection of its own lies within 10 m. Wrong: none does. Not scored: no map tells.",
+    value: (each) => VERDICT_ORDER[verdictOf(each)],
+    text: (each) => {
+      const verdict = verdictOf(each);
+      return el(
+        "span",
+        { title: VERDICTS[verdict] },
+        signIcon(verdict),
+        el("span", { class: "unseen" }, VERDICTS[verdict]),
+      );
+    },
+  },
+  {
+    name: "Id",
+    meaning: "Number of the intersection, in the order of first sight.",
+    value: ({ properties: p }) => p.id,
+  },
+  {
+    name: "Error",
+    meaning: "Distance to its OSM intersection, metres; the uncertainty is in the details.",
+    value: ({ properties: p }) => p.error_m,
+    text: ({ properties: p }) => p.error_m?.toFixed(2),
+    down: true,
+  },
+  {
+    name: "±",
+    meaning: "Uncertainty of the position by the spread of the detections, metres (1 σ).",
+    value: ({ properties: p }) => p.position_std_m,
+    text: ({ properties: p }) => p.position_std_m?.toFixed(2),
+    down: true,
+  },
+  {
+    name: "Conf.",
+    meaning: "Confidence, from how often it was seen when it could have been, percent.",
+    value: ({ properties: p }) => p.confidence,
+    text: ({ properties: p }) => `${Math.round(100 * p.confidence)} %`,
+  },
+  {
+    name: "Seen",
+    meaning: "Observations: detections that are part of it.",
+    value: ({ properties: p }) => p.observations,
+  },
+  {
+    name: "Reason",
+    class: "words",
+    meaning: "Why it is wrong or not scored: what the map holds at its place.",
+    value: ({ properties: p }) => p.reason,
+    text: ({ properties: p }) => p.reason ?? "",
+  },
+];
+/** Columns that only a score, or only its lack, has. */
+const IF_SCORED = /** @type {Record<string, boolean>} */ ({ Outcome: true, Error: true, Reason: true, "±": false });
+
+/** @type {{figure: Figure, name: string, scale: number, step: string}[]} */
+const RANGES = [
+  { figure: "confidence", name: "Confidence, %", scale: 100, step: "1" },
+  { figure: "observations", name: "Observations", scale: 1, step: "1" },
+  { figure: "position_std_m", name: "Uncertainty (1 σ), m", scale: 1, step: "0.1" },
+];
+
+/** @param {import("../data/results.js").Result} result */
+export function intersectionList(result) {
+  if (!result.intersections.length) return el("p", { class: "quiet" }, "No intersection was found on this drive.");
+  const isScored = result.report !== null;
+  const table = sortedTable(
+    COLUMNS.filter(({ name }) => (IF_SCORED[name] ?? isScored) === isScored),
+    {
+      keyOf: ({ properties }) => String(properties.id),
+      onChoose: (item) => goTo({ kind: "intersection", item }),
+      onSort: setOrder,
+    },
+  );
+  setOrder(null);
+  const count = el("span", { class: "number quiet" });
+  const status = el("p", { class: "small", role: "status" });
+  const search = el("input", {
+    type: "search",
+    placeholder: "Id, place or reason",
+    "aria-label": "Find intersections by id, name of the place, or words of the reason",
+    title: "An id (3), a name of a place (n24546294), or words of the reason (worth a look)",
+    value: getFilter().words,
+    onInput: () => setFilter({ words: search.value }),
+    onKeydown: (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && step(1),
+  });
+  const more = filterFields(result);
+  const empty = el("p", { class: "small", hidden: true }, "No intersection passes the filter. ", showAll());
+
+  const mark = () => {
+    const name = getState().intersection;
+    const places = queue();
+    const at = places.findIndex((each) => isNamed(name, each));
+    table.mark(at < 0 ? null : String(places[at].properties.id));
+    fill(count, `${at < 0 ? "–" : at + 1} / ${places.length}`);
+  };
+  const update = () => {
+    const places = queue();
+    const all = plural(result.intersections.length, "intersection");
+    fill(status, isFiltering() ? [`${places.length} of ${all}, here and on the map. `, showAll()] : `${all}.`);
+    empty.hidden = places.length > 0;
+    table.element.hidden = !places.length;
+    if (document.activeElement !== search) search.value = getFilter().words;
+    table.show(places);
+    mark();
+  };
+  update();
+  const stops = [
+    subscribe(["intersection", "panel"], () => isShown() && requestAnimationFrame(mark)),
+    onFilterChange(() => isShown() && update()),
+  ];
+  const isShown = () => {
+    if (!table.element.isConnected) for (const stop of stops) stop();
+    return table.element.isConnected;
+  };
+  requestAnimationFrame(mark);
+  return el(
+    "div",
+    { class: "stack-s intersections" },
+    el(
+      "div",
+      { class: "tools" },
+      search,
+      iconButton("previous", "Previous intersection", () => step(-1), "Previous intersection of the list (p)"),
+      count,
+      iconButton("next", "Next intersection", () => step(1), "Next intersection of the list (n)"),
+    ),
+    more,
+    status,
+    empty,
+    table.element,
+  );
+}
+
+const showAll = () => el("button", { type: "button", class: "link", onClick: clearFilter }, "Show all");
+
+/** @param {import("../data/results.js").Result} result */
+function filterFields(result) {
+  const verdicts = /** @type {const} */ (["wrong", "right", "unscored"])
+    .map((name) => ({ name, many: result.intersections.filter((each) => verdictOf(each) === name).length }))
+    .filter(({ many }) => many > 0);
+  const boxes = verdicts.map(({ name, many }) => {
+    const input = el("input", { type: "checkbox", value: name, checked: true, onChange: () => choose() });
+    return { input, element: el("label", { class: "check" }, input, signIcon(name), `${VERDICTS[name]} (${many})`) };
+  });
+  const choose = () => {
+    const on = boxes.filter(({ input }) => input.checked).map(({ input }) => input.value);
+    setFilter({ verdicts: on.length === boxes.length ? null : on });
+  };
+  const ranges = RANGES.map((range) => rangeFields(range, result.intersections));
+  const stop = onFilterChange(() => {
+    if (!element.isConnected) return stop();
+    const { verdicts: on } = getFilter();
+    for (const { input } of boxes) input.checked = !on || on.includes(input.value);
+    for (const each of ranges) each.update();
+  });
+  const element = el(
+    "details",
+    { class: "filter" },
+    el("summary", {}, "Filter"),
+    el(
+      "div",
+      { class: "stack-s" },
+      boxes.length > 1 &&
+        el(
+          "fieldset",
+          { class: "row" },
+          el("legend", { class: "unseen" }, "Outcome"),
+          boxes.map((each) => each.element),
+        ),
+      el(
+        "div",
+        { class: "ranges" },
+        ranges.map((each) => each.elements),
+      ),
+    ),
+  );
+  return element;
+}
+
+/**
+ * @param {typeof RANGES[0]} range
+ * @param {Place[]} places
+ */
+function rangeFields({ figure, name, scale, step: by }, places) {
+  const values = places.map(({ properties }) => properties[figure] * scale).filter(Number.isFinite);
+  const digits = by === "1" ? 0 : 2;
+  const bounds = [Math.min(...values), Math.max(...values)].map((each) => each.toFixed(digits));
+  const inputs = ["least", "most"].map((bound, i) =>
+    el("input", {
+      type: "number",
+      min: "0",
+      step: by,
+      placeholder: bounds[i],
+      "aria-label": `${name}, at ${bound}`,
+      onInput: () => read(),
+    }),
+  );
+  const read = () => {
+    const [least, most] = inputs.map(({ value }) => (value === "" ? null : Number(value) / scale));
+    setFilter({ ranges: { ...getFilter().ranges, [figure]: [least, most] } });
+  };
+  const update = () => {
+    const range = getFilter().ranges[figure] ?? [null, null];
+    inputs.forEach((input, i) => {
+      const bound = range[i];
+      if (document.activeElement !== input) input.value = bound === null ? "" : String(+(bound * scale).toFixed(3));
+    });
+  };
+  update();
+  return {
+    elements: [el("span", {}, name), inputs[0], el("span", { "aria-hidden": "true" }, "to"), inputs[1]],
+    update,
+  };
+}

@@ -1,0 +1,122 @@
+/**
+ * A table whose rows lead to the map: sorted by any column, one stop of the Tab key, arrow keys from row to row.
+ * @module report/sorted_table
+ */
+import { el, fill } from "../dom.js";
+
+/**
+ * @typedef {object} Column
+ * @property {string} name
+ * @property {string} meaning A sentence.
+ * @property {(row: any) => number|string|null|undefined} value Rows without one come last.
+ * @property {(row: any) => any} [text] What the cell holds, if not the value itself.
+ * @property {boolean} [down] Whether the largest come first at the first click.
+ * @property {string} [class] Of its cells.
+ */
+/** @typedef {(a: any, b: any) => number} Order */
+
+/**
+ * @param {Column[]} columns Sorted by the first.
+ * @param {{keyOf: (row: any) => string, onChoose: (row: any) => void, onSort?: (order: Order) => void}} options
+ * @returns {{element: HTMLElement, show: (rows: any[]) => void, mark: (key: string|null) => void}}
+ */
+export function sortedTable(columns, { keyOf, onChoose, onSort }) {
+  let column = 0;
+  let down = Boolean(columns[0].down);
+  /** @type {any[]} */
+  let rows = [];
+  /** @type {string|null} */
+  let marked = null;
+  const body = el("tbody", { onKeydown: (/** @type {KeyboardEvent} */ event) => move(event) });
+  const heads = columns.map(({ name, meaning, class: kind }, i) =>
+    el(
+      "th",
+      { scope: "col", class: kind, title: meaning },
+      el("button", { type: "button", onClick: () => sort(i) }, name, el("span", { "aria-hidden": "true" })),
+    ),
+  );
+  /** @param {any} a @param {any} b */
+  const order = (a, b) => compare(columns[column].value(a), columns[column].value(b), down);
+
+  /** @param {number} next */
+  const sort = (next) => {
+    down = next === column ? !down : Boolean(columns[next].down);
+    column = next;
+    update();
+    onSort?.(order);
+  };
+  const update = () => {
+    heads.forEach((head, i) => {
+      head.setAttribute("aria-sort", i === column ? (down ? "descending" : "ascending") : "none");
+      head.querySelector("span").textContent = i === column ? (down ? "▾" : "▴") : "";
+    });
+    rows.sort((a, b) => order(a, b) || compare(keyOf(a), keyOf(b), false));
+    fill(body, rows.map(rowOf));
+    markRows();
+  };
+  /** @param {any} row */
+  const rowOf = (row) => {
+    const cells = columns.map(({ text, value, class: kind }) => el("td", { class: kind }, (text ?? value)(row) ?? "–"));
+    const props = { class: "can", dataset: { key: keyOf(row) }, tabIndex: -1, title: "Show it on the map" };
+    return el("tr", { ...props, onClick: () => onChoose(row) }, cells);
+  };
+  const markRows = () => {
+    for (const row of body.children) row.classList.toggle("is", row.dataset.key === marked);
+    const stop = body.querySelector(".is") ?? body.firstChild;
+    for (const row of body.children) row.tabIndex = row === stop ? 0 : -1;
+  };
+  /** @param {KeyboardEvent} event */
+  const move = (event) => {
+    const row = /** @type {any} */ (event.target);
+    if (row.parentElement !== body) return;
+    const all = [...body.children];
+    const at = all.indexOf(row);
+    const next = { ArrowDown: at + 1, ArrowUp: at - 1, Home: 0, End: all.length - 1 }[event.key];
+    if (next !== undefined && all[next]) {
+      row.tabIndex = -1;
+      all[next].tabIndex = 0;
+      all[next].focus();
+    } else if (event.key === "Enter" || event.key === " ") onChoose(rows[at]);
+    else if (next === undefined) return;
+    event.preventDefault();
+  };
+
+  return {
+    element: el(
+      "div",
+      { class: "sorted" },
+      el("div", { class: "scroll" }, el("table", {}, el("thead", {}, el("tr", {}, heads)), body)),
+      el(
+        "details",
+        { class: "small" },
+        el("summary", {}, "What the columns mean"),
+        el(
+          "dl",
+          { class: "meanings" },
+          columns.map(({ name, meaning }) => [el("dt", {}, name), el("dd", {}, meaning)]),
+        ),
+      ),
+    ),
+    show(next) {
+      rows = [...next];
+      update();
+    },
+    mark(key) {
+      marked = key;
+      markRows();
+      body.querySelector(".is")?.scrollIntoView({ block: "nearest" });
+    },
+  };
+}
+
+/**
+ * Numbers by their size, words by their letters with the numbers in them by their size; nothing comes last.
+ * @param {any} a @param {any} b @param {boolean} down
+ * @returns {number}
+ */
+export function compare(a, b, down) {
+  const [noA, noB] = [a ?? null, b ?? null].map((each) => each === null);
+  if (noA || noB) return Number(noA) - Number(noB);
+  const sign = typeof a === "number" ? a - b : String(a).localeCompare(String(b), "en", { numeric: true });
+  return down ? -sign : sign;
+}

@@ -1,0 +1,68 @@
+/**
+ * Keys that work wherever the focus is, and the dialog that lists them.
+ * @module shortcuts
+ */
+import { iconButton, openDialog } from "./controls.js";
+import { el } from "./dom.js";
+
+/** @typedef {{key: string, label: string, text: string, call: () => void}} Shortcut */
+
+/** @type {Map<string, Shortcut>} */
+const shortcuts = new Map();
+const TYPING = "input:not([type=range]):not([type=checkbox]):not([type=radio]), select, textarea, dialog";
+const PRESSED_BY_SPACE = `${TYPING}, button, summary, a, input:not([type=range])`;
+
+/** What controls do with keys by themselves. */
+const OF_CONTROLS = [
+  ["← → ↑ ↓", "Move the map, the timeline or the choice of the panel that has the focus"],
+  ["+ −", "Zoom the map that has the focus"],
+  ["Tab", "On to the next control"],
+  ["Esc", "Close a dialog"],
+];
+
+/**
+ * @param {string} key As of `KeyboardEvent.key`.
+ * @param {string} text What it does, for the list.
+ * @param {() => void} call
+ * @param {string} [label] The key as it is printed.
+ */
+export function addShortcut(key, text, call, label = key) {
+  shortcuts.set(key, { key, label, text, call });
+}
+
+/** @param {KeyboardEvent} event */
+function press(event) {
+  const found = shortcuts.get(event.key);
+  if (!found || event.ctrlKey || event.metaKey || event.altKey) return;
+  const target = /** @type {Element} */ (event.target);
+  if (target.closest(event.key === " " ? PRESSED_BY_SPACE : TYPING)) return;
+  event.preventDefault(); // a space would scroll
+  found.call();
+}
+
+/** Show all shortcuts. */
+export function listShortcuts() {
+  const rows = [...shortcuts.values()].map(({ label, text }) => [label, text]);
+  const head = el(
+    "div",
+    { class: "spread" },
+    el("h2", { id: "shortcuts-title" }, "Keyboard shortcuts"),
+    iconButton("close", "Close", () => dialog.close()),
+  );
+  const list = [...rows, ...OF_CONTROLS].map(([keys, text]) => [
+    el(
+      "dt",
+      {},
+      keys.split(" ").map((each) => el("kbd", {}, each)),
+    ),
+    el("dd", {}, text),
+  ]);
+  const body = el("div", { class: "stack-s" }, head, el("dl", { class: "shortcuts" }, list));
+  const dialog = openDialog({ "aria-labelledby": "shortcuts-title" }, [body]);
+}
+
+/** Listen to the keys of the page. */
+export function mountShortcuts() {
+  addShortcut("?", "This list", listShortcuts);
+  document.addEventListener("keydown", press);
+}

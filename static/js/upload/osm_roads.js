@@ -1,0 +1,181 @@
+/** The roads of an OSM file near a track, and how much of the track it covers. Only for a look: the service scores. */
+
+import { toMetres } from "./track.js";
+
+/** @typedef {{west: number, south: number, east: number, north: number}} Box Degrees. */
+/** @typedef {{line: number[][], properties: {highway: string, is_drivable: boolean}}} Road As results have them. */
+
+/**
+ * @typedef {object} MapLook
+ * @property {Road[]} roads
+ * @property {number} covered Share of the track inside the bounds of the map, 0..1.
+ * @property {number | null} road_m Median distance of the track from the nearest road, metres; null: there is none.
+ */
+
+const MARGIN_DEG = 0.01; // about a kilometre
+const MAX_CHARACTERS = 1e9;
+const MAX_NODES = 3e6;
+const MAX_SAMPLES = 200;
+const ON_FOOT = /^(footway|path|cycleway|steps|pedestrian|track|bridleway|corridor|platform|construction|proposed)$/;
+const ELEMENT = /<(\/?)(bounds|node|way|nd|tag)\b([^>]*)>/g; // a ">" in a value is written as &gt;
+
+/** @param {string} name @returns {boolean} Whether the browser can read such a file: XML, plain or packed by gzip. */
+export const isReadableMap = (name) => /\.osm(\.gz)?$/i.test(name);
+
+/**
+ * @param {File} file
+ * @param {number[][]} track Longitude, latitude.
+ * @returns {Promise<MapLook | null>} null: it is too large to look into, or no OSM XML.
+ */
+export async function lookIntoMap(file, track) {
+  const isPacked = /\.gz$/i.test(file.name);
+  const stream = isPacked ? file.stream().pipeThrough(new DecompressionStream("gzip")) : file.stream();
+  const reader = stream.pipeThrough(/** @type {any} */ (new TextDecoderStream())).getReader();
+  const near = grown(boxOf(track));
+  const found = new Collector(near);
+  let rest = "";
+  let read = 0;
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) break;
+    read += value.length;
+    if (read > MAX_CHARACTERS || found.nodes.size > MAX_NODES) {
+      await reader.cancel();
+      return null;
+    }
+    const text = rest + value;
+    const end = text.lastIndexOf(">") + 1;
+    rest = text.slice(end);
+    for (const [, closing, name, attributes] of text.slice(0, end).matchAll(ELEMENT)) {
+      if (closing) found.close(name);
+      else found.open(name, attributes);
+    }
+  }
+  const bounds = found.bounds ?? found.extent;
+  if (!(bounds.west <= bounds.east)) return null;
+  const inside = track.filter(([lon, lat]) => isIn(bounds, lon, lat)).length;
+  return { roads: found.roads, covered: inside / track.length, road_m: medianDistance(track, found.roads) };
+}
+
+/** Keeps the roads of a stream of elements whose nodes lie in a box. */
+class Collector {
+  /** @param {Box} near */
+  constructor(near) {
+    this.near = near;
+    /** @type {Box | null} */
+    this.bounds = null;
+    this.extent = { west: Infinity, south: Infinity, east: -Infinity, north: -Infinity };
+    /** @type {Map<string, number[]>} */
+    this.nodes = new Map();
+    /** @type {Road[]} */
+    this.roads = [];
+    /** @type {string[] | null} */
+    this.refs = null;
+    this.highway = "";
+  }
+
+  /** @param {string} name @param {string} text Its attributes. */
+  open(name, text) {
+    if (name === "tag" && !this.refs) return; // of a node
+    const of = (/** @type {string} */ each) => attribute(text, each);
+    if (name === "node") this.#addNode(of("id"), Number.parseFloat(of("lon")), Number.parseFloat(of("lat")));
+    else if (name === "way") {
+      this.refs = [];
+      this.highway = "";
+    } else if (name === "nd") this.refs?.push(of("ref"));
+    else if (name === "tag" && of("k") === "highway") this.highway = of("v");
+    else if (name === "bounds") {
+      const [west, south, east, north] = ["minlon", "minlat", "maxlon", "maxlat"].map((each) =>
+        Number.parseFloat(of(each)),
+      );
+      if ([west, south, east, north].every(Number.isFinite)) this.bounds = { west, south, east, north };
+    }
+  }
+
+  /** @param {string} name */
+  close(name) {
+    if (name !== "way" || !this.refs) return;
+    if (this.highway) this.#addRoads(this.refs, this.highway);
+    this.refs = null;
+  }
+
+  /** @param {string} id @param {number} lon @param {number} lat */
+  #addNode(id, lon, lat) {
+    if (!Number.isFinite(lon) || !Number.isFinite(lat)) return;
+    const { extent } = this;
+    extent.west = Math.min(extent.west, lon);
+    extent.east = Math.max(extent.east, lon);
+    extent.south = Math.min(extent.south, lat);
+    extent.north = Math.max(extent.north, lat);
+    if (isIn(this.near, lon, lat)) this.nodes.set(id, [lon, lat]);
+  }
+
+  /** @param {string[]} refs @param {string} highway A way that leaves the box becomes several. */
+  #addRoads(refs, highway) {
+    const properties = { highway, is_drivable: !ON_FOOT.test(highway) };
+    /** @type {number[][]} */
+    let line = [];
+    for (const ref of [...refs, ""]) {
+      const place = this.nodes.get(ref);
+      if (place) line.push(place);
+      else {
+        if (line.length > 1) this.roads.push({ line, properties });
+        line = [];
+      }
+    }
+  }
+}
+
+/** @param {string} text Attributes as OSM's own tools write them. @param {string} name @returns {string} "" for none. */
+function attribute(text, name) {
+  const at = text.indexOf(` ${name}=`) + name.length + 2;
+  if (at <= name.length + 1) return "";
+  return text.slice(at + 1, text.indexOf(text[at], at + 1));
+}
+
+/** @param {number[][]} places @returns {Box} */
+function boxOf(places) {
+  const box = { west: Infinity, south: Infinity, east: -Infinity, north: -Infinity };
+  for (const [lon, lat] of places) {
+    box.west = Math.min(box.west, lon);
+    box.east = Math.max(box.east, lon);
+    box.south = Math.min(box.south, lat);
+    box.north = Math.max(box.north, lat);
+  }
+  return box;
+}
+
+/** @param {Box} box @returns {Box} */
+function grown({ west, south, east, north }) {
+  const aside = MARGIN_DEG / Math.cos((south * Math.PI) / 180);
+  return { west: west - aside, south: south - MARGIN_DEG, east: east + aside, north: north + MARGIN_DEG };
+}
+
+/** @param {Box} box @param {number} lon @param {number} lat */
+const isIn = ({ west, south, east, north }, lon, lat) => lon >= west && lon <= east && lat >= south && lat <= north;
+
+/** @param {number[][]} track @param {Road[]} roads @returns {number | null} */
+function medianDistance(track, roads) {
+  const lines = roads.filter(({ properties }) => properties.is_drivable).map(({ line }) => line);
+  if (!lines.length) return null;
+  const flat = lines.map((line) => line.map((place) => toMetres(place, track[0])));
+  const step = Math.ceil(track.length / MAX_SAMPLES);
+  const distances = [];
+  for (let i = 0; i < track.length; i += step) {
+    const [x, y] = toMetres(track[i], track[0]);
+    let nearest = Infinity;
+    for (const line of flat) {
+      for (let j = 1; j < line.length; j += 1) nearest = Math.min(nearest, distance(x, y, line[j - 1], line[j]));
+    }
+    distances.push(Math.sqrt(nearest));
+  }
+  return distances.sort((a, b) => a - b)[Math.floor(distances.length / 2)];
+}
+
+/** @param {number} x @param {number} y @param {number[]} a @param {number[]} b @returns {number} Squared, to the segment. */
+function distance(x, y, [ax, ay], [bx, by]) {
+  const [dx, dy] = [bx - ax, by - ay];
+  const length = dx * dx + dy * dy;
+  const t = length ? Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / length)) : 0;
+  return (ax + t * dx - x) ** 2 + (ay + t * dy - y) ** 2;
+}

@@ -1,0 +1,162 @@
+/** What is to be sent, on the map before and while it is sent: its track, its scans, the roads of its map. */
+
+import { trackAlone } from "../data/results.js";
+import { formatMetres, formatPercent, plural } from "../dom.js";
+import { setPreview, shown } from "../map/shown.js";
+import { isReadableMap } from "./osm_roads.js";
+
+/** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
+/** @typedef {import("./track.js").Track} Track */
+/** @typedef {import("./osm_roads.js").MapLook} MapLook */
+/**
+ * @typedef {object} Wanted
+ * @property {DriveFolder} drive
+ * @property {File | null} map
+ * @property {File | null} fix A georeference from elsewhere.
+ * @property {string} pose_frame
+ * @property {string | null} poses Path of the file that holds the poses, where there are several.
+ */
+/** @typedef {{track: Track | null, look: MapLook | null, isDone: boolean}} Found */
+
+const POSES = ["poses.txt", "cam0_to_world.txt", "poses.tum", "trajectory.tum", "trajectory.txt"];
+const FIT_M = 10; // poses drift: by some metres on a drive of some kilometres
+const FIT_SHARE = 0.02;
+const ROAD_M = 15;
+
+/** @type {Worker | null} */
+let worker = null;
+/** What the worker was asked for, so that it is not asked again. */
+let asked = "";
+/** @type {Found | null} */
+let last = null;
+/** @type {(found: Found) => void} */
+let listener = () => {};
+
+/**
+ * Read a drive and show it; anything that was read before is given up.
+ *
+ * @param {Wanted} wanted
+ * @param {(found: Found) => void} onFound Called with the track, and again with what the map has there.
+ */
+export function showPreview({ drive, map, fix, pose_frame, poses }, onFound) {
+  const files = trackFilesOf(drive, fix, pose_frame, poses);
+  const named = [files.poses, files.fixes, map].map((file) => file && [file.name, file.size, file.lastModified]);
+  const key = JSON.stringify([drive.root, drive.name, files.frames.length, files.oxts.length, pose_frame, named]);
+  listener = onFound;
+  if (key === asked) {
+    if (last) onFound(last);
+    return;
+  }
+  dropWorker();
+  asked = key;
+  const show = (/** @type {Found} */ found) => {
+    last = found;
+    setPreview(found.track && previewOf(drive, found, map));
+    listener(found);
+  };
+  if ((!files.poses && !files.fixes && !files.oxts.length) || typeof Worker !== "function") {
+    show({ track: null, look: null, isDone: true });
+    return;
+  }
+  worker = new Worker(new URL("./preview_worker.js", import.meta.url), { type: "module" });
+  worker.addEventListener("message", ({ data }) => {
+    if (data.isDone) worker?.terminate();
+    show({ look: null, ...data });
+  });
+  worker.addEventListener("error", (event) => {
+    event.preventDefault(); // there is no picture then, and that is all
+    show({ track: null, look: null, isDone: true });
+  });
+  worker.postMessage({ files, map });
+}
+
+/** Show it no more. */
+export function dropPreview() {
+  dropWorker();
+  setPreview(null);
+}
+
+/** @param {number} progress How much was sent, 0..1. */
+export function setPreviewProgress(progress) {
+  const { preview } = shown;
+  if (preview && Math.floor(100 * progress) !== Math.floor(100 * preview.progress))
+    setPreview({ ...preview, progress });
+}
+
+function dropWorker() {
+  worker?.terminate();
+  worker = null;
+  last = null;
+  asked = "";
+}
+
+/**
+ * @param {DriveFolder} drive
+ * @param {File | null} fix
+ * @param {string} pose_frame
+ * @param {string | null} posesPath
+ * @returns {import("./track.js").TrackFiles}
+ */
+export function trackFilesOf({ scans, small }, fix, pose_frame, posesPath) {
+  const poses = [posesPath ?? "", ...POSES].flatMap((path) => small.get(path) ?? [])[0] ?? null;
+  const single = /** @type {[number, File][]} */ ([]);
+  /** @type {File | null} */
+  let rows = fix ?? small.get("geo.csv") ?? null;
+  for (const [path, file] of rows ? [] : small) {
+    const match = /^oxts\/(?:[^/]+\/)?([^/]+)\.txt(?:\.gz)?$/.exec(path);
+    if (match && /^\d+$/.test(match[1])) single.push([Number(match[1]), file]);
+  }
+  if (single.length === 1) rows = single.pop()?.[1] ?? null; // one file with a row per frame
+  return { frames: [...(scans?.files.keys() ?? [])], poses, pose_frame, fixes: rows, oxts: single };
+}
+
+/** @param {DriveFolder} drive @param {Found} found @param {File | null} map @returns {import("../map/shown.js").Preview} */
+function previewOf(drive, { track, look }, map) {
+  const { scans, fitted, local, length_m } = /** @type {Track} */ (track);
+  const result = trackAlone(scans, local);
+  result.keyframes = scans.map(([lng, lat]) => ({ lng, lat, properties: {} }));
+  result.places = fitted ? [fitted] : [];
+  result.roads = look?.roads ?? [];
+  const parts = [plural(scans.length, "scan"), formatMetres(length_m, 0)];
+  if (local) parts.push("in metres of its poses: no georeference");
+  if (look?.roads.length) parts.push(`roads of ${map?.name}`);
+  const fit = fitVerdict(/** @type {Track} */ (track));
+  if (fit?.[1]) parts.push(`poses (thin line) ${fit[0]}`);
+  return { result, title: drive.name, text: parts.join(" · "), progress: shown.preview?.progress ?? 0 };
+}
+
+/** @param {Track} track @returns {[text: string, isBad: boolean] | null} How the poses fit the georeference. */
+export function fitVerdict({ fit_m, length_m }) {
+  if (fit_m === null) return null;
+  const isBad = fit_m > Math.max(FIT_M, FIT_SHARE * length_m);
+  const text = `${formatMetres(fit_m, 1)} from the georeference (median)`;
+  return [isBad ? `${text}: do both belong to this drive?` : text, isBad];
+}
+
+/**
+ * Say how a map fits the drive.
+ *
+ * @param {File} map
+ * @param {Found} found
+ * @returns {[text: string, isBad: boolean]}
+ */
+export function mapVerdict(map, { track, look, isDone }) {
+  if (!isReadableMap(map.name)) {
+    return [`The service reads ${map.name}: this page looks into .osm and .osm.gz files only.`, false];
+  }
+  if (!track || track.local) return ["", false]; // where the drive was is not known yet
+  if (!look)
+    return [isDone ? `${map.name} could not be looked into: the service reads it.` : "Looking at the map …", false];
+  const { covered, road_m, roads } = look;
+  if (covered === 0) return [`${map.name} lies elsewhere: it covers nothing of the drive.`, true];
+  const share = covered === 1 ? "100 %" : formatPercent(Math.min(covered, 0.999));
+  const text = `The map covers ${share} of the distance driven`;
+  if (road_m === null) return [`${text}, but has no road there.`, true];
+  if (road_m > ROAD_M) {
+    const far = `${text}, but its roads lie ${formatMetres(road_m, 0)} from the track (median)`;
+    return [`${far}: is the georeference that of this drive?`, true];
+  }
+  const near = `${plural(roads.length, "road")} nearby, ${formatMetres(road_m, 1)} from the track (median)`;
+  const lacking = covered < 1 ? " Intersections beyond the map count for nothing." : "";
+  return [`${text}: ${near}.${lacking}`, covered < 0.9];
+}

@@ -1,0 +1,116 @@
+"""The code in README.md, in docs/ and in the docstring of the package runs, on a small drive of the names used there.
+
+Python blocks of a page run one after the other, in one namespace; `<!-- not run: reason -->` before a block leaves it
+out. Blocks of the console run after `<!-- run -->`: their commands, within this process, must print what stands there,
+`...` standing for anything.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import io
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import interloc
+from interloc.cli.main import run
+from interloc.evaluation.evaluate import Evaluation
+from interloc.results import DriveResult
+from tests.crossing import write_drive
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = ["README.md", *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(
+    r"(?:^<!-- (?P<mark>[^\n]*?) -->\s*)?^```(?P<language>python|console)\n(?P<code>.*?)^```", re.MULTILINE | re.DOTALL
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of code of a page."""
+
+    language: str
+    code: str
+    mark: str
+
+    @property
+    def runs(self) -> bool:
+        if self.language == "console":
+            return self.mark == "run"
+        assert self.mark in {"", "run"} or re.fullmatch(r"not run: .{10,}", self.mark)
+        return not self.mark.startswith("not run")
+
+
+def blocks(page: str) -> list[Block]:
+    found = BLOCK.finditer((ROOT / page).read_text())
+    return [Block(each["language"], each["code"], each["mark"] or "") for each in found]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a drive and a map of the names that the pages use."""
+    folder = tmp_path_factory.mktemp("snippets")
+    with contextlib.chdir(folder):
+        write_drive(Path("sequences/07"), Path("2011_09_30_drive_0027_sync"))
+    return folder
+
+
+def console(code: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Run the commands of a block and compare what they print."""
+    for command, expected in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", code, re.MULTILINE):
+        program, *arguments = shlex.split(command, comments=True)
+        if (program, *arguments[:2]) == ("python", "-m", "interloc"):
+            program, arguments = "interloc", arguments[2:]
+        assert program == "interloc"
+        capsys.readouterr()
+        assert run(arguments) == 0
+        printed = capsys.readouterr().out
+        assert re.fullmatch(re.escape(expected).replace(r"\.\.\.", ".*"), printed, re.DOTALL), (command, printed)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_blocks_of(page: str, place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(place)
+    names: dict[str, Any] = {}
+    for block in blocks(page):
+        if not block.runs:
+            continue
+        if block.language == "console":
+            console(block.code, capsys)
+        else:
+            exec(compile(block.code, page, "exec"), names)  # noqa: S102 - our own words
+
+
+def test_the_docstring_of_the_package(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(place)
+    text = inspect.getdoc(interloc) or ""
+    code = "\n".join(line.removeprefix("    ") for line in text.splitlines() if line.startswith("    ") or not line)
+    names: dict[str, Any] = {}
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(code.split("Open a drive;")[0], names)  # noqa: S102
+    shows_itself(names["result"], names["evaluation"])
+
+
+def shows_itself(result: DriveResult, evaluation: Evaluation) -> None:
+    """What a notebook shows of them: short lines, and a map without scripts and addresses."""
+    assert repr(result) == (
+        f"<DriveResult 07: 48 keyframes, {len(result.detections)} detections, 1 intersection, with georeference>"
+    )
+    assert re.fullmatch(
+        r"<Evaluation 07: ACE \d\.\d\d m, precision 100 %, recall 100 % at 5 m, 1 of 1 nodes>", repr(evaluation)
+    )
+    assert evaluation.precision == evaluation.recall == evaluation.f1 == 1.0
+    for page in (result._repr_html_(), evaluation._repr_html_()):
+        assert page.count("<title>Intersection 1: ") == 1
+        assert "script" not in page
+        assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
+        assert len(page) < 20_000
+    assert '#009E73"><title>Intersection 1: right' in evaluation._repr_html_()
+    table = evaluation.geodataframe("intersections")
+    assert (table.crs.to_epsg(), table["outcome"].tolist()) == (4326, ["right"])
