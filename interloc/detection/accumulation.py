@@ -16,6 +16,7 @@ from interloc.kernels import grid
 
 _GROW = 16  # tiles that the pool grows by at least
 _POOLED_SHARE = 0.5  # share of a full window below which votes are pooled: the ends of a dense drive have more
+_POOLED_LONE = 0.022  # share of lone road cells above which they are: docs/accuracy.md has what real labels have
 
 
 class TileGrid:
@@ -167,10 +168,16 @@ class RoadAccumulator:
         share = self._share(keyframe)
         m = self._config.min_points
         min_points = max(1, round(m * share)) if self._config.adaptive else m
-        # So few scans give a cell one vote, and a wrong one decides. Votes of neighbours are mostly of the same ground,
+        # Few scans give a cell one vote, and a wrong one decides. Votes of neighbours are mostly of the same ground,
         # and add up like the log odds of an occupancy grid (Elfes, "Using occupancy grids", IEEE Computer, 1989).
-        reach = int(self._config.vote and self._config.pool_votes and share < _POOLED_SHARE)
-        grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, reach, image.words)
+        # Where labels err along borders only, pooling mends nothing and shortens branches.
+        pooled = (
+            self._config.vote
+            and self._config.pool_votes
+            and share < _POOLED_SHARE
+            and grid.lone_road_share(self._grid.pool, table, roi.left, roi.top, roi.size) > _POOLED_LONE
+        )
+        grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, int(pooled), image.words)
         return BevImage(image, roi, min_points)
 
     def _share(self, keyframe: Keyframe) -> float:
