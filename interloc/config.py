@@ -63,6 +63,12 @@ class BevConfig(_Config):
     vote: bool = Field(
         False, description="Each point of sidewalk, parking or other ground in a cell cancels one of its road points."
     )
+    pool_votes: bool = Field(
+        False,
+        description="Where less than half of a full window's keyframes lie in the region of interest, and labels err "
+        "from point to point, a road cell needs the majority of the votes in the 3 x 3 cells around it too. Has no "
+        "effect without vote.",
+    )
     max_range_m: float = Field(
         150.0, ge=10, le=1000, description="Points farther than this from the sensor are left out."
     )
@@ -387,7 +393,7 @@ PAPER = DetectorConfig(
 
 DEFAULT = DetectorConfig(
     preset="default",
-    bev=BevConfig(min_points=2, vote=True),
+    bev=BevConfig(min_points=2, vote=True, pool_votes=True),
     occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),

@@ -15,6 +15,8 @@ from interloc.detection.keyframes import Keyframe
 from interloc.kernels import grid
 
 _GROW = 16  # tiles that the pool grows by at least
+_POOLED_SHARE = 0.5  # share of a full window below which votes are pooled: the ends of a dense drive have more
+_POOLED_LONE = 0.022  # share of lone road cells above which they are: docs/accuracy.md has what real labels have
 
 
 class TileGrid:
@@ -163,19 +165,27 @@ class RoadAccumulator:
         image = BinaryImage.empty(roi.size, roi.size)
         tiles = np.array([roi.left, roi.left + roi.size - 1, roi.top - roi.size + 1, roi.top]) // grid.TILE
         table = self._grid.table(tiles)
-        min_points = self._min_points(keyframe)
-        grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, image.words)
+        share = self._share(keyframe)
+        m = self._config.min_points
+        min_points = max(1, round(m * share)) if self._config.adaptive else m
+        # Few scans give a cell one vote, and a wrong one decides. Votes of neighbours are mostly of the same ground,
+        # and add up like the log odds of an occupancy grid (Elfes, "Using occupancy grids", IEEE Computer, 1989).
+        # Where labels err along borders only, pooling mends nothing and shortens branches.
+        pooled = (
+            self._config.vote
+            and self._config.pool_votes
+            and share < _POOLED_SHARE
+            and grid.lone_road_share(self._grid.pool, table, roi.left, roi.top, roi.size) > _POOLED_LONE
+        )
+        grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, int(pooled), image.words)
         return BevImage(image, roi, min_points)
 
-    def _min_points(self, keyframe: Keyframe) -> int:
-        """Return m, in the share of a full window's keyframes that lie in the region of interest."""
-        m = self._config.min_points
-        if not self._config.adaptive:
-            return m
+    def _share(self, keyframe: Keyframe) -> float:
+        """Return how many of a full window's keyframes lie in the region of interest, as a share."""
         centre = keyframe.T_world_lidar[:2, 3]
         positions = np.array([entry.keyframe.T_world_lidar[:2, 3] for entry in self._window])
         near = int((np.abs(positions - centre).max(axis=1) < self._config.size_m / 2).sum())
-        return max(1, round(m * near / (self._before + 1 + self._after)))
+        return near / (self._before + 1 + self._after)
 
 
 def roi_around(keyframe: Keyframe, config: BevConfig) -> Roi:

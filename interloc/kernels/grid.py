@@ -112,8 +112,72 @@ def remove_cells(pool: Int32Array, where: Int32Array, vote: int) -> None:
 
 
 @compiled
+def _sum_around(
+    pool: Int32Array, table: Int32Array, tile_x0: int, tile_y0: int, ix: int, iy: int, reach: int
+) -> np.int64:
+    """Add up the cells of a square around one, as far as the table goes."""
+    total = np.int64(0)
+    for y in range(iy - reach, iy + reach + 1):
+        row = (y >> _SHIFT) - tile_y0
+        if row < 0 or row >= table.shape[0]:
+            continue
+        for x in range(ix - reach, ix + reach + 1):
+            column = (x >> _SHIFT) - tile_x0
+            if 0 <= column < table.shape[1] and table[row, column] >= 0:
+                total += pool[table[row, column], ((y & _MASK) << _SHIFT) + (x & _MASK)]
+    return total
+
+
+@compiled
+def lone_road_share(pool: Int32Array, table: Int32Array, left: int, top: int, size: int) -> float:
+    """Return the share of road among the cells whose left and right neighbours are not road, 0..1.
+
+    Where labels are right, areas of other ground have next to none; where they err from point to point, road lies there
+    one cell at a time. Cells without votes do not count, nor do their neighbours. Every fourth row is enough for a
+    share; the first and last column of a tile are left out.
+
+    Parameters
+    ----------
+    table, left, top, size
+        As for `threshold_window`.
+    """
+    tile_x0 = left >> _SHIFT
+    tile_y0 = (top - size + 1) >> _SHIFT
+    total = np.int64(0)
+    road = np.int64(0)
+    for iy in range(top - size + 1, top + 1, 4):
+        row = (iy >> _SHIFT) - tile_y0
+        inside = (iy & _MASK) << _SHIFT
+        for t in range(table.shape[1]):
+            slot = table[row, t]
+            start = (tile_x0 + t) << _SHIFT
+            first = max(left, start)
+            last = min(left + size, start + TILE)
+            if slot < 0 or first >= last:
+                continue
+            counts = pool[slot, inside + first - start : inside + last - start]
+            before, cells, after = counts[:-2], counts[1:-1], counts[2:]
+            n = np.int32(0)
+            m = np.int32(0)
+            for k in range(cells.size):
+                among_others = (before[k] & after[k]) < 0  # both negative
+                n += np.int32(among_others & (cells[k] != 0))
+                m += np.int32(among_others & (cells[k] > 0))
+            total += n
+            road += m
+    return road / total if total > 0 else 0.0
+
+
+@compiled
 def threshold_window(
-    pool: Int32Array, table: Int32Array, left: int, top: int, size: int, min_points: int, words: UInt64Array
+    pool: Int32Array,
+    table: Int32Array,
+    left: int,
+    top: int,
+    size: int,
+    min_points: int,
+    reach: int,
+    words: UInt64Array,
 ) -> None:
     """Write a square of the grid as a packed image: set where a cell has at least ``min_points``.
 
@@ -123,6 +187,8 @@ def threshold_window(
         Slots of the tiles from the tile of (left, top - size + 1) on; -1 where there is no tile.
     left, top : int
         ix of the first column; iy of the first row. Rows go down, against +y (paper: R is turned about x).
+    reach : int
+        The sum of all cells at most this many columns and rows away must be positive too; 0: the cell alone decides.
     words : (size + 2, W) uint64
         Empty packed image.
     """
@@ -148,6 +214,10 @@ def threshold_window(
             target = line[first - left : last - left]
             for k in range(target.size):
                 target[k] = counts[k] >= least
+            if reach > 0:
+                for k in range(target.size):
+                    if target[k] != 0:
+                        target[k] = _sum_around(pool, table, tile_x0, tile_y0, first + k, iy, reach) > 0
         for w in range(words.shape[1]):
             word = np.uint64(0)
             for k in range(8):

@@ -47,3 +47,13 @@ def test_a_result_of_detect_is_not_replaced(interloc: Callable, drive: Path, osm
     outcome = interloc("robustness", drive, "-o", tmp_path / "out", "--osm", osm, "--levels", "0/0")
     assert outcome.code == 1
     assert (tmp_path / "out" / "run.json").exists()
+
+
+def test_label_errors_cost_little_where_scans_are_sparse(
+    interloc: Callable, data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    arguments = ("-o", tmp_path / "out", "--osm", data("kitti/osm/00.osm.gz"), "--levels", "0/0,20/20", "--json")
+    levels = interloc("robustness", data("kitti360_0009"), "--labels", "predictions", *arguments).json["levels"]
+    for level in levels:
+        assert level["precision"] >= 0.82
+        assert level["nodes_found"] == level["nodes_in_zone"] == 5

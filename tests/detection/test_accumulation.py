@@ -201,3 +201,22 @@ def test_votes_against_road_leave_with_their_keyframe() -> None:
     accumulator.add(Keyframe(0, np.eye(4), None), point, np.repeat(point, 5, axis=0))
     accumulator.add(Keyframe(1, np.eye(4), None), point)
     assert accumulator.bev().image.pixels()[0].size == 1
+
+
+@pytest.mark.parametrize(
+    ("step_m", "beside", "kept"),
+    [(1.0, 1, 13), (25.0, 1, 1), (25.0, 58, 13)],
+    ids=["dense", "sparse", "sparse, few errors"],
+)
+def test_lone_votes_do_not_count_where_keyframes_are_sparse_and_labels_err(
+    step_m: float, beside: int, kept: int
+) -> None:
+    bev = BevConfig(size_m=40, resolution_m=0.5, min_points=1, vote=True, pool_votes=True)
+    accumulator = RoadAccumulator(KeyframeConfig(window=4), bev)
+    lone = np.array([[9.25, 0.25 + 0.5 * k, -1.7] for k in range(12)], np.float32)
+    road = np.vstack([lone, np.float32([[12.25, 0.25, -1.7]])])
+    other = np.vstack([lone + np.float32([0.5 * k, 0, 0]) for k in range(-beside, 2) if k != 0])
+    nothing = np.zeros((0, 3), np.float32)
+    for k, (keyframe, _) in enumerate(straight(9, step_m)):
+        accumulator.add(keyframe, road if k == 4 else nothing, other if k == 4 else nothing)
+    assert accumulator.bev().image.pixels()[0].size == kept

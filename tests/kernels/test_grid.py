@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from interloc.arrays import FloatArray, Int32Array
 from interloc.detection.image import BinaryImage
-from interloc.kernels.grid import TILE, add_cells, cells_of, remove_cells, threshold_window
+from interloc.kernels.grid import TILE, add_cells, cells_of, lone_road_share, remove_cells, threshold_window
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
 SIDE = 6  # tiles a side
@@ -120,7 +120,7 @@ def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, siz
     first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
     window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
     image = BinaryImage.empty(size, size)
-    threshold_window(pool, window, left, top, size, least, image.words)
+    threshold_window(pool, window, left, top, size, least, 0, image.words)
     counts = plain_counts(cells)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
     np.testing.assert_array_equal(image.to_array(), counts[::-1] >= least)
     assert not image.words[[0, -1]].any()
@@ -130,7 +130,33 @@ def test_tile_that_does_not_exist_is_empty() -> None:
     pool = np.full((1, TILE * TILE), 7, np.int32)
     table = np.array([[-1, 0], [-1, -1]], np.int32)
     image = BinaryImage.empty(100, 100)
-    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, image.words)
+    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, 0, image.words)
     expected = np.zeros((100, 100), np.uint8)
     expected[30:, 50:] = 1  # rows go down: the lower tile row is the lower part of the image
     np.testing.assert_array_equal(image.to_array(), expected)
+
+
+def test_votes_are_pooled_across_tiles() -> None:
+    pool = np.zeros((2, TILE * TILE), np.int32)
+    table = np.array([[0, 1]], np.int32)
+    for ix, votes in ((TILE - 1, 1), (TILE, -1), (TILE + 4, 2), (TILE + 5, -1)):
+        pool[ix // TILE, 10 * TILE + ix % TILE] = votes
+    image = BinaryImage.empty(20, 20)
+    threshold_window(pool, table, TILE - 10, 19, 20, 1, 1, image.words)
+    np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 14]])
+
+
+@pytest.mark.parametrize(("left", "top"), [(0, 400), (-300, 37), (EDGE + 5, EDGE + SIDE * TILE - 1)])
+def test_share_of_lone_road_is_that_of_the_plain_twin(left: int, top: int) -> None:
+    pool, table = shuffled_tiles(0)
+    pool[:] = np.random.default_rng(0).integers(-2, 2, pool.shape)
+    size = 300
+    first_col, last_col = left // TILE - FIRST, (left + size - 1) // TILE - FIRST
+    first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
+    window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
+    counts = counts_of(pool, table)[top - size + 1 - EDGE : top + 1 - EDGE : 4, left - EDGE : left + size - EDGE]
+    inner = np.isin(np.arange(left + 1, left + size - 1) % TILE, (0, TILE - 1), invert=True)
+    between = (counts[:, :-2] < 0) & (counts[:, 2:] < 0) & (counts[:, 1:-1] != 0) & inner
+    share = (counts[:, 1:-1] > 0)[between].mean()
+    assert lone_road_share(pool, window, left, top, size) == pytest.approx(share)
+    assert lone_road_share(np.abs(pool), window, left, top, size) == 0
