@@ -35,7 +35,7 @@ LayerQuery = Annotated[
 
 router = APIRouter(tags=["Exports"])
 
-_TEXT = {".kml", ".csv"}
+_CONTENT = {".kml": {"type": "string"}, ".csv": {"type": "string"}, ".geojson": {"type": "object"}}
 
 _PROBLEMS: dict[int | str, dict[str, Any]] = {
     **PROBLEMS,
@@ -46,7 +46,7 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 
 def _export(suffix: str, summary: str) -> Callable[[Endpoint], Endpoint]:
     """Register an export."""
-    binary = {"type": "string"} if suffix in _TEXT else {"type": "string", "format": "binary"}
+    binary = _CONTENT.get(suffix, {"type": "string", "format": "binary"})
     return get_and_head(
         router,
         f"/jobs/{{job_id}}/export{suffix}",

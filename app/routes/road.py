@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -19,7 +19,7 @@ from interloc.output.road import MAX_PICTURE_PX
 
 router = APIRouter(tags=["Results"])
 
-Box = tuple[float, float, float, float]
+Box = Annotated[list[float], Field(min_length=4, max_length=4)]
 
 
 class RoadView(BaseModel):
@@ -32,7 +32,7 @@ class RoadView(BaseModel):
     bounds_world_m: Box | None = Field(
         description="Least x, least y, greatest x, greatest y in W, metres; null with georeference."
     )
-    size_px: tuple[int, int] = Field(description="Width and height of the picture.")
+    size_px: list[int] = Field(min_length=2, max_length=2, description="Width and height of the picture.")
     picture_resolution_m: float = Field(
         description=f"Side of the cells that the picture is drawn of: larger than `resolution_m` where the drive would "
         f"take more than {MAX_PICTURE_PX} pixels."

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 FILES = {"detections", "keyframes", "intersections", "trajectory"}
+RUN = {"road.tif", "run.json"}
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def test_the_files_of_the_contract(interloc: Callable, drive: Path, tmp_path: Pa
     outcome = interloc("detect", drive, "-o", out)
     assert outcome.code == 0
     assert not outcome.err
-    assert {path.name for path in out.iterdir()} == {f"{name}.geojson" for name in FILES} | {"run.json"}
+    assert {path.name for path in out.iterdir()} == {f"{name}.geojson" for name in FILES} | RUN
     detections = strict_json(out / "detections.geojson")["features"]
     assert len(detections) > 20
     assert detections[0]["properties"].keys() >= {
@@ -82,7 +83,7 @@ def test_without_georeference_nothing_pretends_to_be_degrees(
     outcome = interloc("detect", local_drive, "-o", out)
     assert outcome.code == 0
     assert "none: positions are metres in the frame of the first scan" in outcome.out
-    assert {path.name for path in out.iterdir()} == {f"{name}.local.json" for name in FILES} | {"run.json"}
+    assert {path.name for path in out.iterdir()} == {f"{name}.local.json" for name in FILES} | RUN
     intersections = strict_json(out / "intersections.local.json")
     assert intersections["local"]
     assert "crs" not in intersections
@@ -107,7 +108,7 @@ def test_a_second_run_replaces_the_first(interloc: Callable, local_drive: Path, 
     (out / "notes.txt").write_text("mine")
     assert interloc("detect", drive, "-o", out).code == 0
     names = {path.name for path in out.iterdir()}
-    assert names == {f"{name}.geojson" for name in FILES} | {"run.json", "notes.txt"}
+    assert names == {f"{name}.geojson" for name in FILES} | RUN | {"notes.txt"}
 
 
 def test_a_folder_of_somebody_else_is_refused(interloc: Callable, drive: Path, tmp_path: Path) -> None:

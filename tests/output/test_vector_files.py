@@ -111,6 +111,13 @@ def test_flatgeobuf_holds_one_layer(layer: str, scored: Path, tmp_path: Path) ->
         assert_same(feature["properties"], written[shapely.geometry.shape(feature["geometry"]).wkt])
 
 
+@pytest.mark.parametrize("layer", [each for each in FILES if each != "trajectory"])  # it has a member more
+def test_geojson_is_the_layer_itself(layer: str, scored: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.geojson"
+    write_vector_file(scored, path, layer=layer)
+    assert json.loads(path.read_text()) == json.loads((scored / f"{layer}.geojson").read_text())
+
+
 @pytest.mark.parametrize("layer", [*FILES, *DERIVED])
 def test_kml_names_its_features_and_keeps_their_properties(layer: str, scored: Path, tmp_path: Path) -> None:
     write_vector_file(scored, tmp_path / "a.kml", layer=layer)

@@ -39,7 +39,7 @@ def test_a_whole_walk_leaves_no_trace(page: Any, done: Done, watch: Watch) -> No
     with page.expect_download():
         page.get_by_role("button", name="GeoPackage, all layers").click()
     with page.expect_popup() as opened:
-        page.get_by_role("link", name="API").click()
+        page.get_by_role("link", name="API", exact=True).click()
     opened.value.wait_for_selector(".opblock")
     assert watch.elsewhere == []
     assert watch.faults == []

@@ -22,6 +22,7 @@ const REPEAT_MS = 500;
 const TAB = Math.random().toString(36).slice(2);
 
 const channel = typeof BroadcastChannel === "function" ? new BroadcastChannel("interloc.uploads") : null;
+/** @type {any} */ (channel)?.unref?.(); // Node, in tests, would wait for it
 /** @type {Sending|null} */
 let own = null;
 let told = 0;

@@ -43,6 +43,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
           el("h2", {}, job ? `Run ${drive.name} again` : `Run ${drive.name}`),
           job && el("p", { class: "small" }, `All is chosen as it was for the job “${job.title}”.`),
           field("Name of the job", name),
+          form.mapElement,
           form.element,
         ),
         trouble,
@@ -59,7 +60,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
   );
 
   function refresh() {
-    const complaint = form.complaint();
+    const complaint = form.complaint() ?? form.mapComplaint();
     run.disabled = complaint !== null;
     why.textContent = complaint ?? "";
   }
