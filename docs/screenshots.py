@@ -97,7 +97,7 @@ def show_upload(page: Any, studio: Studio) -> None:
     """Show the form of an upload."""
     page.goto(f"{studio.address}/#panel=upload")
     page.set_input_files("input[name=folder]", studio.folder)
-    page.wait_for_selector(".upload-form >> text=read as")
+    page.wait_for_selector(".upload-form >> text=The map covers")
 
 
 VIEWS: dict[str, Callable[[Any, Studio], None]] = {
@@ -141,7 +141,7 @@ def play(browser: Any, studio: Studio) -> bytes:
         height = round(PLAYED_WIDTH * picture.height / picture.width)
         pictures.append(picture.resize((PLAYED_WIDTH, height), Image.Resampling.LANCZOS))
     context.close()
-    palette = pictures[len(pictures) // 2].quantize(64)
+    palette = pictures[len(pictures) // 2].quantize(128, Image.Quantize.MAXCOVERAGE)
     packed = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     buffer = io.BytesIO()
     packed[0].save(buffer, "GIF", save_all=True, append_images=packed[1:], duration=100, loop=0, optimize=True)
