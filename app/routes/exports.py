@@ -24,6 +24,7 @@ Layer = Literal[
     "osm-nodes",
     "matches",
     "osm-roads",
+    "osm-buildings",
     "places",
     "branches",
     "uncertainty",

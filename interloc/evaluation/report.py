@@ -24,9 +24,9 @@ from interloc.files import atomic_write, reason_of
 from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
 from interloc.output.geojson import DEGREE_DECIMALS, encode, positions, rounded, write_collection
-from interloc.output.layers import LAYERS
+from interloc.output.layers import BUILDINGS, LAYERS
 from interloc.output.layout import RUN_SETTINGS, flatten, settings_of
-from interloc.output.osm_roads import road_features
+from interloc.output.osm_roads import building_features, road_features
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
 
@@ -63,6 +63,8 @@ def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, res
     graph = evaluation.graph
     for layer, features_of in LAYER_FEATURES.items():
         features = features_of(evaluation, result)
+        if layer == BUILDINGS and not features:
+            continue  # most maps of roads have none
         credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
         write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit)
     record = report_record(evaluation)
@@ -193,6 +195,11 @@ def _road_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str
     return road_features(evaluation.graph, track_bounds(result.keyframes.lonlat))
 
 
+def _building_features(evaluation: Evaluation, result: DriveResult) -> list[dict[str, Any]]:
+    assert result.keyframes.lonlat is not None
+    return building_features(evaluation.graph, result.keyframes.lonlat)
+
+
 LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[dict[str, Any]]]] = {
     "detections": lambda evaluation, result: detection_features(result, evaluation.verdicts.detections),
     "intersections": lambda evaluation, result: intersection_features(
@@ -201,6 +208,7 @@ LAYER_FEATURES: dict[str, Callable[[Evaluation, DriveResult], list[dict[str, Any
     "osm_nodes": lambda evaluation, _: _node_features(evaluation),
     "matches": _match_features,
     "osm_roads": _road_features,
+    BUILDINGS: _building_features,
 }
 """The features of each layer that an evaluation adds to a result, or says more of."""
 
@@ -232,6 +240,7 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
             "bounds": evaluation.graph.bounds,
             "highways": len(evaluation.graph.ways),
             "clipped_highways": evaluation.graph.clipped_ways,
+            "buildings": len(evaluation.graph.buildings),
         },
         "keyframes": len(evaluation.keyframes),
         "detections": len(evaluation.detections),

@@ -39,6 +39,28 @@ class Ways:
 
 
 @dataclass(frozen=True)
+class Buildings:
+    """The B buildings of a map, for pictures only.
+
+    Attributes
+    ----------
+    id : (B,) int64
+        OSM way ids.
+    outlines : tuple of B (n, 2) float64
+        Closed rings of longitude and latitude, degrees.
+    """
+
+    id: IntArray
+    outlines: tuple[FloatArray, ...]
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+NO_BUILDINGS = Buildings(np.empty(0, dtype=np.int64), ())
+
+
+@dataclass(frozen=True)
 class RoadGraph:
     """Highways as an undirected graph; every OSM node along a way is a node of it.
 
@@ -64,6 +86,8 @@ class RoadGraph:
         Ways that refer to nodes which the file does not hold, and were cut into the pieces that exist.
     is_made_up : bool
         The simulator made the map up: its ids are not those of OpenStreetMap.
+    buildings : Buildings
+        Those of the surroundings, where they were asked for and the map has any.
     """
 
     node_id: IntArray
@@ -76,6 +100,7 @@ class RoadGraph:
     bounds: Bounds | None = None
     clipped_ways: int = 0
     is_made_up: bool = False
+    buildings: Buildings = NO_BUILDINGS
 
     def __repr__(self) -> str:
         west, south, east, north = self.extent

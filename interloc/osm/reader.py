@@ -1,4 +1,4 @@
-"""Reading the highways of an OSM file, in streaming passes: the nodes, then the ways, then the nodes beyond the bounds.
+"""Reading the highways of an OSM file, in streaming passes: nodes, ways, nodes beyond the bounds, then buildings.
 
 Of a map that is larger than the drive, only what lies around the drive is kept; the rest passes by.
 """
@@ -20,12 +20,15 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import MapError
 from interloc.osm.container import MAX_UNPACKED_BYTES, read_prolog
-from interloc.osm.graph import Bounds, RoadGraph, Ways, within
+from interloc.osm.graph import NO_BUILDINGS, Bounds, Buildings, RoadGraph, Ways, within
 
 logger = logging.getLogger(__name__)
 
 MAX_NODES, MAX_WAYS = 10_000_000, 500_000
 """Of a map within bounds: several times a large city with all of its houses."""
+
+MAX_NODES_WITH_BUILDINGS = 2_000_000
+"""Buildings are read of extracts up to a large city: of a country they would take longer than all the rest."""
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BATCH = 50_000
@@ -77,6 +80,8 @@ def read_osm(
         nodes = nodes.with_others(stream.nodes(lambda ids, _: _is_in(ids, missing)))
     used = _is_in(nodes.id, wanted)
     node_id, lonlat = nodes.id[used], nodes.lonlat[used]
+    few = bounds is not None and len(nodes.id) + nodes.beyond <= MAX_NODES_WITH_BUILDINGS
+    buildings = _buildings(stream.outlines(), nodes) if few else NO_BUILDINGS
     edges, edge_way, clipped = _edges([len(way.refs) for way in found], refs, node_id)
     if len(edges) == 0:
         raise MapError(
@@ -101,6 +106,7 @@ def read_osm(
         bounds=_common(prolog.bounds, bounds) if left_out else prolog.bounds,
         clipped_ways=clipped,
         is_made_up=prolog.is_made_up,
+        buildings=buildings,
     )
 
 
@@ -203,6 +209,15 @@ class _OsmStream:
                 name = tags.get("name") or tags.get("ref") or ""
                 yield _Way(way.id, tags["highway"], name, tags.get("area") == "yes", refs, way.timestamp)
 
+    def outlines(self) -> Iterator[tuple[int, array[int]]]:
+        """Yield id and nodes of the ways that outline buildings; relations, of several ways each, are left out."""
+        import osmium  # noqa: PLC0415
+
+        for way in self.objects("WAY", osmium.filter.KeyFilter("building")):
+            refs = array("q", [node.ref for node in way.nodes])
+            if len(refs) >= 4 and refs[0] == refs[-1] and not way.deleted and way.tags["building"] != "no":
+                yield way.id, refs
+
     def nodes(self, keep: Callable[[IntArray, FloatArray], BoolArray] | None) -> _Nodes:
         """Return the nodes that are to be kept, judged by ids, longitudes and latitudes."""
         # Not by osmium's filter of ids: it takes 1.5 GB where ids are as high as today, however few they are.
@@ -260,6 +275,19 @@ def _collect_ways(stream: _OsmStream, inside: IntArray | None) -> tuple[list[_Wa
         if inside is not None and len(found) > MAX_WAYS:
             raise MapError(_too_many(stream.path, "highways", MAX_WAYS))
     return list(found.values()), left_out
+
+
+def _buildings(outlines: Iterable[tuple[int, array[int]]], nodes: _Nodes) -> Buildings:
+    """Return the buildings of which all nodes are known."""
+    found: dict[int, FloatArray] = {}
+    for batch in _batches(outlines):
+        refs = np.fromiter(chain.from_iterable(refs for _, refs in batch), np.int64)
+        first = np.cumsum([0, *(len(refs) for _, refs in batch[:-1])])
+        is_whole = np.logical_and.reduceat(_is_in(refs, nodes.id), first)
+        for (way, ring), whole in zip(batch, is_whole.tolist(), strict=True):
+            if whole:
+                found.setdefault(way, nodes.lonlat[np.searchsorted(nodes.id, np.array(ring, dtype=np.int64))])
+    return Buildings(np.fromiter(found, np.int64, len(found)), tuple(found.values()))
 
 
 def _latest_edit(ways: list[_Way]) -> str | None:

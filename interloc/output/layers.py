@@ -27,6 +27,7 @@ from interloc.output.properties import (
     IntersectionProperties,
     KeyframeProperties,
     MatchProperties,
+    OsmBuildingProperties,
     OsmNodeProperties,
     OsmRoadProperties,
     PlaceProperties,
@@ -41,6 +42,9 @@ Column = Sequence[Any] | NDArray[Any]
 """The values of a property, one per feature."""
 
 Geometry = Literal["Point", "LineString", "Polygon"]
+
+BUILDINGS = "osm_buildings"
+"""Layer of a scored result whose map holds buildings."""
 
 PLACES = "places"
 """Layer of a result that was placed on the map by its roads."""
@@ -228,6 +232,15 @@ LAYERS = {
             "Roads of OpenStreetMap",
             "LineString",
             OsmRoadProperties,
+            "OSM way {osm_id}",
+            is_osm=True,
+            key="osm_id",
+        ),
+        Layer(
+            BUILDINGS,
+            "Buildings of OpenStreetMap",
+            "Polygon",
+            OsmBuildingProperties,
             "OSM way {osm_id}",
             is_osm=True,
             key="osm_id",

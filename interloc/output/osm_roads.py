@@ -1,4 +1,4 @@
-"""The ways of a road graph around a drive as GeoJSON lines: a base map that needs no tiles."""
+"""Roads and buildings of a map around a drive as GeoJSON: a base map that needs no tiles."""
 
 from __future__ import annotations
 
@@ -6,10 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from interloc.arrays import FloatArray
+from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.osm.intersections import road_ways
 from interloc.output.geojson import positions
-from interloc.output.layers import LAYERS
+from interloc.output.layers import BUILDINGS, LAYERS
+
+NEAR_M = 80.0
+"""Buildings further from the track are not drawn: a LiDAR at street level sees the first row."""
 
 
 def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
@@ -48,3 +53,25 @@ def road_features(graph: RoadGraph, bounds: Bounds) -> list[dict[str, Any]]:
         name=[graph.ways.name[row] or None for row in rows],
         is_drivable=road_ways(graph, "drive+service")[rows],
     )
+
+
+def building_features(graph: RoadGraph, lonlat: FloatArray) -> list[dict[str, Any]]:
+    """Return the buildings near (N, 2) longitudes and latitudes as Polygon features of the layer `osm_buildings`."""
+    buildings = graph.buildings
+    if len(buildings) == 0 or len(lonlat) == 0:
+        return []
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import
+
+    lon, lat = np.median(lonlat, axis=0)
+    corners = enu_from_lonlat(lat, lon, np.concatenate(buildings.outlines))
+    distance, _ = cKDTree(enu_from_lonlat(lat, lon, lonlat)).query(corners, distance_upper_bound=NEAR_M)
+    first = np.cumsum([0, *(len(ring) for ring in buildings.outlines[:-1])])
+    near = np.flatnonzero(np.minimum.reduceat(distance, first) < NEAR_M)
+    rings = [positions(_counter_clockwise(buildings.outlines[row]), local=False) for row in near]
+    return LAYERS[BUILDINGS].features([[ring] for ring in rings], osm_id=buildings.id[near])
+
+
+def _counter_clockwise(ring: FloatArray) -> FloatArray:
+    """Return a closed ring in the direction of RFC 7946, 3.1.6."""
+    (x, y), (to_x, to_y) = ring[:-1].T, ring[1:].T
+    return ring if float(np.sum(x * to_y - to_x * y)) > 0 else ring[::-1]

@@ -253,6 +253,12 @@ class OsmRoadProperties(Properties):
     is_drivable: bool = Field(title="Drivable", description="Whether it is a road under policy drive+service.")
 
 
+class OsmBuildingProperties(Properties):
+    """The outline of a building of OpenStreetMap near the track; buildings of several ways are left out."""
+
+    osm_id: int = Field(title="OSM way", description="Id of the OpenStreetMap way.")
+
+
 class PlaceProperties(Properties):
     """The track of a drive at a place of the map that it fits; the first is where it was found to be."""
 

@@ -193,6 +193,7 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
         "osm_nodes",
         "matches",
         "osm_roads",
+        "osm_buildings",
         "places",
     }
     schemes = {each["name"]: each for each in told["label_schemes"]}

@@ -29,6 +29,7 @@ import { Frame } from "./frame.js";
  * @property {Match[]} matches
  * @property {Array<{line: number[][], properties: any}>} roads
  * @property {import("./compared.js").Compared[]} compared Beside those of other jobs; empty where none are compared.
+ * @property {number[][][]} buildings Outlines of those of the map near the track.
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
  * @property {string|null} surface Path of the road seen by LiDAR; null where the result has none.
  * @property {number} roi_m Side S of the region of interest.
@@ -71,6 +72,7 @@ async function load(job) {
     ...["report", "osm-nodes", "matches", "osm-roads"].map(evaluated),
     isPlaced ? orNull(getJson(`${at}/places`)) : null,
   ]);
+  const buildings = report?.osm?.buildings ? await orNull(getJson(`${at}/osm-buildings`)) : null; // few maps have any
   const hasSurface = (run.files ?? []).includes("road.tif"); // older versions made none
 
   const points = keyframes.features.map(place);
@@ -94,6 +96,7 @@ async function load(job) {
     matches: pairs,
     compared: [],
     places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => f.geometry.coordinates),
+    buildings: (buildings?.features ?? []).map((/** @type {any} */ f) => f.geometry.coordinates[0]),
     roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
       line: f.geometry.coordinates,
       properties: f.properties,
@@ -132,6 +135,7 @@ export function trackAlone(trajectory, local) {
     nodes: [],
     matches: [],
     roads: [],
+    buildings: [],
     compared: [],
     places: [],
     surface: null,

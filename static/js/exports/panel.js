@@ -18,6 +18,7 @@ const LAYERS = /** @type {Record<string, string>} */ ({
   osm_nodes: "OSM intersections",
   matches: "Matches",
   osm_roads: "OSM roads",
+  osm_buildings: "OSM buildings",
 });
 
 /** Layers that an export makes of the intersections. */

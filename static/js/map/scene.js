@@ -44,6 +44,7 @@ export class Scene {
     this.nodes = points(result.nodes);
     this.track = flat(result.trajectory);
     this.places = result.places.map(flat);
+    this.buildings = result.buildings.map(flat);
     this.errors = result.matches.map(({ line, outcome }) => ({ path: flat(line), outcome }));
     this.roads = result.roads.map(({ line, properties }) => ({
       path: flat(line),
@@ -145,6 +146,7 @@ export class Scene {
   #paintRoads(context, view) {
     /** @param {number} metres */
     const width = (metres) => Math.max(1.2, Math.min(metres * view.perMetre, 40));
+    fillRings(context, view, this.buildings, colour("--building"));
     const driven = this.roads.filter((each) => each.drivable);
     const others = this.roads.filter((each) => !each.drivable);
     strokePaths(
@@ -302,7 +304,25 @@ function nearest({ xs, ys, items }, view, x, y, reach, chosen) {
   return row;
 }
 
-/** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} paths @param {string} stroke @param {number} width @param {number} [alpha] */
+/** @param {CanvasRenderingContext2D} context @param {import("./surface.js").View} view @param {Float64Array[]} rings @param {string} fill */
+function fillRings(context, view, rings, fill) {
+  context.beginPath();
+  for (const ring of rings) {
+    for (let i = 0; i < ring.length; i += 2) context[i ? "lineTo" : "moveTo"](view.x(ring[i]), view.y(ring[i + 1]));
+    context.closePath();
+  }
+  context.fillStyle = fill;
+  context.fill();
+}
+
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {import("./surface.js").View} view
+ * @param {Float64Array[]} paths
+ * @param {string} stroke
+ * @param {number} width
+ * @param {number} [alpha]
+ */
 function strokePaths(context, view, paths, stroke, width, alpha = 1) {
   context.beginPath();
   for (const path of paths) {
