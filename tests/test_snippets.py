@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 
 import interloc
-from interloc.cli.main import run
+from interloc.cli.main import cli, run
 from interloc.evaluation.evaluate import Evaluation
 from interloc.results import DriveResult
 from tests.crossing import write_drive
@@ -85,6 +86,37 @@ def test_blocks_of(page: str, place: Path, capsys: pytest.CaptureFixture[str], m
             console(block.code, capsys)
         else:
             exec(compile(block.code, page, "exec"), names)  # noqa: S102 - our own words
+
+
+def commands(page: str) -> list[list[str]]:
+    """The arguments of every command line of InterLoc that a page shows."""
+    shown = [line for block in blocks(page) if block.language == "console" for line in block.code.splitlines()]
+    return [shlex.split(line, comments=True)[2:] for line in shown if line.startswith("$ interloc ")]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_shown_in(page: str) -> None:
+    """They name commands and options that there are; nothing is run."""
+    for arguments in commands(page):
+        command: click.Command = cli
+        context = click.Context(cli)
+        rest = arguments
+        while isinstance(command, click.Group):
+            name, *rest = rest
+            found = command.get_command(context, name)
+            assert found is not None, arguments
+            command, context = found, click.Context(found, parent=context, info_name=name)
+        command.make_parser(context).parse_args(rest)
+
+
+def test_make_has_the_targets_that_are_shown() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    pages = [*PAGES, "CONTRIBUTING.md"]
+    shown = {name for page in pages for name in re.findall(r"`make ([a-z-]+)", (ROOT / page).read_text())}
+    for page in pages:
+        for line in re.findall(r"^\$ make ([a-z -]+)", (ROOT / page).read_text(), re.MULTILINE):
+            shown |= set(line.split())
+    assert {"demo", "test", "serve", "screenshots"} <= shown <= targets
 
 
 def test_the_docstring_of_the_package(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
