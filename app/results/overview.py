@@ -15,7 +15,7 @@ from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.arrays import FloatArray
 from interloc.errors import InterLocError
-from interloc.output.geojson import read_json
+from interloc.output.geojson import cut, joined, positions, read_json
 from interloc.output.layout import file_names
 
 MAX_TRACK_POINTS = 300
@@ -82,9 +82,13 @@ def _read_geometry(path: Path, _mtime_ns: int, _size: int) -> dict[str, Any] | N
         found = [each["geometry"] for each in read_json(path)["features"] if each["geometry"] is not None]
     except (InterLocError, KeyError, TypeError):  # damaged: `interloc check` finds it
         return None
-    lines = [each["coordinates"] for each in found if each["type"] == "LineString"]
+    lines = [
+        whole["coordinates"] for whole in map(joined, found) if whole is not None and whole["type"] == "LineString"
+    ]
     if lines:
-        return {"type": "LineString", "coordinates": _rounded(simplified(np.array(lines[0])[:, :2]))}
+        lonlat = np.array(lines[0])[:, :2]
+        lonlat[:, 0] = np.unwrap(lonlat[:, 0], period=360.0)  # across the antimeridian without a jump
+        return cut({"type": "LineString", "coordinates": _rounded(simplified(lonlat))})
     points = [each["coordinates"][:2] for each in found if each["type"] == "Point"][:MAX_INTERSECTIONS]
     return {"type": "MultiPoint", "coordinates": _rounded(np.array(points))} if points else None
 
@@ -113,5 +117,4 @@ def simplified(lonlat: FloatArray) -> FloatArray:
 
 
 def _rounded(lonlat: FloatArray) -> list[list[float]]:
-    pairs: list[list[float]] = (np.round(lonlat, _DECIMALS) + 0.0).tolist()
-    return pairs
+    return positions(np.round(lonlat, _DECIMALS), local=False)

@@ -7,7 +7,7 @@ from threading import BoundedSemaphore
 from typing import Any
 
 from app.http.parameters import Box
-from interloc.output.geojson import box_around, encode, read_json
+from interloc.output.geojson import box_around, encode, flat_positions, read_json
 
 MAX_FEATURES = 10_000
 
@@ -41,17 +41,21 @@ def select_features(path: Path, box: Box | None, limit: int | None) -> bytes:
 
 
 def _extent(feature: dict[str, Any]) -> Box | None:
-    """Return the box around a point or line; None where it has no geometry."""
+    """Return the box around a geometry, None where there is none; across the antimeridian west is larger than east."""
     geometry = feature["geometry"]
     if geometry is None:
         return None
-    positions = [geometry["coordinates"]] if geometry["type"] == "Point" else geometry["coordinates"]
+    positions = flat_positions(geometry)
     lon, lat = [each[0] for each in positions], [each[1] for each in positions]
-    return Box(min(lon), min(lat), max(lon), max(lat))
+    west, east = min(lon), max(lon)
+    if geometry["type"].startswith("Multi"):
+        west, east = min(each for each in lon if each > 0.0), max(each for each in lon if each <= 0.0)
+    return Box(west, min(lat), east, max(lat))
 
 
 def _touches(extent: Box | None, box: Box) -> bool:
     if extent is None or extent.north < box.south or extent.south > box.north:
         return False
     after_west, before_east = extent.east >= box.west, extent.west <= box.east
-    return (after_west and before_east) if box.west <= box.east else (after_west or before_east)
+    across = (extent.west > extent.east) + (box.west > box.east)
+    return across == 2 or (after_west or before_east if across else after_west and before_east)

@@ -27,6 +27,13 @@ class LineGeometry(BaseModel):
     coordinates: list[Position]
 
 
+class LinesGeometry(BaseModel):
+    """A line across the antimeridian: its parts on both sides (RFC 7946, section 3.1.9)."""
+
+    type: Literal["MultiLineString"]
+    coordinates: list[list[Position]]
+
+
 class _Collection(BaseModel):
     model_config = ConfigDict(json_schema_extra={"x-media-type": MEDIA_TYPE})
 
@@ -43,7 +50,7 @@ class _Collection(BaseModel):
 def collection_model(layer: Layer) -> type[BaseModel]:
     """Return the model of the GeoJSON of a layer, named after its properties: IntersectionCollection."""
     name = layer.properties.__name__.removesuffix("Properties")
-    geometry: Any = PointGeometry if layer.geometry == "Point" else LineGeometry | None
+    geometry: Any = PointGeometry if layer.geometry == "Point" else LineGeometry | LinesGeometry | None
     kind: Any = Literal["Feature"]
     feature: Any = create_model(
         f"{name}Feature",

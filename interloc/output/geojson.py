@@ -1,7 +1,9 @@
 """GeoJSON (RFC 7946) as InterLoc writes and reads it: one feature per line, the same bytes for the same input.
 
 Without georeference the same structure carries metres of W, under another file name and marked as `local`, so that
-nobody takes them for longitude and latitude.
+nobody takes them for longitude and latitude. Lines and polygons across the antimeridian are cut there in
+files (RFC 7946, section 3.1.9) and whole for InterLoc itself; two neighbouring positions that are more than half of the
+globe apart are taken to be neighbours across it.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Sequence
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +27,9 @@ METRE_DECIMALS = 4
 LOCAL_UNITS = "metres in W, the frame of the first LiDAR pose (x forward, y left); not longitude and latitude"
 RUN_AGAIN = "Run `interloc detect` again."
 
+_DEPTHS = {"Point": 0, "MultiPoint": 1, "LineString": 1, "MultiLineString": 2, "Polygon": 2, "MultiPolygon": 3}
+"""Type of a geometry -> how deep its positions are nested."""
+
 
 def rounded(value: float, decimals: int) -> float | None:
     """Return a number as it is printed; None (null in the file) for NaN and infinity."""
@@ -38,7 +44,12 @@ def bearings(values: Iterable[float]) -> list[float]:
 def positions(xy: FloatArray, *, local: bool) -> list[list[float]]:
     """Return (N, 2) positions, degrees or metres, as they are printed."""
     decimals = METRE_DECIMALS if local else DEGREE_DECIMALS
-    pairs: list[list[float]] = (np.round(xy, decimals) + 0.0).tolist()
+    printed = np.round(xy, decimals) + 0.0
+    if not local:
+        lon = printed[..., 0]
+        beyond = np.abs(lon) > 180.0  # a little way across the antimeridian
+        lon[beyond] = np.round((lon[beyond] + 180.0) % 360.0 - 180.0, decimals)
+    pairs: list[list[float]] = printed.tolist()
     return pairs
 
 
@@ -66,6 +77,8 @@ def write_collection(
     head: dict[str, Any] = {"type": "FeatureCollection"}
     if local:
         head |= {"local": True, "units": LOCAL_UNITS}
+    else:
+        features = [{**feature, "geometry": cut(feature["geometry"])} for feature in features]
     head |= credit.members
     box = box_around((feature["geometry"] for feature in features), local=local)
     if box is not None:
@@ -89,7 +102,7 @@ def box_around(geometries: Iterable[dict[str, Any] | None], *, local: bool = Fal
     Across the antimeridian west is greater than east (RFC 7946, 5.2), unless they are in local metres.
     """
     corners = [
-        np.asarray(geometry["coordinates"], dtype=np.float64).reshape(-1, 2)
+        np.asarray(flat_positions(geometry), dtype=np.float64).reshape(-1, 2)
         for geometry in geometries
         if geometry is not None
     ]
@@ -139,3 +152,104 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise damaged(path, "it does not hold a JSON object")
     return content
+
+
+# the antimeridian ---------------------------------------------------------------------------------------------------
+
+
+def flat_positions(geometry: dict[str, Any]) -> list[Any]:
+    """Return all positions of a GeoJSON geometry."""
+    nested = [geometry["coordinates"]]
+    for _ in range(_DEPTHS[geometry["type"]]):
+        nested = list(chain.from_iterable(nested))
+    return nested
+
+
+def cut(geometry: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return a GeoJSON geometry as it stands in files.
+
+    A LineString or Polygon across the antimeridian becomes a MultiLineString or MultiPolygon whose parts meet there,
+    at 180 and -180 degrees. Everything else is returned as it is.
+    """
+    if geometry is None or geometry["type"] not in {"LineString", "Polygon"}:
+        return geometry
+    is_line = geometry["type"] == "LineString"
+    rings = [geometry["coordinates"]] if is_line else geometry["coordinates"]
+    if not any(abs(b[0] - a[0]) > 180.0 for ring in rings for a, b in pairwise(ring)):
+        return geometry
+    parts = _cut_line(rings[0]) if is_line else _cut_polygon(rings)
+    if len(parts) == 1:  # it only touches the antimeridian
+        return {**geometry, "coordinates": parts[0]}
+    return {**geometry, "type": f"Multi{geometry['type']}", "coordinates": parts}
+
+
+def joined(geometry: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return a GeoJSON geometry of a file as one line or one polygon: what `cut` made its parts of."""
+    if geometry is None or geometry["type"] not in {"MultiLineString", "MultiPolygon"}:
+        return geometry
+    parts = geometry["coordinates"]
+    if geometry["type"] == "MultiLineString":
+        last = len(parts) - 1
+        inner = (part[number > 0 : len(part) - (number < last)] for number, part in enumerate(parts))
+        return {**geometry, "type": "LineString", "coordinates": list(chain.from_iterable(inner))}
+    import shapely  # noqa: PLC0415 - slow to import, and rarely needed
+
+    # Each part lies on one side; those of the west are moved behind 180 degrees, where they touch the others.
+    moved = [[_moved(ring, 360.0 if part[0][0][0] < 0.0 else 0.0) for ring in part] for part in parts]
+    whole = shapely.union_all([shapely.Polygon(shell, holes) for shell, *holes in moved])
+    return {**geometry, "type": "Polygon", "coordinates": _rings(whole, 0.0)}
+
+
+def _cut_line(line: Sequence[Any]) -> list[list[list[float]]]:
+    """Return the parts of a line in the order of travel."""
+    lonlat = _unwrapped(line)
+    lonlat[(lonlat[:, 0] - 180.0) % 360.0 == 0.0, 0] -= 10.0**-DEGREE_DECIMALS  # so that only cuts lie on it
+    globe = np.floor((lonlat[:, 0] + 180.0) / 360.0)
+    ends = np.flatnonzero(np.diff(globe))
+    cuts = []
+    for (lon, lat), (next_lon, next_lat), number in zip(
+        lonlat[ends], lonlat[ends + 1], np.maximum(globe[ends], globe[ends + 1]), strict=True
+    ):
+        meridian = 360.0 * number - 180.0
+        cuts.append([meridian, lat + (meridian - lon) / (next_lon - lon) * (next_lat - lat)])
+    parts = np.split(lonlat, ends + 1)
+    return [
+        positions(
+            np.array([*cuts[max(i - 1, 0) : i], *part, *cuts[i : i + 1]]) - [360.0 * globe[first], 0.0], local=False
+        )
+        for i, (part, first) in enumerate(zip(parts, [0, *(ends + 1)], strict=True))
+    ]
+
+
+def _cut_polygon(rings: Sequence[Any]) -> list[list[list[list[float]]]]:
+    """Return the parts of a polygon, from west to east."""
+    import shapely  # noqa: PLC0415 - slow to import, and rarely needed
+
+    shell, *holes = (_unwrapped(ring) for ring in rings)
+    # A hole begins where its first position lies, which may be a globe away from the shell.
+    holes = [_moved(hole, 360.0 * round((shell[0, 0] - hole[0, 0]) / 360.0)) for hole in holes]
+    whole = shapely.Polygon(shell, holes)
+    parts = []
+    for globe in (-1, 0, 1):
+        side = shapely.box(360.0 * globe - 180.0, -90.0, 360.0 * globe + 180.0, 90.0)
+        inside = shapely.get_parts(shapely.intersection(whole, side))
+        parts += [_rings(each, -360.0 * globe) for each in inside if each.area > 0.0]
+    return parts
+
+
+def _unwrapped(line: Sequence[Any]) -> FloatArray:
+    """Return positions without the jump: beyond 180 degrees they go on."""
+    lonlat = np.array(line, dtype=np.float64)[:, :2]
+    lonlat[:, 0] = np.round(np.unwrap(lonlat[:, 0], period=360.0), DEGREE_DECIMALS)
+    return lonlat
+
+
+def _rings(polygon: Any, shift: float) -> list[list[list[float]]]:  # noqa: ANN401 - of shapely
+    from shapely.geometry.polygon import orient  # noqa: PLC0415
+
+    turned = orient(polygon)  # counter-clockwise (RFC 7946, 3.1.6)
+    return [positions(_moved(ring.coords, shift), local=False) for ring in (turned.exterior, *turned.interiors)]
+
+
+def _moved(ring: Sequence[Any] | FloatArray, shift: float) -> FloatArray:
+    return np.array(ring, dtype=np.float64)[:, :2] + [shift, 0.0]

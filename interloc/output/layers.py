@@ -6,6 +6,7 @@ Their properties are the models of `interloc.output.properties`.
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from pydantic import ValidationError, create_model
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.output.credits import OWN_CREDIT, Credit, holds_map_data, map_credit
-from interloc.output.geojson import damaged, read_file, rounded
+from interloc.output.geojson import damaged, joined, read_file, rounded
 from interloc.output.properties import (
     Attribute,
     BranchProperties,
@@ -50,6 +51,8 @@ PLACES = "places"
 """Layer of a result that was placed on the map by its roads."""
 
 _Position = tuple[float, float]
+
+_IN_PARTS = re.compile(rb'"type"\s*:\s*"Multi')
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,7 @@ class Layer:
         OutputError
             The file is missing or damaged.
         """
-        content = read_file(path)
+        content = _whole(read_file(path), path)
         try:
             collection = self._file.model_validate_json(content)
         except ValidationError as error:
@@ -312,6 +315,19 @@ class Rows:
     def points(self) -> FloatArray:
         """Return the positions of points, (N, 2) float64."""
         return np.array([f.geometry.coordinates for f in self.features], dtype=np.float64).reshape(-1, 2)
+
+
+def _whole(content: bytes, path: Path) -> bytes:
+    """Return the content of a file with the parts of lines and polygons joined; few files have any."""
+    if not _IN_PARTS.search(content):
+        return content
+    try:
+        collection = json.loads(content)
+        for feature in collection["features"]:
+            feature["geometry"] = joined(feature["geometry"])
+    except (KeyError, TypeError, IndexError, ValueError, RecursionError) as error:
+        raise damaged(path, f"a line or polygon in parts is not valid ({error})") from error
+    return json.dumps(collection).encode()
 
 
 def _unique(ids: list[Any]) -> list[Any]:

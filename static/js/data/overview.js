@@ -3,6 +3,7 @@
  * @module data/overview
  */
 import { getJson } from "../api.js";
+import { lineOf } from "./results.js";
 
 /**
  * @typedef {object} DriveOnMap
@@ -27,7 +28,7 @@ export async function loadOverview() {
     for (const { geometry, properties } of page.features) {
       const { layer, drive: id, name, job } = properties;
       if (layer === "intersections") drives.get(id)?.intersections.push(...geometry.coordinates);
-      else if (geometry) drives.set(id, { id, name, job, track: geometry.coordinates, intersections: [] });
+      else if (geometry) drives.set(id, { id, name, job, track: lineOf(geometry), intersections: [] });
       else unplaced += 1;
     }
     if (!page.next || drives.size + unplaced >= MAX_DRIVES) return { drives: [...drives.values()], unplaced };

@@ -91,14 +91,14 @@ async function load(job) {
     detections: found,
     byFrame: groupByFrame(found),
     intersections: intersections.features.map(place),
-    trajectory: trajectory.features[0]?.geometry?.coordinates ?? [],
+    trajectory: lineOf(trajectory.features[0]?.geometry),
     nodes: (nodes?.features ?? []).map(place),
     matches: pairs,
     compared: [],
-    places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => f.geometry.coordinates),
-    buildings: (buildings?.features ?? []).map((/** @type {any} */ f) => f.geometry.coordinates[0]),
+    places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => lineOf(f.geometry)),
+    buildings: (buildings?.features ?? []).map((/** @type {any} */ f) => f.geometry.type === "MultiPolygon" ? f.geometry.coordinates[0][0] : f.geometry.coordinates[0]),
     roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
-      line: f.geometry.coordinates,
+      line: lineOf(f.geometry),
       properties: f.properties,
     })),
     surface: hasSurface ? `${at}/road` : null,
@@ -114,7 +114,7 @@ async function load(job) {
  */
 export async function loadTrajectory(job) {
   const found = await getJson(`drives/${job.drive_id}/trajectory`).catch(() => null);
-  const trajectory = found?.features?.[0]?.geometry?.coordinates ?? [];
+  const trajectory = lineOf(found?.features?.[0]?.geometry);
   if (!trajectory.length) return null;
   return { ...trackAlone(trajectory, found.local === true), job }; // local: metres of W
 }
@@ -155,6 +155,14 @@ async function orNull(answer) {
   }
 }
 
+/**
+ * The positions of a line; one across the antimeridian comes in parts.
+ * @param {any} geometry @returns {number[][]}
+ */
+export function lineOf(geometry) {
+  return (geometry?.type === "MultiLineString" ? geometry.coordinates.flat() : geometry?.coordinates) ?? [];
+}
+
 /** @param {any} feature @returns {Place} */
 export function place({ geometry, properties }) {
   return { lng: geometry.coordinates[0], lat: geometry.coordinates[1], properties };
@@ -162,7 +170,7 @@ export function place({ geometry, properties }) {
 
 /** @param {any} feature @returns {Match} */
 function match({ geometry, properties }) {
-  return { ...properties, line: geometry.coordinates };
+  return { ...properties, line: lineOf(geometry) };
 }
 
 /** @param {any[]} features @param {Match[]} matches @param {boolean} evaluated @returns {Detection[]} */
