@@ -33,7 +33,7 @@ $(READY): pyproject.toml constraints.txt static/package-lock.json
 
 # What linters, types and tests need besides.
 $(READY_TO_TEST): $(READY)
-	$(PIP_INSTALL) -e ".[service,dask,label,ros,las,dev]"
+	$(PIP_INSTALL) -e ".[service,dask,label,ros,las,parquet,dev]"
 	@touch $(READY_TO_TEST)
 
 # The web service and its page, for this machine only: drives and results in ./interloc-data. `make serve PORT=8001` has

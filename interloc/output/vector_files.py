@@ -1,4 +1,4 @@
-"""A result as GeoPackage, FlatGeobuf, KML, CSV or GeoJSON, for QGIS, Google Earth, spreadsheets and other programs.
+"""A result as a file for other programs: QGIS, Google Earth, spreadsheets, web maps, navigation devices, DuckDB.
 
 The layers are those of the GeoJSON files, position for position and property for property, and those that are made of
 them (`interloc.output.derived`). Lists are JSON text, but in GeoJSON.
@@ -13,6 +13,8 @@ import os
 import re
 import sqlite3
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,16 +22,22 @@ from typing import Any
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
 from interloc.files import atomic_write, reason_of
 from interloc.output.derived import derive
-from interloc.output.geojson import read_file, read_json, write_collection
+from interloc.output.geojson import cut, read_file, read_json, write_collection
 from interloc.output.geopackage import describe
+from interloc.output.geoparquet import parquet_bytes, require_parquet
+from interloc.output.gpx import GPX_LAYERS, write_gpx
 from interloc.output.layers import DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names
+from interloc.output.vector_tiles import TiledLayer, write_tiles
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
 """Suffix -> driver of GDAL."""
 
-SUFFIXES = (*DRIVERS, ".csv", ".geojson")
-"""A GeoPackage holds all layers, the others hold one."""
+SUFFIXES = (*DRIVERS, ".csv", ".geojson", ".parquet", ".pmtiles", ".gpx")
+"""A GeoPackage and PMTiles hold all layers, a GPX file the track and the intersections, the others one layer."""
+
+_WHOLE = {".gpkg", ".pmtiles"}
+_NEED_PLACE = {".kml": "KML", ".pmtiles": "PMTiles", ".gpx": "GPX"}
 
 EXPORTS = LAYERS | DERIVED
 
@@ -64,9 +72,10 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     result
         Result folder. One without georeference is written in metres of its own frame, without a coordinate system.
     out
-        ``.gpkg``, ``.fgb``, ``.kml``, ``.csv`` or ``.geojson``; an older file of that name is replaced.
+        Its suffix, one of `SUFFIXES`, says the format; an older file of that name is replaced.
     layer : str or None
-        One of `EXPORTS`. None: all layers of the result in a GeoPackage, else the intersections.
+        One of `EXPORTS`; in GPX one of `GPX_LAYERS`. None: all layers of the result in a GeoPackage and in PMTiles,
+        those two in GPX, else the intersections.
 
     Returns
     -------
@@ -76,19 +85,34 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     Raises
     ------
     ConfigError
-        The format or the layer is unknown, or the result has no such layer because it was not evaluated.
+        The format or the layer is unknown, or the result has no such layer because it was not evaluated; or
+        GeoParquet is asked for without the extra ``parquet``.
     GeoreferenceError
-        The result is in local metres, and is to be written as KML.
+        The result is in local metres, and is to be written as KML, PMTiles or GPX.
     OutputError
         `result` is not a result folder, or `out` could not be written.
     """
     suffix = out.suffix.lower()
     if suffix not in SUFFIXES:
         raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(SUFFIXES)}.")
+    if suffix == ".parquet":
+        require_parquet()
     names = _choose(result, layer, suffix)
     layers = [(EXPORTS[name], _read(result, name)) for name in names]
     if suffix == ".gpkg":
         _write_database(out, layers, read_file(result / RUN_FILE).decode())
+        return names
+    drive = str(read_json(result / RUN_FILE).get("drive_name", result.name))
+    if suffix == ".pmtiles":
+        tiled = [TiledLayer(each, rows.credit, _table_of_texts(each, rows)) for each, rows in layers]
+        with _folder_beside(out) as folder, atomic_write(out) as file:
+            write_tiles(file, drive, tiled, folder)
+        return names
+    if suffix == ".gpx":
+        found = dict(zip(names, (rows for _, rows in layers), strict=True))
+        track = (found["trajectory"], _read(result, "keyframes")) if "trajectory" in found else None
+        with atomic_write(out) as file:
+            file.write(write_gpx(drive, track=track, waypoints=found.get("intersections")).encode())
         return names
     ((only, rows),) = layers
     if suffix == ".geojson":
@@ -97,6 +121,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
     if suffix == ".csv":
         buffer.write(_csv(only, rows).encode())
+    elif suffix == ".parquet":
+        buffer.write(parquet_bytes(_table(only, rows), only.description, rows.credit))
     else:
         _write_layer(buffer, DRIVERS[suffix], only, rows)
     with atomic_write(out) as file:
@@ -116,16 +142,23 @@ def _in_metres(rows: Rows) -> bool:
 
 def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str) -> None:
     """Write a GeoPackage: SQLite needs a file that it can seek in, and others beside it."""
+    with _folder_beside(out) as folder:
+        database = folder / out.name
+        for number, (layer, rows) in enumerate(layers):
+            _write_layer(database, "GPKG", layer, rows, append=number > 0)
+        describe(database, [(layer, rows.credit) for layer, rows in layers], run)
+        with database.open("rb") as file:
+            os.fsync(file.fileno())
+        database.replace(out)
+
+
+@contextmanager
+def _folder_beside(out: Path) -> Iterator[Path]:
+    """Make a folder for what becomes a file; what GDAL, SQLite or the system could not write is an OutputError."""
     prefix = f".{out.name[:100]}.partial-"
     try:
         with TemporaryDirectory(prefix=prefix, dir=out.parent, ignore_cleanup_errors=True) as folder:
-            database = Path(folder) / out.name
-            for number, (layer, rows) in enumerate(layers):
-                _write_layer(database, "GPKG", layer, rows, append=number > 0)
-            describe(database, [(layer, rows.credit) for layer, rows in layers], run)
-            with database.open("rb") as file:
-                os.fsync(file.fileno())
-            database.replace(out)
+            yield Path(folder)
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
     except (RuntimeError, sqlite3.Error) as error:  # of GDAL, of SQLite
@@ -139,16 +172,20 @@ def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     if wanted is not None and wanted not in EXPORTS:
         raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}.")
     local = is_local(result)
-    if local and suffix == ".kml":
+    if local and suffix in _NEED_PLACE:
         raise GeoreferenceError(
-            f"{result} is in metres of its own frame, and KML knows longitude and latitude only: the drive has no "
-            f"georeference. {PLACE_IT}, or write a .gpkg or .fgb, in metres."
+            f"{result} is in metres of its own frame, and {_NEED_PLACE[suffix]} knows longitude and latitude only: the "
+            f"drive has no georeference. {PLACE_IT}, or write a .gpkg or .fgb, in metres."
         )
+    if suffix == ".gpx" and wanted not in {None, *GPX_LAYERS}:
+        raise ConfigError(f"A GPX file has no layer {wanted}. Expected {' or '.join(GPX_LAYERS)}, or none for both.")
     there = [name for name in LAYERS if _file_of(result, name).exists()]
     if not local:
         there += DERIVED
     if wanted is None:
-        return there if suffix == ".gpkg" else ["intersections"]
+        if suffix == ".gpx":
+            return list(GPX_LAYERS)
+        return there if suffix in _WHOLE else ["intersections"]
     if wanted not in there:
         raise ConfigError(f"{result} has no {wanted}.geojson. {_why_missing(result, wanted)}")
     return [wanted]
@@ -186,6 +223,7 @@ def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows,
     told = f"{layer.description} {rows.credit.attribution}"
     title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]
     is_database = driver == "GPKG"
+    is_cut = bool(table.geom_type.str.startswith("Multi").any())  # at the antimeridian
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "'crs' was not provided")  # metres claim no place
         table.to_file(
@@ -194,7 +232,8 @@ def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows,
             engine="pyogrio",
             mode="a" if append else "w",
             layer=layer.name,
-            geometry_type=layer.geometry,
+            geometry_type=f"Multi{layer.geometry}" if is_cut else layer.geometry,
+            promote_to_multi=is_cut,
             # GDAL before 3.7, as in Debian 12, warns of version 1.4.
             dataset_options={"VERSION": "1.3"} if is_database and not append else None,
             layer_options={title: layer.title, "DESCRIPTION": told},
@@ -218,20 +257,30 @@ def _csv(layer: Layer, rows: Rows) -> str:
     place = point if layer.geometry == "Point" else ["wkt"]
     credit = [] if rows.credit.license is None else [rows.credit.attribution]
     writer.writerow([*place, *layer.fields, *(["attribution"] if credit else [])])
-    for feature in rows.features:
+    for feature, where in zip(rows.features, _places(layer, rows), strict=True):
         values = [_cell(getattr(feature.properties, name)) for name in layer.fields]
-        writer.writerow([*_place(layer, feature.geometry), *values, *credit])
+        writer.writerow([*where, *values, *credit])
     return text.getvalue()
 
 
-def _place(layer: Layer, geometry: Any) -> list[Any]:  # noqa: ANN401
+def _places(layer: Layer, rows: Rows) -> list[list[Any]]:
+    """Return the cells of the place of each row."""
     if layer.geometry == "Point":
-        return list(geometry.coordinates)
-    if geometry is None:
-        return [""]
-    line = geometry.coordinates[0] if layer.geometry == "Polygon" else geometry.coordinates
-    inside = ", ".join(f"{lon:.7f} {lat:.7f}" for lon, lat in line)
-    return [f"{layer.geometry.upper()} (({inside}))" if layer.geometry == "Polygon" else f"LINESTRING ({inside})"]
+        return rows.points().tolist()  # type: ignore[no-any-return]
+    import shapely  # noqa: PLC0415 - slow to import
+
+    return [
+        ["" if shape is None else shapely.to_wkt(shapely.geometry.shape(shape), rounding_precision=7, trim=False)]
+        for shape in _shapes(layer, rows)
+    ]
+
+
+def _shapes(layer: Layer, rows: Rows) -> list[dict[str, Any] | None]:
+    """Return lines or polygons as GeoJSON geometries, cut at the antimeridian."""
+    lines = [
+        each.geometry and {"type": layer.geometry, "coordinates": each.geometry.coordinates} for each in rows.features
+    ]
+    return lines if _in_metres(rows) else [cut(line) for line in lines]
 
 
 def _cell(value: Any) -> Any:  # noqa: ANN401
@@ -252,10 +301,8 @@ def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no 
     places: Any
     if layer.geometry == "Point":
         places = shapely.points(rows.points())
-    elif layer.geometry == "LineString":
-        places = [f.geometry and shapely.LineString(f.geometry.coordinates) for f in rows.features]
     else:
-        places = [shapely.Polygon(f.geometry.coordinates[0]) for f in rows.features]
+        places = [shape and shapely.geometry.shape(shape) for shape in _shapes(layer, rows)]
     columns = {name: rows.column(name) for name in layer.fields}
     for name, kind in layer.fields.items():
         if kind == "list":
@@ -264,3 +311,9 @@ def _table(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no 
             columns[name] = pandas.to_datetime(columns[name], utc=True, format="ISO8601")
     table = GeoDataFrame(columns, geometry=places, crs=None if _in_metres(rows) else "EPSG:4326")
     return table.astype({name: _DTYPES[kind] for name, kind in layer.fields.items()})
+
+
+def _table_of_texts(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopandas has no types
+    """Return the same with times as text, for formats that have no times."""
+    times = [name for name, kind in layer.fields.items() if kind == "time"]
+    return _table(layer, rows).assign(**{name: rows.column(name) for name in times})

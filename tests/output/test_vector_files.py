@@ -1,6 +1,7 @@
 """Other GIS formats say what the GeoJSON says, position for position and property for property."""
 
 import csv
+import gzip
 import json
 import resource
 import shutil
@@ -11,8 +12,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import geopandas
+import gpxpy
 import numpy as np
+import pandas as pd
+import pmtiles.reader
+import pyarrow.parquet
 import pyogrio
+import pyproj
 import pytest
 import shapely
 
@@ -21,6 +28,7 @@ from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
 from interloc.osm.reader import read_osm
 from interloc.output.credits import ODBL, OSM_ATTRIBUTION
+from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
 from interloc.output.vector_files import EXPORTS, write_vector_file
 from interloc.output.write import write_results
@@ -175,8 +183,9 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no matches\.geojson.*interloc evaluate"):
         write_vector_file(plain, tmp_path / "a.fgb", layer="matches")
     local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
-    with pytest.raises(GeoreferenceError, match=r"KML knows longitude and latitude only.*`interloc locate"):
-        write_vector_file(local, tmp_path / "a.kml")
+    for suffix, title in ((".kml", "KML"), (".pmtiles", "PMTiles"), (".gpx", "GPX")):
+        with pytest.raises(GeoreferenceError, match=rf"{title} knows longitude and latitude only.*`interloc locate"):
+            write_vector_file(local, tmp_path / f"a{suffix}")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["local", "plain"]
 
 
@@ -204,6 +213,102 @@ def test_csv_is_safe_to_open_in_a_spreadsheet(tmp_path: Path) -> None:
     write_vector_file(folder, tmp_path / "a.csv", layer="uncertainty")
     (row,) = csv.DictReader((tmp_path / "a.csv").read_text().splitlines())
     assert shapely.from_wkt(row["wkt"]).geom_type == "Polygon"
+
+
+def test_pmtiles_hold_all_layers_for_web_maps(scored: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.pmtiles"
+    assert write_vector_file(scored, path) == [*FILES, *DERIVED]
+    for layer in [*FILES, *DERIVED]:
+        rows, _ = rows_of(path, layer)
+        assert len(rows) >= len(features(scored, layer, tmp_path)) > 0  # what lies on two tiles counts twice
+    (found,), (place,) = rows_of(path, "intersections")
+    (feature,) = features(scored, "intersections", tmp_path)
+    assert_same({name: value for name, value in feature["properties"].items() if value is not None}, found)
+    expected = pyproj.Transformer.from_crs(4326, 3857, always_xy=True).transform(*feature["geometry"]["coordinates"])
+    assert np.hypot(place.x - expected[0], place.y - expected[1]) < 0.15
+    with path.open("rb") as file:
+        reader = pmtiles.reader.Reader(pmtiles.reader.MmapSource(file))
+        header, told = reader.header(), reader.metadata()
+        assert (header["version"], header["clustered"], header["min_zoom"], header["max_zoom"]) == (3, True, 0, 15)
+        assert header["min_lon_e7"] < 84205000 < header["max_lon_e7"]
+        assert (told["name"], told["license"]) == ("straße & Co", ODBL)
+        assert OSM_ATTRIBUTION in told["attribution"]
+        assert {each["id"]: each["minzoom"] for each in told["vector_layers"]}["detections"] == 12
+        assert reader.get(0, 0, 0) is not None
+    bare = write_folder(tmp_path / "out", small_result(empty=True), scored=False)
+    write_vector_file(bare, path, layer="intersections")
+    with path.open("rb") as file:
+        reader = pmtiles.reader.Reader(pmtiles.reader.MmapSource(file))
+        assert "license" not in reader.metadata()
+        assert gzip.decompress(reader.get(0, 0, 0)) == b""
+
+
+def test_geoparquet_holds_one_layer(scored: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for layer in ("detections", "osm_roads", "uncertainty"):
+        write_vector_file(scored, tmp_path / "a.parquet", layer=layer)
+        table = geopandas.read_parquet(tmp_path / "a.parquet")
+        assert table.crs == "EPSG:4326"
+        rows = table.drop(columns="geometry").to_dict("records")
+        for feature, row, place in zip(features(scored, layer, tmp_path), rows, table.geometry, strict=True):
+            assert_same(feature["properties"], {name: None if each is pd.NA else each for name, each in row.items()})
+            assert shapely.equals_exact(place, shapely.geometry.shape(feature["geometry"]), 0)
+        told = pyarrow.parquet.read_schema(tmp_path / "a.parquet").metadata
+        assert (told.get(b"license") == ODBL.encode()) == (layer != "uncertainty")
+        assert told[b"description"].decode() == EXPORTS[layer].description
+    local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
+    write_vector_file(local, tmp_path / "a.parquet")
+    assert geopandas.read_parquet(tmp_path / "a.parquet").crs is None
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ConfigError, match=r"pip install \"interloc\[parquet\]\""):
+        write_vector_file(scored, tmp_path / "b.parquet")
+
+
+def test_gpx_is_the_track_with_times_and_the_intersections(scored: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.gpx"
+    assert write_vector_file(scored, path) == ["trajectory", "intersections"]
+    gpx = gpxpy.parse(path.read_text())
+    assert (gpx.name, gpx.copyright_license) == ("straße & Co", ODBL)
+    assert OSM_ATTRIBUTION in gpx.description
+    (mark,), (track,) = gpx.waypoints, gpx.tracks
+    assert (mark.longitude, mark.latitude, mark.name) == (8.4205, 49.011, "Intersection 1")
+    assert mark.description == "3 branches, confidence 0.75, right, OSM node 9000000001"
+    keyframes = features(scored, "keyframes", tmp_path)
+    points = track.segments[0].points
+    assert [[each.longitude, each.latitude] for each in points] == [f["geometry"]["coordinates"] for f in keyframes]
+    assert [each.time.timestamp() for each in points] == pytest.approx(TIME_S, abs=1e-3)
+    timeless = write_folder(tmp_path / "out", small_result(), scored=False)
+    assert write_vector_file(timeless, path, layer="trajectory") == ["trajectory"]
+    gpx = gpxpy.parse(path.read_text())
+    (line,) = features(timeless, "trajectory", tmp_path)
+    points = gpx.tracks[0].segments[0].points
+    assert [[each.longitude, each.latitude] for each in points] == line["geometry"]["coordinates"]
+    assert (points[0].time, gpx.waypoints, gpx.copyright_license) == (None, [], None)
+    with pytest.raises(ConfigError, match=r"no layer matches\. Expected trajectory or intersections"):
+        write_vector_file(scored, path, layer="matches")
+
+
+def test_what_crosses_the_antimeridian_is_cut_in_every_format(scored: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    shutil.copytree(scored, folder)
+    road, *_ = features_of(scored / "osm_roads.geojson")
+    road["geometry"]["coordinates"] = [[179.999, -16.5], [-179.999, -16.5]]
+    write_collection(folder / "osm_roads.geojson", [road], local=False)
+    expected = "MULTILINESTRING ((179.999 -16.5, 180 -16.5), (-180 -16.5, -179.999 -16.5))"
+    for name, title in (("a.gpkg", "osm_roads"), ("a.fgb", "osm_roads"), ("a.kml", EXPORTS["osm_roads"].title)):
+        write_vector_file(folder, tmp_path / name, layer="osm_roads")
+        _, (line,) = rows_of(tmp_path / name, title)
+        assert shapely.force_2d(line).wkt == expected
+    (feature,) = features(folder, "osm_roads", tmp_path)
+    assert shapely.geometry.shape(feature["geometry"]).wkt == expected
+    write_vector_file(folder, tmp_path / "a.csv", layer="osm_roads")
+    (row,) = csv.DictReader((tmp_path / "a.csv").read_text().splitlines())
+    assert shapely.from_wkt(row["wkt"]).wkt == expected
+    write_vector_file(folder, tmp_path / "a.pmtiles", layer="osm_roads")
+    lines, lengths = rows_of(tmp_path / "a.pmtiles", "osm_roads")
+    assert len(lines) == 2  # one on each side of the world
+    assert sum(each.length for each in lengths) == pytest.approx(
+        0.002 * 111319.5, rel=0.5
+    )  # and a little over the edge
 
 
 def test_titles_are_unique_within_a_layer() -> None:
@@ -300,7 +405,7 @@ def test_qgis_reads_layers_fields_and_licence(scored: Path, tmp_path: Path) -> N
     assert (types["time"], types["osm_id"], types["error_m"]) == ("DateTime", "Integer64", "Real")
 
 
-@pytest.mark.parametrize("suffix", [".gpkg", ".fgb", ".kml", ".csv"])
+@pytest.mark.parametrize("suffix", [".gpkg", ".fgb", ".kml", ".csv", ".pmtiles"])
 def test_a_full_disk_leaves_nothing_behind(suffix: str, scored: Path, tmp_path: Path) -> None:
     code = (
         "import resource, signal, sys; from pathlib import Path\n"
