@@ -41,6 +41,7 @@ from app.routes import (
     results,
     road,
     scans,
+    stac,
     system,
     trash,
 )
@@ -121,6 +122,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
         app.include_router(module.router, prefix=API, dependencies=shared)
+    app.include_router(stac.router, dependencies=shared)
     for module in (system, page):
         app.include_router(module.router)
     return app

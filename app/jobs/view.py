@@ -18,6 +18,7 @@ from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, Job
 from interloc.output.layers import LAYERS, PLACES
+from interloc.output.vector_files import suffixes_here
 
 _LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
 _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
@@ -113,7 +114,7 @@ def _links(job: Job, address: str) -> dict[str, str]:
         return links
     names = ["run", "files", "archive.zip"]
     if summary["georeferenced"]:
-        names += [*_LAYERS, "export.gpkg", "export.fgb", "export.kml", "export.csv", "export.geojson"]
+        names += [*_LAYERS, *(f"export{suffix}" for suffix in suffixes_here())]
     else:
         links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
     if summary["report"] is not None:

@@ -1,4 +1,4 @@
-"""Results for QGIS, Google Earth and other GIS."""
+"""Results for GIS, web maps and other programs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, deliver
 from app.http.openapi import get_and_head
-from app.http.problems import ProblemDocument
+from app.http.problems import Problem, ProblemDocument
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.routes.results import PROBLEMS, JobId, answers
+from interloc.output.geoparquet import has_parquet
 from interloc.output.layers import DERIVED
 
 Layer = Literal[
@@ -35,7 +36,12 @@ LayerQuery = Annotated[
 
 router = APIRouter(tags=["Exports"])
 
-_CONTENT = {".kml": {"type": "string"}, ".csv": {"type": "string"}, ".geojson": {"type": "object"}}
+_CONTENT = {
+    ".kml": {"type": "string"},
+    ".gpx": {"type": "string"},
+    ".csv": {"type": "string"},
+    ".geojson": {"type": "object"},
+}
 
 _PROBLEMS: dict[int | str, dict[str, Any]] = {
     **PROBLEMS,
@@ -43,11 +49,15 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
     507: {"model": ProblemDocument, "description": "The disk of the service is full."},
 }
 
+_MAY_BE_MISSING: dict[int | str, dict[str, Any]] = {
+    501: {"model": ProblemDocument, "description": "The service lacks the package that writes this format."}
+}
+
 
 class _Export(NamedTuple):
     summary: str
     description: str
-    of_all_layers: bool = False  # unless one is named
+    layers: Literal["one", "all", "fixed"] = "one"  # all: unless one is named; fixed: no choice
 
 
 _EXPORTS = {
@@ -57,7 +67,7 @@ _EXPORTS = {
         "Also the branches of the intersections as lines, and their uncertainty as circles. EPSG:4326. Lists (bearings "
         "of branches) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with "
         "data of OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0.",
-        of_all_layers=True,
+        layers="all",
     ),
     ".fgb": _Export("Download a layer as FlatGeobuf", "One layer as FlatGeobuf: compact, with a spatial index."),
     ".kml": _Export("Download a layer as KML", "One layer as KML, for Google Earth."),
@@ -69,6 +79,22 @@ _EXPORTS = {
     ".geojson": _Export(
         "Download a layer as GeoJSON",
         "One layer as GeoJSON: also those that are made of the intersections, which have no address of their own.",
+    ),
+    ".parquet": _Export(
+        "Download a layer as GeoParquet",
+        "One layer as GeoParquet 1.1, for DuckDB, GeoPandas and others; where the extra `parquet` is installed.",
+    ),
+    ".pmtiles": _Export(
+        "Read the result as vector tiles",
+        "All layers as Mapbox Vector Tiles in one PMTiles archive (version 3), which web maps read by byte ranges: "
+        "zooms 0 to 15; what is more than intersections and trajectory begins at zoom 12. Its metadata name layers, "
+        "fields, attribution and licence.",
+        layers="all",
+    ),
+    ".gpx": _Export(
+        "Download the track as GPX",
+        "The track with its times, where the drive has times of day, and the intersections as waypoints. GPX 1.1.",
+        layers="fixed",
     ),
 }
 
@@ -92,6 +118,9 @@ def _add_export(suffix: str) -> None:
     ) -> Response:
         return await _deliver(request, results, on_demand, job_id, suffix, layer)
 
+    async def export_fixed(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
+        return await _deliver(request, results, on_demand, job_id, suffix, None)
+
     export = _EXPORTS[suffix]
     content = _CONTENT.get(suffix, {"type": "string", "format": "binary"})
     get_and_head(
@@ -101,8 +130,12 @@ def _add_export(suffix: str) -> None:
         description=export.description,
         operation_id=f"export_{suffix[1:]}",
         response_class=Response,
-        responses={**answers(MEDIA_TYPES[suffix], content, "The file."), **_PROBLEMS},
-    )(export_all if export.of_all_layers else export_layer)
+        responses={
+            **answers(MEDIA_TYPES[suffix], content, "The file."),
+            **_PROBLEMS,
+            **(_MAY_BE_MISSING if suffix == ".parquet" else {}),
+        },
+    )({"one": export_layer, "all": export_all, "fixed": export_fixed}[export.layers])
 
 
 for _suffix in _EXPORTS:
@@ -113,6 +146,9 @@ async def _deliver(
     request: Request, results: Results, on_demand: OnDemand, job_id: str, suffix: str, layer: Layer | None
 ) -> Response:
     result = await run_in_threadpool(results.open, job_id)
+    if suffix == ".parquet" and not has_parquet():
+        detail = 'GeoParquet needs pyarrow, which the operator installs: pip install "interloc[parquet]".'
+        raise Problem(501, "Format not installed", detail)
     name = layer or "all"
     path = result.cache / "exports" / f"{name}{suffix}"
     if not path.exists():

@@ -14,6 +14,7 @@ from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
 from interloc.drives.options import LabelFolder
 from interloc.osm.policies import POLICIES
 from interloc.output.layers import LAYERS
+from interloc.output.vector_files import suffixes_here
 
 _LIMITS = (
     "max_file_bytes",
@@ -95,6 +96,9 @@ class PageConfig(BaseModel):
         description="Which OSM nodes can count as intersections; the first is the default."
     )
     layers: list[LayerModel] = Field(description="Layers of a result.")
+    exports: list[str] = Field(
+        description="Endings of the exports that this service writes.", examples=[[".gpkg", ".pmtiles"]]
+    )
     label_schemes: list[LabelSchemeModel] = Field(description="Label schemes with a name.")
     file_kinds: FileKinds
     raw_first_frames: dict[str, int] = Field(
@@ -113,6 +117,7 @@ class PageConfig(BaseModel):
             limits={name: getattr(settings, name) for name in _LIMITS},
             policies=_POLICIES,
             layers=_LAYERS,
+            exports=suffixes_here(),
             label_schemes=_LABEL_SCHEMES,
             file_kinds=_FILE_KINDS,
             raw_first_frames={raw: first for raw, (_, first, _) in ODOMETRY_OF_RAW.items() if first},

@@ -24,7 +24,7 @@ from interloc.files import atomic_write, reason_of
 from interloc.output.derived import derive
 from interloc.output.geojson import cut, read_file, read_json, write_collection
 from interloc.output.geopackage import describe
-from interloc.output.geoparquet import parquet_bytes, require_parquet
+from interloc.output.geoparquet import has_parquet, parquet_bytes, require_parquet
 from interloc.output.gpx import GPX_LAYERS, write_gpx
 from interloc.output.layers import DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names
@@ -128,6 +128,11 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     with atomic_write(out) as file:
         file.write(buffer.getvalue())
     return names
+
+
+def suffixes_here() -> list[str]:
+    """Return those of `SUFFIXES` that this installation writes."""
+    return [suffix for suffix in SUFFIXES if suffix != ".parquet" or has_parquet()]
 
 
 def _read(result: Path, name: str) -> Rows:

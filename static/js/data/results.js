@@ -96,7 +96,9 @@ async function load(job) {
     matches: pairs,
     compared: [],
     places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => lineOf(f.geometry)),
-    buildings: (buildings?.features ?? []).map((/** @type {any} */ f) => f.geometry.type === "MultiPolygon" ? f.geometry.coordinates[0][0] : f.geometry.coordinates[0]),
+    buildings: (buildings?.features ?? []).map((/** @type {any} */ f) =>
+      f.geometry.type === "MultiPolygon" ? f.geometry.coordinates[0][0] : f.geometry.coordinates[0],
+    ),
     roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
       line: lineOf(f.geometry),
       properties: f.properties,

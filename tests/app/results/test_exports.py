@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -60,6 +61,34 @@ def test_tables_and_layers_that_are_made_of_the_intersections(finished: Finished
     stored = json.loads((finished.results / "default/intersections.geojson").read_text())["features"]
     assert len(lines["features"]) == sum(each["properties"]["branch_count"] for each in stored)
     assert finished.get("/jobs/local/export.geojson?layer=uncertainty").status_code == 404
+
+
+def test_vector_tiles_are_read_by_ranges(finished: Finished, tmp_path: Path) -> None:
+    head = finished.get("/jobs/default/export.pmtiles", headers={"range": "bytes=0-126"})
+    assert (head.status_code, head.content[:8]) == (206, b"PMTiles\x03")
+    assert head.headers["content-type"] == "application/vnd.pmtiles"
+    whole = finished.get("/jobs/default/export.pmtiles")
+    assert whole.headers["accept-ranges"] == "bytes"
+    assert whole.headers["etag"] == head.headers["etag"]
+    assert head.headers["content-range"] == f"bytes 0-126/{len(whole.content)}"
+    assert set(layers_of(whole.content, tmp_path / "a.pmtiles")) == {*SCORED, *DERIVED}
+
+
+def test_tracks_and_columns(finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    track = finished.get("/jobs/default/export.gpx")
+    assert track.headers["content-type"] == "application/gpx+xml"
+    (tmp_path / "a.gpx").write_bytes(track.content)
+    assert len(pyogrio.read_dataframe(tmp_path / "a.gpx", layer="waypoints")) > 0
+    assert len(pyogrio.read_dataframe(tmp_path / "a.gpx", layer="track_points")) > 10
+    assert finished.get("/jobs/default/export.gpx?layer=matches").status_code == 400
+    columns = finished.get("/jobs/plain/export.parquet?layer=keyframes")
+    assert columns.headers["content-type"] == "application/vnd.apache.parquet"
+    assert columns.content[:4] == columns.content[-4:] == b"PAR1"
+    assert ".parquet" in finished.client.get("/config.json").json()["exports"]
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert ".parquet" not in finished.client.get("/config.json").json()["exports"]
+    refused = finished.get("/jobs/default/export.parquet")
+    assert (refused.status_code, refused.json()["title"]) == (501, "Format not installed")
 
 
 def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
