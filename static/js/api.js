@@ -341,6 +341,7 @@ function save(url, name) {
  * @property {Record<string, number>} limits
  * @property {{name: string, title: string, description: string}[]} policies The first is the usual one.
  * @property {{name: string, description: string, is_osm: boolean}[]} layers Of a result.
+ * @property {string[]} exports Endings of the formats that it writes: ".gpkg".
  * @property {{name: string, title: string, road: number[]}[]} label_schemes
  * @property {{maps: string[], archives: string[], recordings: string[], scans: string[]}} file_kinds Endings of names.
  * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.
@@ -356,6 +357,7 @@ let config = {
   limits: {},
   policies: [],
   layers: [],
+  exports: [],
   label_schemes: [],
   file_kinds: { maps: [], archives: [], recordings: [], scans: [] },
   raw_first_frames: {},

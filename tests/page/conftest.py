@@ -10,7 +10,7 @@ import pytest
 from tests.app.processes import ServerProcess, started
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, chromium
-from tests.page.results import SCANS, TOKEN, Done, Scored, run_street, write_other_map
+from tests.page.results import OTHER_SITE, SCANS, TOKEN, Done, Scored, run_street, write_other_map
 
 
 @pytest.fixture(scope="package")
@@ -40,7 +40,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
     street = write_street(folder / "street", SCANS)
     local = write_street(folder / "street_without_fixes", SCANS)
     (local / "geo.csv").unlink()
-    with started(folder / "data", folder / "log", workers=1) as server:
+    with started(folder / "data", folder / "log", workers=1, cors_origins=OTHER_SITE) as server:
         scored = run_street(server, street, osm={"file": "map.osm"})
         yield Done(server, scored, run_street(server, local), street)
 

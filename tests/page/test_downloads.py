@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import geopandas
 import pyogrio
 import pytest
 
@@ -98,6 +99,10 @@ def test_each_layer_comes_in_each_format_with_all_its_features(opened: Open, tmp
         assert json.loads((tmp_path / path.with_suffix(".geojson").name).read_text())["type"] == "FeatureCollection"
     table = opened.click("CSV: street-intersections.csv", tmp_path).read_text()
     assert len(table.splitlines()) == 1 + opened.count("intersections")
+    columns = opened.click("Parquet: street-intersections.parquet", tmp_path)
+    assert len(geopandas.read_parquet(columns)) == opened.count("intersections")
+    track = opened.click("GPX: street.gpx", tmp_path)
+    assert len(pyogrio.read_dataframe(track, layer="waypoints")) == opened.count("intersections")
     circles = json.loads(opened.click("GeoJSON: street-uncertainty.geojson", tmp_path).read_text())
     assert len(circles["features"]) == opened.count("intersections")
 
@@ -105,13 +110,14 @@ def test_each_layer_comes_in_each_format_with_all_its_features(opened: Open, tmp
 def test_the_geopackage_and_the_archive_hold_everything(opened: Open, tmp_path: Path) -> None:
     panel = opened.page.locator("#panel-export")
     files = {}
-    for name in ("GeoPackage, all layers", "Everything (.zip)"):
+    for name in ("GeoPackage, all layers", "Everything (.zip)", "PMTiles, for web maps"):
         with opened.page.expect_download() as waiting:
             panel.get_by_role("button", name=name).click()
         files[name] = tmp_path / waiting.value.suggested_filename
         waiting.value.save_as(files[name])
-    geopackage, archive = files.values()
-    assert geopackage.suffix == ".gpkg"
+    geopackage, archive, tiles = files.values()
+    assert (geopackage.suffix, tiles.suffix) == (".gpkg", ".pmtiles")
+    assert set(LAYERS) < {name for name, _ in pyogrio.list_layers(tiles)}
     found = {name: pyogrio.read_info(geopackage, layer=name)["features"] for name, _ in pyogrio.list_layers(geopackage)}
     assert {layer: found[layer] for layer in LAYERS} == {layer: opened.count(layer) for layer in LAYERS}
     with zipfile.ZipFile(archive) as packed:

@@ -27,6 +27,9 @@ const DERIVED = /** @type {Record<string, string>} */ ({
   uncertainty: "Uncertainty, as circles",
 });
 
+/** Ending -> what its button says, of formats that hold one layer. */
+const LAYER_FORMATS = { ".fgb": "FGB", ".kml": "KML", ".csv": "CSV", ".parquet": "Parquet" };
+
 /** @param {HTMLElement} container */
 export function mount(container) {
   /** @type {import("../data/results.js").Result|null} */
@@ -62,9 +65,10 @@ function sections(result, link) {
     const title = el("span", { title: known.get(name)?.description }, LAYERS[name] ?? DERIVED[name]);
     if (local) return files(title, get("JSON", `${at}/files/${name}.local.json`, `${slug}-${name}.local.json`));
     const path = name.replaceAll("_", "-");
-    const others = ["fgb", "kml", "csv"].map((format) =>
-      get(format.toUpperCase(), `${at}/export.${format}?layer=${path}`, `${slug}-${name}.${format}`),
-    );
+    const others = Object.entries(LAYER_FORMATS)
+      .filter(([ending]) => exports.includes(ending))
+      .map(([ending, text]) => get(text, `${at}/export${ending}?layer=${path}`, `${slug}-${name}${ending}`));
+    if (name === "trajectory") others.push(get("GPX", `${at}/export.gpx`, `${slug}.gpx`));
     const geojson = name in DERIVED ? `${at}/export.geojson?layer=${path}` : `${at}/${path}`;
     return files(title, get("GeoJSON", geojson, `${slug}-${name}.geojson`), others);
   };
@@ -76,6 +80,7 @@ function sections(result, link) {
       get("GeoTIFF", `${surface}.tif`, `${slug}-road.tif`),
     );
   };
+  const { exports } = getConfig(); // not every service has all of them
   const known = new Map(getConfig().layers.map((layer) => [layer.name, layer]));
   const layers = Object.keys(LAYERS).filter((name) => scored || !known.get(name)?.is_osm);
   if (!local) layers.push(...Object.keys(DERIVED));
@@ -89,6 +94,7 @@ function sections(result, link) {
       { class: "row" },
       !local && get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
+      !local && get([icon("download"), "PMTiles, for web maps"], `${at}/export.pmtiles`, `${slug}.pmtiles`, {}),
     ),
     local &&
       el(
