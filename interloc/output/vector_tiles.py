@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import sqlite3
-import warnings
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ MAX_ZOOM = 15
 """Web maps enlarge the tiles of the last zoom: at 15 they are 0.15 m fine at the equator, finer elsewhere."""
 
 _EXTENT = 8192  # steps across a tile: as fine as MapLibre draws
+_MAX_TILE_BYTES = 10_000_000  # GDAL leaves features out of a larger tile
 _OVERVIEW = frozenset({"intersections", "trajectory", "places"})
 _DETAIL_ZOOM = 12  # a street is as long as a pixel: before it, hundreds of features would lie under each other
 _TYPES = {"int": "Number", "float": "Number", "bool": "Boolean"}
@@ -83,15 +83,13 @@ def _tiles(each: TiledLayer, database: Path) -> list[tuple[tuple[int, int, int],
     if each.table.geometry.isna().all():
         return []
     zooms = {"MINZOOM": each.min_zoom, "MAXZOOM": MAX_ZOOM}
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "'crs' was not provided")
-        each.table.to_file(
-            database,
-            driver="MBTiles",
-            engine="pyogrio",
-            layer=each.layer.name,
-            dataset_options={**zooms, "EXTENT": _EXTENT},
-        )
+    each.table.to_file(
+        database,
+        driver="MBTiles",
+        engine="pyogrio",
+        layer=each.layer.name,
+        dataset_options={**zooms, "EXTENT": _EXTENT, "MAX_SIZE": _MAX_TILE_BYTES},
+    )
     connection = sqlite3.connect(database)
     try:
         found = connection.execute("SELECT zoom_level, tile_column, tile_row, tile_data FROM tiles").fetchall()

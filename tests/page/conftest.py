@@ -10,7 +10,8 @@ import pytest
 from tests.app.processes import ServerProcess, started
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, chromium
-from tests.page.results import OTHER_SITE, SCANS, TOKEN, Done, Scored, run_street, write_other_map
+from tests.page.other_site import served
+from tests.page.results import SCANS, TOKEN, Done, Scored, run_street, write_other_map
 
 
 @pytest.fixture(scope="package")
@@ -35,12 +36,19 @@ def browser(launched: Any, watch: Watch) -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="package")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
+def other_site() -> Iterator[str]:
+    """Origin of a page that may read the server with the results."""
+    with served() as origin:
+        yield origin
+
+
+@pytest.fixture(scope="package")
+def done(tmp_path_factory: pytest.TempPathFactory, other_site: str) -> Iterator[Done]:
     folder = tmp_path_factory.mktemp("page")
     street = write_street(folder / "street", SCANS)
     local = write_street(folder / "street_without_fixes", SCANS)
     (local / "geo.csv").unlink()
-    with started(folder / "data", folder / "log", workers=1, cors_origins=OTHER_SITE) as server:
+    with started(folder / "data", folder / "log", workers=1, cors_origins=other_site) as server:
         scored = run_street(server, street, osm={"file": "map.osm"})
         yield Done(server, scored, run_street(server, local), street)
 

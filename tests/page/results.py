@@ -14,8 +14,6 @@ from tests.app.processes import API, ServerProcess, archive_of, ended
 from tests.app.street import LAT_DEG, LON_DEG
 
 SCANS = 90
-OTHER_SITE = "http://127.0.0.1:47011"
-"""Origin whose pages may read the server with the results; nobody listens there, tests answer in its place."""
 TOKEN = "a-token-that-only-these-tests-know-0123456789"  # noqa: S105
 
 
