@@ -82,7 +82,10 @@ function sections(result, link) {
   };
   const { exports } = getConfig(); // not every service has all of them
   const known = new Map(getConfig().layers.map((layer) => [layer.name, layer]));
-  const layers = Object.keys(LAYERS).filter((name) => scored || !known.get(name)?.is_osm);
+  const hasBuildings = result.buildings.length > 0; // few maps have any
+  const isThere = (/** @type {string} */ name) =>
+    name === "osm_buildings" ? hasBuildings : scored || !known.get(name)?.is_osm;
+  const layers = Object.keys(LAYERS).filter(isThere);
   if (!local) layers.push(...Object.keys(DERIVED));
   const gpkg = `${at}/export.gpkg`;
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
