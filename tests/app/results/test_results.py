@@ -14,7 +14,10 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from app.http.parameters import Box
+from app.results.selection import select_features
 from app.store.database import Database
+from interloc.output.geojson import write_collection
 from tests.app.results.conftest import Finished, add_job
 
 LAYERS = ["intersections", "detections", "trajectory", "keyframes", "osm-nodes", "matches", "osm-roads"]
@@ -257,6 +260,28 @@ def test_every_layer_can_be_cut_out(finished: Finished, layer: str) -> None:
     whole = finished.get(f"/jobs/default/{layer}").json()["features"]
     assert finished.get(f"/jobs/default/{layer}?bbox=-180,-90,180,90&limit=9999").json()["features"] == whole
     assert finished.get(f"/jobs/default/{layer}?bbox=8,40,9,41").json()["features"] == []
+
+
+@pytest.mark.parametrize(("box", "found"), [
+    ((179, -17, -179, -16), "line polygon"), ((179, -17, 180, -16), "line polygon"), ((-180, -17, -179.6, -16), "line"),
+    ((-179, -17, 179, -16), ""), ((0, 0, 1, 1), ""),
+])  # fmt: skip
+def test_lines_and_polygons_are_found_on_both_sides_of_the_antimeridian(
+    box: tuple[float, ...], found: str, tmp_path: Path
+) -> None:
+    line = [[179.9, -16.5], [-179.9, -16.5]]
+    ring = [[179.2, -16.2], [179.3, -16.2], [179.3, -16.1], [179.2, -16.2]]
+    shapes = [("line", "LineString", line), ("polygon", "Polygon", [ring])]
+    write_collection(
+        tmp_path / "a.geojson",
+        [
+            {"type": "Feature", "id": name, "geometry": {"type": kind, "coordinates": where}, "properties": {}}
+            for name, kind, where in shapes
+        ],
+        local=False,
+    )
+    kept = json.loads(select_features(tmp_path / "a.geojson", Box(*box), None))["features"]
+    assert " ".join(each["id"] for each in kept) == found
 
 
 @pytest.mark.parametrize("query", ["bbox=1,2,3", "bbox=1,2,3,nan", "limit=0", "limit=10001", "bbox=9,50,8,-91"])

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { distanceM } from "../../../static/js/data/frame.js";
-import { medianError } from "../../../static/js/data/results.js";
+import { lineOf, medianError } from "../../../static/js/data/results.js";
 import { formatDate } from "../../../static/js/dom.js";
 import { matches } from "../../../static/js/map/filter.js";
 import { kindOfNode, layersOn } from "../../../static/js/map/layers.js";
@@ -118,4 +118,20 @@ test("rows are sorted by numbers and by words, and what has no value comes last 
 test("dates are told without their time", () => {
   assert.equal(formatDate("2015-02-17T11:18:02Z"), "17 Feb 2015");
   assert.equal(formatDate("unknown"), "unknown");
+});
+
+test("a line across the antimeridian is one line again", () => {
+  const parts = [
+    [
+      [179.9, 0],
+      [180, 0.5],
+    ],
+    [
+      [-180, 0.5],
+      [-179.9, 1],
+    ],
+  ];
+  assert.deepEqual(lineOf({ type: "MultiLineString", coordinates: parts }), parts.flat());
+  assert.deepEqual(lineOf({ type: "LineString", coordinates: parts[0] }), parts[0]);
+  assert.deepEqual(lineOf(null), []);
 });
