@@ -1,4 +1,4 @@
-"""A result as GeoPackage, FlatGeobuf, KML, CSV or GeoJSON, for QGIS, Google Earth, spreadsheets and other programs.
+"""A result as GeoPackage, project of QGIS, FlatGeobuf, KML, CSV or GeoJSON, for GIS, spreadsheets and other programs.
 
 The layers are those of the GeoJSON files, position for position and property for property, and those that are made of
 them (`interloc.output.derived`). Lists are JSON text, but in GeoJSON.
@@ -22,14 +22,18 @@ from interloc.files import atomic_write, reason_of
 from interloc.output.derived import derive
 from interloc.output.geojson import read_file, read_json, write_collection
 from interloc.output.geopackage import describe
+from interloc.output.kml import NAMES, pack_kmz, style_kml
 from interloc.output.layers import DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names
+from interloc.output.qgis_project import write_qgz
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
 """Suffix -> driver of GDAL."""
 
-SUFFIXES = (*DRIVERS, ".csv", ".geojson")
-"""A GeoPackage holds all layers, the others hold one."""
+WHOLE = frozenset({".gpkg", ".kmz", ".qgz"})
+"""Formats that hold all layers; the others hold one."""
+
+SUFFIXES = (*DRIVERS, ".csv", ".geojson", ".kmz", ".qgz")
 
 EXPORTS = LAYERS | DERIVED
 
@@ -49,9 +53,6 @@ _DTYPES = {
 }
 """Kind of a property -> column of pandas; those with a capital letter and the objects know null."""
 
-_KML_NAMES = {"id": "number", "name": "street", "time": "timestamp", "first_time": "begin", "last_time": "end"}
-"""Properties that mean something else in KML, or something that KML has a name for -> what they are called there."""
-
 _FORMULA = re.compile(r"[=+\-@\t\r](?![\d.,+-]*$)")
 """Start of a text that spreadsheets would run; plain numbers are harmless."""
 
@@ -64,9 +65,10 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     result
         Result folder. One without georeference is written in metres of its own frame, without a coordinate system.
     out
-        ``.gpkg``, ``.fgb``, ``.kml``, ``.csv`` or ``.geojson``; an older file of that name is replaced.
+        ``.gpkg``, ``.fgb``, ``.kml``, ``.csv``, ``.geojson``, ``.kmz`` or ``.qgz``; an older file of that name is
+        replaced.
     layer : str or None
-        One of `EXPORTS`. None: all layers of the result in a GeoPackage, else the intersections.
+        One of `EXPORTS`. None: all layers of the result where the format holds several, else the intersections.
 
     Returns
     -------
@@ -76,7 +78,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     Raises
     ------
     ConfigError
-        The format or the layer is unknown, or the result has no such layer because it was not evaluated.
+        The format or the layer is unknown, the result has no such layer because it was not evaluated, or a project of
+        QGIS was to hold one layer only.
     GeoreferenceError
         The result is in local metres, and is to be written as KML.
     OutputError
@@ -87,20 +90,26 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
         raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(SUFFIXES)}.")
     names = _choose(result, layer, suffix)
     layers = [(EXPORTS[name], _read(result, name)) for name in names]
-    if suffix == ".gpkg":
-        _write_database(out, layers, read_file(result / RUN_FILE).decode())
+    if suffix in {".gpkg", ".qgz"}:
+        _write_database(out, layers, read_file(result / RUN_FILE).decode(), _name_of(result))
+        return names
+    if suffix == ".kmz":
+        content = pack_kmz([(_kml(each, rows), each, rows) for each, rows in layers], _name_of(result))
+        with atomic_write(out) as file:
+            file.write(content)
         return names
     ((only, rows),) = layers
     if suffix == ".geojson":
         write_collection(out, _features(only, rows), local=_in_metres(rows), credit=rows.credit)
         return names
-    buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
     if suffix == ".csv":
-        buffer.write(_csv(only, rows).encode())
+        content = _csv(only, rows).encode()
+    elif suffix == ".kml":
+        content = style_kml(_kml(only, rows), only, rows)
     else:
-        _write_layer(buffer, DRIVERS[suffix], only, rows)
+        content = _layer_bytes(DRIVERS[suffix], only, rows)
     with atomic_write(out) as file:
-        file.write(buffer.getvalue())
+        file.write(content)
     return names
 
 
@@ -110,19 +119,28 @@ def _read(result: Path, name: str) -> Rows:
     return LAYERS[name].read(_file_of(result, name))
 
 
+def _name_of(result: Path) -> str:
+    """Return the name of the drive."""
+    run = read_json(result / RUN_FILE)
+    return str(run.get("drive_name") or run.get("drive") or result.resolve().name)
+
+
 def _in_metres(rows: Rows) -> bool:
     return rows.path.name in file_names(georeferenced=False).values()
 
 
-def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str) -> None:
-    """Write a GeoPackage: SQLite needs a file that it can seek in, and others beside it."""
+def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str, name: str) -> None:
+    """Write a GeoPackage or the project around it: SQLite needs a file to seek in, and others beside it."""
     prefix = f".{out.name[:100]}.partial-"
     try:
         with TemporaryDirectory(prefix=prefix, dir=out.parent, ignore_cleanup_errors=True) as folder:
-            database = Path(folder) / out.name
+            database = Path(folder) / "result.gpkg"
             for number, (layer, rows) in enumerate(layers):
                 _write_layer(database, "GPKG", layer, rows, append=number > 0)
             describe(database, [(layer, rows.credit) for layer, rows in layers], run)
+            if out.suffix.lower() == ".qgz":
+                data, database = database, database.with_name("project")
+                write_qgz(database, data, layers, name, local=_in_metres(layers[0][1]))
             with database.open("rb") as file:
                 os.fsync(file.fileno())
             database.replace(out)
@@ -139,7 +157,7 @@ def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     if wanted is not None and wanted not in EXPORTS:
         raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}.")
     local = is_local(result)
-    if local and suffix == ".kml":
+    if local and suffix in {".kml", ".kmz"}:
         raise GeoreferenceError(
             f"{result} is in metres of its own frame, and KML knows longitude and latitude only: the drive has no "
             f"georeference. {PLACE_IT}, or write a .gpkg or .fgb, in metres."
@@ -148,7 +166,9 @@ def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     if not local:
         there += DERIVED
     if wanted is None:
-        return there if suffix == ".gpkg" else ["intersections"]
+        return there if suffix in WHOLE else ["intersections"]
+    if suffix == ".qgz":
+        raise ConfigError("A project of QGIS (.qgz) holds all layers; leave --layer out, or write a .gpkg.")
     if wanted not in there:
         raise ConfigError(f"{result} has no {wanted}.geojson. {_why_missing(result, wanted)}")
     return [wanted]
@@ -175,13 +195,24 @@ def _file_of(result: Path, name: str) -> Path:
     return local if local.is_file() else result / f"{name}.geojson"
 
 
+def _kml(layer: Layer, rows: Rows) -> bytes:
+    """Return a layer as GDAL writes it."""
+    return _layer_bytes(DRIVERS[".kml"], layer, rows)
+
+
+def _layer_bytes(driver: str, layer: Layer, rows: Rows) -> bytes:
+    buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
+    _write_layer(buffer, driver, layer, rows)
+    return buffer.getvalue()
+
+
 def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows, *, append: bool = False) -> None:
     """Write a layer, or add it to a file."""
     table = _table(layer, rows)
     if driver == "LIBKML":  # what Google Earth shows beside the point
         # GDAL's KML driver writes integers of 64 bits as text.
         small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
-        table = table.astype(small).rename(columns=_KML_NAMES)
+        table = table.astype(small).rename(columns=NAMES)
         table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
     told = f"{layer.description} {rows.credit.attribution}"
     title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]

@@ -90,7 +90,7 @@ def assert_same(properties: dict[str, Any], row: dict[str, Any]) -> None:
 
 def test_a_geopackage_holds_all_layers_of_the_result(scored: Path, tmp_path: Path) -> None:
     assert write_vector_file(scored, tmp_path / "a.gpkg") == [*FILES, *DERIVED]
-    assert pyogrio.list_layers(tmp_path / "a.gpkg")[:, 0].tolist() == [*FILES, *DERIVED]
+    assert pyogrio.list_layers(tmp_path / "a.gpkg")[:, 0].tolist() == [*FILES, *DERIVED, "layer_styles"]
     for layer in FILES:
         assert pyogrio.read_info(tmp_path / "a.gpkg", layer=layer)["crs"] == "EPSG:4326"
         rows, geometries = rows_of(tmp_path / "a.gpkg", layer)
@@ -158,7 +158,7 @@ def test_nothing_found_gives_layers_with_their_fields(tmp_path: Path) -> None:
 def test_a_name_may_use_hyphens_and_an_older_file_is_replaced(scored: Path, tmp_path: Path) -> None:
     (tmp_path / "a.gpkg").write_text("something else")
     assert write_vector_file(scored, tmp_path / "a.gpkg", layer="osm-nodes") == ["osm_nodes"]
-    assert pyogrio.list_layers(tmp_path / "a.gpkg")[:, 0].tolist() == ["osm_nodes"]
+    assert pyogrio.list_layers(tmp_path / "a.gpkg")[:, 0].tolist() == ["osm_nodes", "layer_styles"]
     assert [path.name for path in tmp_path.iterdir()] == ["a.gpkg"]
 
 
