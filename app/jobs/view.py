@@ -20,6 +20,7 @@ from app.store.models import Drive, Job
 from interloc.output.layers import LAYERS, PLACES
 
 _LAYERS = [layer.address for layer in LAYERS.values() if not layer.is_osm]
+_EXPORTS = ("gpkg", "qgz", "qgs", "kmz", "fgb", "kml", "csv", "geojson")
 _MAP_LAYERS = [layer.address for layer in LAYERS.values() if layer.is_osm and layer.name != PLACES]
 
 
@@ -113,7 +114,7 @@ def _links(job: Job, address: str) -> dict[str, str]:
         return links
     names = ["run", "files", "archive.zip"]
     if summary["georeferenced"]:
-        names += [*_LAYERS, "export.gpkg", "export.fgb", "export.kml", "export.csv", "export.geojson"]
+        names += [*_LAYERS, *(f"export.{kind}" for kind in _EXPORTS)]
     else:
         links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
     if summary["report"] is not None:

@@ -25,7 +25,7 @@ from interloc.output.geopackage import describe
 from interloc.output.kml import NAMES, pack_kmz, style_kml
 from interloc.output.layers import DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names
-from interloc.output.qgis_project import write_qgz
+from interloc.output.qgis_project import project, write_qgz
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
 """Suffix -> driver of GDAL."""
@@ -111,6 +111,33 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     with atomic_write(out) as file:
         file.write(content)
     return names
+
+
+def write_live_project(result: Path, out: Path, address: str) -> None:
+    """Write a project of QGIS (``.qgs``) whose layers are read from the service that has the result.
+
+    Parameters
+    ----------
+    result
+        Result folder with georeference.
+    out
+        File to write.
+    address
+        Of the job, such as ``http://127.0.0.1:8000/api/v1/jobs/ID``.
+
+    Raises
+    ------
+    OutputError
+        `result` is not a result folder, or `out` could not be written.
+    """
+    layers = [(EXPORTS[name], _read(result, name)) for name in _choose(result, None, ".qgz")]
+
+    def source_of(layer: Layer) -> str:
+        path = f"export.geojson?layer={layer.address}" if layer.name in DERIVED else layer.address
+        return f"/vsicurl/{address}/{path}"
+
+    with atomic_write(out) as file:
+        file.write(project(layers, _name_of(result), source_of).encode())
 
 
 def _read(result: Path, name: str) -> Rows:

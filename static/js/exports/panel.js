@@ -27,6 +27,10 @@ const DERIVED = /** @type {Record<string, string>} */ ({
   uncertainty: "Uncertainty, as circles",
 });
 
+const QGZ =
+  "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
+const KMZ = "All layers in one file, with the signs of this page.";
+
 /** @param {HTMLElement} container */
 export function mount(container) {
   /** @type {import("../data/results.js").Result|null} */
@@ -80,6 +84,7 @@ function sections(result, link) {
   const layers = Object.keys(LAYERS).filter((name) => scored || !known.get(name)?.is_osm);
   if (!local) layers.push(...Object.keys(DERIVED));
   const gpkg = `${at}/export.gpkg`;
+  const live = get("project without data", `${at}/export.qgs`, `${slug}.qgs`, { class: "link" });
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
   const whole = address(local ? `${at}/archive.zip` : gpkg);
   return [
@@ -88,6 +93,8 @@ function sections(result, link) {
       "div",
       { class: "row" },
       !local && get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
+      !local && get([icon("download"), "Project for QGIS"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
+      !local && get([icon("download"), "KMZ for Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
     ),
     local &&
@@ -117,7 +124,7 @@ function sections(result, link) {
       el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for everybody who can reach this server."),
     ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
-    !local && resultSection("In QGIS", qgis(address(`${at}/intersections`))),
+    !local && resultSection("In QGIS", qgis(address(`${at}/intersections`), live)),
     scored &&
       !result.isMadeUp &&
       el(
@@ -129,13 +136,22 @@ function sections(result, link) {
   ];
 }
 
-/** @param {string} geojson Address of a layer. */
-function qgis(geojson) {
-  const byHand =
-    "Download the GeoPackage and drag it into QGIS: this server requires a token, which QGIS does not send by itself.";
-  if (getToken()) return el("p", { class: "small" }, byHand);
+/**
+ * @param {string} geojson Address of a layer.
+ * @param {HTMLElement} live Button of the project that reads the layers from the service.
+ */
+function qgis(geojson, live) {
+  const words = "Double-click the project, or drag the GeoPackage into QGIS: the layers are drawn as on this page.";
+  const open = el("p", { class: "small" }, words);
+  if (getToken()) return [open];
   const path = "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:";
-  return [el("p", { class: "small" }, path), codeBox(geojson)];
+  const here = "Without a download, read from this server: the ";
+  return [
+    open,
+    el("p", { class: "small" }, here, live, ", or a layer by "),
+    el("p", { class: "small" }, path),
+    codeBox(geojson),
+  ];
 }
 
 /** @param {string} text */
