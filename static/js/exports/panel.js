@@ -29,7 +29,7 @@ const DERIVED = /** @type {Record<string, string>} */ ({
 
 const QGZ =
   "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
-const KMZ = "All layers in one file, with the signs of this page.";
+const KMZ = "KMZ: all layers in one file, with the signs of this page.";
 
 /** @param {HTMLElement} container */
 export function mount(container) {
@@ -93,8 +93,8 @@ function sections(result, link) {
       "div",
       { class: "row" },
       !local && get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
-      !local && get([icon("download"), "Project for QGIS"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
-      !local && get([icon("download"), "KMZ for Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
+      !local && get([icon("download"), "QGIS project"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
+      !local && get([icon("download"), "Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
     ),
     local &&
