@@ -6,24 +6,19 @@ it without a screen. The pictures go to docs/figures.
 
 from __future__ import annotations
 
-import shlex
 import subprocess
 import tempfile
 from pathlib import Path
 
-from PIL import Image
-
+from docs.screenshots import DEMO, FIGURES, shrink
 from interloc.cli.main import run
 
-FIGURES = Path(__file__).parent / "figures"
 PYTHON = "/usr/bin/python3"
-DEMO = shlex.split("simulate town --part quarter --ground-only --columns 720")
 PAPER = ("--preset", "paper")  # it misses some
-COLOURS = 128  # of the palette of a picture, which makes it a third as large
 
 IN_QGIS = """
 import os, sys
-from qgis.PyQt.QtCore import QSize, Qt
+from qgis.PyQt.QtCore import Qt
 from qgis.PyQt.QtWidgets import QSplitter
 from qgis.core import *
 from qgis.gui import *
@@ -47,8 +42,8 @@ canvas.setLayers([each for each in project.layerTreeRoot().layerOrder()
 window = QSplitter(Qt.Horizontal)
 window.addWidget(tree)
 window.addWidget(canvas)
-window.resize(1200, 700)
-window.setSizes([240, 960])
+window.resize(1060, 600)
+window.setSizes([240, 820])
 window.show()
 
 def take(name, widget):
@@ -84,7 +79,7 @@ def main() -> None:
             assert run([*step, "--quiet"]) == 0
         take(folder / "town.qgz", folder)
         for picture in sorted(folder.glob("qgis_*.png")):
-            Image.open(picture).convert("RGB").quantize(COLOURS).save(FIGURES / picture.name, optimize=True)
+            (FIGURES / picture.name).write_bytes(shrink(picture.read_bytes()))
 
 
 def take(project: Path, folder: Path) -> None:
