@@ -143,15 +143,17 @@ function sections(result, link) {
 function qgis(geojson, live) {
   const words = "Double-click the project, or drag the GeoPackage into QGIS: the layers are drawn as on this page.";
   const open = el("p", { class: "small" }, words);
-  if (getToken()) return [open];
+  if (getToken()) return open;
   const path = "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:";
-  const here = "Without a download, read from this server: the ";
-  return [
-    open,
-    el("p", { class: "small" }, here, live, ", or a layer by "),
-    el("p", { class: "small" }, path),
-    codeBox(geojson),
-  ];
+  const here = el(
+    "p",
+    { class: "small" },
+    "Read from this server, nothing to download: the ",
+    live,
+    ". One layer: ",
+    path,
+  );
+  return el("div", { class: "stack" }, open, el("div", {}, here, codeBox(geojson)));
 }
 
 /** @param {string} text */
