@@ -114,7 +114,7 @@ def _links(job: Job, address: str) -> dict[str, str]:
         return links
     names = ["run", "files", "archive.zip"]
     if summary["georeferenced"]:
-        names += [*_LAYERS, *(f"export{suffix}" for suffix in suffixes_here())]
+        names += [*_LAYERS, *(f"export{suffix}" for suffix in (*suffixes_here(), ".qgs"))]
     else:
         links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
     if summary["report"] is not None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NamedTuple
+from xml.sax.saxutils import escape
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from app.http.delivery import MEDIA_TYPES, deliver
+from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver
 from app.http.openapi import get_and_head
 from app.http.problems import Problem, ProblemDocument
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.routes.results import PROBLEMS, JobId, answers
+from app.work.on_demand import LIVE
 from interloc.output.geoparquet import has_parquet
 from interloc.output.layers import DERIVED
+from interloc.output.vector_files import FORMATS
 
 Layer = Literal[
     "intersections",
@@ -57,7 +60,6 @@ _MAY_BE_MISSING: dict[int | str, dict[str, Any]] = {
 class _Export(NamedTuple):
     summary: str
     description: str
-    layers: Literal["one", "all", "fixed"] = "one"  # all: unless one is named; fixed: no choice
 
 
 _EXPORTS = {
@@ -66,8 +68,17 @@ _EXPORTS = {
         "All layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches. "
         "Also the branches of the intersections as lines, and their uncertainty as circles. EPSG:4326. Lists (bearings "
         "of branches) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with "
-        "data of OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0.",
-        layers="all",
+        "data of OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0. QGIS draws the "
+        "layers as the page does: the table `layer_styles` holds QML and SLD.",
+    ),
+    ".qgz": _Export(
+        "Download the result as a project of QGIS",
+        "All layers in groups, drawn as on the page, with the range of the temporal controller, in one file that also "
+        "holds the data: for QGIS 3.22 and newer.",
+    ),
+    ".kmz": _Export(
+        "Download the result as KMZ",
+        "All layers in one file for Google Earth, with the signs of the page; keyframes are hidden at first.",
     ),
     ".fgb": _Export("Download a layer as FlatGeobuf", "One layer as FlatGeobuf: compact, with a spatial index."),
     ".kml": _Export("Download a layer as KML", "One layer as KML, for Google Earth."),
@@ -89,12 +100,10 @@ _EXPORTS = {
         "All layers as Mapbox Vector Tiles in one PMTiles archive (version 3), which web maps read by byte ranges: "
         "zooms 0 to 15; what is more than intersections and trajectory begins at zoom 12. Its metadata name layers, "
         "fields, attribution and licence.",
-        layers="all",
     ),
     ".gpx": _Export(
         "Download the track as GPX",
         "The track with its times, where the drive has times of day, and the intersections as waypoints. GPX 1.1.",
-        layers="fixed",
     ),
 }
 
@@ -109,7 +118,10 @@ def _add_export(suffix: str) -> None:
     ) -> Response:
         return await _deliver(request, results, on_demand, job_id, suffix, layer)
 
-    async def export_all(
+    async def export_all(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
+        return await _deliver(request, results, on_demand, job_id, suffix, None)
+
+    async def export_any(
         job_id: JobId,
         request: Request,
         results: ResultsDep,
@@ -117,9 +129,6 @@ def _add_export(suffix: str) -> None:
         layer: Annotated[Layer | None, Query(description="Layer to export; all by default.")] = None,
     ) -> Response:
         return await _deliver(request, results, on_demand, job_id, suffix, layer)
-
-    async def export_fixed(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
-        return await _deliver(request, results, on_demand, job_id, suffix, None)
 
     export = _EXPORTS[suffix]
     content = _CONTENT.get(suffix, {"type": "string", "format": "binary"})
@@ -135,11 +144,36 @@ def _add_export(suffix: str) -> None:
             **_PROBLEMS,
             **(_MAY_BE_MISSING if suffix == ".parquet" else {}),
         },
-    )({"one": export_layer, "all": export_all, "fixed": export_fixed}[export.layers])
+    )({"one": export_layer, "all": export_all, "any": export_any}[FORMATS[suffix].layers])
 
 
 for _suffix in _EXPORTS:
     _add_export(_suffix)
+
+
+@get_and_head(
+    router,
+    "/jobs/{job_id}/export.qgs",
+    summary="Download a project of QGIS that reads the layers from here",
+    operation_id="export_qgs",
+    response_class=Response,
+    responses={**answers(MEDIA_TYPES[".qgs"], {"type": "string"}, "The file."), **_PROBLEMS},
+)
+async def export_live_project(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
+    """Give the project of `export.qgz` without the data: QGIS reads the layers from the addresses of this service.
+
+    For a service without a token, which QGIS does not send for such layers.
+    """
+    result = await run_in_threadpool(results.open, job_id)
+    path = result.cache / "exports" / "all.qgs"
+    if not path.exists():
+        result.require_georeference(f"Its files are in {result.address}/files")
+        await on_demand.export(result, path, None, request.state.holder.name)
+    text = await run_in_threadpool(path.read_text, "utf-8")
+    address = escape(f"{str(request.base_url).rstrip('/')}{result.address}", {'"': "&quot;"})
+    name = f'attachment; filename="{result.slug}.qgs"'
+    content = text.replace(LIVE, address).encode()
+    return answer_tagged(request, content, MEDIA_TYPES[".qgs"], **{"content-disposition": name})
 
 
 async def _deliver(

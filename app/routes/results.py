@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -14,13 +15,16 @@ from app.http.headers import prefers_html
 from app.http.openapi import get_and_head, headers_named
 from app.http.parameters import BoxFilter
 from app.http.problems import ProblemDocument
-from app.results.folder import ResultsDep
+from app.results.folder import Result, ResultsDep
 from app.results.selection import MAX_FEATURES, select_features
 from app.schemas.features import MEDIA_TYPE as GEOJSON
 from app.schemas.features import collection_model
 from app.schemas.results import ResultFile, ResultFileList
 from app.schemas.strict import ID_PATTERN
+from interloc.errors import OutputError
+from interloc.files import atomic_write
 from interloc.output.layers import LAYERS, Layer
+from interloc.output.qml import qml
 
 JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID_PATTERN)]
 
@@ -198,7 +202,7 @@ def read_result_file(
     responses=answers("application/zip", {"type": "string", "format": "binary"}, "The result folder, packed."),
 )
 def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Response:
-    """Give the whole result folder as a .zip, packed while it is sent."""
+    """Give the whole result folder as a .zip, packed while it is sent; beside each layer its style for QGIS (.qml)."""
     result = results.open(job_id)
     folder = f"{result.slug}-{job_id}"
     archive = ZipStream(compress_type=ZIP_DEFLATED)
@@ -209,6 +213,10 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
         files.append((name.as_posix(), stat.st_mtime_ns, stat.st_size))
         compress_type = ZIP_STORED if name.suffix in _PACKED else ZIP_DEFLATED
         archive.add_path(path, f"{folder}/{name.as_posix()}", compress_type=compress_type)
+        style = _style_of(result, name)
+        if style is not None:
+            files.append((style.name, style.stat().st_mtime_ns, style.stat().st_size))
+            archive.add_path(style, f"{folder}/{name.with_suffix('.qml').as_posix()}")
     headers = {
         "etag": f'"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
         "cache-control": REVALIDATE,
@@ -217,3 +225,19 @@ def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Re
     known = not_modified(request, headers)
     content = () if request.method == "HEAD" else archive
     return known or StreamingResponse(content, headers=headers, media_type="application/zip")
+
+
+def _style_of(result: Result, name: FilePath) -> FilePath | None:
+    """Return the style of a layer for QGIS, a file with a time of its own: the same archive has the same bytes."""
+    layer = LAYERS.get(name.name.split(".", 1)[0]) if name.suffix in {".geojson", ".json"} else None
+    if layer is None:
+        return None
+    path, content = result.cache / "styles" / f"{layer.name}.qml", qml(layer).encode()
+    try:
+        if not path.exists() or path.read_bytes() != content:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(path) as file:
+                file.write(content)
+    except (OSError, OutputError):  # as on a full disk
+        return None
+    return path

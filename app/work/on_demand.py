@@ -19,13 +19,16 @@ from interloc.drives.labels import LabelJudgement
 from interloc.drives.options import LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced_format import ReducedLabels
 from interloc.files import atomic_folder, atomic_write
-from interloc.output.vector_files import write_vector_file
+from interloc.output.vector_files import write_live_project, write_vector_file
 from interloc.reduction.plan import ReductionPlan, judge_counts, plan_reduction
 
 VIEW = "view.json"
 """File with the place of pictures and the numbers behind them; it is written last."""
 
 ROAD_PICTURE = "road.png"
+
+LIVE = "http://service.invalid/job"
+"""What stands in a project of QGIS for the address of its job, which depends on how the service is reached."""
 
 _KEPT = 300  # keyframes per job whose pictures are kept, about 100 kB each
 
@@ -83,7 +86,10 @@ def _forget_oldest(views: Path) -> None:
 def write_export(folder: Path, path: Path, layer: str | None) -> None:
     """Write a layer of a result, or all of them, as a file for other programs; its suffix says which format."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_vector_file(folder, path, layer=layer)
+    if path.suffix == ".qgs":
+        write_live_project(folder, path, LIVE)
+    else:
+        write_vector_file(folder, path, layer=layer)
 
 
 def draw_road_picture(result: Path, folder: Path) -> None:

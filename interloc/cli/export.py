@@ -9,31 +9,34 @@ import click
 from interloc.cli import console, options
 
 
-@click.command(short_help="Write a result for GIS, web maps, spreadsheets or navigation devices.")
+@click.command(short_help="Write a result as GeoPackage, project of QGIS, KMZ, PMTiles, CSV and other formats.")
 @click.argument("result", type=click.Path(path_type=Path))
 @click.option(
     "-o",
     "--out",
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
-    help="File to write; its name ends in .gpkg, .fgb, .kml, .csv, .geojson, .parquet, .pmtiles or .gpx, or in .tif "
-    "for the layer road.",
+    help="File to write; its name ends in .gpkg, .qgz, .kmz, .fgb, .kml, .csv, .geojson, .parquet, .pmtiles or .gpx, "
+    "or in .tif for the layer road.",
 )
 @click.option(
     "--layer",
     help="Only this layer, such as detections or road; also branches and uncertainty, made of the intersections. "
-    "[default: all in a .gpkg or .pmtiles, track and intersections in a .gpx, road in a .tif, else intersections]",
+    "[default: all in a .gpkg, .qgz, .kmz or .pmtiles, track and intersections in a .gpx, road in a .tif, else "
+    "intersections]",
 )
 @options.QUIET
 @options.JSON
 def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bool) -> None:
     """Write RESULT, the result folder of `interloc detect` or `run`, as one file for other programs.
 
-    The layer road is the road seen by LiDAR, a raster; it needs no georeference.
+    A .qgz is a project of QGIS with its data inside, a .kmz is for Google Earth; both, and QGIS with a .gpkg, draw the
+    layers as the page does. The layer road is the road seen by LiDAR, a raster; it needs no georeference.
 
     \b
     Example:
       interloc export out -o out.gpkg
+      interloc export out -o out.qgz
       interloc export out -o matches.kml --layer matches
       interloc export out -o intersections.csv
       interloc export out -o map.pmtiles

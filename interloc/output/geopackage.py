@@ -1,6 +1,7 @@
-"""What a GeoPackage says about its layers and fields beside the rows: titles, meanings, licence, the run.
+"""What a GeoPackage says about its layers and fields beside the rows: titles, meanings, licence, the run, styles.
 
-Tables of the standard (annexes F.6 metadata and F.9 schema) that GDAL's writer leaves out are added by SQL.
+Tables of the standard (annexes F.6 metadata and F.9 schema) that GDAL's writer leaves out are added by SQL, and the
+table in which QGIS keeps styles.
 """
 
 from __future__ import annotations
@@ -8,10 +9,11 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 from interloc.output.credits import Credit
 from interloc.output.layers import Layer
+from interloc.output.qml import metadata, qml
+from interloc.output.sld import sld
 
 _JSON_URI = "https://www.rfc-editor.org/rfc/rfc8259"
 _QGIS_URI = "http://mrcc.com/qgis.dtd"
@@ -37,6 +39,13 @@ CREATE TABLE IF NOT EXISTS gpkg_metadata_reference (
   timestamp DATETIME NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')), md_file_id INTEGER NOT NULL,
   md_parent_id INTEGER, CONSTRAINT crmr_mfi_fk FOREIGN KEY (md_file_id) REFERENCES gpkg_metadata(id),
   CONSTRAINT crmr_mpi_fk FOREIGN KEY (md_parent_id) REFERENCES gpkg_metadata(id));
+CREATE TABLE IF NOT EXISTS layer_styles (
+  id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256), f_table_schema TEXT(256),
+  f_table_name TEXT(256), f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT, styleSLD TEXT,
+  useAsDefault BOOLEAN, description TEXT, owner TEXT(30), ui TEXT(30), update_time DATETIME DEFAULT
+  (strftime('%Y-%m-%dT%H:%M:%fZ','now')));
+INSERT OR REPLACE INTO gpkg_contents (table_name, data_type, identifier, description)
+  VALUES ('layer_styles', 'attributes', 'layer_styles', 'How QGIS draws the layers.');
 """
 
 _SCHEMA, _METADATA = (f"http://www.geopackage.org/spec121/#extension_{name}" for name in ("schema", "metadata"))
@@ -84,9 +93,15 @@ def describe(database: Path, layers: Sequence[tuple[Layer, Credit]], run: str) -
                     for each in layer.attributes
                 ],
             )
+            connection.executemany(
+                "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column, "
+                "styleName, styleQML, styleSLD, useAsDefault, description, owner) "
+                "VALUES ('', '', ?, 'geom', 'InterLoc', ?, ?, 1, ?, '')",
+                [(layer.name, qml(layer), sld(layer), layer.title) for layer, _ in layers],
+            )
             _add_metadata(connection, None, _JSON_URI, "application/json", run)
             for layer, credit in layers:
-                _add_metadata(connection, layer.name, _QGIS_URI, "text/xml", _qgis_metadata(layer, credit))
+                _add_metadata(connection, layer.name, _QGIS_URI, "text/xml", metadata(layer, credit))
     finally:
         connection.close()
 
@@ -100,18 +115,3 @@ def _add_metadata(connection: sqlite3.Connection, table: str | None, uri: str, m
         "INSERT INTO gpkg_metadata_reference (reference_scope, table_name, md_file_id) VALUES (?, ?, ?)",
         ("geopackage" if table is None else "table", table, cursor.lastrowid),
     )
-
-
-def _qgis_metadata(layer: Layer, credit: Credit) -> str:
-    root = ET.Element("qgis", version="3.22")
-    for tag, text in (
-        ("identifier", layer.name),
-        ("type", "dataset"),
-        ("title", layer.title),
-        ("abstract", layer.description),
-        ("rights", credit.attribution),
-        ("license", credit.license),
-    ):
-        if text is not None:
-            ET.SubElement(root, tag).text = text
-    return ET.tostring(root, encoding="unicode")

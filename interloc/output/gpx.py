@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from gpxpy.gpx import GPXTrack, GPXWaypoint
 
 GPX_LAYERS = ("trajectory", "intersections")
-"""What a GPX file can hold."""
+"""What a GPX file holds."""
 
 
-def write_gpx(drive: str, *, track: tuple[Rows, Rows] | None, waypoints: Rows | None) -> str:
+def write_gpx(drive: str, track: tuple[Rows, Rows], intersections: Rows) -> str:
     """Return the text of a GPX file.
 
     Parameters
@@ -25,20 +25,18 @@ def write_gpx(drive: str, *, track: tuple[Rows, Rows] | None, waypoints: Rows | 
     track
         The layers `trajectory` and `keyframes` of a result with longitude and latitude. Where keyframes have a time of
         day they are the points of the track, each with its time; otherwise the line of the trajectory is it.
-    waypoints
-        The layer `intersections`.
+    intersections
+        The layer of this name; they are the waypoints.
     """
     from gpxpy.gpx import GPX  # noqa: PLC0415 - needed for this alone
 
-    credit = joint_credit(rows.credit for rows in (*(track or ()), waypoints) if rows is not None)
+    credit = joint_credit(rows.credit for rows in (*track, intersections))
     gpx = GPX()
     gpx.creator, gpx.name, gpx.description = "InterLoc", drive, credit.attribution
     if credit.license is not None:
         gpx.copyright_author, gpx.copyright_license = "OpenStreetMap contributors", credit.license
-    if waypoints is not None:
-        gpx.waypoints = _waypoints(waypoints)
-    if track is not None:
-        gpx.tracks = [_track(drive, *track)]
+    gpx.waypoints = _waypoints(intersections)
+    gpx.tracks = [_track(drive, *track)]
     return gpx.to_xml(version="1.1") + "\n"
 
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
 from interloc.files import atomic_write, reason_of
@@ -26,18 +26,43 @@ from interloc.output.geojson import cut, read_file, read_json, write_collection
 from interloc.output.geopackage import describe
 from interloc.output.geoparquet import has_parquet, parquet_bytes, require_parquet
 from interloc.output.gpx import GPX_LAYERS, write_gpx
+from interloc.output.kml import NAMES, pack_kmz, style_kml
 from interloc.output.layers import DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names
+from interloc.output.qgis_project import project, write_qgz
 from interloc.output.vector_tiles import TiledLayer, write_tiles
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
 """Suffix -> driver of GDAL."""
 
-SUFFIXES = (*DRIVERS, ".csv", ".geojson", ".parquet", ".pmtiles", ".gpx")
-"""A GeoPackage and PMTiles hold all layers, a GPX file the track and the intersections, the others one layer."""
 
-_WHOLE = {".gpkg", ".pmtiles"}
-_NEED_PLACE = {".kml": "KML", ".pmtiles": "PMTiles", ".gpx": "GPX"}
+class Format(NamedTuple):
+    """What a file of a format holds.
+
+    Attributes
+    ----------
+    layers : {"one", "any", "all"}
+        One layer; all, unless one is named; or always all that belong into it.
+    only_on_earth : str
+        Its name, where it knows longitude and latitude only.
+    """
+
+    layers: Literal["one", "any", "all"] = "one"
+    only_on_earth: str = ""
+
+
+FORMATS = {
+    ".gpkg": Format("any"),
+    ".qgz": Format("all"),
+    ".fgb": Format(),
+    ".kml": Format("one", "KML"),
+    ".kmz": Format("any", "KML"),
+    ".csv": Format(),
+    ".geojson": Format(),
+    ".parquet": Format(),
+    ".pmtiles": Format("any", "PMTiles"),
+    ".gpx": Format("all", "GPX"),
+}
 
 EXPORTS = LAYERS | DERIVED
 
@@ -57,9 +82,6 @@ _DTYPES = {
 }
 """Kind of a property -> column of pandas; those with a capital letter and the objects know null."""
 
-_KML_NAMES = {"id": "number", "name": "street", "time": "timestamp", "first_time": "begin", "last_time": "end"}
-"""Properties that mean something else in KML, or something that KML has a name for -> what they are called there."""
-
 _FORMULA = re.compile(r"[=+\-@\t\r](?![\d.,+-]*$)")
 """Start of a text that spreadsheets would run; plain numbers are harmless."""
 
@@ -72,10 +94,10 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     result
         Result folder. One without georeference is written in metres of its own frame, without a coordinate system.
     out
-        Its suffix, one of `SUFFIXES`, says the format; an older file of that name is replaced.
+        Its suffix, one of `FORMATS`, says the format; an older file of that name is replaced.
     layer : str or None
-        One of `EXPORTS`; in GPX one of `GPX_LAYERS`. None: all layers of the result in a GeoPackage and in PMTiles,
-        those two in GPX, else the intersections.
+        One of `EXPORTS`. None: all layers of the result where the format holds several (in GPX track and
+        intersections), else the intersections.
 
     Returns
     -------
@@ -85,54 +107,83 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     Raises
     ------
     ConfigError
-        The format or the layer is unknown, or the result has no such layer because it was not evaluated; or
-        GeoParquet is asked for without the extra ``parquet``.
+        The format or the layer is unknown, the result has no such layer because it was not evaluated, a format
+        that holds all was to hold one, or GeoParquet is asked for without the extra ``parquet``.
     GeoreferenceError
         The result is in local metres, and is to be written as KML, PMTiles or GPX.
     OutputError
         `result` is not a result folder, or `out` could not be written.
     """
     suffix = out.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(SUFFIXES)}.")
+    if suffix not in FORMATS:
+        raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}.")
     if suffix == ".parquet":
         require_parquet()
     names = _choose(result, layer, suffix)
     layers = [(EXPORTS[name], _read(result, name)) for name in names]
-    if suffix == ".gpkg":
-        _write_database(out, layers, read_file(result / RUN_FILE).decode())
-        return names
-    drive = str(read_json(result / RUN_FILE).get("drive_name", result.name))
-    if suffix == ".pmtiles":
+    if suffix in {".gpkg", ".qgz"}:
+        _write_database(out, layers, read_file(result / RUN_FILE).decode(), _name_of(result))
+    elif suffix == ".pmtiles":
         tiled = [TiledLayer(each, rows.credit, _table_of_texts(each, rows)) for each, rows in layers]
         with _folder_beside(out) as folder, atomic_write(out) as file:
-            write_tiles(file, drive, tiled, folder)
-        return names
-    if suffix == ".gpx":
-        found = dict(zip(names, (rows for _, rows in layers), strict=True))
-        track = (found["trajectory"], _read(result, "keyframes")) if "trajectory" in found else None
-        with atomic_write(out) as file:
-            file.write(write_gpx(drive, track=track, waypoints=found.get("intersections")).encode())
-        return names
-    ((only, rows),) = layers
-    if suffix == ".geojson":
+            write_tiles(file, _name_of(result), tiled, folder)
+    elif suffix == ".geojson":
+        ((only, rows),) = layers
         write_collection(out, _features(only, rows), local=_in_metres(rows), credit=rows.credit)
-        return names
-    buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
-    if suffix == ".csv":
-        buffer.write(_csv(only, rows).encode())
-    elif suffix == ".parquet":
-        buffer.write(parquet_bytes(_table(only, rows), only.description, rows.credit))
     else:
-        _write_layer(buffer, DRIVERS[suffix], only, rows)
-    with atomic_write(out) as file:
-        file.write(buffer.getvalue())
+        content = _content(result, suffix, layers)
+        with atomic_write(out) as file:
+            file.write(content)
     return names
 
 
+def _content(result: Path, suffix: str, layers: list[tuple[Layer, Rows]]) -> bytes:
+    """Return a file that is made in memory."""
+    if suffix == ".kmz":
+        return pack_kmz([(_kml(each, rows), each, rows) for each, rows in layers], _name_of(result))
+    if suffix == ".gpx":
+        (_, track), (_, intersections) = layers
+        return write_gpx(_name_of(result), (track, _read(result, "keyframes")), intersections).encode()
+    ((only, rows),) = layers
+    if suffix == ".csv":
+        return _csv(only, rows).encode()
+    if suffix == ".kml":
+        return style_kml(_kml(only, rows), only, rows)
+    if suffix == ".parquet":
+        return parquet_bytes(_table(only, rows), only.description, rows.credit)
+    return _layer_bytes(DRIVERS[suffix], only, rows)
+
+
 def suffixes_here() -> list[str]:
-    """Return those of `SUFFIXES` that this installation writes."""
-    return [suffix for suffix in SUFFIXES if suffix != ".parquet" or has_parquet()]
+    """Return those of `FORMATS` that this installation writes."""
+    return [suffix for suffix in FORMATS if suffix != ".parquet" or has_parquet()]
+
+
+def write_live_project(result: Path, out: Path, address: str) -> None:
+    """Write a project of QGIS (``.qgs``) whose layers are read from the service that has the result.
+
+    Parameters
+    ----------
+    result
+        Result folder with georeference.
+    out
+        File to write.
+    address
+        Of the job, such as ``http://127.0.0.1:8000/api/v1/jobs/ID``.
+
+    Raises
+    ------
+    OutputError
+        `result` is not a result folder, or `out` could not be written.
+    """
+    layers = [(EXPORTS[name], _read(result, name)) for name in _choose(result, None, ".qgz")]
+
+    def source_of(layer: Layer) -> str:
+        path = f"export.geojson?layer={layer.address}" if layer.name in DERIVED else layer.address
+        return f"/vsicurl/{address}/{path}"
+
+    with atomic_write(out) as file:
+        file.write(project(layers, _name_of(result), source_of).encode())
 
 
 def _read(result: Path, name: str) -> Rows:
@@ -141,17 +192,26 @@ def _read(result: Path, name: str) -> Rows:
     return LAYERS[name].read(_file_of(result, name))
 
 
+def _name_of(result: Path) -> str:
+    """Return the name of the drive."""
+    run = read_json(result / RUN_FILE)
+    return str(run.get("drive_name") or run.get("drive") or result.resolve().name)
+
+
 def _in_metres(rows: Rows) -> bool:
     return rows.path.name in file_names(georeferenced=False).values()
 
 
-def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str) -> None:
-    """Write a GeoPackage: SQLite needs a file that it can seek in, and others beside it."""
+def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str, name: str) -> None:
+    """Write a GeoPackage or the project around it: SQLite needs a file to seek in, and others beside it."""
     with _folder_beside(out) as folder:
-        database = folder / out.name
+        database = folder / "result.gpkg"
         for number, (layer, rows) in enumerate(layers):
             _write_layer(database, "GPKG", layer, rows, append=number > 0)
         describe(database, [(layer, rows.credit) for layer, rows in layers], run)
+        if out.suffix.lower() == ".qgz":
+            data, database = database, database.with_name("project")
+            write_qgz(database, data, layers, name, local=_in_metres(layers[0][1]))
         with database.open("rb") as file:
             os.fsync(file.fileno())
         database.replace(out)
@@ -177,20 +237,20 @@ def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     if wanted is not None and wanted not in EXPORTS:
         raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}.")
     local = is_local(result)
-    if local and suffix in _NEED_PLACE:
+    if local and FORMATS[suffix].only_on_earth:
         raise GeoreferenceError(
-            f"{result} is in metres of its own frame, and {_NEED_PLACE[suffix]} knows longitude and latitude only: the "
-            f"drive has no georeference. {PLACE_IT}, or write a .gpkg or .fgb, in metres."
+            f"{result} is in metres of its own frame, and {FORMATS[suffix].only_on_earth} knows longitude and latitude "
+            f"only: the drive has no georeference. {PLACE_IT}, or write a .gpkg or .fgb, in metres."
         )
-    if suffix == ".gpx" and wanted not in {None, *GPX_LAYERS}:
-        raise ConfigError(f"A GPX file has no layer {wanted}. Expected {' or '.join(GPX_LAYERS)}, or none for both.")
     there = [name for name in LAYERS if _file_of(result, name).exists()]
     if not local:
         there += DERIVED
+    if suffix == ".gpx":
+        there = list(GPX_LAYERS)
     if wanted is None:
-        if suffix == ".gpx":
-            return list(GPX_LAYERS)
-        return there if suffix in _WHOLE else ["intersections"]
+        return ["intersections"] if FORMATS[suffix].layers == "one" else there
+    if FORMATS[suffix].layers == "all":
+        raise ConfigError(f"A {suffix} file holds {', '.join(there)}; leave --layer out, or write a .gpkg.")
     if wanted not in there:
         raise ConfigError(f"{result} has no {wanted}.geojson. {_why_missing(result, wanted)}")
     return [wanted]
@@ -217,13 +277,24 @@ def _file_of(result: Path, name: str) -> Path:
     return local if local.is_file() else result / f"{name}.geojson"
 
 
+def _kml(layer: Layer, rows: Rows) -> bytes:
+    """Return a layer as GDAL writes it."""
+    return _layer_bytes(DRIVERS[".kml"], layer, rows)
+
+
+def _layer_bytes(driver: str, layer: Layer, rows: Rows) -> bytes:
+    buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
+    _write_layer(buffer, driver, layer, rows)
+    return buffer.getvalue()
+
+
 def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows, *, append: bool = False) -> None:
     """Write a layer, or add it to a file."""
     table = _table(layer, rows)
     if driver == "LIBKML":  # what Google Earth shows beside the point
         # GDAL's KML driver writes integers of 64 bits as text.
         small = {name: "Int32" for name, kind in layer.fields.items() if kind == "int" and name != "osm_id"}
-        table = table.astype(small).rename(columns=_KML_NAMES)
+        table = table.astype(small).rename(columns=NAMES)
         table.insert(0, "Name", [layer.label.format(**vars(feature.properties)) for feature in rows.features])
     told = f"{layer.description} {rows.credit.attribution}"
     title = {"GPKG": "IDENTIFIER", "FlatGeobuf": "TITLE", "LIBKML": "NAME"}[driver]

@@ -13,7 +13,7 @@ def test_a_result_as_one_file_for_gis(drive: Path, osm: Path, tmp_path: Path, in
     assert interloc("run", drive, "-o", out, "--osm", osm, "--quiet").code == 0
     told = interloc("export", out, "-o", tmp_path / "out.gpkg", "--json").json
     assert told["layers"][:5] == ["intersections", "detections", "trajectory", "keyframes", "osm_nodes"]
-    assert pyogrio.list_layers(tmp_path / "out.gpkg")[:, 0].tolist() == told["layers"]
+    assert pyogrio.list_layers(tmp_path / "out.gpkg")[:, 0].tolist() == [*told["layers"], "layer_styles"]
     said = interloc("export", out, "-o", tmp_path / "matches.kml", "--layer", "matches")
     assert (said.code, said.out.splitlines()[-1].split()) == (0, ["layers", "matches"])
     assert (tmp_path / "matches.kml").read_bytes().startswith(b"<?xml")
@@ -39,5 +39,6 @@ def test_complaints_in_one_line(local_drive: Path, tmp_path: Path, interloc: Cal
         "detections",
         "trajectory",
         "keyframes",
+        "layer_styles",
     ]
     assert pyogrio.read_info(tmp_path / "out.gpkg", layer="detections")["crs"] in {None, 'LOCAL_CS["Undefined SRS"]'}

@@ -1,12 +1,27 @@
-"""A result that can be checked by eye."""
+"""A result that can be checked by eye, and its map."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
+from interloc.evaluation.evaluate import evaluate
+from interloc.evaluation.report import write_report
+from interloc.osm.reader import read_osm
+from interloc.output.write import write_results
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+
+TIME_S = np.array([1317386459.1234, 1317386461.0])
+
+MAP = """<osm version="0.6"><bounds minlat="49.0" minlon="8.41" maxlat="49.03" maxlon="8.44"/>
+<node id="9000000001" lat="49.0110001" lon="8.4205001"/><node id="2" lat="49.012" lon="8.4205"/>
+<node id="3" lat="49.011" lon="8.422"/><node id="4" lat="49.011" lon="8.419"/>
+<way id="10"><nd ref="4"/><nd ref="9000000001"/><nd ref="3"/><tag k="highway" v="residential"/></way>
+<way id="11"><nd ref="9000000001"/><nd ref="2"/><tag k="highway" v="tertiary"/>
+<tag k="name" v="Straße &amp; Weg"/></way>
+</osm>"""
 
 
 def small_result(*, local: bool = False, empty: bool = False) -> DriveResult:
@@ -50,3 +65,13 @@ def small_result(*, local: bool = False, empty: bool = False) -> DriveResult:
         trajectory_lonlat=None if local else fixes,
         run={"config": {"preset": "paper"}, "peak_memory_mb": 12.5},
     )
+
+
+def write_folder(folder: Path, result: DriveResult, *, scored: bool, osm: str = MAP) -> Path:
+    """Write a result folder; its map, where it is scored, goes beside it."""
+    write_results(result, folder)
+    if scored:
+        (folder.parent / "map.osm").write_text(osm)
+        graph = read_osm(folder.parent / "map.osm")
+        write_report(evaluate(result, graph), folder)
+    return folder

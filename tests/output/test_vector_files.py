@@ -7,6 +7,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import zipfile
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -24,37 +25,14 @@ import pytest
 import shapely
 
 from interloc.errors import ConfigError, GeoreferenceError, OutputError
-from interloc.evaluation.evaluate import evaluate
-from interloc.evaluation.report import write_report
-from interloc.osm.reader import read_osm
 from interloc.output.credits import ODBL, OSM_ATTRIBUTION
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
 from interloc.output.vector_files import EXPORTS, write_vector_file
-from interloc.output.write import write_results
-from interloc.results import DriveResult
-from tests.output.small import small_result
+from tests.output.small import MAP, TIME_S, small_result, write_folder
 
 FILES = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes", "matches", "osm_roads"]
 DERIVED = ["branches", "uncertainty"]
-TIME_S = np.array([1317386459.1234, 1317386461.0])
-
-MAP = """<osm version="0.6"><bounds minlat="49.0" minlon="8.41" maxlat="49.03" maxlon="8.44"/>
-<node id="9000000001" lat="49.0110001" lon="8.4205001"/><node id="2" lat="49.012" lon="8.4205"/>
-<node id="3" lat="49.011" lon="8.422"/><node id="4" lat="49.011" lon="8.419"/>
-<way id="10"><nd ref="4"/><nd ref="9000000001"/><nd ref="3"/><tag k="highway" v="residential"/></way>
-<way id="11"><nd ref="9000000001"/><nd ref="2"/><tag k="highway" v="tertiary"/>
-<tag k="name" v="Straße &amp; Weg"/></way>
-</osm>"""
-
-
-def write_folder(folder: Path, result: DriveResult, *, scored: bool, osm: str = MAP) -> Path:
-    write_results(result, folder)
-    if scored:
-        (folder.parent / "map.osm").write_text(osm)
-        graph = read_osm(folder.parent / "map.osm")
-        write_report(evaluate(result, graph), folder)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +76,7 @@ def assert_same(properties: dict[str, Any], row: dict[str, Any]) -> None:
 
 def test_a_geopackage_holds_all_layers_of_the_result(scored: Path, tmp_path: Path) -> None:
     assert write_vector_file(scored, tmp_path / "a.gpkg") == [*FILES, *DERIVED]
-    assert pyogrio.list_layers(tmp_path / "a.gpkg")[:, 0].tolist() == [*FILES, *DERIVED]
+    assert pyogrio.list_layers(tmp_path / "a.gpkg")[:, 0].tolist() == [*FILES, *DERIVED, "layer_styles"]
     for layer in FILES:
         assert pyogrio.read_info(tmp_path / "a.gpkg", layer=layer)["crs"] == "EPSG:4326"
         rows, geometries = rows_of(tmp_path / "a.gpkg", layer)
@@ -166,7 +144,7 @@ def test_nothing_found_gives_layers_with_their_fields(tmp_path: Path) -> None:
 def test_a_name_may_use_hyphens_and_an_older_file_is_replaced(scored: Path, tmp_path: Path) -> None:
     (tmp_path / "a.gpkg").write_text("something else")
     assert write_vector_file(scored, tmp_path / "a.gpkg", layer="osm-nodes") == ["osm_nodes"]
-    assert pyogrio.list_layers(tmp_path / "a.gpkg")[:, 0].tolist() == ["osm_nodes"]
+    assert pyogrio.list_layers(tmp_path / "a.gpkg")[:, 0].tolist() == ["osm_nodes", "layer_styles"]
     assert [path.name for path in tmp_path.iterdir()] == ["a.gpkg"]
 
 
@@ -277,13 +255,13 @@ def test_gpx_is_the_track_with_times_and_the_intersections(scored: Path, tmp_pat
     assert [[each.longitude, each.latitude] for each in points] == [f["geometry"]["coordinates"] for f in keyframes]
     assert [each.time.timestamp() for each in points] == pytest.approx(TIME_S, abs=1e-3)
     timeless = write_folder(tmp_path / "out", small_result(), scored=False)
-    assert write_vector_file(timeless, path, layer="trajectory") == ["trajectory"]
+    write_vector_file(timeless, path)
     gpx = gpxpy.parse(path.read_text())
     (line,) = features(timeless, "trajectory", tmp_path)
     points = gpx.tracks[0].segments[0].points
     assert [[each.longitude, each.latitude] for each in points] == line["geometry"]["coordinates"]
-    assert (points[0].time, gpx.waypoints, gpx.copyright_license) == (None, [], None)
-    with pytest.raises(ConfigError, match=r"no layer matches\. Expected trajectory or intersections"):
+    assert (points[0].time, gpx.copyright_license) == (None, None)
+    with pytest.raises(ConfigError, match=r"A \.gpx file holds trajectory, intersections; leave --layer out"):
         write_vector_file(scored, path, layer="matches")
 
 
@@ -341,6 +319,11 @@ def test_a_made_up_map_is_not_of_openstreetmap(tmp_path: Path) -> None:
         assert ("made up" in path.read_text()) == (path.stem not in {"trajectory", "keyframes"})
     write_vector_file(folder, tmp_path / "a.gpkg")
     assert b"contributors" not in (tmp_path / "a.gpkg").read_bytes()
+    write_vector_file(folder, tmp_path / "a.qgz")
+    with zipfile.ZipFile(tmp_path / "a.qgz") as archive:
+        project = archive.read("project.qgs")
+    assert b"made up by a simulator" in project
+    assert b"contributors" not in project
 
 
 # other programs ------------------------------------------------------------------------------------------------------
@@ -362,47 +345,6 @@ def test_gdal_of_the_system_reads_it_without_a_warning(scored: Path, tmp_path: P
             ["ogrinfo", "-ro", "-so", tmp_path / "a.gpkg", "intersections"], check=True, capture_output=True, text=True
         ).stdout
     )
-
-
-_IN_QGIS = """
-import json, os, sys
-from qgis.core import QgsApplication, QgsVectorLayer
-app = QgsApplication([], False)
-app.initQgis()
-told = {}
-for name in sys.argv[2:]:
-    layer = QgsVectorLayer(f"{sys.argv[1]}|layername={name}", name, "ogr")
-    about = layer.metadata()
-    told[name] = {
-        "valid": layer.isValid(), "features": layer.featureCount(), "crs": layer.crs().authid(),
-        "title": about.title(), "abstract": about.abstract(), "rights": about.rights(), "licenses": about.licenses(),
-        "types": {field.name(): field.typeName() for field in layer.fields()},
-    }
-print(json.dumps(told), flush=True)
-os._exit(0)  # without a word to the layers, which would outlive what they are part of
-"""
-
-
-def test_qgis_reads_layers_fields_and_licence(scored: Path, tmp_path: Path) -> None:
-    python = "/usr/bin/python3"
-    if subprocess.run([python, "-c", "import qgis.core"], check=False, capture_output=True).returncode:
-        pytest.skip("QGIS for Python (Debian: python3-qgis) is not installed")
-    write_vector_file(scored, tmp_path / "a.gpkg")
-    environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "QT_QPA_PLATFORM": "offscreen"}
-    command = [python, "-c", _IN_QGIS, tmp_path / "a.gpkg", *FILES, *DERIVED]
-    outcome = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
-    assert outcome.returncode == 0, outcome.stderr
-    told = json.loads(outcome.stdout.splitlines()[-1])
-    for name, layer in told.items():
-        assert (layer["valid"], layer["crs"], layer["features"] > 0) == (True, "EPSG:4326", True)
-        assert (layer["title"], layer["abstract"]) == (EXPORTS[name].title, EXPORTS[name].description)
-        assert set(EXPORTS[name].fields) <= set(layer["types"])
-    assert told["intersections"]["rights"] == told["osm_roads"]["rights"]
-    assert OSM_ATTRIBUTION in told["osm_roads"]["rights"][0]
-    assert told["osm_roads"]["licenses"] == [ODBL]
-    assert told["trajectory"]["licenses"] == []
-    types = told["detections"]["types"]
-    assert (types["time"], types["osm_id"], types["error_m"]) == ("DateTime", "Integer64", "Real")
 
 
 @pytest.mark.parametrize("suffix", [".gpkg", ".fgb", ".kml", ".csv", ".pmtiles"])

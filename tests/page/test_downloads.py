@@ -110,13 +110,21 @@ def test_each_layer_comes_in_each_format_with_all_its_features(opened: Open, tmp
 def test_the_geopackage_and_the_archive_hold_everything(opened: Open, tmp_path: Path) -> None:
     panel = opened.page.locator("#panel-export")
     files = {}
-    for name in ("GeoPackage, all layers", "Everything (.zip)", "PMTiles, for web maps"):
+    for name in (
+        "GeoPackage, all layers",
+        "Everything (.zip)",
+        "QGIS project",
+        "Google Earth",
+        "PMTiles, for web maps",
+    ):
         with opened.page.expect_download() as waiting:
             panel.get_by_role("button", name=name).click()
         files[name] = tmp_path / waiting.value.suggested_filename
         waiting.value.save_as(files[name])
-    geopackage, archive, tiles = files.values()
-    assert (geopackage.suffix, tiles.suffix) == (".gpkg", ".pmtiles")
+    geopackage, archive, project, earth, tiles = files.values()
+    assert [path.suffix for path in files.values()] == [".gpkg", ".zip", ".qgz", ".kmz", ".pmtiles"]
+    assert zipfile.ZipFile(project).namelist() == ["project.qgs", "result.gpkg"]
+    assert len(pyogrio.list_layers(earth)) == len(pyogrio.list_layers(geopackage)) - 1  # its styles
     assert set(LAYERS) < {name for name, _ in pyogrio.list_layers(tiles)}
     found = {name: pyogrio.read_info(geopackage, layer=name)["features"] for name, _ in pyogrio.list_layers(geopackage)}
     assert {layer: found[layer] for layer in LAYERS} == {layer: opened.count(layer) for layer in LAYERS}

@@ -29,6 +29,9 @@ const DERIVED = /** @type {Record<string, string>} */ ({
 
 /** Ending -> what its button says, of formats that hold one layer. */
 const LAYER_FORMATS = { ".fgb": "FGB", ".kml": "KML", ".csv": "CSV", ".parquet": "Parquet" };
+const QGZ =
+  "All layers in groups, drawn as on this page, in one file that holds the data, too: for QGIS 3.22 and newer.";
+const KMZ = "KMZ: all layers in one file, with the signs of this page.";
 
 /** @param {HTMLElement} container */
 export function mount(container) {
@@ -88,6 +91,7 @@ function sections(result, link) {
   const layers = Object.keys(LAYERS).filter(isThere);
   if (!local) layers.push(...Object.keys(DERIVED));
   const gpkg = `${at}/export.gpkg`;
+  const live = get("project without data", `${at}/export.qgs`, `${slug}.qgs`, { class: "link" });
   const token = getToken() ? ' -H "Authorization: Bearer $INTERLOC_TOKEN"' : "";
   const whole = address(local ? `${at}/archive.zip` : gpkg);
   return [
@@ -96,6 +100,8 @@ function sections(result, link) {
       "div",
       { class: "row" },
       !local && get([icon("download"), "GeoPackage, all layers"], gpkg, `${slug}.gpkg`, { class: "primary" }),
+      !local && get([icon("download"), "QGIS project"], `${at}/export.qgz`, `${slug}.qgz`, { title: QGZ }),
+      !local && get([icon("download"), "Google Earth"], `${at}/export.kmz`, `${slug}.kmz`, { title: KMZ }),
       get([icon("download"), "Everything (.zip)"], `${at}/archive.zip`, `${slug}.zip`, {}),
       !local && get([icon("download"), "PMTiles, for web maps"], `${at}/export.pmtiles`, `${slug}.pmtiles`, {}),
     ),
@@ -126,7 +132,7 @@ function sections(result, link) {
       el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for everybody who can reach this server."),
     ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
-    !local && resultSection("In QGIS", qgis(address(`${at}/intersections`))),
+    !local && resultSection("In QGIS", qgis(address(`${at}/intersections`), live)),
     scored &&
       !result.isMadeUp &&
       el(
@@ -138,13 +144,24 @@ function sections(result, link) {
   ];
 }
 
-/** @param {string} geojson Address of a layer. */
-function qgis(geojson) {
-  const byHand =
-    "Download the GeoPackage and drag it into QGIS: this server requires a token, which QGIS does not send by itself.";
-  if (getToken()) return el("p", { class: "small" }, byHand);
+/**
+ * @param {string} geojson Address of a layer.
+ * @param {HTMLElement} live Button of the project that reads the layers from the service.
+ */
+function qgis(geojson, live) {
+  const words = "Double-click the project, or drag the GeoPackage into QGIS: the layers are drawn as on this page.";
+  const open = el("p", { class: "small" }, words);
+  if (getToken()) return open;
   const path = "Layer › Add Layer › Add Vector Layer, source type “Protocol: HTTP(S)”, type GeoJSON, URI:";
-  return [el("p", { class: "small" }, path), codeBox(geojson)];
+  const here = el(
+    "p",
+    { class: "small" },
+    "Read from this server, nothing to download: the ",
+    live,
+    ". One layer: ",
+    path,
+  );
+  return el("div", { class: "stack" }, open, el("div", {}, here, codeBox(geojson)));
 }
 
 /** @param {string} text */

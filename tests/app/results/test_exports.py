@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
+import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import pyogrio
 import pytest
@@ -18,7 +21,8 @@ SCORED = ["intersections", "detections", "trajectory", "keyframes", "osm_nodes",
 
 def layers_of(content: bytes, path: Path) -> dict[str, int]:
     path.write_bytes(content)
-    return {name: pyogrio.read_info(path, layer=name)["features"] for name in pyogrio.list_layers(path)[:, 0]}
+    names = [name for name in pyogrio.list_layers(path)[:, 0] if name != "layer_styles"]
+    return {name: pyogrio.read_info(path, layer=name)["features"] for name in names}
 
 
 def features_in(path: Path) -> int:
@@ -89,6 +93,23 @@ def test_tracks_and_columns(finished: Finished, tmp_path: Path, monkeypatch: pyt
     assert ".parquet" not in finished.client.get("/config.json").json()["exports"]
     refused = finished.get("/jobs/default/export.parquet")
     assert (refused.status_code, refused.json()["title"]) == (501, "Format not installed")
+
+
+def test_all_layers_for_google_earth_and_as_projects_of_qgis(finished: Finished, tmp_path: Path) -> None:
+    features = layers_of(finished.get("/jobs/default/export.kmz").content, tmp_path / "a.kmz")
+    assert len(features) == len(SCORED) + len(DERIVED)
+    assert features["Intersections found"] == features_in(finished.results / "default/intersections.geojson")
+    answer = finished.get("/jobs/default/export.qgz")
+    assert answer.headers["content-disposition"] == 'attachment; filename="Stra_e_street.qgz"'
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as project:
+        assert project.namelist() == ["project.qgs", "result.gpkg"]
+    live = finished.get("/jobs/default/export.qgs")
+    sources = [each.text for each in ET.fromstring(live.text).iter("datasource")]  # noqa: S314 - our own
+    assert len(sources) == len(SCORED) + len(DERIVED)
+    address = f"/vsicurl/{finished.client.base_url}/api/v1/jobs/default"
+    assert f"{address}/osm-nodes" in sources
+    assert f"{address}/export.geojson?layer=branches" in sources
+    assert finished.get("/jobs/default/export.qgs", headers={"if-none-match": live.headers["etag"]}).status_code == 304
 
 
 def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:

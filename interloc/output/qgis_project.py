@@ -1,0 +1,194 @@
+"""A result as a project of QGIS: its layers in groups, drawn as on the page, ready to play by time.
+
+A file ``.qgz`` is a ZIP of the project and of the GeoPackage that it shows, as QGIS 3.22 and newer keep attachments:
+one file, that opens by a double click and can be moved and renamed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+from xml.etree import ElementTree as ET
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
+
+import numpy as np
+
+from interloc.arrays import FloatArray
+from interloc.mapping.mosaic import utm_zone
+from interloc.output.credits import ODBL
+from interloc.output.layers import Layer, Rows
+from interloc.output.qml import VERSION, attributes, document, elements, metadata_elements
+from interloc.output.styles import GROUPS, STYLES
+
+_DATA = "result.gpkg"
+_MARGIN = 0.08  # of the extent, around it
+_MIN_EXTENT_M = 50.0
+_STEPS = 200  # frames of a whole drive
+_OSM_CREDIT = "© OpenStreetMap contributors, ODbL 1.0"
+
+Layers = Sequence[tuple[Layer, Rows]]
+
+
+def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bool) -> None:
+    """Write a project with its data.
+
+    Parameters
+    ----------
+    out
+        File to write.
+    database
+        The GeoPackage.
+    layers
+        What it holds.
+    name
+        Title of the project.
+    local
+        Whether the layers are in metres of their own frame.
+    """
+    text = project(layers, name, lambda layer: f"attachment:{_DATA}|layername={layer.name}", local=local)
+    with ZipFile(out, "w", ZIP_DEFLATED) as archive:
+        archive.writestr(ZipInfo("project.qgs"), text, ZIP_DEFLATED)
+        archive.write(database, _DATA)
+
+
+def project(layers: Layers, name: str, source_of: Callable[[Layer], str], *, local: bool = False) -> str:
+    """Return a project as a document of QGIS (``.qgs``).
+
+    Parameters
+    ----------
+    layers
+        Those of a result.
+    name
+        Title of the project.
+    source_of
+        Tells where the data of a layer is, in the words of GDAL.
+    local
+        Whether the layers are in metres of their own frame.
+    """
+    there = {layer.name: (layer, rows) for layer, rows in layers}
+    points = there["keyframes"][1].points()
+    epsg = None if local or not len(points) else utm_zone(*points[0].tolist())
+    root = ET.Element("qgis", {"version": VERSION, "projectname": name})
+    ET.SubElement(root, "title").text = name
+    _add_crs(ET.SubElement(root, "projectCrs"), epsg)
+    groups = {title: [each for each in names if each in there] for title, names in GROUPS.items()}
+    root.append(_tree(groups, lambda each: source_of(there[each][0])))
+    shown = ET.SubElement(root, "projectlayers")
+    for each in (name for names in groups.values() for name in names):
+        layer, rows = there[each]
+        shown.append(_layer(layer, rows, source_of(layer), None if local else 4326))
+    times = list(_times(layers))
+    root.append(_properties(credited=any(rows.credit.license == ODBL for _, rows in layers), times=times))
+    about = ET.SubElement(root, "projectMetadata")
+    ET.SubElement(about, "title").text = name
+    root.append(_view(points, epsg))
+    if times:
+        root.append(_time_settings(min(times), max(times)))
+    return document(root)
+
+
+def _tree(groups: Mapping[str, Sequence[str]], source_of: Callable[[str], str]) -> ET.Element:
+    root = ET.Element("layer-tree-group")
+    for title, names in groups.items():
+        if not names:
+            continue
+        group = ET.SubElement(root, "layer-tree-group", {"name": title, "checked": "Qt::Checked", "expanded": "1"})
+        for name in names:
+            style = STYLES[name]
+            ET.SubElement(
+                group,
+                "layer-tree-layer",
+                {
+                    "id": _id(name),
+                    "name": style.title,
+                    "source": source_of(name),
+                    "providerKey": "ogr",
+                    "checked": "Qt::Checked" if style.is_shown else "Qt::Unchecked",
+                    "expanded": "1" if len(style.rules) > 1 else "0",
+                },
+            )
+    return root
+
+
+def _layer(layer: Layer, rows: Rows, source: str, epsg: int | None) -> ET.Element:
+    root = ET.Element("maplayer", {"type": "vector", "geometry": layer.geometry, **attributes(layer)})
+    for tag, text in (("id", _id(layer.name)), ("datasource", source), ("layername", STYLES[layer.name].title)):
+        ET.SubElement(root, tag).text = text
+    _add_crs(ET.SubElement(root, "srs"), epsg)
+    about = ET.SubElement(root, "resourceMetadata")
+    about.extend(metadata_elements(layer, rows.credit))
+    ET.SubElement(root, "provider", {"encoding": "UTF-8"}).text = "ogr"
+    has_times = any(True for _ in _times([(layer, rows)]))
+    root.extend(each for each in elements(layer) if has_times or each.tag != "temporal")
+    return root
+
+
+def _id(name: str) -> str:
+    """Return the id of a layer; QGIS gives those of up to ten letters another one."""
+    return f"interloc_{name}"
+
+
+def _add_crs(parent: ET.Element, epsg: int | None) -> None:
+    if epsg is None:
+        return
+    from pyproj import CRS  # noqa: PLC0415 - slow to import
+
+    system = ET.SubElement(parent, "spatialrefsys")
+    ET.SubElement(system, "wkt").text = CRS.from_epsg(epsg).to_wkt("WKT2_2019")
+    ET.SubElement(system, "authid").text = f"EPSG:{epsg}"
+
+
+def _times(layers: Layers) -> Iterator[datetime]:
+    for layer, rows in layers:
+        style = STYLES[layer.name]
+        if style.times is not None:
+            yield from (datetime.fromisoformat(each) for each in rows.column(style.times.field) if each is not None)
+
+
+def _properties(*, credited: bool, times: Sequence[datetime]) -> ET.Element:
+    """Return settings by topic: whose map it is, on the map, and the time to play."""
+    root = ET.Element("properties")
+    topics: dict[str, dict[str, tuple[str, str]]] = {"SpatialRefSys": {"ProjectionsEnabled": ("int", "1")}}
+    if credited:
+        topics["CopyrightLabel"] = {"Enabled": ("bool", "true"), "Label": ("QString", _OSM_CREDIT)}
+    if times:
+        ends = {"StartDateTime": ("QString", _iso(min(times))), "EndDateTime": ("QString", _iso(max(times)))}
+        topics["TemporalControllerWidget"] = {**ends, "NavigationMode": ("int", "0")}
+    for topic, values in topics.items():
+        parent = ET.SubElement(root, topic)
+        for name, (kind, value) in values.items():
+            ET.SubElement(parent, name, {"type": kind}).text = value
+    return root
+
+
+def _view(points: FloatArray, epsg: int | None) -> ET.Element:
+    """Return the part of the map that is shown first: where the drive was."""
+    root = ET.Element("ProjectViewSettings", {"UseProjectScales": "0", "rotation": "0"})
+    if not len(points):
+        return root
+    xy = points
+    if epsg is not None:
+        from pyproj import Transformer  # noqa: PLC0415 - slow to import
+
+        xy = np.stack(Transformer.from_crs(4326, epsg, always_xy=True).transform(*points.T), axis=-1)
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    margin = np.maximum(_MARGIN * (high - low).max(), _MIN_EXTENT_M)
+    corners = zip(("xmin", "ymin", "xmax", "ymax"), (*(low - margin), *(high + margin)), strict=True)
+    extent = ET.SubElement(root, "DefaultViewExtent", {name: f"{value:.2f}" for name, value in corners})
+    _add_crs(extent, epsg)
+    return root
+
+
+def _time_settings(start: datetime, end: datetime) -> ET.Element:
+    step = max(1, round((end - start).total_seconds() / _STEPS))
+    settings = {"timeStep": str(step), "timeStepUnit": "s", "frameRate": "10", "cumulativeTemporalRange": "0"}
+    root = ET.Element("ProjectTimeSettings", settings)
+    span = ET.SubElement(root, "TemporalRange")
+    ET.SubElement(span, "start").text = _iso(start)
+    ET.SubElement(span, "end").text = _iso(end + timedelta(seconds=1))
+    return root
+
+
+def _iso(time: datetime) -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ")

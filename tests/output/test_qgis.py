@@ -1,0 +1,197 @@
+"""What QGIS makes of the exports: layers, fields, licence, styles, projects. One QGIS answers all tests."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from interloc.output.credits import ODBL, OSM_ATTRIBUTION
+from interloc.output.qml import qml
+from interloc.output.styles import FOUND, FUSED, RIGHT, ROAD, STYLES
+from interloc.output.vector_files import EXPORTS, write_vector_file
+from tests.output.small import TIME_S, small_result, write_folder
+
+PYTHON = "/usr/bin/python3"
+NAMES = [name for name in EXPORTS if name not in {"places", "osm_buildings"}]
+
+IN_QGIS = """
+import json, os, pathlib, sys
+from qgis.PyQt.QtCore import QSize
+from qgis.core import *
+from qgis.gui import QgsMapCanvas
+app = QgsApplication([], True)
+app.initQgis()
+folder = pathlib.Path(sys.argv[1])
+log = []
+app.messageLog().messageReceived.connect(lambda text, topic, level: level and log.append(f"{topic}: {text}"))
+
+def legend_of(layer):
+    return [item.label() for item in layer.renderer().legendSymbolItems()]
+
+def describe(layer):
+    about, times = layer.metadata(), layer.temporalProperties()
+    return {
+        "valid": layer.isValid(), "features": layer.featureCount(), "crs": layer.crs().authid(),
+        "title": about.title(), "abstract": about.abstract(), "rights": about.rights(), "licenses": about.licenses(),
+        "types": {field.name(): field.typeName() for field in layer.fields()},
+        "aliases": {field.name(): field.alias() for field in layer.fields()},
+        "legend": legend_of(layer), "labels": layer.labelsEnabled(),
+        "times": [times.startField(), times.accumulateFeatures()] if times.isActive() else None,
+    }
+
+told = {"layers": {}, "qml": {}, "sld": {}}
+for name in sys.argv[2:]:
+    told["layers"][name] = describe(QgsVectorLayer(f"{folder}/a.gpkg|layername={name}", name, "ogr"))
+    layer = QgsVectorLayer(f"{folder}/{name}.geojson", name, "ogr")
+    told["qml"][name] = describe(layer)
+    if name == "intersections":
+        context = QgsExpressionContext(QgsExpressionContextUtils.globalProjectLayerScopes(layer))
+        context.setFeature(next(layer.getFeatures()))
+        told["tip"] = QgsExpression.replaceExpressionText(layer.mapTipTemplate(), context)
+    message, is_read = layer.loadSldStyle(f"{folder}/{name}.sld")
+    told["sld"][name] = [is_read, message, legend_of(layer)]
+project, canvas = QgsProject.instance(), QgsMapCanvas()
+for name in ("local", "project"):
+    was_read = project.read(f"{folder}/{name}.qgz")
+    tree = project.layerTreeRoot()
+    order = tree.layerOrder()
+    span = project.timeSettings().temporalRange()
+    told[name] = {
+        "read": was_read, "title": project.title(), "crs": project.crs().authid(),
+        "layers": {layer.name(): describe(layer) for layer in order},
+        "groups": {group.name(): [each.name() for each in group.children()] for group in tree.children()},
+        "hidden": [layer.name() for layer in order if not tree.findLayer(layer.id()).isVisible()],
+        "times": [span.begin().toString("hh:mm:ss"), span.end().toString("hh:mm:ss")],
+        "credit": project.readEntry("CopyrightLabel", "/Label")[0],
+        "extent": project.viewSettings().defaultViewExtent().toString(0), "shown": canvas.extent().toString(0),
+    }
+settings = QgsMapSettings()
+settings.setLayers([layer for layer in order if tree.findLayer(layer.id()).isVisible()])
+settings.setDestinationCrs(project.crs())
+settings.setExtent(project.viewSettings().defaultViewExtent())
+settings.setOutputSize(QSize(600, 600))
+job = QgsMapRendererSequentialJob(settings)
+job.start()
+job.waitForFinished()
+job.renderedImage().save(f"{folder}/map.png")
+told["log"] = log + [each.message for each in job.errors()]
+print(json.dumps(told), flush=True)
+os._exit(0)  # without a word to the layers, which would outlive what they are part of
+"""
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The exports of a scored result, and a picture of its project."""
+    if subprocess.run([PYTHON, "-c", "import qgis.core"], check=False, capture_output=True).returncode:
+        pytest.skip("QGIS for Python (Debian: python3-qgis) is not installed")
+    folder = tmp_path_factory.mktemp("qgis")
+    result = replace(small_result(), drive="straße & <b>Co</b>")
+    result = replace(result, keyframes=replace(result.keyframes, time_s=TIME_S))
+    scored = write_folder(folder / "scored", result, scored=True)
+    local = write_folder(folder / "local", small_result(local=True), scored=False)
+    for path, source in (("a.gpkg", scored), ("project.qgz", scored), ("local.qgz", local)):
+        write_vector_file(source, folder / path)
+    database = sqlite3.connect(folder / "a.gpkg")
+    styles = database.execute("SELECT f_table_name, styleSLD, useAsDefault FROM layer_styles").fetchall()
+    database.close()
+    assert [name for name, *_ in styles] == NAMES
+    for name, sld, is_default in styles:
+        assert is_default
+        write_vector_file(scored, folder / f"{name}.geojson", layer=name)
+        (folder / f"{name}.qml").write_text(qml(EXPORTS[name]))
+        (folder / f"{name}.sld").write_text(sld)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def told(exported: Path) -> dict[str, Any]:
+    """What QGIS says of them."""
+    environment = {"PATH": "/usr/bin:/bin", "HOME": str(exported), "QT_QPA_PLATFORM": "offscreen"}
+    command = [PYTHON, "-c", IN_QGIS, exported, *NAMES]
+    outcome = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert outcome.returncode == 0, outcome.stderr
+    return json.loads(outcome.stdout.splitlines()[-1])
+
+
+def titles_of(layer: str) -> list[str]:
+    """The legend of a layer in QGIS; one sign has no title."""
+    style = STYLES[layer]
+    return [""] if style.field is None else [rule.title for rule in style.rules]
+
+
+def test_it_reads_layers_fields_and_licence(told: dict[str, Any]) -> None:
+    layers = told["layers"]
+    for name, layer in layers.items():
+        assert (layer["valid"], layer["crs"], layer["features"] > 0) == (True, "EPSG:4326", True)
+        assert (layer["title"], layer["abstract"]) == (EXPORTS[name].title, EXPORTS[name].description)
+        assert set(EXPORTS[name].fields) <= set(layer["types"])
+    assert layers["intersections"]["rights"] == layers["osm_roads"]["rights"]
+    assert OSM_ATTRIBUTION in layers["osm_roads"]["rights"][0]
+    assert layers["osm_roads"]["licenses"] == [ODBL]
+    assert layers["trajectory"]["licenses"] == []
+    types = layers["detections"]["types"]
+    assert (types["time"], types["osm_id"], types["error_m"]) == ("DateTime", "Integer64", "Real")
+
+
+@pytest.mark.parametrize("source", ["layers", "qml"])
+def test_it_takes_the_style_of_a_geopackage_and_that_beside_geojson(source: str, told: dict[str, Any]) -> None:
+    for name, layer in told[source].items():
+        assert layer["legend"] == titles_of(name)
+        assert layer["labels"] == (STYLES[name].label is not None)
+        titles = {each.name: each.title for each in EXPORTS[name].attributes}
+        assert {field: layer["aliases"][field] for field in titles} == titles
+
+
+def test_it_reads_sld(told: dict[str, Any]) -> None:
+    for name, (is_read, message, legend) in told["sld"].items():
+        assert is_read, message
+        assert [each for each in legend if each] == [each for each in titles_of(name) if each]
+
+
+def test_a_tip_shows_no_markup_of_the_data(told: dict[str, Any]) -> None:
+    assert told["tip"].startswith("<b>Intersection 1</b><br>Verdict: right<br>Error: ")
+
+
+def test_it_opens_the_project(told: dict[str, Any]) -> None:
+    project = told["project"]
+    assert (project["read"], project["title"], project["crs"]) == (True, "straße & <b>Co</b>", "EPSG:32632")
+    assert project["groups"] == {
+        "Verdict": ["Intersections", "OSM intersections", "Branches", "Uncertainty, 95 %"],
+        "Evidence": ["Detections", "Matches", "Keyframes", "Trajectory"],
+        "Map of OpenStreetMap": ["OSM roads"],
+    }
+    assert project["hidden"] == ["Keyframes"]
+    layers = project["layers"]
+    assert all(layer["valid"] and layer["crs"] == "EPSG:4326" for layer in layers.values())
+    assert layers["OSM intersections"]["legend"] == ["Found", "Missed", "Out of reach"]
+    assert layers["Intersections"]["rights"] == told["layers"]["intersections"]["rights"]
+    assert layers["Intersections"]["times"] == ["first_time", True]
+    assert layers["Detections"]["times"] == ["time", False]
+    assert layers["Trajectory"]["times"] is None
+    assert project["times"] == ["12:40:59", "12:41:02"]
+    assert project["credit"] == "© OpenStreetMap contributors, ODbL 1.0"
+    assert told["log"] == []
+
+
+def test_it_opens_the_project_of_a_drive_in_metres(told: dict[str, Any]) -> None:
+    local = told["local"]
+    assert local["groups"] == {"Verdict": ["Intersections"], "Evidence": ["Detections", "Keyframes", "Trajectory"]}
+    assert all(layer["valid"] and layer["features"] for layer in local["layers"].values())
+    assert (local["crs"], local["credit"], local["extent"]) == ("", "", "-50,-51 : 52,50")
+    assert local["shown"].endswith(",50")  # wider, as the window is
+
+
+def test_the_map_shows_each_outcome_in_its_colour(told: dict[str, Any], exported: Path) -> None:
+    picture = np.asarray(Image.open(exported / "map.png").convert("RGB")).reshape(-1, 3)
+    for colour in (RIGHT, FOUND, FUSED, ROAD):
+        rgb = [int(colour[index : index + 2], 16) for index in (1, 3, 5)]
+        assert (picture == rgb).all(axis=1).sum() > 20, colour

@@ -1,0 +1,122 @@
+"""Styles for GIS: the signs of the page, a rule for each outcome, KML and KMZ that hold together."""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+from xml.etree import ElementTree as ET
+
+import pytest
+from PIL import Image, ImageColor
+
+from interloc.errors import ConfigError, GeoreferenceError
+from interloc.output import styles
+from interloc.output.qml import qml
+from interloc.output.sld import sld
+from interloc.output.styles import GROUPS, OUTLINES, STYLES, Mark, Symbol
+from interloc.output.vector_files import EXPORTS, write_vector_file
+from tests.output.small import small_result, write_folder
+
+STATIC = Path(__file__).resolve().parents[2] / "static"
+KML = "{http://www.opengis.net/kml/2.2}"
+
+
+@pytest.fixture(scope="module")
+def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result folder with an evaluation. Shared: do not change it."""
+    return write_folder(tmp_path_factory.mktemp("scored") / "out", small_result(), scored=True)
+
+
+def page_colours() -> dict[str, str]:
+    """The colours of the page on a light ground."""
+    light = (STATIC / "css/tokens.css").read_text().split("@media")[0]
+    return dict(re.findall(r"(--[\w-]+): (#[0-9a-f]{6});", light))
+
+
+def page_signs() -> dict[str, dict[str, str]]:
+    text = (STATIC / "js/map/symbols.js").read_text()
+    rows = re.findall(r"^  (\w+): \{ (colour: .*) \},$", text, re.MULTILINE)
+    return {name: dict(re.findall(r'(\w+): "?([\w.-]+)"?', row)) for name, row in rows}
+
+
+def symbol(layer: str, value: str | None) -> Symbol:
+    return next(rule.symbol for rule in STYLES[layer].rules if rule.value == value)
+
+
+@pytest.mark.parametrize(("sign", "layer", "value"), [
+    *((each, "intersections", each) for each in ("right", "wrong", "unscored")),
+    *((each, "osm_nodes", each) for each in ("found", "missed", "outside")),
+    ("tp", "detections", "right"), ("fp", "detections", "wrong"), ("detection", "detections", "unscored"),
+])  # fmt: skip
+def test_signs_are_those_of_the_page(sign: str, layer: str, value: str) -> None:
+    colours, there, mark = page_colours(), page_signs()[sign], symbol(layer, value)
+    assert isinstance(mark, Mark)
+    assert (mark.colour, mark.shape) == (colours[there["colour"]], there["shape"])
+    assert mark.is_filled == (there["filled"] == "true")
+    assert mark.edge == (colours[there["edge"]] if "edge" in there else None)
+    assert mark.glyph == there.get("glyph")
+
+
+def test_shapes_and_other_colours_are_those_of_the_page() -> None:
+    text = (STATIC / "js/map/symbols.js").read_text()
+    drawn = dict(re.findall(r'^  (\w+): lines\("(.*)"\),$', text, re.MULTILINE))
+    for shape, paths in OUTLINES.items():
+        lines = [[float(each) for each in line.split()] for line in drawn[shape].split(",")]
+        assert [[value for point in path for value in point] for path in paths] == lines, shape
+    colours = page_colours()
+    for name in ("RIGHT", "WRONG", "FOUND", "MISSED", "OUTSIDE", "FUSED", "FUSED_EDGE", "TRACK", "BUILDING", "INK"):
+        assert getattr(styles, name) == colours[f"--{name.lower().replace('_', '-')}"]
+    assert (colours["--tp"], colours["--fp"]) == (styles.TRUE, styles.FALSE)
+
+
+def test_every_outcome_of_every_layer_is_drawn() -> None:
+    assert STYLES.keys() == EXPORTS.keys()
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(EXPORTS)
+    for name, style in STYLES.items():
+        values = {rule.value for rule in style.rules}
+        annotation: Any = None if style.field is None else EXPORTS[name].properties.model_fields[style.field].annotation
+        expected = get_args(annotation) if get_origin(annotation) is Literal else [None]
+        assert values == ({True, False} if annotation is bool else set(expected)), name
+        known = EXPORTS[name].fields.keys()
+        assert {part.field for part in (style.label, style.times) if part is not None} <= known
+
+
+def test_qml_and_sld_name_no_address_but_namespaces() -> None:
+    for layer in EXPORTS.values():
+        for text in (qml(layer), sld(layer)):
+            ET.fromstring(text.removeprefix("<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"))  # noqa: S314
+            assert set(re.findall(r"https?://[\w.]+", text)) <= {"http://www.opengis.net", "http://mrcc.com"}
+
+
+def test_kmz_holds_styles_and_icons_of_all_that_it_shows(scored: Path, tmp_path: Path) -> None:
+    assert len(write_vector_file(scored, tmp_path / "a.kmz")) == 9
+    with zipfile.ZipFile(tmp_path / "a.kmz") as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    root = ET.fromstring(content.pop("doc.kml"))  # noqa: S314 - our own
+    known = {f"#{style.get('id')}" for style in root.iter(f"{KML}Style")}
+    marks = list(root.iter(f"{KML}Placemark"))
+    assert {mark.findtext(f"{KML}styleUrl") for mark in marks} <= known
+    assert {icon.text for icon in root.iter(f"{KML}href")} == content.keys()
+    (found,) = (mark for mark in marks if mark.findtext(f"{KML}name") == "Intersection 1")
+    assert found.findtext(f"{KML}styleUrl") == "#intersections.0"
+    hidden = [mark.findtext(f"{KML}name") for mark in marks if mark.findtext(f"{KML}visibility") == "0"]
+    assert hidden == ["Keyframe 0", "Keyframe 12"]
+    titles = {field.get("name"): field.findtext(f"{KML}displayName") for field in root.iter(f"{KML}SimpleField")}
+    assert (titles["outcome"], titles["number"], titles["street"]) == ("Verdict", "Detection", "Name")
+    picture = Image.open(io.BytesIO(content["icons/intersections-right.png"]))
+    assert picture.getpixel((10, 32)) == (*ImageColor.getrgb(styles.RIGHT), 255)
+    assert picture.getpixel((28, 39))[:3] == (255, 255, 255)  # the check mark
+    again = tmp_path / "b.kmz"
+    write_vector_file(scored, again)
+    assert again.read_bytes() == (tmp_path / "a.kmz").read_bytes()
+
+
+def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
+    local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
+    with pytest.raises(GeoreferenceError, match="KML knows longitude and latitude only"):
+        write_vector_file(local, tmp_path / "a.kmz")
+    with pytest.raises(ConfigError, match=r"leave --layer out"):
+        write_vector_file(scored, tmp_path / "a.qgz", layer="matches")
