@@ -98,7 +98,7 @@ _EXPORTS = {
     ".pmtiles": _Export(
         "Read the result as vector tiles",
         "All layers as Mapbox Vector Tiles in one PMTiles archive (version 3), which web maps read by byte ranges: "
-        "zooms 0 to 15; what is more than intersections and trajectory begins at zoom 12. Its metadata name layers, "
+        "zooms 0 to 15; what is more than intersections and trajectory begins at zoom 13. Its metadata name layers, "
         "fields, attribution and licence.",
     ),
     ".gpx": _Export(

@@ -19,7 +19,7 @@ MAX_ZOOM = 15
 _EXTENT = 8192  # steps across a tile: as fine as MapLibre draws
 _MAX_TILE_BYTES = 10_000_000  # GDAL leaves features out of a larger tile
 _OVERVIEW = frozenset({"intersections", "trajectory", "places"})
-_DETAIL_ZOOM = 12  # a street is as long as a pixel: before it, hundreds of features would lie under each other
+_DETAIL_ZOOM = 13  # a branch is as long as a pixel: before it, hundreds of features would lie on each other
 _TYPES = {"int": "Number", "float": "Number", "bool": "Boolean"}
 
 

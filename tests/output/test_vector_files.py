@@ -211,7 +211,7 @@ def test_pmtiles_hold_all_layers_for_web_maps(scored: Path, tmp_path: Path) -> N
         assert header["min_lon_e7"] < 84205000 < header["max_lon_e7"]
         assert (told["name"], told["license"]) == ("straße & Co", ODBL)
         assert OSM_ATTRIBUTION in told["attribution"]
-        assert {each["id"]: each["minzoom"] for each in told["vector_layers"]}["detections"] == 12
+        assert {each["id"]: each["minzoom"] for each in told["vector_layers"]}["detections"] == 13
         assert reader.get(0, 0, 0) is not None
     bare = write_folder(tmp_path / "out", small_result(empty=True), scored=False)
     write_vector_file(bare, path, layer="intersections")
