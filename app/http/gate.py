@@ -49,6 +49,11 @@ def path_of(scope: Scope) -> str:
     return path[len(root) :] if root and f"{path}/".startswith(f"{root}/") else path
 
 
+def is_api(path: str) -> bool:
+    """Return whether a path is of the API, which needs a token where there are any, and not of the page."""
+    return path.startswith(("/api/", "/ogc/")) or path == "/ogc"
+
+
 class Gate:
     """Refuses by host, origin and token; leaves who sends a request in ``request.state.holder``."""
 
@@ -88,7 +93,7 @@ class Gate:
             await self._read(context.tokens, time.monotonic())
         needed = context.tokens.are_needed()
         problem = None if needed else self._foreign(scope, headers)
-        if problem is None and (path.startswith("/api/") or path == "/metrics"):
+        if problem is None and (is_api(path) or path == "/metrics"):
             problem = await self._identify(scope, headers, context, needed=needed)
         return problem
 

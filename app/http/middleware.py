@@ -16,7 +16,7 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app import logs
-from app.http.gate import Gate, path_of
+from app.http.gate import Gate, is_api, path_of
 from app.http.openapi import HEADERS
 from app.http.problems import Problem, problem_of, respond
 from app.metrics import Metrics
@@ -167,8 +167,8 @@ class SecurityHeaders:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        is_api = path_of(scope).startswith("/api/")
-        policy = DATA_POLICY if is_api else self._page_policy
+        of_api = is_api(path_of(scope))
+        policy = DATA_POLICY if of_api else self._page_policy
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -176,7 +176,7 @@ class SecurityHeaders:
                 for name, value in self._always.items():
                     headers.setdefault(name, value)
                 headers.setdefault("content-security-policy", policy)
-                if is_api:
+                if of_api:
                     headers.setdefault("cache-control", "no-store")
                 if scope["scheme"] == "https":
                     headers.setdefault("strict-transport-security", f"max-age={_HSTS_S}")
@@ -212,7 +212,7 @@ class OtherOrigins:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Go on; with the headers of CORS where something is read, or a browser asks whether it may."""
         is_read = scope["type"] == "http" and scope["method"] in {"GET", "HEAD", "OPTIONS"}
-        if is_read and (path_of(scope).startswith(f"{_API}/") or path_of(scope) == "/openapi.json"):
+        if is_read and (is_api(path_of(scope)) or path_of(scope) == "/openapi.json"):
             await self._readable(scope, receive, send)
         else:
             await self._app(scope, receive, send)
