@@ -82,6 +82,21 @@ def is_indexed(session: Session, job_id: str) -> bool:
     return session.scalar(select(FeatureChunk.id).where(FeatureChunk.job_id == job_id).limit(1)) is not None
 
 
+def is_indexed_as(session: Session, job_id: str, chunks: list[Chunk]) -> bool:
+    """Return whether the index holds these features of a job, and no others."""
+    chunk, column = FeatureChunk, FeatureColumn
+    rows = session.execute(select(chunk.layer, chunk.number, chunk.count).where(chunk.job_id == job_id))
+    if sorted(tuple(row) for row in rows) != sorted((each.layer, each.number, each.count) for each in chunks):
+        return False
+    columns = session.execute(
+        select(chunk.layer, chunk.number, column.name, column.content)
+        .join(chunk, chunk.id == column.chunk_id)
+        .where(chunk.job_id == job_id)
+    )
+    expected = {(each.layer, each.number, name): content for each in chunks for name, content in each.columns.items()}
+    return {(layer, number, name): content for layer, number, name, content in columns} == expected
+
+
 def index_missing(context: Context) -> int:
     """Write the features into the index that are not there: of jobs of older versions, and of adopted ones.
 

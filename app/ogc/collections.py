@@ -21,6 +21,8 @@ _KINDS: dict[str, dict[str, Any]] = {
     "time": {"type": "string", "format": "date-time"},
     "list": {"type": "array", "items": {"type": "number"}},
 }
+_DRAFT = "https://json-schema.org/draft/2020-12/schema"
+_LARGE = {"osm_id"}  # ids beyond 2^31
 _SHAPES = {"Point": "point", "LineString": "any", "Polygon": "any"}  # lines and areas may have several parts
 _SPANS = {"time": "primary-instant", "first_time": "primary-interval-start", "last_time": "primary-interval-end"}
 
@@ -58,6 +60,29 @@ class Collection:
         """Return the JSON schema of its features (OGC API - Features, part 5), which stands at this address."""
         return self._document(address, [each.name for each in self.attributes])
 
+    def feature_schema(self, address: str) -> dict[str, Any]:
+        """Return the JSON schema of its features as GeoJSON, from which GDAL takes the types of properties.
+
+        Ids of OpenStreetMap and lists are left out: GDAL would take them for integers of 32 bits and for texts, where
+        it knows better by looking at features.
+        """
+        described = {each.name: _described(each) for each in self.attributes}
+        plain = {each.name for each in self.attributes if each.kind != "list"} - _LARGE
+        return {
+            "$schema": _DRAFT,
+            "$id": address,
+            "title": self.layer.title,
+            "description": self.layer.description,
+            "type": "object",
+            "required": ["type", "geometry", "properties"],
+            "properties": {
+                "type": {"type": "string", "const": "Feature"},
+                "id": {"type": "string"},
+                "geometry": {"$ref": f"https://geojson.org/schema/{'Point' if self.is_point else 'Geometry'}.json"},
+                "properties": {"type": "object", "properties": {k: v for k, v in described.items() if k in plain}},
+            },
+        }
+
     def queryables_schema(self, address: str) -> dict[str, Any]:
         """Return the JSON schema of what filters may name (part 3), which stands at this address."""
         return self._document(address, list(self.queryables))
@@ -66,7 +91,7 @@ class Collection:
         shape = {"x-ogc-role": "primary-geometry", "format": f"geometry-{_SHAPES[self.layer.geometry]}"}
         described = {each.name: _described(each) for each in self.attributes}
         return {
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            "$schema": _DRAFT,
             "$id": address,
             "title": self.layer.title,
             "description": self.layer.description,
@@ -80,6 +105,8 @@ def _described(attribute: Attribute) -> dict[str, Any]:
     described = {"title": attribute.title, "description": attribute.description, **_KINDS[attribute.kind]}
     if attribute.unit is not None:
         described["x-ogc-unit"] = attribute.unit
+    if attribute.name in _LARGE:
+        described["format"] = "int64"
     if attribute.name in _SPANS:
         described["x-ogc-role"] = _SPANS[attribute.name]
     return described

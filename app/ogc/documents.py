@@ -99,13 +99,9 @@ class Place:
         address = f"{self.address}/collections/{collection.id}"
         return {**described, "links": [*_both(address, "This document"), *described["links"][1:]]}
 
-    def schema_of(self, collection: Collection) -> str:
-        """Return the address of the schema of a collection."""
-        return f"{self.address}/collections/{collection.id}/schema"
-
-    def queryables_of(self, collection: Collection) -> str:
-        """Return the address of its queryables."""
-        return f"{self.address}/collections/{collection.id}/queryables"
+    def of_collection(self, collection: Collection, name: str) -> str:
+        """Return the address of a document of a collection, for example of its schema."""
+        return f"{self.address}/collections/{collection.id}/{name}"
 
     def _collection(self, collection: Collection, extent: Extent) -> dict[str, Any]:
         address = f"{self.address}/collections/{collection.id}"
@@ -133,7 +129,7 @@ class Place:
                 _link("items", f"{address}/items", GEOJSON, "The features"),
                 _link("items", f"{address}/items?f=html", "text/html", "The features, for people"),
                 _link("http://www.opengis.net/def/rel/ogc/1.0/schema", f"{address}/schema", SCHEMA, "Schema"),
-                _link("describedby", f"{address}/schema", SCHEMA, "Schema"),
+                _link("describedBy", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),  # as GDAL spells it
                 _link("http://www.opengis.net/def/rel/ogc/1.0/queryables", f"{address}/queryables", SCHEMA, "Filters"),
                 *license_,
             ],
@@ -153,7 +149,7 @@ class Place:
             _link("self", f"{address}/items{_query(own)}", GEOJSON, "This document"),
             _link("alternate", f"{address}/items{_query([*own, ('f', 'html')])}", "text/html", "For people"),
             _link("collection", address, "application/json", collection.layer.title),
-            _link("describedby", f"{address}/schema", SCHEMA, "Schema"),
+            _link("describedby", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),
         ]
         if page.next is not None:
             links.append(page_link("next", page.next, "Next page"))

@@ -18,9 +18,18 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from app.http.problems import Problem
 from app.ogc.collections import GEOMETRY
-from app.ogc.filters import ARITHMETIC, CASES, COMPARISONS, SPATIAL, BadFilterError, Filter, bad_filter, positions_of
+from app.ogc.filters import (
+    ARITHMETIC,
+    CASES,
+    COMPARISONS,
+    SPATIAL,
+    TEMPORAL,
+    BadFilterError,
+    Filter,
+    bad_filter,
+    positions_of,
+)
 from app.store.columns import Texts
 from interloc.arrays import FloatArray
 
@@ -114,39 +123,49 @@ class _Evaluation:
 
     def truth(self, node: Any) -> Truth:  # noqa: ANN401 - JSON
         """Return of which features a part of the filter is true."""
-        if time.monotonic() > self._deadline:
-            raise BadFilterError("It takes too long. Ask for less of it at a time, or for a smaller bbox.")
+        self._refuse_if_late()
         if isinstance(node, bool):
             return self._known(np.full(len(self._features), node))
         if "property" in node:
             flags = self._features.numbers(node["property"])
             return Truth(flags == 1.0, flags == 0.0)
         name, arguments = node["op"], node["args"]
-        if name == "not":
-            inner = self.truth(arguments[0])
-            return Truth(inner.no, inner.yes)
-        if name in {"and", "or"}:
-            parts = [self.truth(each) for each in arguments]
-            every, some = (operator.and_, operator.or_) if name == "and" else (operator.or_, operator.and_)
-            return Truth(reduce(every, (each.yes for each in parts)), reduce(some, (each.no for each in parts)))
-        if name in SPATIAL:
-            return self._spatial(name, arguments)
-        if name == "isNull":
-            return self._known(self._is_null(arguments[0]))
-        if name == "like":
-            return self._like(*arguments)
-        if name == "between":
-            low = self._compare("<=", arguments[1], arguments[0])
-            high = self._compare("<=", arguments[0], arguments[2])
-            return Truth(low.yes & high.yes, low.no | high.no)
-        if name == "in":
-            parts = [self._compare("=", arguments[0], each) for each in arguments[1]]
-            none = self._known(np.zeros(len(self._features), dtype=np.bool_))
-            yes = reduce(operator.or_, (each.yes for each in parts), none.yes)
-            return Truth(yes, reduce(operator.and_, (each.no for each in parts), none.no))
         if name in COMPARISONS:
             return self._compare(name, *arguments)
-        return self._temporal(name, *arguments)
+        if name in SPATIAL:
+            return self._spatial(name, arguments)
+        if name in TEMPORAL:
+            return self._temporal(name, *arguments)
+        others: dict[str, Callable[..., Truth]] = {
+            "and": self._and,
+            "or": lambda *parts: _not(self._and(*({"op": "not", "args": [part]} for part in parts))),
+            "not": lambda part: _not(self.truth(part)),
+            "isNull": lambda value: self._known(self._is_null(value)),
+            "like": self._like,
+            "between": self._between,
+            "in": self._in,
+        }
+        return others[name](*arguments)
+
+    def _refuse_if_late(self) -> None:
+        if time.monotonic() > self._deadline:
+            raise BadFilterError("It takes too long. Ask for less of it at a time, or for a smaller bbox.")
+
+    def _and(self, *parts: Any) -> Truth:  # noqa: ANN401
+        truths = [self.truth(each) for each in parts]
+        return Truth(
+            reduce(operator.and_, (each.yes for each in truths)), reduce(operator.or_, (each.no for each in truths))
+        )
+
+    def _between(self, value: Any, low: Any, high: Any) -> Truth:  # noqa: ANN401
+        above, below = self._compare("<=", low, value), self._compare("<=", value, high)
+        return Truth(above.yes & below.yes, above.no | below.no)
+
+    def _in(self, value: Any, values: list[Any]) -> Truth:  # noqa: ANN401
+        parts = [self._compare("=", value, each) for each in values]
+        yes = reduce(operator.or_, (each.yes for each in parts), np.zeros(len(self._features), dtype=np.bool_))
+        no = reduce(operator.and_, (each.no for each in parts), np.ones(len(self._features), dtype=np.bool_))
+        return Truth(yes, no)
 
     def _known(self, yes: Mask) -> Truth:
         return Truth(yes, ~yes)
@@ -298,8 +317,7 @@ class _Evaluation:
             yes[known & ~near] = True
         at_once = _SHAPES_AT_ONCE * (1 if self._has_parts(places) else 256)
         for start in range(0, len(places), at_once):
-            if time.monotonic() > self._deadline:
-                raise BadFilterError("It takes too long. Ask for less of it at a time, or for a smaller bbox.")
+            self._refuse_if_late()
             some = places[start : start + at_once]
             shapes = self._features.shapes(some)
             mirrored = {"s_within": shapely.contains, "s_contains": shapely.within}
@@ -311,6 +329,10 @@ class _Evaluation:
         """Return whether geometries may have many vertices: they are no points."""
         boxes = self._features.boxes()[places]
         return bool(np.any(boxes[:, 0] != boxes[:, 2]))
+
+
+def _not(truth: Truth) -> Truth:
+    return Truth(truth.no, truth.yes)
 
 
 def _of_texts(texts: Texts, holds: Callable[[str], bool]) -> Truth:

@@ -25,9 +25,11 @@ from app.ogc.filters import Filter
 from app.results.newest import newest_results
 from app.store.columns import Texts, unpack_blobs, unpack_numbers, unpack_texts
 from app.store.models import Drive, FeatureChunk, FeatureColumn, Job
+from app.work.features import RESULT
 from interloc.arrays import FloatArray
 from interloc.output.geojson import encode
 
+_OF_RESULT = [each.name for each in RESULT]
 _AT_ONCE = BoundedSemaphore(2)  # a query over a million features takes a hundred megabytes while it runs
 
 Interval = tuple[float, float]
@@ -273,8 +275,19 @@ class _Candidates:
     def chunks(self) -> list[Any]:
         """The chunks in their order, with the name of their drive."""
         chunk = FeatureChunk
-        columns = (chunk.id, chunk.count, chunk.job_id, chunk.preset, chunk.labels, Drive.name.label("drive"))
-        query = self.source.chunks(*columns).where(*self.conditions, chunk.count > 0).order_by(chunk.id)
+        columns = (
+            chunk.id,
+            chunk.count,
+            chunk.job_id.label("job"),
+            chunk.preset,
+            chunk.labels,
+            Drive.name.label("drive"),
+        )
+        query = (
+            self.source.chunks(chunk.id, chunk.count, *of_result)
+            .where(*self.conditions, chunk.count > 0)
+            .order_by(chunk.id)
+        )
         return list(self.session.execute(query).all())
 
     @cached_property
@@ -349,10 +362,8 @@ class _Candidates:
     def texts(self, name: str) -> Texts:
         """Return a property that is a text."""
         if name not in self._known:
-            if name in {"drive", "job", "preset", "labels"}:
-                self._known[name] = self._repeated(
-                    [each._mapping["job_id" if name == "job" else name] for each in self.chunks]
-                )
+            if name in _OF_RESULT:
+                self._known[name] = self._repeated([getattr(each, name) for each in self.chunks])
             else:
                 self._known[name] = unpack_texts(self._contents(name))
         texts: Texts = self._known[name]
@@ -434,11 +445,11 @@ class _Candidates:
             chunk = self.chunks[number]
             row = place - int(self.ends[number] - chunk.count)
             own = names[number].values[names[number].codes[row]]
-            id_ = encode(self.source.feature_id(chunk.job_id, own))
+            id_ = encode(self.source.feature_id(chunk.job, own))
             yield f'{{"type":"Feature","id":{id_},{lines[number][row][:-1]}{tails[number]}'
 
     def _tail(self, number: int) -> str:
         """Return the end of features of a chunk: what the index does not store with each."""
         each = self.chunks[number]
-        properties = {"drive": each.drive, "job": each.job_id, "preset": each.preset, "labels": each.labels}
+        properties = {name: getattr(each, name) for name in _OF_RESULT}
         return f",{encode(properties)[1:]}}}"

@@ -17,8 +17,11 @@ _PAGE = """<!doctype html>
 <style>
 body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 75rem; padding: 0 1rem; }}
 table {{ border-collapse: collapse; display: block; overflow-x: auto; }}
-th, td {{ border-bottom: 1px solid color-mix(in srgb, currentcolor 20%, transparent); padding: 0.25rem 0.75rem 0.25rem 0; }}
-th {{ text-align: left; }}
+th, td {{
+  border-bottom: 1px solid color-mix(in srgb, currentcolor 20%, transparent);
+  padding: 0.25rem 0.75rem 0.25rem 0;
+  text-align: left;
+}}
 </style>
 </head>
 <body>

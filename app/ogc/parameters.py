@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, cast, get_args
 
 from fastapi import Depends, Query, Request
 
@@ -42,9 +42,9 @@ async def _format(
 ) -> Format:
     if f is None:
         return "html" if prefers_html(request.headers) else "json"
-    if f == "json" or f == "html":  # noqa: PLR1714 - for the type checker
-        return f
-    raise _wrong("f", f, "json or html")
+    if f not in get_args(Format):
+        raise _wrong("f", f, "json or html")
+    return cast("Format", f)
 
 
 FormatDep = Annotated[Format, Depends(_format)]
@@ -196,9 +196,9 @@ def _span(text: str, whole: str) -> index.Interval:
 def _language(asked: str | None, text: str | None) -> Language:
     if asked is None:
         return "cql2-json" if (text or "").lstrip().startswith("{") else "cql2-text"
-    if asked == "cql2-text" or asked == "cql2-json":  # noqa: PLR1714 - for the type checker
-        return asked
-    raise _wrong("filter-lang", asked, "cql2-text or cql2-json")
+    if asked not in get_args(Language):
+        raise _wrong("filter-lang", asked, "cql2-text or cql2-json")
+    return cast("Language", asked)
 
 
 def _key(text: str) -> index.Key:

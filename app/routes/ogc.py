@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Callable
+from functools import wraps
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request, Response
@@ -118,83 +120,113 @@ def _answers(model: type[BaseModel], description: str) -> dict[int | str, dict[s
     return {**TAGGED, 200: {"model": model, "description": description, "content": _HTML, **TAGGED[200]}}
 
 
+def _landing(served: _Served, form: FormatDep) -> Response:
+    """Lead to everything else: give this address to QGIS (OGC API - Features) or to GDAL (`OAPIF:` before it)."""
+    return served.answer(served.place.landing(), form)
+
+
+def _conformance(served: _Served, form: FormatDep) -> Response:
+    """List the classes of OGC API - Features and CQL2 that the interface keeps to."""
+    return served.answer(served.place.conformance(), form)
+
+
+def _collections(served: _Served, form: FormatDep) -> Response:
+    """List the layers with their extents in space and time."""
+    return served.answer(served.place.collections(served.extents(), served.source.collections), form)
+
+
+def _collection(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+    """Describe a layer: what a feature is, its extent in space and time, whose data it is."""
+    found = served.collection(collection_id)
+    return served.answer(served.place.collection(found, served.extents()[found.id]), form)
+
+
+def _schema(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+    """Describe the properties of the features: type, unit, title and meaning."""
+    found = served.collection(collection_id)
+    return served.answer(found.schema(served.place.of_collection(found, "schema")), form, SCHEMA)
+
+
+def _feature_schema(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+    """Describe the features as they are in GeoJSON, for programs such as GDAL."""
+    found = served.collection(collection_id)
+    return served.answer(found.feature_schema(served.place.of_collection(found, "feature-schema")), form, SCHEMA)
+
+
+def _queryables(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+    """Describe what filters may name."""
+    found = served.collection(collection_id)
+    return served.answer(found.queryables_schema(served.place.of_collection(found, "queryables")), form, SCHEMA)
+
+
+def _items(
+    collection_id: _CollectionId, request: Request, served: _Served, asked: AskedDep, form: FormatDep
+) -> Response:
+    """Give features as GeoJSON, page by page: follow the link `next`.
+
+    All conditions must hold. A filter that is too large, too deep or takes too long is refused.
+    """
+    found = served.collection(collection_id)
+    query = asked.query(found)
+    with served.database.reading() as session:
+        page = find_page(session, served.source, found, query)
+    content = served.place.items(found, page, request.query_params.multi_items())
+    return served.answer(content, form, GEOJSON)
+
+
+def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Served, form: FormatDep) -> Response:
+    """Give one feature; its id stays the same for as long as there is its job."""
+    found = served.collection(collection_id)
+    with served.database.reading() as session:
+        content = find_feature(session, served.source, found, feature_id)
+    if content is None:
+        raise Problem(404, "No such feature", f"{found.id} has no feature {feature_id[:80]!r}.")
+    return served.answer(served.place.feature(found, feature_id, content), form, GEOJSON)
+
+
+_ONE = "/collections/{collection_id}"
+_ADDRESSES: tuple[tuple[str, Callable[..., Response], type[BaseModel], str], ...] = (
+    ("", _landing, OgcLandingPage, "Where a GIS begins"),
+    ("/conformance", _conformance, OgcConformance, "What the interface keeps to"),
+    ("/collections", _collections, OgcCollections, "List the layers"),
+    (_ONE, _collection, OgcCollection, "Describe a layer"),
+    (f"{_ONE}/schema", _schema, OgcSchema, "Describe the features of a layer"),
+    (f"{_ONE}/feature-schema", _feature_schema, OgcSchema, "Describe the GeoJSON of a layer"),
+    (f"{_ONE}/queryables", _queryables, OgcSchema, "Describe what filters may name"),
+    (f"{_ONE}/items", _items, OgcFeatures, "Give the features of a layer"),
+    (f"{_ONE}/items/{{feature_id}}", _feature, OgcFeature, "Give one feature"),
+)
+_MISSING = {404: {"model": ProblemDocument, "description": "No such collection or feature."}}
+
+
 def _add(
     router: APIRouter, prefix: str, name: str, source: Callable[..., _Served], problems: dict[int | str, Any]
 ) -> None:
     """Register all addresses of a source of features."""
-    no_collection = {404: {"model": ProblemDocument, "description": "No such collection, feature or job."}}
-
-    def landing(served: _Served, form: FormatDep) -> Response:
-        """Lead to everything else: give this address to QGIS (OGC API - Features) or to GDAL (`OAPIF:` before it)."""
-        return served.answer(served.place.landing(), form)
-
-    def conformance(served: _Served, form: FormatDep) -> Response:
-        """List the classes of OGC API - Features and CQL2 that the interface keeps to."""
-        return served.answer(served.place.conformance(), form)
-
-    def collections(served: _Served, form: FormatDep) -> Response:
-        """List the layers with their extents in space and time."""
-        return served.answer(served.place.collections(served.extents(), served.source.collections), form)
-
-    def collection(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
-        """Describe a layer: what a feature is, its extent in space and time, whose data it is."""
-        found = served.collection(collection_id)
-        return served.answer(served.place.collection(found, served.extents()[found.id]), form)
-
-    def schema(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
-        """Describe the properties of the features: type, unit, title and meaning."""
-        found = served.collection(collection_id)
-        return served.answer(found.schema(served.place.schema_of(found)), form, SCHEMA)
-
-    def queryables(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
-        """Describe what filters may name."""
-        found = served.collection(collection_id)
-        return served.answer(found.queryables_schema(served.place.queryables_of(found)), form, SCHEMA)
-
-    def items(
-        collection_id: _CollectionId, request: Request, served: _Served, asked: AskedDep, form: FormatDep
-    ) -> Response:
-        """Give features as GeoJSON, page by page: follow the link `next`.
-
-        All conditions must hold. A filter that is too large, too deep or takes too long is refused.
-        """
-        found = served.collection(collection_id)
-        query = asked.query(found)
-        with served.database.reading() as session:
-            page = find_page(session, served.source, found, query)
-        content = served.place.items(found, page, request.query_params.multi_items())
-        return served.answer(content, form, GEOJSON)
-
-    def feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Served, form: FormatDep) -> Response:
-        """Give one feature; its id stays the same for as long as there is its job."""
-        found = served.collection(collection_id)
-        with served.database.reading() as session:
-            content = find_feature(session, served.source, found, feature_id)
-        if content is None:
-            raise Problem(404, "No such feature", f"{found.id} has no feature {feature_id[:80]!r}.")
-        return served.answer(served.place.feature(found, feature_id, content), form, GEOJSON)
-
-    one = "/collections/{collection_id}"
-    for path, endpoint, model, summary in (
-        ("", landing, OgcLandingPage, "Where a GIS begins"),
-        ("/conformance", conformance, OgcConformance, "What the interface keeps to"),
-        ("/collections", collections, OgcCollections, "List the layers"),
-        (one, collection, OgcCollection, "Describe a layer"),
-        (f"{one}/schema", schema, OgcSchema, "Describe the features of a layer"),
-        (f"{one}/queryables", queryables, OgcSchema, "Describe what filters may name"),
-        (f"{one}/items", items, OgcFeatures, "Give the features of a layer"),
-        (f"{one}/items/{{feature_id}}", feature, OgcFeature, "Give one feature"),
-    ):
-        endpoint.__annotations__["served"] = Annotated[_Served, Depends(source)]
-        missing = no_collection if "{" in path else {}
+    for path, endpoint, model, summary in _ADDRESSES:
+        missing = _MISSING if "{" in path else {}
         get_and_head(
             router,
             f"{prefix}{path}",
             summary=summary,
-            operation_id=f"read_{name}_{endpoint.__name__}",
+            operation_id=f"read_{name}{endpoint.__name__}",
             response_class=Response,
             responses={**_answers(model, f"{summary}."), **missing, **problems},
-        )(endpoint)
+        )(_bound(endpoint, source))
+
+
+def _bound(endpoint: Callable[..., Response], source: Callable[..., _Served]) -> Callable[..., Response]:
+    """Return an endpoint whose `served` comes from a source."""
+
+    @wraps(endpoint)
+    def bound(**arguments: Any) -> Response:  # noqa: ANN401 - those of the endpoint
+        return endpoint(**arguments)
+
+    signature = inspect.signature(endpoint, eval_str=True)
+    own = signature.parameters["served"].replace(annotation=Annotated[_Served, Depends(source)])
+    parameters = {**signature.parameters, "served": own}
+    bound.__signature__ = signature.replace(parameters=list(parameters.values()))  # type: ignore[attr-defined]
+    return bound
 
 
 _add(of_all, "/ogc", "ogc", _newest, {})

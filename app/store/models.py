@@ -155,7 +155,7 @@ class Job(Base):
 
 
 class FeatureChunk(Base):
-    """Some hundred features of a layer of a result, in the order of the file: what the index of features looks at first.
+    """Some hundred features of a layer of a result, in the order of the file: what a query looks at first.
 
     Successful jobs with longitude and latitude have at least one for each layer of their result, so that a layer
     without features is known, too. The rows can be made anew from the result at any time.

@@ -22,6 +22,7 @@ from app.drives.reconcile import Difference, counts_of, differences, reconcile, 
 from app.drives.records import drive_key, files_key, reduced_key
 from app.drives.trash import finish_purges, half_purged
 from app.http.problems import Problem
+from app.jobs.features import index_job, is_indexed, is_indexed_as, read_chunks
 from app.jobs.queue import active_job
 from app.paths import without_folder
 from app.states import DriveState, JobKind, JobState
@@ -29,6 +30,7 @@ from app.store import sidecars
 from app.store.incoming import dead
 from app.store.models import Drive, DriveFile, Job
 from app.store.storage import INCOMING, LOST
+from app.work.features import is_on_earth
 from app.work.places import TRAJECTORY
 from interloc.drives.findings import Finding as Fault
 from interloc.drives.inspect import DriveReport
@@ -100,6 +102,7 @@ def check(
         if progress is not None:
             progress(number, total, f"job {job_id}")
         found += _check_job(context, job_id, repair=repair)
+        found += _check_features(context, job_id, repair=repair, quick=quick)
     return [*found, *_check_folders(context, repair=repair)]
 
 
@@ -328,6 +331,30 @@ def _check_job(context: Context, job_id: str, *, repair: bool) -> list[Finding]:
     if repair:
         sidecars.write_job(context.storage, job)
     return [_sidecar_finding(f"jobs/{job_id}/{sidecars.JOB_FILE}", repair=repair)]
+
+
+def _check_features(context: Context, job_id: str, *, repair: bool, quick: bool) -> Iterator[Finding]:
+    """Find a result whose features are not in the index as its files have them."""
+    with context.database.reading() as session:
+        job = session.get(Job, job_id)
+        if job is None or job.state != JobState.SUCCESSFUL:
+            return
+        indexed = is_indexed(session, job_id)
+    folder = context.storage.folder(f"jobs/{job_id}/result")
+    if indexed == is_on_earth(folder) and (quick or not indexed):
+        return
+    try:
+        chunks = read_chunks(context, job_id)
+    except InterLocError as error:
+        yield Finding("result", f"jobs/{job_id}/result", f"{without_folder(str(error), folder, 'result')}")
+        return
+    with context.database.reading() as session:
+        if is_indexed_as(session, job_id, chunks):
+            return
+    if repair:
+        index_job(context, job_id)
+    message = "the index of features does not hold what its files do, so that a GIS sees something else."
+    yield Finding("features", f"jobs/{job_id}/result", message, "indexed anew" if repair else None)
 
 
 def _fault_of_result(folder: Path) -> str | None:

@@ -221,8 +221,8 @@ def _shapes(geometries: list[dict[str, Any] | None]) -> tuple[list[Any], FloatAr
     shapes = [None if each is None else shapely.from_geojson(json.dumps(each)) for each in geometries]
     boxes = shapely.bounds(np.array(shapes, dtype=object)).reshape(-1, 4)
     for row in np.flatnonzero(boxes[:, 2] - boxes[:, 0] > 180.0).tolist():  # across the 180th meridian
-        shapes[row] = shapely.transform(shapes[row], lambda xy: np.where([[True, False]] & (xy < 0), xy + 360.0, xy))
-        boxes[row] = shapes[row].bounds
+        shape = shapely.transform(shapes[row], lambda xy: xy + [360.0, 0.0] * (xy[:, :1] < 0))
+        shapes[row], boxes[row] = shape, shapely.bounds(shape)
     return shapes, boxes
 
 
@@ -255,8 +255,8 @@ def _footprint(collections: dict[str, dict[str, Any]], run: dict[str, Any]) -> d
 def _surroundings(track: dict[str, Any]) -> dict[str, Any]:
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-    (line,), _ = _shapes([track])
-    west, south, east, north = line.bounds
+    (line,), boxes = _shapes([track])
+    west, south, east, north = boxes[0].tolist()
     metres = _METRES_PER_DEGREE * np.array([max(np.cos(np.radians((south + north) / 2)), 1e-6), 1.0])
     plane = shapely.transform(line, lambda xy: (xy - [west, south]) * metres).simplify(_TOLERANCE_M)
     area = plane.buffer(_FOOTPRINT_M, quad_segs=3).simplify(_TOLERANCE_M)
