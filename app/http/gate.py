@@ -9,9 +9,9 @@ the user's browser. Two attacks are kept out:
   report it in ``Sec-Fetch-Site``, older ones and plain http in ``Origin``: requests that change something are refused
   when they come from another origin. Programs send neither header.
 
-Neither is a danger where a token is needed: browsers add none by themselves, there are no cookies. A token may also come
-as the password of HTTP Basic, which is what QGIS can send; browsers repeat such a password by themselves once a user
-has typed it, so that it only serves to read.
+Neither is a danger where a token is needed: browsers add none by themselves, there are no cookies. A token may also
+come as the password of HTTP Basic, which is what QGIS can send; browsers repeat such a password by themselves once a
+user has typed it, so that it only serves to read.
 """
 
 from __future__ import annotations

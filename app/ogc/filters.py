@@ -7,6 +7,7 @@ what is too large or too deep. `app.ogc.evaluation` decides for all features at 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -27,6 +28,12 @@ MAX_SPATIAL = 8
 """Spatial operators of a filter."""
 MAX_VERTICES = 2000
 """Vertices of all its geometries."""
+
+_MAX_WORDS = 2 * MAX_NODES
+_QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
+_COORDINATES = re.compile(r"\([-+0-9.eE,()\s]*\)")
+_CHAIN = re.compile(rf"(?:\bnot\s+|-\s*){{{MAX_DEPTH}}}", re.IGNORECASE)
+_WORD = re.compile(r"\w[\w.]*|[^\w\s,()]")
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
 
@@ -119,8 +126,10 @@ def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
     """Return the tree of a filter."""
     if len(content) > MAX_CHARACTERS:
         raise BadFilterError(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
-    if _nesting(content) > MAX_DEPTH:  # before any parser sees it: theirs are recursive
+    if _nesting(content) > MAX_DEPTH or _CHAIN.search(content):  # before any parser sees it: theirs are recursive
         raise BadFilterError(f"It is nested deeper than {MAX_DEPTH} levels.")
+    if language == "cql2-text" and _words(content) > _MAX_WORDS:  # likewise
+        raise BadFilterError(f"It is larger than {MAX_NODES} parts.")
     try:
         if language == "cql2-json":
             content = json.dumps(json.loads(content, parse_constant=_no_number))
@@ -144,8 +153,13 @@ def _no_number(name: str) -> float:
     raise ValueError(f"{name} is not a number that a filter can hold")
 
 
+def _words(content: str) -> int:
+    """Return the number of words, numbers and signs outside of texts and geometries: chains of them are nested, too."""
+    return sum(1 for _ in _WORD.finditer(_COORDINATES.sub(" ", _QUOTED.sub("x", content))))
+
+
 def _nesting(content: str) -> int:
-    """Return how deep brackets are nested outside of quotes, and how many `not` and signs may follow each other."""
+    """Return how deep brackets are nested outside of quotes."""
     depth = deepest = 0
     quote = ""
     for character in content:
@@ -189,6 +203,8 @@ class _Check:
                 self._kind(node["property"])
             elif not (node.keys() <= {"timestamp", "date", "interval"} and len(node) == 1):
                 raise BadFilterError(f"{_shown(node)} cannot stand here.")
+            if len(node.get("interval", "ab")) != 2:
+                raise BadFilterError("An interval has two ends.")
             for member in node.get("interval", ()):
                 if isinstance(member, dict):
                     self._walk(member, depth + 1)
@@ -199,7 +215,10 @@ class _Check:
         name, arguments = self._operator(node), node["args"]
         node["op"] = name
         expected = _ARGUMENTS.get(name, 2)
-        if not isinstance(arguments, list) or (len(arguments) != expected and name not in {"and", "or"}):
+        is_right = isinstance(arguments, list) and (
+            len(arguments) > 1 if name in {"and", "or"} else len(arguments) == expected
+        )
+        if not is_right:
             raise BadFilterError(f"{name} takes {expected} arguments.")
         if name in SPATIAL:
             self._spatial_operation(name, arguments)

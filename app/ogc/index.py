@@ -25,7 +25,7 @@ from app.ogc.filters import Filter
 from app.results.newest import newest_results
 from app.store.columns import Texts, unpack_blobs, unpack_numbers, unpack_texts
 from app.store.models import Drive, FeatureChunk, FeatureColumn, Job
-from app.work.features import RESULT
+from app.work.features import BOXES, CONTENT, IDS, RESULT, SHAPES, TIMES
 from interloc.arrays import FloatArray
 from interloc.output.geojson import encode
 
@@ -238,7 +238,7 @@ def find_feature(session: Session, source: Source, collection: Collection, featu
     job, own = source.split_id(feature)
     conditions = [FeatureChunk.layer == collection.layer.name, FeatureChunk.job_id == job]
     candidates = _Candidates(session, source, collection, conditions)
-    ids = candidates.texts("@id")
+    ids = candidates.texts(IDS)
     if own not in ids.values:
         return None
     (row,) = np.flatnonzero(ids.codes == ids.values.index(own))[:1].tolist()
@@ -275,19 +275,9 @@ class _Candidates:
     def chunks(self) -> list[Any]:
         """The chunks in their order, with the name of their drive."""
         chunk = FeatureChunk
-        columns = (
-            chunk.id,
-            chunk.count,
-            chunk.job_id.label("job"),
-            chunk.preset,
-            chunk.labels,
-            Drive.name.label("drive"),
-        )
-        query = (
-            self.source.chunks(chunk.id, chunk.count, *of_result)
-            .where(*self.conditions, chunk.count > 0)
-            .order_by(chunk.id)
-        )
+        of_result = (Drive.name.label("drive"), chunk.job_id.label("job"), chunk.preset, chunk.labels)
+        query = self.source.chunks(chunk.id, chunk.count, *of_result)
+        query = query.where(*self.conditions, chunk.count > 0).order_by(chunk.id)
         return list(self.session.execute(query).all())
 
     @cached_property
@@ -315,18 +305,16 @@ class _Candidates:
 
     def matching(self, query: Query) -> NDArray[np.int64]:
         """Return the places of the candidates that match."""
-        if not self.chunks:
-            return np.empty(0, dtype=np.int64)
         matches: NDArray[np.bool_] | None = None
         for mask in self._masks(query):
             matches = mask if matches is None else matches & mask
-        return np.arange(len(self)) if matches is None else np.flatnonzero(matches)
+        return np.arange(len(self), dtype=np.int64) if matches is None else np.flatnonzero(matches)
 
     def _masks(self, query: Query) -> Iterator[NDArray[np.bool_]]:
         if query.area is not None:
             yield self._inside(query.area)
         if query.interval is not None:
-            times = self.packed_numbers("@time", 2)
+            times = self.packed_numbers(TIMES, 2)
             yield (times[:, 0] <= query.interval[1]) & (times[:, 1] >= query.interval[0])
         if query.filter is not None:
             yield matching(query.filter, self)
@@ -371,7 +359,7 @@ class _Candidates:
 
     def boxes(self) -> FloatArray:
         """Return west, south, east, north of each, (N, 4); NaN without geometry."""
-        return self.packed_numbers("@box", 4)
+        return self.packed_numbers(BOXES, 4)
 
     def shapes(self, places: NDArray[np.int64]) -> NDArray[np.object_]:
         """Return the geometries of some candidates."""
@@ -382,7 +370,7 @@ class _Candidates:
         numbers = np.searchsorted(self.ends, places, side="right")
         found = np.empty(len(places), dtype=object)
         used = np.unique(numbers)
-        contents = self._contents("@shape", [self.chunks[number].id for number in used.tolist()])
+        contents = self._contents(SHAPES, [self.chunks[number].id for number in used.tolist()])
         for number, content in zip(used.tolist(), contents, strict=True):
             count = self.chunks[number].count
             blobs = unpack_blobs(content, count)
@@ -408,7 +396,7 @@ class _Candidates:
         """Return a text that is the same for all features of a chunk."""
         known = {value: number for number, value in enumerate(dict.fromkeys(v for v in values if v is not None))}
         codes = np.array([-1 if value is None else known[value] for value in values], dtype=np.int32)
-        return Texts(list(known), np.repeat(codes, [each.count for each in self.chunks]))
+        return Texts(list(known), np.repeat(codes, np.array([each.count for each in self.chunks], dtype=np.int64)))
 
     def _contents(self, name: str, ids: list[int] | None = None) -> list[bytes]:
         column = FeatureColumn
@@ -435,11 +423,11 @@ class _Candidates:
         lines = dict(
             zip(
                 used,
-                (zlib.decompress(each).decode().split("\n") for each in self._contents("@content", ids)),
+                (zlib.decompress(each).decode().split("\n") for each in self._contents(CONTENT, ids)),
                 strict=True,
             )
         )
-        names = dict(zip(used, (unpack_texts([each]) for each in self._contents("@id", ids)), strict=True))
+        names = dict(zip(used, (unpack_texts([each]) for each in self._contents(IDS, ids)), strict=True))
         tails = {number: self._tail(number) for number in used}
         for number, place in zip(numbers, places.tolist(), strict=True):
             chunk = self.chunks[number]

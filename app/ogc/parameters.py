@@ -88,8 +88,9 @@ async def _asked(
     limit: Annotated[
         str | None,
         Query(
-            description=f"Maximum number of features; more than {MAX_LIMIT:,} are never sent at once.",
-            json_schema_extra={"type": "integer", "minimum": 1, "maximum": MAX_LIMIT, "default": DEFAULT_LIMIT},
+            description=f"Maximum number of features, {DEFAULT_LIMIT:,} by default; more than {MAX_LIMIT:,} are never "
+            "sent at once.",
+            json_schema_extra={"type": "integer", "minimum": 1, "maximum": MAX_LIMIT},
         ),
     ] = None,
     bbox: Annotated[

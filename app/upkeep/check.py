@@ -30,7 +30,6 @@ from app.store import sidecars
 from app.store.incoming import dead
 from app.store.models import Drive, DriveFile, Job
 from app.store.storage import INCOMING, LOST
-from app.work.features import is_on_earth
 from app.work.places import TRAJECTORY
 from interloc.drives.findings import Finding as Fault
 from interloc.drives.inspect import DriveReport
@@ -334,27 +333,28 @@ def _check_job(context: Context, job_id: str, *, repair: bool) -> list[Finding]:
 
 
 def _check_features(context: Context, job_id: str, *, repair: bool, quick: bool) -> Iterator[Finding]:
-    """Find a result whose features are not in the index as its files have them."""
+    """Find a result whose features are in the index otherwise than in its files; those that it lacks are written."""
     with context.database.reading() as session:
         job = session.get(Job, job_id)
         if job is None or job.state != JobState.SUCCESSFUL:
             return
         indexed = is_indexed(session, job_id)
-    folder = context.storage.folder(f"jobs/{job_id}/result")
-    if indexed == is_on_earth(folder) and (quick or not indexed):
+    if (quick or not indexed) and not repair:  # a server writes them at its next start
         return
     try:
         chunks = read_chunks(context, job_id)
     except InterLocError as error:
-        yield Finding("result", f"jobs/{job_id}/result", f"{without_folder(str(error), folder, 'result')}")
+        folder = context.storage.folder(f"jobs/{job_id}/result")
+        message = f"{without_folder(str(error), folder, 'result')} A GIS sees what the index of features still holds."
+        yield Finding("result", f"jobs/{job_id}/result", message)
         return
     with context.database.reading() as session:
-        if is_indexed_as(session, job_id, chunks):
-            return
-    if repair:
+        agrees = is_indexed_as(session, job_id, chunks)
+    if not agrees and repair:
         index_job(context, job_id)
-    message = "the index of features does not hold what its files do, so that a GIS sees something else."
-    yield Finding("features", f"jobs/{job_id}/result", message, "indexed anew" if repair else None)
+    if not agrees and indexed:
+        message = "the index of features holds something else than its files, which is what a GIS sees."
+        yield Finding("features", f"jobs/{job_id}/result", message, "indexed anew" if repair else None)
 
 
 def _fault_of_result(folder: Path) -> str | None:

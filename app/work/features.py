@@ -26,10 +26,12 @@ from pydantic import Field
 from app.store.columns import pack_blobs, pack_numbers, pack_texts
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
-from interloc.output.geojson import DEGREE_DECIMALS, encode, read_json
+from interloc.output.geojson import DEGREE_DECIMALS, damaged, encode, read_json
 from interloc.output.layers import LAYERS, Layer
 from interloc.output.layout import RUN_FILE, file_names
 from interloc.output.properties import Properties, Time
+
+IDS, BOXES, TIMES, SHAPES, CONTENT = "@id", "@box", "@time", "@shape", "@content"
 
 CHUNK = 512
 """Features in a chunk: few enough to read for a page, many enough that a million are some thousand chunks."""
@@ -131,9 +133,14 @@ def chunks_of(folder: Path) -> Iterator[Chunk]:
     collections = {
         layer.name: read_json(path) for layer in LAYERS.values() if (path := folder / f"{layer.name}.geojson").is_file()
     }
-    collections[FOOTPRINTS.name] = _footprint(collections, run)
-    for name, collection in collections.items():
-        yield from _cut(INDEXED[name], collection, run)
+    import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
+
+    try:
+        collections[FOOTPRINTS.name] = _footprint(collections, run)
+        for name, collection in collections.items():
+            yield from _cut(INDEXED[name], collection, run)
+    except (KeyError, TypeError, ValueError, AttributeError, shapely.errors.ShapelyError) as error:
+        raise damaged(folder, f"its layers are not as they were written ({error!r})") from error
 
 
 def seconds_of(time: str | None) -> float | None:
@@ -176,18 +183,18 @@ def _columns(
         elif each.kind != "list":
             columns[each.name] = pack_numbers(values)
     shapes, boxes = _shapes([feature["geometry"] for feature in features])
-    columns["@box"] = boxes.astype("<f8").tobytes()
+    columns[BOXES] = boxes.astype("<f8").tobytes()
     if layer.geometry != "Point":
-        columns["@shape"] = pack_blobs([b"" if each is None else each.wkb for each in shapes])
+        columns[SHAPES] = pack_blobs([b"" if each is None else each.wkb for each in shapes])
     times = _times(rows, run)
     if np.isfinite(times).any():
-        columns["@time"] = times.astype("<f8").tobytes()
-    columns["@id"] = pack_texts(_ids(layer, features, rows, start))
+        columns[TIMES] = times.astype("<f8").tobytes()
+    columns[IDS] = pack_texts(_ids(layer, features, rows, start))
     lines = [
         f'"geometry":{encode(feature["geometry"])},"properties":{encode(row)}'
         for feature, row in zip(features, rows, strict=True)
     ]
-    columns["@content"] = zlib.compress("\n".join(lines).encode(), _PACKED)
+    columns[CONTENT] = zlib.compress("\n".join(lines).encode(), _PACKED)
     return _around(boxes), _span(times), columns
 
 
