@@ -36,6 +36,7 @@ from app.routes import (
     jobs,
     keyframes,
     models,
+    ogc,
     overview,
     page,
     results,
@@ -122,6 +123,8 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
         app.include_router(module.router, prefix=API, dependencies=shared)
+    app.include_router(ogc.of_job, prefix=API, dependencies=shared)
+    app.include_router(ogc.of_all, dependencies=shared)
     app.include_router(stac.router, dependencies=shared)
     for module in (system, page):
         app.include_router(module.router)

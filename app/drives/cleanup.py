@@ -23,6 +23,7 @@ from app.context import Context
 from app.drives.records import drive_key, files_key, lock_drive, note_extent, reduced_key
 from app.drives.trash import delete_drive, empty_trash, finish_purges
 from app.http.problems import Problem
+from app.jobs.features import index_missing
 from app.metrics import Removal
 from app.paths import is_map
 from app.states import FINAL, DriveState, JobKind, JobState
@@ -69,6 +70,7 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
     _tidy_drives(context)
     _note_extents(context)
     _write_sidecars(context)
+    index_missing(context)
     if swept.total():
         text = ", ".join(f"{count} {reason}" for reason, count in swept.items() if count)
         _log.info("clean-up: %s", text)

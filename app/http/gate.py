@@ -9,13 +9,17 @@ the user's browser. Two attacks are kept out:
   report it in ``Sec-Fetch-Site``, older ones and plain http in ``Origin``: requests that change something are refused
   when they come from another origin. Programs send neither header.
 
-Neither is a danger where a token is needed: browsers add none by themselves, there are no cookies.
+Neither is a danger where a token is needed: browsers add none by themselves, there are no cookies. A token may also
+come as the password of HTTP Basic, which is what QGIS can send; browsers repeat such a password by themselves once a
+user has typed it, so that it only serves to read.
 """
 
 from __future__ import annotations
 
+import base64
 import ipaddress
 import logging
+import re
 import time
 from collections import OrderedDict
 from urllib.parse import urlsplit
@@ -38,6 +42,7 @@ _MAX_TOKEN = 512  # characters
 _FAILURES_PER_MINUTE = 20
 _FAILURES_OF_ALL = 300  # of all addresses together: whoever is believed to be a proxy can make them up
 _ADDRESSES = 4096
+_OGC = re.compile(r"(/api/v1/jobs/[^/]+)?/ogc(/.*)?", re.DOTALL)
 
 _log = logging.getLogger(__name__)
 
@@ -51,7 +56,12 @@ def path_of(scope: Scope) -> str:
 
 def is_api(path: str) -> bool:
     """Return whether a path is of the API, which needs a token where there are any, and not of the page."""
-    return path.startswith(("/api/", "/stac/")) or path == "/stac"
+    return path.startswith(("/api/", "/ogc/", "/stac/")) or path in {"/ogc", "/stac"}
+
+
+def _is_ogc(path: str) -> bool:
+    """Return whether a path is one that a GIS asks for."""
+    return _OGC.fullmatch(path) is not None
 
 
 class Gate:
@@ -121,12 +131,18 @@ class Gate:
     async def _identify(self, scope: Scope, headers: Headers, context: Context, *, needed: bool) -> Problem | None:
         """Find out whose token it is. One that is known is never refused, whatever else comes from its address."""
         given = headers.get("authorization")
+        offers_basic = _is_ogc(path_of(scope))
         if given is None:
-            return _unauthorized("This service needs an API token.") if needed else None
+            return _unauthorized("This service needs an API token.", basic=offers_basic) if needed else None
         scheme, _, token = given.partition(" ")
         token = token.strip()
-        if scheme.lower() != "bearer" or not token or len(token) > _MAX_TOKEN:
-            return _unauthorized("The Authorization header holds no token: `Bearer TOKEN` is expected.")
+        if scheme.lower() == "basic" and scope["method"] in _SAFE:
+            token = _password_of(token)
+        elif scheme.lower() != "bearer":
+            token = ""
+        if not token or len(token) > _MAX_TOKEN:
+            found = "The Authorization header holds no token: `Bearer TOKEN` is expected."
+            return _unauthorized(found, basic=offers_basic)
         asked = time.monotonic()
         if not context.tokens.is_fresh:
             await self._read(context.tokens, asked)
@@ -152,6 +168,7 @@ class Gate:
                 return _unauthorized(
                     "There is no such token, or it was revoked. The operator makes one with `interloc token add NAME`.",
                     'error="invalid_token"',
+                    basic=offers_basic,
                 )
         logs.bind(client=holder.name)
         if holder.has_expired:
@@ -160,6 +177,7 @@ class Gate:
                 f"The token of {holder.name} expired on {moment(holder.expires_at or 0):%Y-%m-%d %H:%M} UTC. The "
                 "operator makes another one with `interloc token add NAME`.",
                 'error="invalid_token"',
+                basic=offers_basic,
             )
         scope["state"]["holder"] = holder
         return None
@@ -168,10 +186,22 @@ class Gate:
         await to_thread.run_sync(tokens.read, asked, limiter=self._reader)
 
 
-def _unauthorized(found: str, parameter: str = "") -> Problem:
+def _unauthorized(found: str, parameter: str = "", *, basic: bool = False) -> Problem:
+    """Return the problem; only where a GIS asks is Basic offered, as browsers open a dialogue then."""
     challenge = f'Bearer realm="interloc"{", " if parameter else ""}{parameter}'
-    detail = f"{found} Send it as `Authorization: Bearer TOKEN`."
+    if basic:
+        challenge = f'Basic realm="interloc", charset="UTF-8", {challenge}'
+    detail = f"{found} Send it as `Authorization: Bearer TOKEN`, or to read as the password of any user."
     return Problem(401, "Token needed", detail, headers={"WWW-Authenticate": challenge})
+
+
+def _password_of(credentials: str) -> str:
+    """Return the password of HTTP Basic; empty where there is none."""
+    try:
+        text = base64.b64decode(credentials, validate=True).decode()
+    except ValueError:
+        return ""
+    return text.partition(":")[2]
 
 
 class _Failures:

@@ -55,7 +55,7 @@ async def _box(
     box = Box(*(float(part) for part in bbox.split(",")))
     is_on_earth = all(abs(lon) <= 180 for lon in (box.west, box.east)) and -90 <= box.south <= box.north <= 90
     if not is_on_earth:
-        raise _refusal(
+        raise refusal(
             422,
             "Request not valid",
             "query.bbox",
@@ -82,7 +82,7 @@ async def refuse_unknown_parameters(request: Request) -> None:
     for name in request.query_params:
         if name not in known:
             expected = f"Expected one of {', '.join(known)}" if known else "Expected none"
-            raise _refusal(400, "Unknown parameter", f"query.{name[:80]}", f"There is no such parameter. {expected}.")
+            raise refusal(400, "Unknown parameter", f"query.{name[:80]}", f"There is no such parameter. {expected}.")
 
 
 def _names(dependant: Dependant) -> Iterator[str]:
@@ -92,6 +92,7 @@ def _names(dependant: Dependant) -> Iterator[str]:
         yield from _names(each)
 
 
-def _refusal(status: int, title: str, path: str, message: str) -> Problem:
+def refusal(status: int, title: str, path: str, message: str) -> Problem:
+    """Return the problem of a parameter, given as ``query.NAME``."""
     problem = FileProblem(severity="error", path=path, message=message)
     return Problem(status, title, f"{path}: {message}", problems=[problem])

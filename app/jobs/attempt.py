@@ -17,14 +17,16 @@ from app.context import Context
 from app.http.problems import Problem
 from app.jobs import failures
 from app.jobs.executors import WorkExecutor
+from app.jobs.features import write_chunks
 from app.jobs.folders import place_result, task_of, tidy, without_paths
 from app.jobs.processes import WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
 from app.jobs.worker_limits import WorkerLimitError
-from app.states import DriveState, JobState
+from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.models import Drive, Job
 from app.work import kinds
+from app.work.features import Chunk, chunks_of
 from app.work.progress import ProgressFiles
 from app.work.task import Cancelled, Outcome, Part, Plan
 
@@ -238,9 +240,10 @@ class Attempt:
         if isinstance(outcome, Problem):
             state = JobState.DISMISSED if self._stop == "cancelled" else JobState.FAILED
         job_id, storage = self.claim.job.id, self._context.storage
+        chunks = self._chunks() if state == JobState.SUCCESSFUL else []
         for wait_s in (0.5, 1, 2, 4, 8, 0):
             try:
-                if self._stop == "lost" or not self._finish(state, outcome):
+                if self._stop == "lost" or not self._finish(state, outcome, chunks):
                     return self._leave()
                 break
             except SQLAlchemyError as error:
@@ -254,7 +257,17 @@ class Attempt:
                 self._write_sidecar()
         return state
 
-    def _finish(self, state: JobState, outcome: Outcome | Problem) -> bool:
+    def _chunks(self) -> list[Chunk]:
+        """Return the features of the result for the index; without them the clean-up tries again."""
+        if self.claim.job.kind != JobKind.INTERSECTIONS:
+            return []
+        try:
+            return list(chunks_of(self._task.result))
+        except Exception:  # noqa: BLE001 - the result is there all the same
+            _log.exception("job %s: its features could not be indexed", self.claim.job.id)
+            return []
+
+    def _finish(self, state: JobState, outcome: Outcome | Problem, chunks: list[Chunk]) -> bool:
         job_id = self.claim.job.id
         error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
         summary = None if isinstance(outcome, Problem) else outcome.summary
@@ -263,6 +276,8 @@ class Attempt:
                 return False
             if state == JobState.SUCCESSFUL:
                 place_result(self._context.storage, self._task)
+            if chunks:
+                write_chunks(session, self.claim.job, chunks)
             if self._kind.changes_drive:
                 job = session.get(Job, job_id)
                 assert job is not None

@@ -1,11 +1,23 @@
-"""The tables: drives, their files, jobs, tokens, and the id of the installation."""
+"""The tables: drives, their files, jobs, the index of their features, tokens, and the id of the installation."""
 
 from __future__ import annotations
 
 import secrets
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, Float, ForeignKey, Index, Integer, String, Text, UniqueConstraint, text
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    String,
+    Text,
+    UniqueConstraint,
+    text,
+)
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from app.states import DriveState, JobState, Scope
@@ -140,6 +152,53 @@ class Job(Base):
         Index("ix_jobs_state_created", "state", "created_at"),
         Index("ix_jobs_drive", "drive_id"),
     )
+
+
+class FeatureChunk(Base):
+    """Some hundred features of a layer of a result, in the order of the file: what a query looks at first.
+
+    Successful jobs with longitude and latitude have at least one for each layer of their result, so that a layer
+    without features is known, too. The rows can be made anew from the result at any time.
+    """
+
+    __tablename__ = "feature_chunks"
+
+    id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=True)
+    """Pages of features are in this order."""
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
+    layer: Mapped[str]
+    number: Mapped[int] = mapped_column(Integer)
+    """From 0 within the layer."""
+    count: Mapped[int] = mapped_column(Integer)
+    preset: Mapped[str | None]
+    labels: Mapped[str | None]
+    west: Mapped[float | None]
+    """Box around the features, degrees; across the 180th meridian east is more than 180."""
+    south: Mapped[float | None]
+    east: Mapped[float | None]
+    north: Mapped[float | None]
+    first_time: Mapped[float | None]
+    last_time: Mapped[float | None]
+    attribution: Mapped[str] = mapped_column(Text)
+    license: Mapped[str | None]
+
+    __table_args__ = (
+        UniqueConstraint("job_id", "layer", "number", name="uq_feature_chunks"),
+        {"sqlite_autoincrement": True},
+    )
+
+
+class FeatureColumn(Base):
+    """The values of a property of all features of a chunk: see `app.store.columns`."""
+
+    __tablename__ = "feature_columns"
+
+    chunk_id: Mapped[int] = mapped_column(
+        Integer, ForeignKey("feature_chunks.id", ondelete="CASCADE"), primary_key=True, autoincrement=False
+    )
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    """Of the property; those with an @ are no properties: see `app.work.features`."""
+    content: Mapped[bytes] = mapped_column(LargeBinary)
 
 
 class Token(Base):

@@ -22,6 +22,7 @@ from app.drives.reconcile import Difference, counts_of, differences, reconcile, 
 from app.drives.records import drive_key, files_key, reduced_key
 from app.drives.trash import finish_purges, half_purged
 from app.http.problems import Problem
+from app.jobs.features import index_job, is_indexed, is_indexed_as, read_chunks
 from app.jobs.queue import active_job
 from app.paths import without_folder
 from app.states import DriveState, JobKind, JobState
@@ -100,6 +101,7 @@ def check(
         if progress is not None:
             progress(number, total, f"job {job_id}")
         found += _check_job(context, job_id, repair=repair)
+        found += _check_features(context, job_id, repair=repair, quick=quick)
     return [*found, *_check_folders(context, repair=repair)]
 
 
@@ -328,6 +330,31 @@ def _check_job(context: Context, job_id: str, *, repair: bool) -> list[Finding]:
     if repair:
         sidecars.write_job(context.storage, job)
     return [_sidecar_finding(f"jobs/{job_id}/{sidecars.JOB_FILE}", repair=repair)]
+
+
+def _check_features(context: Context, job_id: str, *, repair: bool, quick: bool) -> Iterator[Finding]:
+    """Find a result whose features are in the index otherwise than in its files; those that it lacks are written."""
+    with context.database.reading() as session:
+        job = session.get(Job, job_id)
+        if job is None or job.state != JobState.SUCCESSFUL:
+            return
+        indexed = is_indexed(session, job_id)
+    if (quick or not indexed) and not repair:  # a server writes them at its next start
+        return
+    try:
+        chunks = read_chunks(context, job_id)
+    except InterLocError as error:
+        folder = context.storage.folder(f"jobs/{job_id}/result")
+        message = f"{without_folder(str(error), folder, 'result')} A GIS sees what the index of features still holds."
+        yield Finding("result", f"jobs/{job_id}/result", message)
+        return
+    with context.database.reading() as session:
+        agrees = is_indexed_as(session, job_id, chunks)
+    if not agrees and repair:
+        index_job(context, job_id)
+    if not agrees and indexed:
+        message = "the index of features holds something else than its files, which is what a GIS sees."
+        yield Finding("features", f"jobs/{job_id}/result", message, "indexed anew" if repair else None)
 
 
 def _fault_of_result(folder: Path) -> str | None:

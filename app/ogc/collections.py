@@ -1,0 +1,134 @@
+"""The collections: the layers of results, with the schema of their features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from app.work.features import FOOTPRINTS, INDEXED, RESULT
+from interloc.output.layers import Layer
+from interloc.output.properties import Attribute
+
+GEOMETRY = "geometry"
+"""Name of the geometry in schemas and filters."""
+
+_KINDS: dict[str, dict[str, Any]] = {
+    "int": {"type": "integer"},
+    "float": {"type": "number"},
+    "bool": {"type": "boolean"},
+    "text": {"type": "string"},
+    "time": {"type": "string", "format": "date-time"},
+    "list": {"type": "array", "items": {"type": "number"}},
+}
+_DRAFT = "https://json-schema.org/draft/2020-12/schema"
+_LARGE = {"osm_id"}  # ids beyond 2^31
+_SHAPES = {"Point": "point", "LineString": "any", "Polygon": "any"}  # lines and areas may have several parts
+_SPANS = {"time": "primary-instant", "first_time": "primary-interval-start", "last_time": "primary-interval-end"}
+
+
+@dataclass(frozen=True)
+class Collection:
+    """A layer as a collection.
+
+    Attributes
+    ----------
+    id : str
+        Its name in addresses.
+    layer : Layer
+    """
+
+    id: str
+    layer: Layer
+
+    @cached_property
+    def attributes(self) -> list[Attribute]:
+        """The properties of its features."""
+        return [*(each for each in self.layer.attributes if each.name != "drive"), *RESULT]
+
+    @cached_property
+    def queryables(self) -> dict[str, str]:
+        """The properties that filters may name -> int, float, bool, text or time; the geometry is not among them."""
+        return {each.name: each.kind for each in self.attributes if each.kind != "list"}
+
+    @property
+    def is_point(self) -> bool:
+        """Whether its features are points."""
+        return self.layer.geometry == "Point"
+
+    def schema(self, address: str) -> dict[str, Any]:
+        """Return the JSON schema of its features (OGC API - Features, part 5), which stands at this address."""
+        return self._document(address, [each.name for each in self.attributes])
+
+    def feature_schema(self, address: str) -> dict[str, Any]:
+        """Return the JSON schema of its features as GeoJSON, from which GDAL takes the types of properties.
+
+        Ids of OpenStreetMap and lists are left out: GDAL would take them for integers of 32 bits and for texts, where
+        it knows better by looking at features.
+        """
+        described = {each.name: _described(each) for each in self.attributes}
+        plain = {each.name for each in self.attributes if each.kind != "list"} - _LARGE
+        return {
+            "$schema": _DRAFT,
+            "$id": address,
+            "title": self.layer.title,
+            "description": self.layer.description,
+            "type": "object",
+            "required": ["type", "geometry", "properties"],
+            "properties": {
+                "type": {"type": "string", "const": "Feature"},
+                "id": {"type": "string"},
+                "geometry": {"$ref": f"https://geojson.org/schema/{'Point' if self.is_point else 'Geometry'}.json"},
+                "properties": {"type": "object", "properties": {k: v for k, v in described.items() if k in plain}},
+            },
+        }
+
+    def queryables_schema(self, address: str) -> dict[str, Any]:
+        """Return the JSON schema of what filters may name (part 3), which stands at this address."""
+        return self._document(address, list(self.queryables))
+
+    def _document(self, address: str, names: list[str]) -> dict[str, Any]:
+        shape = {"x-ogc-role": "primary-geometry", "format": f"geometry-{_SHAPES[self.layer.geometry]}"}
+        described = {each.name: _described(each) for each in self.attributes}
+        return {
+            "$schema": _DRAFT,
+            "$id": address,
+            "title": self.layer.title,
+            "description": self.layer.description,
+            "type": "object",
+            "properties": {GEOMETRY: shape, **{name: described[name] for name in names}},
+            "additionalProperties": False,
+        }
+
+
+def _described(attribute: Attribute) -> dict[str, Any]:
+    described = {"title": attribute.title, "description": attribute.description, **_KINDS[attribute.kind]}
+    if attribute.unit is not None:
+        described["x-ogc-unit"] = attribute.unit
+    if attribute.name in _LARGE:
+        described["format"] = "int64"
+    if attribute.name in _SPANS:
+        described["x-ogc-role"] = _SPANS[attribute.name]
+    return described
+
+
+def _collection(layer: Layer) -> Collection:
+    return Collection("trajectories" if layer.name == "trajectory" else layer.name, layer)
+
+
+OF_JOB = {each.id: each for each in map(_collection, INDEXED.values())}
+"""The collections of one job, as far as its result has them, by their ids."""
+
+OF_ALL = {
+    name: OF_JOB[name]
+    for name in (
+        "intersections",
+        "detections",
+        "keyframes",
+        "trajectories",
+        FOOTPRINTS.name,
+        "osm_nodes",
+        "matches",
+    )
+}
+"""The collections of the newest results of all drives."""

@@ -1,0 +1,189 @@
+"""The documents that lead to the features: landing page, conformance, collections; all links are absolute."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+from urllib.parse import quote, urlencode
+
+from app.ogc.collections import Collection
+from app.ogc.filters import CRS84
+from app.ogc.index import Extent, Page
+from interloc.output.credits import ODBL
+from interloc.output.geojson import encode
+
+GEOJSON = "application/geo+json"
+SCHEMA = "application/schema+json"
+OPENAPI = "application/vnd.oai.openapi+json;version=3.1"
+
+_PART_1 = "http://www.opengis.net/spec/ogcapi-features-1/1.0/conf"
+_PART_3 = "http://www.opengis.net/spec/ogcapi-features-3/1.0/conf"
+_PART_5 = "http://www.opengis.net/spec/ogcapi-features-5/1.0/conf"
+_CQL2 = "http://www.opengis.net/spec/cql2/1.0/conf"
+_COMMON = "http://www.opengis.net/spec/ogcapi-common"
+
+CONFORMS_TO = [
+    f"{_COMMON}-1/1.0/conf/core",
+    f"{_COMMON}-2/1.0/conf/collections",
+    *(f"{_PART_1}/{name}" for name in ("core", "geojson", "html")),
+    *(f"{_PART_3}/{name}" for name in ("queryables", "filter", "features-filter")),
+    *(f"{_PART_5}/{name}" for name in ("schemas", "core-roles-features")),
+    *(
+        f"{_CQL2}/{name}"
+        for name in (
+            "cql2-text",
+            "cql2-json",
+            "basic-cql2",
+            "advanced-comparison-operators",
+            "case-insensitive-comparison",
+            "accent-insensitive-comparison",
+            "basic-spatial-functions",
+            "basic-spatial-functions-plus",
+            "spatial-functions",
+            "temporal-functions",
+            "property-property",
+            "arithmetic",
+        )
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the documents of a source stand.
+
+    Attributes
+    ----------
+    service : str
+        Address of the service.
+    address : str
+        Of the landing page.
+    title, description : str
+    """
+
+    service: str
+    address: str
+    title: str
+    description: str
+
+    def landing(self) -> dict[str, Any]:
+        """Return the landing page."""
+        return {
+            "title": self.title,
+            "description": self.description,
+            "links": [
+                *_both(self.address, "This document"),
+                _link("service-desc", f"{self.service}/openapi.json", OPENAPI, "The API"),
+                _link("service-doc", f"{self.service}/docs", "text/html", "The API, for people"),
+                _link("conformance", f"{self.address}/conformance", "application/json", "What this keeps to"),
+                _link("data", f"{self.address}/collections", "application/json", "The collections"),
+            ],
+        }
+
+    def conformance(self) -> dict[str, Any]:
+        """Return what the service keeps to."""
+        return {"links": _both(f"{self.address}/conformance", "This document"), "conformsTo": CONFORMS_TO}
+
+    def collections(self, found: Mapping[str, Extent], known: Mapping[str, Collection]) -> dict[str, Any]:
+        """Return the list of collections."""
+        return {
+            "links": _both(f"{self.address}/collections", "This document"),
+            "collections": [self._collection(known[name], extent) for name, extent in found.items()],
+        }
+
+    def collection(self, collection: Collection, extent: Extent) -> dict[str, Any]:
+        """Return the description of a collection."""
+        described = self._collection(collection, extent)
+        address = f"{self.address}/collections/{collection.id}"
+        return {**described, "links": [*_both(address, "This document"), *described["links"][1:]]}
+
+    def of_collection(self, collection: Collection, name: str) -> str:
+        """Return the address of a document of a collection, for example of its schema."""
+        return f"{self.address}/collections/{collection.id}/{name}"
+
+    def _collection(self, collection: Collection, extent: Extent) -> dict[str, Any]:
+        address = f"{self.address}/collections/{collection.id}"
+        found: dict[str, Any] = {}
+        if extent.box is not None:
+            found["spatial"] = {"bbox": [list(extent.box)], "crs": CRS84}
+        if extent.times is not None:
+            times = (datetime.fromtimestamp(each, UTC).isoformat().replace("+00:00", "Z") for each in extent.times)
+            found["temporal"] = {
+                "interval": [list(times)],
+                "trs": "http://www.opengis.net/def/uom/ISO-8601/0/Gregorian",
+            }
+        license_ = [] if extent.license is None else [_link("license", ODBL, "text/html", "Open Database License")]
+        return {
+            "id": collection.id,
+            "title": collection.layer.title,
+            "description": collection.layer.description,
+            "attribution": extent.attribution,
+            **({"extent": found} if found else {}),
+            "itemType": "feature",
+            "crs": [CRS84],
+            "itemCount": extent.count,
+            "links": [
+                _link("self", address, "application/json", collection.layer.title),
+                _link("items", f"{address}/items", GEOJSON, "The features"),
+                _link("items", f"{address}/items?f=html", "text/html", "The features, for people"),
+                _link("http://www.opengis.net/def/rel/ogc/1.0/schema", f"{address}/schema", SCHEMA, "Schema"),
+                _link("describedBy", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),  # as GDAL spells it
+                _link("http://www.opengis.net/def/rel/ogc/1.0/queryables", f"{address}/queryables", SCHEMA, "Filters"),
+                *license_,
+            ],
+        }
+
+    def items(self, collection: Collection, page: Page, asked: Iterable[tuple[str, str]]) -> str:
+        """Return a page of features; `asked` are the parameters of the request."""
+        address = f"{self.address}/collections/{collection.id}"
+        rest = [(name, value) for name, value in asked if name not in {"f", "after"}]
+
+        def page_link(relation: str, key: Any, title: str) -> dict[str, str]:  # noqa: ANN401
+            query = [*rest, *([] if key is None else [("after", str(key))])]
+            return _link(relation, f"{address}/items{_query(query)}", GEOJSON, title)
+
+        own = [(name, value) for name, value in asked if name != "f"]
+        links = [
+            _link("self", f"{address}/items{_query(own)}", GEOJSON, "This document"),
+            _link("alternate", f"{address}/items{_query([*own, ('f', 'html')])}", "text/html", "For people"),
+            _link("collection", address, "application/json", collection.layer.title),
+            _link("describedby", f"{address}/feature-schema", SCHEMA, "Schema of the GeoJSON"),
+        ]
+        if page.next is not None:
+            links.append(page_link("next", page.next, "Next page"))
+        if not page.is_first:
+            links.append(page_link("prev", page.previous, "Previous page"))
+        head = {
+            "type": "FeatureCollection",
+            "links": links,
+            "numberMatched": page.matched,
+            "numberReturned": len(page.features),
+        }
+        return f'{encode(head)[:-1]},"features":[{",".join(page.features)}]}}'
+
+    def feature(self, collection: Collection, feature_id: str, feature: str) -> str:
+        """Return one feature."""
+        address = f"{self.address}/collections/{collection.id}"
+        links = [
+            *_both(f"{address}/items/{quote(feature_id, safe='')}", "This document", GEOJSON),
+            _link("collection", address, "application/json", collection.layer.title),
+        ]
+        return f'{feature[:-1]},"links":{encode(links)}}}'
+
+
+def _link(relation: str, href: str, media_type: str, title: str) -> dict[str, str]:
+    return {"rel": relation, "href": href, "type": media_type, "title": title}
+
+
+def _both(address: str, title: str, media_type: str = "application/json") -> list[dict[str, str]]:
+    """Return the links to a document and to its HTML."""
+    return [
+        _link("self", address, media_type, title),
+        _link("alternate", f"{address}?f=html", "text/html", f"{title}, for people"),
+    ]
+
+
+def _query(parameters: list[tuple[str, str]]) -> str:
+    return f"?{urlencode(parameters)}" if parameters else ""

@@ -1,0 +1,209 @@
+"""The parameters of queries for features. The standard wants 400 where a value is wrong: they come as plain text."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Annotated, Literal, cast, get_args
+
+from fastapi import Depends, Query, Request
+
+from app.http.headers import prefers_html
+from app.http.parameters import refusal
+from app.http.problems import Problem
+from app.ogc import index
+from app.ogc.collections import Collection
+from app.ogc.filters import CRS84, Language, read_filter
+
+DEFAULT_LIMIT = 1000
+"""Features on a page: QGIS 3.22 and GDAL 3.6 take the types of properties from the first one."""
+
+MAX_LIMIT = 10_000
+
+_NUMBER = r"[+-]?(\d{1,12}(\.\d{0,30})?|\.\d{1,30})([eE][+-]?\d{1,3})?"
+_CRS84H = "http://www.opengis.net/def/crs/OGC/0/CRS84h"
+_TIME = re.compile(r"\d{4}-\d\d-\d\d([Tt ]\d\d:\d\d:\d\d(\.\d{1,9})?([Zz]|[+-]\d\d:\d\d))?")
+_KEY = re.compile(r"(\d{1,9})\.(\d{1,4})")
+
+Format = Literal["json", "html"]
+
+
+async def _format(
+    request: Request,
+    f: Annotated[
+        str | None,
+        Query(
+            description="json or html; by default what the header Accept prefers.",
+            json_schema_extra={"enum": list(get_args(Format))},
+        ),
+    ] = None,
+) -> Format:
+    if f is None:
+        return "html" if prefers_html(request.headers) else "json"
+    if f not in get_args(Format):
+        raise _wrong("f", f, "json or html")
+    return cast("Format", f)
+
+
+FormatDep = Annotated[Format, Depends(_format)]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The parameters of a query, as they were sent."""
+
+    limit: str | None
+    bbox: str | None
+    bbox_crs: str | None
+    datetime: str | None
+    filter: str | None
+    filter_lang: str | None
+    filter_crs: str | None
+    after: str | None
+
+    def query(self, collection: Collection) -> index.Query:
+        """Return what is asked for.
+
+        Raises
+        ------
+        Problem
+            400: a value is wrong.
+        """
+        for name, crs in (("bbox-crs", self.bbox_crs), ("filter-crs", self.filter_crs)):
+            if crs not in {None, CRS84, _CRS84H}:
+                raise _wrong(name, str(crs), CRS84)
+        language: Language = _language(self.filter_lang, self.filter)
+        return index.Query(
+            area=None if self.bbox is None else _area(self.bbox),
+            interval=None if self.datetime is None else _interval(self.datetime),
+            filter=None if self.filter is None else read_filter(self.filter, language, collection),
+            after=None if self.after is None else _key(self.after),
+            limit=_limit(self.limit),
+        )
+
+
+async def _asked(
+    limit: Annotated[
+        str | None,
+        Query(
+            description=f"Maximum number of features, {DEFAULT_LIMIT:,} by default; more than {MAX_LIMIT:,} are never "
+            "sent at once.",
+            json_schema_extra={"type": "integer", "minimum": 1, "maximum": MAX_LIMIT},
+        ),
+    ] = None,
+    bbox: Annotated[
+        str | None,
+        Query(
+            description="Only features that touch this box: west,south,east,north in degrees (with 6 numbers heights "
+            "are ignored); west is larger than east across the 180th meridian.",
+            examples=["8.41,49.00,8.45,49.03"],
+        ),
+    ] = None,
+    bbox_crs: Annotated[str | None, Query(alias="bbox-crs", description=f"{CRS84}, the only one.")] = None,
+    datetime_: Annotated[
+        str | None,
+        Query(
+            alias="datetime",
+            description="Only features of this time, or of an interval: 2026-01-31T12:00:00Z, 2026-01-31/2026-02-01, "
+            "../2026-01-31.",
+        ),
+    ] = None,
+    filter_: Annotated[
+        str | None,
+        Query(
+            alias="filter",
+            description="Only features for which this CQL2 expression is true, over the queryables of the collection.",
+            examples=["outcome = 'wrong' AND score > 0.9"],
+        ),
+    ] = None,
+    filter_lang: Annotated[
+        str | None,
+        Query(
+            alias="filter-lang",
+            description="cql2-text or cql2-json; by default by its first character.",
+            json_schema_extra={"enum": list(get_args(Language))},
+        ),
+    ] = None,
+    filter_crs: Annotated[str | None, Query(alias="filter-crs", description=f"{CRS84}, the only one.")] = None,
+    after: Annotated[
+        str | None, Query(description="Where the page begins: taken from the links `next`, `prev`.")
+    ] = None,
+) -> Asked:
+    return Asked(limit, bbox, bbox_crs, datetime_, filter_, filter_lang, filter_crs, after)
+
+
+AskedDep = Annotated[Asked, Depends(_asked)]
+
+
+def _wrong(name: str, value: str, expected: str) -> Problem:
+    return refusal(400, "Request not valid", f"query.{name}", f"{value[:80]!r} is not valid. Expected {expected}.")
+
+
+def _limit(text: str | None) -> int:
+    if text is None:
+        return DEFAULT_LIMIT
+    if not re.fullmatch(r"\+?\d{1,18}", text) or int(text) < 1:
+        raise _wrong("limit", text, f"a whole number from 1 to {MAX_LIMIT:,}")
+    return min(int(text), MAX_LIMIT)
+
+
+def _area(text: str) -> index.Area:
+    parts = [part.strip() for part in text.split(",")]
+    expected = (
+        "west,south,east,north in degrees: longitudes from -180 to 180, latitudes from -90 to 90, south not above "
+        "north. Usual mistake: latitude first"
+    )
+    if len(parts) not in {4, 6} or not all(re.fullmatch(_NUMBER, part) for part in parts):
+        raise _wrong("bbox", text, expected)
+    half = len(parts) // 2
+    west, south, east, north = (float(parts[i]) for i in (0, 1, half, half + 1))
+    if not (abs(west) <= 180 and abs(east) <= 180 and -90 <= south <= north <= 90):
+        raise _wrong("bbox", text, expected)
+    return index.Area(west, south, east, north)
+
+
+def _interval(text: str) -> index.Interval:
+    begin, is_interval, end = text.partition("/")
+    first, last = _span(begin, text), _span(end, text) if is_interval else None
+    if last is None:
+        if math.isinf(first[0]):
+            raise _wrong("datetime", text, _EXPECTED_TIME)
+        return first
+    interval = first[0], last[1]
+    if interval[0] > interval[1]:
+        raise _wrong("datetime", text, "the begin of an interval before its end")
+    return interval
+
+
+_EXPECTED_TIME = "a time as 2026-01-31T12:00:00Z, a date, or two of them as begin/end, where .. leaves one open"
+
+
+def _span(text: str, whole: str) -> index.Interval:
+    """Return the first and the last second of a time or a day; all of time where it is open."""
+    if text in {"", ".."} and whole != text:
+        return -math.inf, math.inf
+    if _TIME.fullmatch(text) is None:
+        raise _wrong("datetime", whole, _EXPECTED_TIME)
+    try:
+        time = datetime.fromisoformat(text.upper())
+        begin = (time if time.tzinfo is not None else time.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        raise _wrong("datetime", whole, _EXPECTED_TIME) from None
+    return begin, begin if len(text) > 10 else begin + 86_400.0 - 1e-6
+
+
+def _language(asked: str | None, text: str | None) -> Language:
+    if asked is None:
+        return "cql2-json" if (text or "").lstrip().startswith("{") else "cql2-text"
+    if asked not in get_args(Language):
+        raise _wrong("filter-lang", asked, "cql2-text or cql2-json")
+    return cast("Language", asked)
+
+
+def _key(text: str) -> index.Key:
+    match = _KEY.fullmatch(text)
+    if match is None:
+        raise _wrong("after", text, "what the links `next` and `prev` hold; leave it out to begin with the first page")
+    return index.Key(int(match[1]), int(match[2]))

@@ -1,0 +1,561 @@
+"""OGC API - Features: what the standard asks for, what filters find, what GDAL reads, and that it stays bounded."""
+
+from __future__ import annotations
+
+import base64
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cql2
+import httpx
+import numpy as np
+import pyogrio
+import pytest
+from sqlalchemy import update
+
+from app.context import Context
+from app.drives import trash
+from app.jobs.features import index_job, index_missing
+from app.ogc.collections import OF_ALL
+from app.ogc.filters import MAX_CHARACTERS, read_filter
+from app.ogc.index import Area, Query, Source, extents, find_page
+from app.settings import Settings
+from app.store.models import Drive, FeatureChunk, FeatureColumn, Job
+from app.upkeep.check import check
+from app.work.features import CHUNK, ResultProperties
+from interloc.arrays import FloatArray
+from interloc.output.credits import ODBL, map_credit
+from interloc.output.geojson import write_collection
+from interloc.output.layers import LAYERS
+from tests.app.conftest import running_server
+from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+
+TOKEN = "a-token-for-a-gis"  # noqa: S105 - of no service
+BEARER = {"Authorization": f"Bearer {TOKEN}"}
+BASIC = {"Authorization": "Basic " + base64.b64encode(f"anybody:{TOKEN}".encode()).decode()}
+COUNT = 2 * CHUNK + 100
+"""Detections of the drive in town."""
+TOWN = (8.4, 49.0)
+HOUR = "2026-03-01T12:"
+
+
+def line(start: tuple[float, float], count: int) -> FloatArray:
+    """Positions from west to east, 1 m apart; across the 180th meridian where it lies there."""
+    lonlat = np.array(start) + np.arange(count)[:, None] * np.array([1e-5, 0.0])
+    lonlat[:, 0] = (lonlat[:, 0] + 180.0) % 360.0 - 180.0
+    return np.round(lonlat, 7)
+
+
+def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, scored: bool = True) -> None:
+    """Write a result whose detections are at these places; of four, the last one is wrong."""
+    folder.mkdir(parents=True)
+    n = len(lonlat)
+    rows = np.arange(n)
+    zeros = np.zeros(n)
+    wrong = (rows % 4 == 3) & scored
+    times = [f"{HOUR}{i // 60 % 60:02}:{i % 60:02}Z" if with_times else None for i in range(n)]
+    nodes = (4_000_000_000 + rows // 8).tolist()  # more than 32 bits hold
+    here = {"world_x_m": zeros, "world_y_m": zeros}
+    found = {"branch_count": rows % 3 + 3, "branch_bearings_deg": [[0.0, 90.0, 180.5]] * n}
+    scores = {
+        "outcome": np.where(wrong, "wrong", "right" if scored else "unscored").tolist(),
+        "osm_id": nodes if scored else [None] * n,
+        "error_m": np.where(wrong, 7.5, rows / n) if scored else [None] * n,
+        "reason": [f"Müller's 100% {i}" if w else None for i, w in enumerate(wrong.tolist())],
+    }
+    detections = LAYERS["detections"].features(
+        lonlat.tolist(),
+        frame=rows,
+        x_m=zeros,
+        y_m=zeros,
+        score=rows / n,
+        intersection=[None if i % 2 else i // 100 + 1 for i in range(n)],
+        id=[f"{i}-1" for i in range(n)],
+        time=times,
+        **here,
+        **found,
+        **scores,
+    )
+    keyframes = LAYERS["keyframes"].features(
+        lonlat.tolist(),
+        frame=rows,
+        time_s=[None] * n,
+        heading_deg=zeros,
+        detections=zeros.astype(int),
+        world_yaw_rad=zeros,
+        time=times,
+        **here,
+    )
+    track = LAYERS["trajectory"].features([lonlat.tolist()], scans=[n], thinned_to_m=[0.5])
+    write_collection(folder / "detections.geojson", detections, local=False)
+    write_collection(folder / "keyframes.geojson", keyframes, local=False)
+    write_collection(folder / "intersections.geojson", [], local=False)
+    write_collection(folder / "trajectory.geojson", track, local=False)
+    if scored:
+        links = [[[lon, lat], [lon, lat + 1e-4]] for lon, lat in lonlat[:9].tolist()]
+        matches = LAYERS["matches"].features(
+            links,
+            frame=rows[:9],
+            error_m=zeros[:9],
+            outcome=["TP"] * len(links),
+            osm_id=nodes[:9],
+            detection=[f"{i}-1" for i in range(len(links))],
+            intersection=[None] * len(links),
+        )
+        write_collection(folder / "matches.geojson", matches, local=False, credit=map_credit(is_made_up=False))
+    spans = {"first_time": times[0], "last_time": times[-1]}
+    (folder / "run.json").write_text(json.dumps({"labels": "predictions", **spans}))
+
+
+def add_drive(context: Context, name: str, lonlat: FloatArray, **options: Any) -> str:
+    """A drive with an older result (of two detections) and a newer one; the id of the newer job."""
+    with context.database.writing() as session:
+        drive = Drive(id=name, name=f"Straße {name}", owner="me", state="uploading", created_at=1.0, touched_at=4e9)
+        session.add(drive)
+        session.flush()
+        for number, age in enumerate(("old", "new")):
+            values = {"kind": "intersections", "state": "successful", "owner": "me", "created_at": float(number)}
+            session.add(Job(id=f"{name}-{age}", drive_id=name, request={"preset": "paper"}, **values))
+    write_result(context.storage.folder(f"jobs/{name}-old/result"), line((8.4, 49.0), 2))
+    write_result(context.storage.folder(f"jobs/{name}-new/result"), lonlat, **options)
+    return f"{name}-new"
+
+
+def fill(context: Context) -> None:
+    """Three drives: in town, with times and without a map, and across the 180th meridian."""
+    add_drive(context, "town", line(TOWN, COUNT))
+    add_drive(context, "timed", line((9.4, 50.0), 120), with_times=True, scored=False)
+    add_drive(context, "fiji", line((179.9995, -17.0), 100))
+    assert index_missing(context) == 6
+    assert index_missing(context) == 0
+
+
+@dataclass(frozen=True)
+class Gis:
+    """A server that needs a token, as a GIS sees it."""
+
+    client: httpx.Client
+    address: str
+
+    def get(self, path: str, **query: Any) -> httpx.Response:
+        return self.client.get(path, params=query or None, headers={"Accept": "application/json"})
+
+    def json(self, path: str, **query: Any) -> Any:
+        return self.get(path, **query).raise_for_status().json()
+
+    def items(self, collection: str = "detections", **query: Any) -> dict[str, Any]:
+        found: dict[str, Any] = self.json(f"/ogc/collections/{collection}/items", **query)
+        return found
+
+    def matched(self, collection: str = "detections", **query: Any) -> int:
+        return int(self.items(collection, limit=1, **query)["numberMatched"])
+
+    def links(self, document: dict[str, Any]) -> dict[str, str]:
+        return {link["rel"]: link["href"] for link in reversed(document["links"])}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    context = Context.open(Settings(data_dir=folder, min_free_bytes=0))
+    fill(context)
+    context.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def gis(data: Path) -> Iterator[Gis]:
+    with (
+        running_server(data, token=TOKEN) as address,
+        httpx.Client(base_url=address, headers=BEARER, timeout=60) as client,
+    ):
+        yield Gis(client, address)
+
+
+def see_landing(gis: Gis) -> None:
+    for root in ("/ogc", "/api/v1/jobs/town-new/ogc"):
+        links = gis.links(gis.json(root))
+        assert {"self", "alternate", "service-desc", "service-doc", "conformance", "data"} <= links.keys()
+        assert all(href.startswith(f"{gis.address}/") for href in links.values())
+        assert gis.json(links["self"]) == gis.json(root)
+
+
+def see_api(gis: Gis) -> None:
+    links = gis.links(gis.json("/ogc"))
+    paths = gis.json(links["service-desc"])["paths"]
+    assert "/ogc/collections/{collection_id}/items" in paths
+    limit = next(
+        p for p in paths["/ogc/collections/{collection_id}/items"]["get"]["parameters"] if p["name"] == "limit"
+    )
+    assert limit["schema"]["type"] == "integer"
+    assert limit["schema"]["maximum"] == 10_000
+
+
+def see_conformance(gis: Gis) -> None:
+    classes = gis.json("/ogc/conformance")["conformsTo"]
+    for part, name in (("1", "core"), ("1", "geojson"), ("1", "html"), ("3", "filter"), ("3", "queryables")):
+        assert f"http://www.opengis.net/spec/ogcapi-features-{part}/1.0/conf/{name}" in classes
+    assert "http://www.opengis.net/spec/cql2/1.0/conf/basic-cql2" in classes
+
+
+def see_collections(gis: Gis) -> None:
+    listed = {each["id"]: each for each in gis.json("/ogc/collections")["collections"]}
+    assert list(listed) == list(OF_ALL)
+    assert not any("." in name for name in listed)
+    town = listed["detections"]
+    assert town["extent"]["spatial"]["bbox"] == [[-180.0, -17.0, 179.99999, 50.0]]
+    assert town["extent"]["temporal"]["interval"] == [["2026-03-01T12:00:00Z", "2026-03-01T12:01:59Z"]]
+    assert gis.links(town)["items"] == f"{gis.address}/ogc/collections/detections/items"
+    assert gis.links(listed["matches"])["license"] == ODBL
+    assert "license" not in gis.links(listed["keyframes"])
+    of_job = [each["id"] for each in gis.json("/api/v1/jobs/timed-new/ogc/collections")["collections"]]
+    assert of_job == ["intersections", "detections", "trajectories", "keyframes", "drives"], "no map, no layers of one"
+
+
+def see_collection(gis: Gis) -> None:
+    links = gis.links(gis.json("/ogc/collections/detections"))
+    assert {"self", "items", "describedBy", "http://www.opengis.net/def/rel/ogc/1.0/schema"} <= links.keys()
+    assert gis.get("/ogc/collections/nothing").status_code == 404
+    assert gis.get("/api/v1/jobs/timed-new/ogc/collections/matches").status_code == 404
+
+
+def see_items(gis: Gis) -> None:
+    answer = gis.get("/ogc/collections/detections/items", limit=3)
+    assert answer.headers["content-type"] == "application/geo+json"
+    first = answer.json()["features"][0]
+    of_result = {"drive": "Straße town", "job": "town-new", "preset": "paper", "labels": "predictions"}
+    assert {name: first["properties"][name] for name in of_result} == of_result
+    assert first["geometry"] == {"type": "Point", "coordinates": [8.4, 49.0]}
+    assert gis.json(f"/ogc/collections/detections/items/{first['id']}")["properties"] == first["properties"]
+    assert gis.get("/ogc/collections/detections/items/town-new.nothing").status_code == 404
+    assert gis.get("/ogc/collections/detections/items/town-old.0-1").status_code == 404, "not the newest"
+    own = gis.json("/api/v1/jobs/town-old/ogc/collections/detections/items")
+    assert [each["id"] for each in own["features"]] == ["0-1", "1-1"]
+    assert "etag" in answer.headers
+
+
+def see_limit(gis: Gis) -> None:
+    assert gis.items(limit=7)["numberReturned"] == 7
+    assert gis.items()["numberReturned"] == 1000
+    assert gis.items(limit=100_000)["numberReturned"] == gis.matched() == COUNT + 220
+    assert [gis.get("/ogc/collections/detections/items", limit=each).status_code for each in (0, -1, "x", "")] == [
+        400
+    ] * 4
+
+
+def see_bbox(gis: Gis) -> None:
+    assert gis.matched(bbox="8.3999,48.9,8.400095,49.1") == 10
+    assert gis.matched(bbox="8.3999,48.9,0,8.400095,49.1,9") == 10
+    assert gis.matched(bbox="179,-18,-179,-16") == 100
+    assert gis.matched(bbox="179,-18,180,-16") == 50
+    assert gis.matched(bbox="-180,-18,-179,-16") == 50
+    assert gis.matched("trajectories", bbox="-180,-18,-179,-16") == 1
+    assert gis.matched("drives", bbox="-180,-18,-179,-16") == 1
+    assert gis.matched("drives", bbox="8.401,48.99,8.402,48.9995") == 0, "within its box only if it were no line"
+    assert gis.matched("matches", bbox="8.39,49.00005,8.40003,49.01") == 4
+    for wrong in ("1,2,3", "1,2,3,x", "0,10,1,5", "0,0,200,1", "nan,0,1,1", ""):
+        assert gis.get("/ogc/collections/detections/items", bbox=wrong).status_code == 400, wrong
+
+
+def see_datetime(gis: Gis) -> None:
+    for datetime, expected in (
+        (f"{HOUR}00:05Z", 1),
+        (f"{HOUR}00:05Z/{HOUR}00:09Z", 5),
+        (f"../{HOUR}00:09Z", 10),
+        (f"{HOUR}01:50Z/", 10),
+        ("2026-03-01", 120),
+        ("2026-03-01/2026-03-02", 120),
+        ("2026-02-28", 0),
+    ):
+        assert gis.matched(datetime=datetime) == expected, datetime
+    assert gis.matched("trajectories", datetime=f"{HOUR}00:05Z") == 1
+    for wrong in ("..", "../..x", "2026-13-01", "tomorrow", f"{HOUR}01:50Z/{HOUR}01:00Z", "1/2/3", ""):
+        assert gis.get("/ogc/collections/detections/items", datetime=wrong).status_code == 400, wrong
+    assert gis.matched(datetime="../..") == 120
+
+
+def see_pages(gis: Gis) -> None:
+    query: dict[str, Any] = {"limit": 300, "filter": "outcome = 'right'"}
+    document = gis.items(**query)
+    ids = [[each["id"] for each in document["features"]]]
+    while "next" in gis.links(document):
+        document = gis.json(gis.links(document)["next"])
+        ids.append([each["id"] for each in document["features"]])
+    every = [each for page in ids for each in page]
+    assert len(every) == len(set(every)) == document["numberMatched"] == (COUNT + 100) * 3 // 4
+    back = gis.json(gis.links(document)["prev"])
+    assert [each["id"] for each in back["features"]] == ids[-2]
+    first = gis.json(gis.links(gis.json(gis.links(gis.items(limit=2))["next"]))["prev"])
+    assert first["features"] == gis.items(limit=2)["features"][:2]
+    assert gis.get("/ogc/collections/detections/items", after="x").status_code == 400
+
+
+def see_unknown_parameters(gis: Gis) -> None:
+    for path in ("", "/conformance", "/collections", "/collections/detections", "/collections/detections/items"):
+        answer = gis.get(f"/ogc{path}", nonsense="1")
+        assert (answer.status_code, answer.headers["content-type"]) == (400, "application/problem+json")
+    for name, value in (("f", "gml"), ("bbox-crs", "EPSG:3857"), ("filter-crs", "x"), ("filter-lang", "sql")):
+        assert gis.get("/ogc/collections/detections/items", **{name: value}).status_code == 400
+
+
+def see_html(gis: Gis) -> None:
+    for path in ("", "/conformance", "/collections", "/collections/detections/items", "/collections/drives/schema"):
+        answer = gis.get(f"/ogc{path}", f="html")
+        assert answer.headers["content-type"].startswith("text/html")
+        assert "<script" not in answer.text
+        assert "default-src 'none'" in answer.headers["content-security-policy"]
+    by_header = gis.client.get("/ogc", headers={"Accept": "text/html"})
+    assert (by_header.headers["content-type"], by_header.headers["vary"]) == ("text/html; charset=utf-8", "Accept")
+    assert "Müller&#x27;s 100% 3" in gis.get("/ogc/collections/detections/items", f="html").text
+
+
+def see_schema(gis: Gis) -> None:
+    schema = gis.json("/ogc/collections/detections/schema")["properties"]
+    assert schema["error_m"].items() >= {"type": "number", "x-ogc-unit": "m", "title": "Error"}.items()
+    assert schema["time"].items() >= {"type": "string", "format": "date-time"}.items()
+    assert schema["geometry"]["format"] == "geometry-point"
+    assert set(ResultProperties.model_fields) <= schema.keys()
+    queryables = gis.json("/ogc/collections/detections/queryables")["properties"]
+    assert schema.keys() - queryables.keys() == {"branch_bearings_deg"}
+    features = gis.json("/ogc/collections/detections/feature-schema")["properties"]["properties"]["properties"]
+    assert schema.keys() - features.keys() == {"geometry", "branch_bearings_deg", "osm_id"}
+    assert schema.keys() - {"geometry"} == gis.items(limit=1)["features"][0]["properties"].keys()
+
+
+def see_tokens(gis: Gis) -> None:
+    closed = gis.client.get("/ogc", headers={"Authorization": "Bearer nonsense-nonsense"})
+    assert closed.status_code == 401
+    assert closed.headers["www-authenticate"].startswith('Basic realm="interloc", charset="UTF-8", Bearer')
+    assert gis.client.get("/ogc", headers=BASIC).status_code == 200
+    assert gis.client.get("/api/v1/jobs/town-new/ogc/collections", headers=BASIC).status_code == 200
+    assert gis.client.get("/api/v1/drives", headers=BASIC).status_code == 200
+    wrong = gis.client.get("/api/v1/drives", headers={"Authorization": "Basic !"})
+    assert wrong.headers["www-authenticate"].startswith("Bearer"), "the page opens no dialogue of the browser"
+    changes = gis.client.post("/api/v1/drives", json={"name": "a"}, headers=BASIC)
+    assert changes.status_code == 401, "a browser repeats a password by itself, also for pages of other sites"
+
+
+REQUIREMENTS: dict[str, Callable[[Gis], None]] = {
+    "/req/core/root-op root-success": see_landing,
+    "/req/core/api-definition-op api-definition-success": see_api,
+    "/req/core/conformance-op conformance-success": see_conformance,
+    "/req/core/fc-md-op fc-md-success fc-md-links fc-md-items fc-md-extent": see_collections,
+    "/req/core/sfc-md-op sfc-md-success": see_collection,
+    "/req/core/fc-op fc-response f-op f-success crs84 /req/geojson/content /req/geojson/definition": see_items,
+    "/req/core/fc-limit-definition fc-limit-response-1 fc-numberReturned": see_limit,
+    "/req/core/fc-bbox-definition fc-bbox-response": see_bbox,
+    "/req/core/fc-time-definition fc-time-response": see_datetime,
+    "/req/core/fc-links fc-rel-type fc-numberMatched": see_pages,
+    "/req/core/query-param-unknown query-param-invalid http": see_unknown_parameters,
+    "/req/html/definition content": see_html,
+    "/req/queryables/queryables-link queryables-document /req/schemas/properties type": see_schema,
+    "the token by header and as a password": see_tokens,
+}
+
+
+@pytest.mark.parametrize("see", REQUIREMENTS.values(), ids=REQUIREMENTS.keys())
+def test_a_requirement_of_the_standard(gis: Gis, see: Callable[[Gis], None]) -> None:
+    see(gis)
+
+
+FILTERS = [
+    "outcome = 'wrong'",
+    "error_m > 0.5 AND score <= 0.75",
+    "0.5 < error_m OR branch_count = 4",
+    "NOT (outcome = 'right')",
+    "frame BETWEEN 10 AND 19",
+    "frame IN (1, 2, 3, 5000)",
+    "frame NOT IN (1, 2, 3)",
+    "outcome IN ('right', 'nonsense')",
+    "intersection IS NULL",
+    "intersection IS NOT NULL AND frame < 7",
+    "reason LIKE 'M%ller_s%3%'",
+    "frame + 2 * branch_count > 1110",
+    "osm_id = 4000000003",
+    "drive = 'Straße fiji' AND score > 0.5",
+    "S_INTERSECTS(geometry, BBOX(8.4001, 48.9, 8.4003, 49.1))",
+    "S_WITHIN(geometry, POLYGON((8.4 48.9, 8.401 48.9, 8.4 49.1, 8.4 48.9)))",
+    "S_DISJOINT(geometry, POLYGON((8 48, 9 48, 9 50, 8 50, 8 48)))",
+    "TRUE",
+]
+
+
+def holds(expression: cql2.Expr, feature: dict[str, Any]) -> bool:
+    try:
+        return bool(expression.matches(feature))
+    except Exception as error:  # noqa: BLE001 - it has no other
+        assert "reduce" in str(error), "of null, which is neither true nor false"
+        return False
+
+
+def test_filters_find_what_the_package_finds_one_by_one(gis: Gis) -> None:
+    features = gis.items(limit=10_000)["features"]
+    for text in FILTERS:
+        expression = cql2.parse_text(text)
+        expected = [each["id"] for each in features if holds(expression, each)]
+        assert len(expected) < len(features) or text == "TRUE"
+        assert expected, text
+        as_json = json.dumps(expression.to_json())
+        for language, content in (("cql2-text", text), ("cql2-json", as_json)):
+            found = gis.items(limit=10_000, filter=content, **{"filter-lang": language})["features"]
+            assert [each["id"] for each in found] == expected, text
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("NOT (error_m > 1)", (COUNT + 100) * 3 // 4),  # neither true nor false of null
+        ("error_m > 1 OR NOT (error_m > 1)", COUNT + 100),
+        ("CASEI(drive) = CASEI('STRASSE TOWN')", COUNT),
+        ("ACCENTI(reason) LIKE 'Muller%' AND frame = 3", 2),
+        (r"reason LIKE '%100\% 7'", 2),
+        ("reason LIKE '%%%%%%%%%%%%%%%%x'", 0),
+        ("outcome = reason", 0),
+        ("preset = 'paper' AND job <> 'town-new'", 220),
+        (f"T_AFTER(time, TIMESTAMP('{HOUR}01:49Z'))", 10),
+        (f"T_DURING(time, INTERVAL('{HOUR}00:00Z', '{HOUR}00:10Z'))", 9),
+        ("T_INTERSECTS(time, DATE('2026-03-01'))", 120),
+        (f"time < '{HOUR}00:10Z'", 10),
+        ("time IS NULL", COUNT + 100),
+        ("S_INTERSECTS(geometry, BBOX(179, -18, -179, -16))", 100),
+        ("S_CONTAINS(POLYGON((8 48, 9 48, 9 49.5, 8 49.5, 8 48)), geometry)", COUNT),
+        ("score / 0 > 1 OR frame ^ 2 = 9 AND frame % 2 = 1 AND frame DIV 2 = 1", COUNT + 220 - 3),
+    ],
+)
+def test_what_else_filters_find(gis: Gis, text: str, expected: int) -> None:
+    assert gis.matched(filter=text) == expected
+
+
+def deep(count: int) -> str:
+    return '{"op":"not","args":[' * count + "true" + "]}" * count
+
+
+HOSTILE = [
+    "((((",
+    "outcome =",
+    "nothing = 1",
+    "geometry = 1",
+    "frame = 'x'",
+    "frame",
+    "'x'",
+    "sleep(10) = 1",
+    "branch_bearings_deg = 1",
+    "time > 'tomorrow'",
+    "outcome LIKE outcome",
+    "score > 1e999",
+    "1; DROP TABLE jobs",
+    "(" * 5000 + "TRUE" + ")" * 5000,
+    "NOT " * 3000 + "TRUE",
+    " AND ".join(["frame > 1"] * 500),
+    "frame IN (" + ",".join(["1"] * 500) + ")",
+    "outcome = '" + "x" * MAX_CHARACTERS + "'",
+    " OR ".join(["S_INTERSECTS(geometry, POINT(1 1))"] * 9),
+    "S_INTERSECTS(geometry, LINESTRING(" + ",".join(f"{i % 90} {i % 7}" for i in range(2100)) + "))",
+    "S_INTERSECTS(geometry, POLYGON((0 0, 1 1, 0 1, 1 0, 0 0)))",
+    "S_INTERSECTS(geometry, POLYGON((0 0, 1 1)))",
+    "S_INTERSECTS(geometry, POINT(1e300 1))",
+    "S_INTERSECTS(geometry, geometry)",
+    deep(100),
+    deep(20_000),
+    '{"op": "=", "args": [{"property": "frame"}]}',
+    '{"op": "=", "args": {}}',
+    '{"op": ["="], "args": []}',
+    '{"op": "and", "args": []}',
+    '{"op": "s_intersects", "args": [{"property": "geometry"}, {"type": "Point", "coordinates": [[["x"]]]}]}',
+    '{"op": "t_after", "args": [{"property": "time"}, {"interval": ["x"]}]}',
+    '{"op": ">", "args": [{"property": "score"}, NaN]}',
+    "[]",
+    "{",
+]
+
+
+def test_hostile_filters_are_refused_soon(gis: Gis) -> None:
+    collection = OF_ALL["detections"]
+    for text in HOSTILE:
+        for language in ("cql2-text", "cql2-json"):
+            began = time.process_time()
+            answer = gis.get("/ogc/collections/detections/items", filter=text[:40_000], **{"filter-lang": language})
+            assert answer.status_code == 400, (text[:80], language, answer.text[:200])
+            assert answer.json()["type"] in {"/problems/filter-not-valid", "/problems/request-not-valid"}
+            assert time.process_time() - began < 2.0, text[:80]
+    assert read_filter("frame = 1", "cql2-text", collection).equal == {}
+
+
+def test_gdal_reads_all_layers_by_a_password_and_by_a_header(gis: Gis) -> None:
+    address = f"OAPIF:{gis.address}/ogc"
+    try:
+        assert pyogrio.read_info(address, layer="drives", USERPWD=f"qgis:{TOKEN}")["features"] == 3
+        pyogrio.set_gdal_config_options({"GDAL_HTTP_HEADERS": f"Authorization: Bearer {TOKEN}"})
+        assert [name for name, _ in pyogrio.list_layers(address)] == list(OF_ALL)
+        info = pyogrio.read_info(address, layer="detections")
+        types = dict(zip(info["fields"], info["dtypes"], strict=True))
+        assert types["time"].startswith("datetime64"), "though the first page has none"
+        assert (types["error_m"], types["frame"], types["osm_id"]) == ("float64", "int32", "int64")
+        assert info["features"] == COUNT + 220
+        every = pyogrio.read_dataframe(address, layer="detections")
+        assert len(every) == COUNT + 220
+        assert every.crs == "EPSG:4326"
+        assert every.geometry.iloc[0].coords[0] == TOWN
+        assert len(pyogrio.read_dataframe(address, layer="detections", bbox=(8.3999, 48.9, 8.400095, 49.1))) == 10
+        wrong = pyogrio.read_dataframe(address, layer="detections", where="outcome = 'wrong' AND frame < 100")
+        assert len(wrong) == 50
+        assert len(pyogrio.read_dataframe(f"OAPIF:{gis.address}/api/v1/jobs/fiji-new/ogc", layer="matches")) == 9
+    finally:
+        pyogrio.set_gdal_config_options({"GDAL_HTTP_HEADERS": None})
+
+
+def test_the_index_follows_trash_purge_and_repair(tmp_path: Path) -> None:
+    context = Context.open(Settings(data_dir=tmp_path, min_free_bytes=0))
+    try:
+        job = add_drive(context, "street", line(TOWN, 20))
+        assert [each.kind for each in check(context) if each.kind == "features"] == [], "a start will write them"
+        index_missing(context)
+
+        def shown() -> int:
+            with context.database.reading() as session:
+                return extents(session, Source())["detections"].count
+
+        assert shown() == 20
+        with context.database.writing() as session:
+            session.execute(update(FeatureColumn).where(FeatureColumn.name == "score").values(content=b""))
+            session.query(FeatureChunk).where(FeatureChunk.layer == "keyframes").delete()
+        found = [each for each in check(context, repair=True) if each.kind == "features"]
+        assert [each.repair for each in found] == ["indexed anew"] * 2
+        assert "features" not in {each.kind for each in check(context)}
+        trash.delete_job(context, job, "me")
+        assert shown() == 2, "of the job before"
+        trash.restore(context, "jobs", job)
+        assert shown() == 20
+        trash.delete_drive(context, "street", "me")
+        assert shown() == 0
+        trash.empty_trash(context)
+        with context.database.reading() as session:
+            assert session.query(FeatureChunk).count() == session.query(FeatureColumn).count() == 0
+    finally:
+        context.close()
+
+
+def test_postgresql_finds_the_same(data: Path, tmp_path: Path, postgres_url: str) -> None:  # noqa: F811 - the fixture
+    text = "outcome = 'wrong' AND S_INTERSECTS(geometry, BBOX(8, 48, 9, 50))"
+    queries = [
+        Query(),
+        Query(area=Area(179, -18, -179, -16)),
+        Query(filter=read_filter(text, "cql2-text", OF_ALL["detections"])),
+        Query(interval=(0.0, 2e9), limit=7),
+    ]
+    found = []
+    for options in ({"data_dir": data}, {"data_dir": tmp_path, "database_url": postgres_url}):
+        context = Context.open(Settings(min_free_bytes=0, **options))
+        if options["data_dir"] == tmp_path:
+            fill(context)
+            index_job(context, "town-new")
+            index_job(context, "town-new")  # again: in its own place
+        with context.database.reading() as session:
+            pages = [find_page(session, Source(), OF_ALL["detections"], query) for query in queries]
+            found.append(([(page.matched, sorted(page.features)) for page in pages[1:]], extents(session, Source())))
+        context.close()
+    assert found[0] == found[1]
