@@ -25,10 +25,11 @@ CHECKS: list[Any] = [
     checks.response_schema_conformance,
     checks.response_headers_conformance,
 ]
-SCHEMA = schemathesis.openapi.from_dict(create_app(Settings()).openapi()).exclude(operation_id="make_demo_drive")
+DESCRIPTION = create_app(Settings()).openapi()
+# To find strings that fit the pattern of this path takes ten seconds; most strings are good paths anyway.
+del DESCRIPTION["components"]["schemas"]["DriveOptionsModel"]["properties"]["oxts"]["pattern"]
+SCHEMA = schemathesis.openapi.from_dict(DESCRIPTION).exclude(operation_id="make_demo_drive")
 OPERATIONS = [result.ok() for result in SCHEMA.get_all_operations()]
-
-
 EFFORT = settings(max_examples=5, suppress_health_check=list(HealthCheck))
 
 
