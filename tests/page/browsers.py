@@ -97,7 +97,7 @@ class Watch:
 
 
 class Common:
-    """A context that tests use one after the other: it has the files of the page already, and nothing else of before."""
+    """A context that tests use one after the other: of those before it keeps the files of the page, and no more."""
 
     def __init__(self, launched: Any, watch: Watch) -> None:
         self._watch = watch
