@@ -89,11 +89,10 @@ def opened(request: pytest.FixtureRequest, browser: Browser) -> Open:
     else:
         done: Done = request.getfixturevalue("done")
         server, job = done.server, done.job
-    context = browser.new_context(accept_downloads=True)
-    context.grant_permissions(["clipboard-read", "clipboard-write"], origin=server.address)
+    page = browser.new_page()
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"], origin=server.address)
     if with_token:  # as a tab that was told the token before
-        context.add_init_script(f"if (origin !== 'null') sessionStorage.setItem('interloc.token', '{TOKEN}')")
-    page = context.new_page()
+        page.add_init_script(f"if (origin !== 'null') sessionStorage.setItem('interloc.token', '{TOKEN}')")
     page.goto(f"{server.address}/#job={job}&panel=export")
     page.wait_for_selector(".legend:visible")
     page.locator("#panel-export h2").wait_for()
