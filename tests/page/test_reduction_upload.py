@@ -360,7 +360,7 @@ def test_what_the_plan_refuses_can_be_corrected(
     upload.page.wait_for_selector(".drop")
     upload.pick(cut)
     upload.press("Upload and run")
-    check_results(server.client, upload.job(), find(street))
+    check_results(server.client, upload.job(), find(cut))
 
 
 def test_one_of_several_drives_is_chosen(upload: Upload, street: Path, tmp_path: Path) -> None:
