@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import cache
-from multiprocessing import get_context
+from multiprocessing import forkserver, get_context, util
 from pathlib import Path
 
 from interloc.cli.main import main
@@ -87,4 +87,40 @@ def _run(arguments: list[str], environment: dict[str, str], out: Path, err: Path
     sys.argv = ["interloc", *arguments]
     if environment.get("PYTHONWARNINGS") == "error":
         warnings.simplefilter("error")
+    if "serve" in arguments:
+        _prepare_workers()
     main()
+
+
+def _prepare_workers() -> None:
+    """Fork the process from which a server forks its workers, too: a new one would import everything again."""
+    before = _open_files()
+
+    def fork(_: object, arguments: Sequence[str], passed: Sequence[int]) -> int:
+        pid = os.fork()
+        if pid == 0:
+            for file in _open_files() - before - set(passed):
+                os.close(file)
+            try:
+                exec(arguments[-1])  # noqa: S102 - what it would run as `python -c`
+            finally:
+                os._exit(0)
+        return pid
+
+    start, util.spawnv_passfds = util.spawnv_passfds, fork  # type: ignore[attr-defined]
+    try:
+        forkserver.ensure_running()
+    finally:
+        util.spawnv_passfds = start  # type: ignore[attr-defined]
+
+
+def _open_files() -> set[int]:
+    return {file for file in range(256) if _is_open(file)}
+
+
+def _is_open(file: int) -> bool:
+    try:
+        os.fstat(file)
+    except OSError:
+        return False
+    return True

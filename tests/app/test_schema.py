@@ -11,6 +11,7 @@ import pytest
 import schemathesis
 from hypothesis import HealthCheck, settings
 from schemathesis import checks
+from schemathesis.generation.hypothesis.builder import HypothesisTestConfig, HypothesisTestMode, create_test
 
 from app.main import create_app
 from app.settings import Settings
@@ -24,7 +25,12 @@ CHECKS: list[Any] = [
     checks.response_schema_conformance,
     checks.response_headers_conformance,
 ]
-OPERATIONS = schemathesis.openapi.from_dict(create_app(Settings()).openapi()).exclude(operation_id="make_demo_drive")
+DESCRIPTION = create_app(Settings()).openapi()
+# To find strings that fit the pattern of this path takes ten seconds; most strings are good paths anyway.
+del DESCRIPTION["components"]["schemas"]["DriveOptionsModel"]["properties"]["oxts"]["pattern"]
+SCHEMA = schemathesis.openapi.from_dict(DESCRIPTION).exclude(operation_id="make_demo_drive")
+OPERATIONS = [result.ok() for result in SCHEMA.get_all_operations()]
+EFFORT = settings(max_examples=5, suppress_health_check=list(HealthCheck))
 
 
 @schemathesis.serializer("application/gzip", "application/x-tar", "application/zip", "application/zstd")
@@ -62,9 +68,16 @@ def target(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Target]:
         yield Target(address, *drives, job)
 
 
-@OPERATIONS.parametrize()
-@settings(max_examples=5, suppress_health_check=list(HealthCheck))
-def test_an_operation_does_what_it_says(case: schemathesis.Case, target: Target) -> None:
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda operation: operation.label)
+def test_an_operation_does_what_it_says(operation: Any, target: Target) -> None:
+    # As `SCHEMA.parametrize()` does, but when the test runs: the cases of all operations take long to make, and every
+    # process of the tests would make them all.
+    config = HypothesisTestConfig(SCHEMA.config, list(HypothesisTestMode), explicit_settings=EFFORT)
+    create_test(operation=operation, test_func=send, config=config)(target=target)
+
+
+def send(case: schemathesis.Case, target: Target) -> None:
+    """Send a case as it is, and once more to what is there."""
     case.call_and_validate(base_url=target.address, checks=CHECKS, timeout=60)
     if case.path_parameters and not (case.method == "DELETE" and case.path.endswith("_id}")):
         # Again with parameters that lead to something: generated ones nearly always lead nowhere.

@@ -7,12 +7,12 @@ import os
 import re
 import signal
 import socket
-import subprocess
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import httpx
 import pytest
@@ -20,6 +20,8 @@ import pytest
 from app.context import open_database
 from app.settings import Settings
 from app.store.models import Drive, Job
+from tests.app.processes import wait_until
+from tests.forks import Command
 
 pytestmark = pytest.mark.usefixtures("untouched_logging")
 Interloc = Callable[..., Any]
@@ -28,52 +30,40 @@ EVERYWHERE = "0.0.0.0"  # noqa: S104 - with tokens
 
 @contextmanager
 def serving(
-    command: tuple[str, ...], environment: dict[str, str], folder: Path, *options: str, **variables: str
-) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    environment: dict[str, str], folder: Path, *options: str, **variables: str
+) -> Iterator[tuple[Command, str]]:
     """Run the command until the block ends; yields the process and its address."""
     clean = {name: value for name, value in environment.items() if not name.startswith("INTERLOC_")}
-    log = (folder / "log").open("ab")
-    process = subprocess.Popen(
-        [*command, "serve", "--port", "0", "--workers", "1", *options],
-        cwd=folder,
-        env={**clean, "INTERLOC_MIN_FREE_BYTES": "0", **variables},
-        stdout=subprocess.PIPE,
-        stderr=log,
-        text=True,
-    )
-    log.close()
+    arguments = ["serve", "--port", "0", "--workers", "1", *options]
+    out = folder / f"out-{uuid4().hex}"
+    out.touch()
+    process = Command(arguments, {**clean, "INTERLOC_MIN_FREE_BYTES": "0", **variables}, out, folder / "log", folder)
     try:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        found = re.fullmatch(r"InterLoc \S+ at (http://\S+/) \(data in (.+)\); Ctrl-C stops it\n", line)
-        assert found, f"{line!r} {(folder / 'log').read_text()}"
+        wait_until(lambda: "\n" in out.read_text() or process.poll() is not None, "the first line")
+        found = re.match(r"InterLoc \S+ at (http://\S+/) \(data in (.+)\); Ctrl-C stops it\n", out.read_text())
+        assert found, f"{out.read_text()!r} {(folder / 'log').read_text()}"
         yield process, found[1]
     finally:
-        with suppress(ProcessLookupError):
-            process.kill()
-        process.communicate()
+        process.kill()
+        process.wait(30)
 
 
 @pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
-def test_a_server_starts_and_stops(
-    stop: signal.Signals, command: tuple[str, ...], environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_a_server_starts_and_stops(stop: signal.Signals, environment: dict[str, str], tmp_path: Path) -> None:
     nothing = {"INTERLOC_STATIC_DIR": str(tmp_path)}
-    with serving(command, environment, tmp_path, **nothing) as (process, address):
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("The page is not installed, only the API: ")
+    with serving(environment, tmp_path, **nothing) as (process, address):
         assert httpx.get(f"{address}healthz").json() == {"status": "ok"}
         assert (tmp_path / "interloc-data/interloc.sqlite3").is_file()
         process.send_signal(stop)
         assert process.wait(30) == 0
+        _, second = process.out.read_text().splitlines()
+        assert second.startswith("The page is not installed, only the API: ")
     lines = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
     assert lines[-1]["message"] == "stopped"
     assert not [line for line in lines if line["level"] in {"error", "warning"}]
 
 
-def test_streams_of_events_end_with_the_server(
-    command: tuple[str, ...], environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_streams_of_events_end_with_the_server(environment: dict[str, str], tmp_path: Path) -> None:
     database = open_database(Settings(data_dir=tmp_path / "interloc-data"))
     with database.writing() as session:  # a job that waits as long as its drive is checked: for ever
         common = {"owner": "me", "created_at": database.clock(session)}
@@ -82,7 +72,7 @@ def test_streams_of_events_end_with_the_server(
         session.add(Job(id="j", kind="intersections", drive_id="d", request={}, **common))
     database.close()
     with (
-        serving(command, environment, tmp_path) as (process, address),
+        serving(environment, tmp_path) as (process, address),
         httpx.stream("GET", f"{address}api/v1/jobs/j/events", timeout=60) as events,
     ):
         lines = events.iter_lines()
@@ -92,10 +82,8 @@ def test_streams_of_events_end_with_the_server(
         assert process.wait(60) == 0
 
 
-def test_a_stop_does_not_wait_for_an_upload_that_stalls(
-    command: tuple[str, ...], environment: dict[str, str], tmp_path: Path
-) -> None:
-    with serving(command, environment, tmp_path) as (process, address), httpx.Client(base_url=address) as client:
+def test_a_stop_does_not_wait_for_an_upload_that_stalls(environment: dict[str, str], tmp_path: Path) -> None:
+    with serving(environment, tmp_path) as (process, address), httpx.Client(base_url=address) as client:
         drive = client.post("api/v1/drives", json={"name": "a"}).json()["id"]
         with socket.create_connection((client.base_url.host, client.base_url.port or 80)) as link:
             path = f"/api/v1/drives/{drive}/files/poses.txt"
@@ -105,9 +93,9 @@ def test_a_stop_does_not_wait_for_an_upload_that_stalls(
     assert not list((tmp_path / "interloc-data/incoming").glob("*"))
 
 
-def test_options_and_environment(command: tuple[str, ...], environment: dict[str, str], tmp_path: Path) -> None:
+def test_options_and_environment(environment: dict[str, str], tmp_path: Path) -> None:
     options = ("--data-dir", str(tmp_path / "here"), "--log-format", "text", "--root-path", "/interloc/")
-    with serving(command, environment, tmp_path, *options, INTERLOC_HOST="127.0.0.2") as (process, address):
+    with serving(environment, tmp_path, *options, INTERLOC_HOST="127.0.0.2") as (process, address):
         assert re.fullmatch(r"http://127\.0\.0\.2:\d+/interloc/", address)
         assert httpx.get(f"{address}api/v1/drives").status_code == 200
         assert httpx.get(f"{address.removesuffix('interloc/')}api/v1/drives").status_code == 200
@@ -118,13 +106,13 @@ def test_options_and_environment(command: tuple[str, ...], environment: dict[str
     assert re.search(line, (tmp_path / "log").read_text(), re.MULTILINE)
 
 
-def test_two_servers_share_a_data_folder(command: tuple[str, ...], environment: dict[str, str], tmp_path: Path) -> None:
+def test_two_servers_share_a_data_folder(environment: dict[str, str], tmp_path: Path) -> None:
     """They start at the same moment, on a folder that neither has seen."""
     addresses: list[str] = []
     everybody = threading.Barrier(3, timeout=60)
 
     def run() -> None:
-        with serving(command, environment, tmp_path) as (_, address):
+        with serving(environment, tmp_path) as (_, address):
             addresses.append(address)
             everybody.wait()  # both serve
             everybody.wait()
@@ -140,14 +128,12 @@ def test_two_servers_share_a_data_folder(command: tuple[str, ...], environment: 
         thread.join()
 
 
-def test_other_machines_need_a_token(
-    command: tuple[str, ...], environment: dict[str, str], tmp_path: Path, interloc: Interloc
-) -> None:
+def test_other_machines_need_a_token(environment: dict[str, str], tmp_path: Path, interloc: Interloc) -> None:
     refused = interloc("serve", "--host", EVERYWHERE, "--data-dir", tmp_path / "interloc-data")
     assert refused.code == 2
     assert "lets other machines in, and there is no token" in refused.complaint
     token = interloc("token", "add", "alice", "--data-dir", tmp_path / "interloc-data").out.strip()
-    with serving(command, environment, tmp_path, "--host", EVERYWHERE) as (_, address):
+    with serving(environment, tmp_path, "--host", EVERYWHERE) as (_, address):
         drives = f"{address.replace(EVERYWHERE, '127.0.0.1')}api/v1/drives"
         assert httpx.get(drives).status_code == 401
         assert httpx.get(drives, headers={"Authorization": f"Bearer {token}"}).status_code == 200

@@ -15,6 +15,7 @@ import pytest
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
 PATIENCE_MS = 90_000
+SIZE = {"width": 1280, "height": 800}
 
 needs_page = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the PATH"),
@@ -50,8 +51,13 @@ class Watch:
     """What happens in the tabs of a test: errors and warnings, violations of the policy, requests to other hosts."""
 
     def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the test before."""
         self.faults: list[str] = []
         self.elsewhere: list[str] = []
+        self.origins: set[str] = set()
         self._excused: list[re.Pattern[str]] = []
         self._expected: list[re.Pattern[str]] = []
 
@@ -87,27 +93,59 @@ class Watch:
         parts = urlsplit(request.url)
         if (parts.hostname or "") not in _HERE:
             self.elsewhere.append(request.url)
+        elif parts.hostname:
+            self.origins.add(f"{parts.scheme}://{parts.netloc}")
+
+
+class Common:
+    """A context that tests use one after the other: of those before it keeps the files of the page, and no more."""
+
+    def __init__(self, launched: Any, watch: Watch) -> None:
+        self._watch = watch
+        self._context = launched.new_context(viewport=SIZE)
+        self._context.set_default_timeout(PATIENCE_MS)
+        watch.follow(self._context)
+        self._first = self._context.new_page()  # which keeps the session
+        self._session = self._context.new_cdp_session(self._first)
+
+    def new_page(self) -> Any:
+        return self._context.new_page()
+
+    def clear(self) -> None:
+        """Take away what a test left."""
+        for page in self._context.pages:
+            if page != self._first:
+                page.close()
+        self._context.unroute_all()
+        self._context.clear_permissions()
+        for origin in self._watch.origins:
+            kept = {"origin": origin, "storageTypes": "cookies,indexeddb,local_storage"}
+            self._session.send("Storage.clearDataForOrigin", kept)
 
 
 class Browser:
     """Makes contexts and tabs that are watched; they are closed with it."""
 
-    def __init__(self, launched: Any, watch: Watch) -> None:
+    def __init__(self, launched: Any, common: Common, watch: Watch) -> None:
         self._launched = launched
+        self._common = common
         self._watch = watch
         self._contexts: list[Any] = []
 
     def new_context(self, **options: Any) -> Any:
-        options = {"viewport": {"width": 1280, "height": 800}, **options}
-        context = self._launched.new_context(**options)
+        context = self._launched.new_context(**{"viewport": SIZE, **options})
         context.set_default_timeout(PATIENCE_MS)
         self._watch.follow(context)
         self._contexts.append(context)
         return context
 
-    def new_page(self, **options: Any) -> Any:
-        return self.new_context(**options).new_page()
+    def new_page(self, viewport: dict[str, int] = SIZE) -> Any:
+        """A tab of the common context."""
+        page = self._common.new_page()
+        page.set_viewport_size(viewport)
+        return page
 
     def close(self) -> None:
+        self._common.clear()
         for context in self._contexts:
             context.close()

@@ -9,7 +9,7 @@ import pytest
 
 from tests.app.processes import ServerProcess, started
 from tests.app.street import write_street
-from tests.page.browsers import Browser, Watch, chromium
+from tests.page.browsers import Browser, Common, Watch, chromium
 from tests.page.other_site import served
 from tests.page.results import SCANS, TOKEN, Done, Scored, run_street, write_other_map
 
@@ -20,17 +20,25 @@ def launched() -> Iterator[Any]:
         yield browser
 
 
-@pytest.fixture
-def watch() -> Iterator[Watch]:
-    """What went wrong in the tabs of this test; it fails with what was not expected."""
+@pytest.fixture(scope="package")
+def common(launched: Any) -> tuple[Common, Watch]:
+    """A context for all tests, and who watches it."""
     watch = Watch()
+    return Common(launched, watch), watch
+
+
+@pytest.fixture
+def watch(common: tuple[Common, Watch]) -> Iterator[Watch]:
+    """What went wrong in the tabs of this test; it fails with what was not expected."""
+    _, watch = common
+    watch.begin()
     yield watch
     watch.check()
 
 
 @pytest.fixture
-def browser(launched: Any, watch: Watch) -> Iterator[Browser]:
-    browser = Browser(launched, watch)
+def browser(launched: Any, common: tuple[Common, Watch], watch: Watch) -> Iterator[Browser]:
+    browser = Browser(launched, common[0], watch)
     yield browser
     browser.close()
 
@@ -71,4 +79,4 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
 
 @pytest.fixture
 def page(browser: Browser) -> Any:
-    return browser.new_page(accept_downloads=True)
+    return browser.new_page()

@@ -8,7 +8,7 @@ import re
 import subprocess
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ pytestmark = needs_page
 
 TOKEN = "a-token-that-only-these-tests-know-012345"  # noqa: S105
 LAYERS = ("intersections", "detections", "keyframes", "trajectory", "osm_nodes", "matches")
+DOWNLOAD_MS = 30_000
 TITLES = ("Intersections", "Detections", "Keyframes", "Trajectory", "OSM intersections", "Matches")
 
 
@@ -36,12 +37,32 @@ class Open:
     server: ServerProcess
     job: str
     token: str | None
+    asked: dict[Any, str] = field(default_factory=dict)  # by request: what became of it
+
+    def __post_init__(self) -> None:
+        self.page.on("request", lambda request: self.asked.update({request: "pending"}))
+        self.page.on("response", lambda response: self.asked.update({response.request: f"{response.status}, begun"}))
+        self.page.on("requestfinished", lambda request: self.asked.update({request: "answered"}))
+        self.page.on("requestfailed", lambda request: self.asked.update({request: f"failed: {request.failure}"}))
 
     def click(self, title: str, tmp_path: Path) -> Path:
         """Click the button of this title, and return the file that comes."""
-        button = self.page.locator("#panel-export").get_by_title(title, exact=True)
-        with self.page.expect_download() as waiting:
-            button.click()
+        return self.take(self.page.locator("#panel-export").get_by_title(title, exact=True), tmp_path)
+
+    def take(self, button: Any, tmp_path: Path) -> Path:
+        """Click a button, and return the file that comes."""
+        from playwright.sync_api import TimeoutError as NoDownloadError  # noqa: PLC0415 - may be missing
+
+        self.asked.clear()
+        try:
+            with self.page.expect_download(timeout=DOWNLOAD_MS) as waiting:
+                button.click(timeout=DOWNLOAD_MS)
+        except NoDownloadError:
+            shown = self.page.locator(".toast").all_inner_texts()
+            asked = [f"{request.method} {request.url}: {state}" for request, state in self.asked.items()]
+            pytest.fail(
+                f"{button}: no file within {DOWNLOAD_MS / 1000:.0f} s; the page says {shown}, and asked {asked}"
+            )
         path = tmp_path / waiting.value.suggested_filename
         waiting.value.save_as(path)
         return path
@@ -69,11 +90,10 @@ def opened(request: pytest.FixtureRequest, browser: Browser) -> Open:
     else:
         done: Done = request.getfixturevalue("done")
         server, job = done.server, done.job
-    context = browser.new_context(accept_downloads=True)
-    context.grant_permissions(["clipboard-read", "clipboard-write"], origin=server.address)
+    page = browser.new_page()
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"], origin=server.address)
     if with_token:  # as a tab that was told the token before
-        context.add_init_script(f"if (origin !== 'null') sessionStorage.setItem('interloc.token', '{TOKEN}')")
-    page = context.new_page()
+        page.add_init_script(f"if (origin !== 'null') sessionStorage.setItem('interloc.token', '{TOKEN}')")
     page.goto(f"{server.address}/#job={job}&panel=export")
     page.wait_for_selector(".legend:visible")
     page.locator("#panel-export h2").wait_for()
@@ -109,20 +129,10 @@ def test_each_layer_comes_in_each_format_with_all_its_features(opened: Open, tmp
 
 def test_the_geopackage_and_the_archive_hold_everything(opened: Open, tmp_path: Path) -> None:
     panel = opened.page.locator("#panel-export")
-    files = {}
-    for name in (
-        "GeoPackage, all layers",
-        "Everything (.zip)",
-        "QGIS project",
-        "Google Earth",
-        "PMTiles, for web maps",
-    ):
-        with opened.page.expect_download() as waiting:
-            panel.get_by_role("button", name=name).click()
-        files[name] = tmp_path / waiting.value.suggested_filename
-        waiting.value.save_as(files[name])
-    geopackage, archive, project, earth, tiles = files.values()
-    assert [path.suffix for path in files.values()] == [".gpkg", ".zip", ".qgz", ".kmz", ".pmtiles"]
+    names = ("GeoPackage, all layers", "Everything (.zip)", "QGIS project", "Google Earth", "PMTiles, for web maps")
+    files = [opened.take(panel.get_by_role("button", name=name), tmp_path) for name in names]
+    geopackage, archive, project, earth, tiles = files
+    assert [path.suffix for path in files] == [".gpkg", ".zip", ".qgz", ".kmz", ".pmtiles"]
     assert zipfile.ZipFile(project).namelist() == ["project.qgs", "result.gpkg"]
     assert len(pyogrio.list_layers(earth)) == len(pyogrio.list_layers(geopackage)) - 1  # its styles
     assert set(LAYERS) < {name for name, _ in pyogrio.list_layers(tiles)}

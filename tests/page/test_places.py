@@ -37,6 +37,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     layers = "layers=right,wrong,unscored"
     show(page, scored, f"panel=report&{layers}")
     rows = page.locator(".intersections tbody tr")
+    rows.first.wait_for()  # the panel may come after the map
     assert [int(each) for each in rows.locator("td:nth-child(2)").all_inner_texts()] == [
         each["id"] for each in [*wrong, *right]
     ]

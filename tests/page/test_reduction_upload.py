@@ -7,13 +7,18 @@ import re
 import shutil
 import tarfile
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import httpx
 import pytest
 
 from interloc import detect, evaluate, open_drive, read_osm, write_report, write_results
+from interloc.drives.options import LabelFolder
+from interloc.evaluation.evaluate import Evaluation
 from tests.app.processes import API, ServerProcess, ended, started
 from tests.app.street import write_street
 from tests.localization.town import LAT_DEG, LON_DEG, write_town_drive, write_town_map
@@ -125,29 +130,46 @@ def features(data: bytes | str) -> Any:
     return json.loads(data)["features"]
 
 
-def check_results(
-    client: httpx.Client, job_id: str, drive: Path, out: Path, *, scored: bool = True, **options: Any
-) -> None:
-    """Compare the results of a job with what the library finds in the folder itself."""
+@dataclass(frozen=True)
+class Expected:
+    """What the library finds in a folder itself: the features of each layer, and the score."""
+
+    layers: dict[str, Any]
+    evaluation: Evaluation | None
+
+
+LAYERS = ("detections", "intersections", "keyframes", "trajectory")
+
+
+@cache
+def find(drive: Path, labels: LabelFolder = "labels", *, scored: bool = True) -> Expected:
+    """Find the intersections of a drive with the library, once."""
+    result = detect(open_drive(drive, labels=labels))
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "out"
+        write_results(result, out)
+        evaluation = evaluate(result, read_osm(drive / "map.osm")) if scored else None
+        if evaluation is not None:
+            write_report(evaluation, out)
+        return Expected({name: features((out / f"{name}.geojson").read_bytes()) for name in LAYERS}, evaluation)
+
+
+def check_results(client: httpx.Client, job_id: str, expected: Expected) -> None:
+    """Compare the results of a job with what the library finds."""
     job = ended(client, job_id)
     assert job["state"] == "successful", job["error"]
-    result = detect(open_drive(drive, **options))
-    write_results(result, out)
-    if scored:
-        evaluation = evaluate(result, read_osm(drive / "map.osm"))
-        write_report(evaluation, out)
-    for name in ("detections", "intersections", "keyframes", "trajectory"):
+    for name in LAYERS:
         served = client.get(f"{API}/jobs/{job_id}/{name}").raise_for_status().content
-        assert features(served) == features((out / f"{name}.geojson").read_bytes()), name
-    if not scored:
+        assert features(served) == expected.layers[name], name
+    if expected.evaluation is None:
         return
     report = client.get(f"{API}/jobs/{job_id}/report").raise_for_status().json()
-    assert report["matched"] == int(evaluation.matching.is_matched.sum())
-    assert report["ace_m"] == pytest.approx(evaluation.errors.ace_m, abs=0.005)  # the report rounds
+    assert report["matched"] == int(expected.evaluation.matching.is_matched.sum())
+    assert report["ace_m"] == pytest.approx(expected.evaluation.errors.ace_m, abs=0.005)  # the report rounds
 
 
 def test_a_folder_is_reduced_in_the_browser_and_gives_the_same_results(
-    upload: Upload, server: ServerProcess, street: Path, tmp_path: Path
+    upload: Upload, server: ServerProcess, street: Path
 ) -> None:
     upload.pick(street)
     upload.page.wait_for_selector("text=read as semantickitti")
@@ -158,7 +180,7 @@ def test_a_folder_is_reduced_in_the_browser_and_gives_the_same_results(
     assert re.search(r"60 scans · 12[0-9].m · roads of map\.osm", upload.page.inner_text(".stage-note"))
     upload.press("Upload and run")
     job_id = upload.job()
-    check_results(server.client, job_id, street, tmp_path / "out")
+    check_results(server.client, job_id, find(street))
     drive = drive_of(server.client, job_id)
     assert (drive["name"], drive["state"]) == ("street", "ready")
     small = {"geo.csv", "map.osm", "poses.txt", "times.txt", "reduced.json"}
@@ -169,9 +191,7 @@ def test_a_folder_is_reduced_in_the_browser_and_gives_the_same_results(
 
 
 @pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")
-def test_real_scans_with_two_kinds_of_labels_give_the_same_results(
-    upload: Upload, server: ServerProcess, tmp_path: Path
-) -> None:
+def test_real_scans_with_two_kinds_of_labels_give_the_same_results(upload: Upload, server: ServerProcess) -> None:
     upload.pick(SAMPLE)
     upload.page.get_by_label("Labels to find intersections with").select_option("predictions")
     assert "Choose the map to score against" in upload.text()
@@ -180,18 +200,18 @@ def test_real_scans_with_two_kinds_of_labels_give_the_same_results(
     upload.choose("No map")
     upload.press("Upload and run")
     job_id = upload.job()
-    check_results(server.client, job_id, SAMPLE, tmp_path / "out", scored=False, labels="predictions")
+    check_results(server.client, job_id, find(SAMPLE, "predictions", scored=False))
     drive = drive_of(server.client, job_id)
     again = server.client.post(f"{API}/jobs", json={"drive_id": drive["id"], "labels": "labels"}).raise_for_status()
-    check_results(server.client, again.json()["id"], SAMPLE, tmp_path / "by_hand", scored=False, labels="labels")
+    check_results(server.client, again.json()["id"], find(SAMPLE, scored=False))
 
 
-def test_everything_can_be_sent_as_it_is(upload: Upload, server: ServerProcess, street: Path, tmp_path: Path) -> None:
+def test_everything_can_be_sent_as_it_is(upload: Upload, server: ServerProcess, street: Path) -> None:
     upload.pick(street)
     upload.choose("Everything as it is")
     upload.press("Upload and run")
     job_id = upload.job()
-    check_results(server.client, job_id, street, tmp_path / "out")
+    check_results(server.client, job_id, find(street))
     assert sum(path.startswith("velodyne/") for path in upload.sent) == 60
     assert sum(path.startswith("labels/") for path in upload.sent) == 60
 
@@ -213,9 +233,7 @@ def test_a_dropped_folder_is_read(upload: Upload, server: ServerProcess, street:
     assert "Done" in upload.text()
 
 
-def test_a_reload_does_not_send_again_what_has_arrived(
-    upload: Upload, server: ServerProcess, street: Path, tmp_path: Path
-) -> None:
+def test_a_reload_does_not_send_again_what_has_arrived(upload: Upload, server: ServerProcess, street: Path) -> None:
     upload.pick(street)
     upload.let_through(12)
     upload.press("Upload and run")
@@ -232,7 +250,7 @@ def test_a_reload_does_not_send_again_what_has_arrived(
     upload.pick(street)
     upload.press("Continue that upload")
     job_id = upload.job()
-    check_results(server.client, job_id, street, tmp_path / "out")
+    check_results(server.client, job_id, find(street))
     assert drive_of(server.client, job_id)["id"] == before["id"]
     sent = {path for path in upload.sent if path.startswith("ground/")}
     assert len(sent) == 60 - sum(path.startswith("ground/") for path in arrived)
@@ -294,7 +312,7 @@ def test_a_server_that_comes_back_is_waited_for(browser: Browser, watch: Watch, 
         port = int(first.address.rsplit(":", 1)[1])
         with started(tmp_path / "data", tmp_path / "log", workers=1, port=port) as second:
             job_id = upload.job()
-            check_results(second.client, job_id, street, tmp_path / "out")
+            check_results(second.client, job_id, find(street))
             upload.page.context.close()
 
 
@@ -306,7 +324,7 @@ def test_an_archive_is_unpacked_and_run(upload: Upload, server: ServerProcess, s
     upload.page.wait_for_selector(".upload-form")
     assert "street.tar.gz" in upload.text()
     upload.press("Upload and run")
-    check_results(server.client, upload.job(), street, tmp_path / "out")
+    check_results(server.client, upload.job(), find(street))
 
 
 def test_what_is_wrong_is_shown_before_anything_is_sent(upload: Upload, street: Path, tmp_path: Path) -> None:
@@ -342,7 +360,7 @@ def test_what_the_plan_refuses_can_be_corrected(
     upload.page.wait_for_selector(".drop")
     upload.pick(cut)
     upload.press("Upload and run")
-    check_results(server.client, upload.job(), cut, tmp_path / "out")
+    check_results(server.client, upload.job(), find(cut))
 
 
 def test_one_of_several_drives_is_chosen(upload: Upload, street: Path, tmp_path: Path) -> None:
@@ -389,10 +407,7 @@ def test_settings_labels_and_maps_of_the_form_reach_the_job(
     assert job["summary"]["keyframes"] == 30
 
 
-@pytest.mark.parametrize("scheme", ["dark", "light"])
-def test_the_form_is_usable_by_keyboard(browser: Browser, server: ServerProcess, street: Path, scheme: str) -> None:
-    context = browser.new_context(color_scheme=scheme)
-    upload = Upload(context.new_page(), server.address)
+def test_the_form_is_usable_by_keyboard(upload: Upload, street: Path) -> None:
     upload.pick(street)
     unnamed = upload.page.evaluate(
         """() => [...document.querySelectorAll('#panel-upload :is(input, select, button)')]
@@ -409,7 +424,6 @@ def test_the_form_is_usable_by_keyboard(browser: Browser, server: ServerProcess,
         pytest.fail("the last button cannot be reached")
     upload.page.keyboard.press("Enter")
     upload.page.wait_for_selector("text=Upload another")
-    context.close()
 
 
 def test_a_drive_without_gnss_is_placed_on_the_map(upload: Upload, server: ServerProcess, tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def reach(page: Any, *parts: str) -> list[str]:
 
 @pytest.mark.parametrize("size", [(1024, 768), (390, 844), (844, 390)], ids=str)
 def test_everything_can_be_reached(browser: Browser, done: Done, size: tuple[int, int]) -> None:
-    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, has_touch=True)
+    page = browser.new_context(viewport={"width": size[0], "height": size[1]}, has_touch=True).new_page()
     show(page, done, f"panel=report&frame={SCANS // 2}&drawer=1")
     page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
     stage = page.locator("#stage").bounding_box()
