@@ -57,8 +57,9 @@ def found(draw: st.DrawFn) -> RangeResult:
 
 def bits(part: RangeResult) -> list[object]:
     arrays = [
-        [a.tobytes() for a in (k.keyframe.T_world_lidar, k.lidar_xy, k.world_xy, k.score, *k.branch_angles_rad, *k.branch_widths_m)]
+        [a.tobytes() for a in (k.keyframe.T_world_lidar, k.lidar_xy, k.world_xy, k.score, *angles, *widths)]
         for k in part.detections
+        for angles, widths in [(k.branch_angles_rad, k.branch_widths_m)]
     ]
     frames = [(k.keyframe.frame, k.keyframe.time_s) for k in part.detections]
     road = [(p.keyframe, p.corner_xy.tobytes(), p.resolution_m, p.size, p.packed) for p in part.road]
