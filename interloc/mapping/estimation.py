@@ -250,10 +250,11 @@ def fuse_widths(
     """
     owner = np.repeat(np.arange(len(bearings_deg)), [len(b) for b in bearings_deg])
     bearing, width = (np.concatenate([np.zeros(0), *each]) for each in (bearings_deg, widths_m))
+    known = np.isfinite(width)
+    owner, bearing, width = owner[known], bearing[known], width[known]
     medians = np.full(len(fused_deg), np.nan)
-    for i, fused in enumerate(fused_deg):
-        away = np.abs((bearing - fused + 180.0) % 360.0 - 180.0)
-        rows = np.flatnonzero((away <= within_deg) & np.isfinite(width))
+    for i, fused in enumerate(fused_deg if len(width) else []):
+        rows = np.flatnonzero(np.abs((bearing - fused + 180.0) % 360.0 - 180.0) <= within_deg)
         if len(rows):
             order = rows[np.argsort(width[rows], kind="stable")]
             mass = np.cumsum(weight[owner[order]])

@@ -80,7 +80,7 @@ export function factsOf({ kind, item }, result) {
   const { local } = result;
   const { properties: p } = item;
   /** @type {() => [string, any]} */
-  const branches = () => [`Branches (${p.branch_count})`, bearings(p.branch_bearings_deg, local)];
+  const branches = () => [`Branches (${p.branch_count})`, branchesOf(p, local)];
   const ahead = `${formatMetres(Math.abs(p.x_m), 1)} ${p.x_m < 0 ? "behind" : "ahead"}`;
   const left = `${formatMetres(Math.abs(p.y_m), 1)} ${p.y_m < 0 ? "right" : "left"}`;
   /** @type {Record<Hit["kind"], () => Array<[string, any]|false>>} */
@@ -121,13 +121,22 @@ export function factsOf({ kind, item }, result) {
   return [...facts[kind](), [local ? "x, y in W, metres" : "Latitude, longitude", coordinates(item, local)]];
 }
 
-/** @param {number[]} values @param {boolean} local @returns {string} */
-function bearings(values, local) {
+/**
+ * The bearing of each branch and, where it was measured, the width of its road.
+ * @param {any} properties
+ * @param {boolean} local
+ * @returns {string}
+ */
+function branchesOf({ branch_bearings_deg, branch_widths_m = [] }, local) {
   const names = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"];
-  return [...values]
-    .sort((a, b) => a - b)
-    .map((b) => `${Math.round(b)}°${local ? "" : ` ${names[Math.round(b / 45) % 8]}`}`)
-    .join(", ");
+  return branch_bearings_deg
+    .map((/** @type {number} */ bearing, /** @type {number} */ k) => ({ bearing, width: branch_widths_m[k] ?? null }))
+    .sort((/** @type {any} */ a, /** @type {any} */ b) => a.bearing - b.bearing)
+    .map((/** @type {any} */ { bearing, width }) => {
+      const name = local ? "" : ` ${names[Math.round(bearing / 45) % 8]}`;
+      return `${Math.round(bearing)}°${name}${width === null ? "" : `, ${formatMetres(width, 1)} wide`}`;
+    })
+    .join("; ");
 }
 
 /** @param {number|null|undefined} id @param {Result} result @returns {string|Node} */
