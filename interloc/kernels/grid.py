@@ -115,6 +115,12 @@ def remove_cells(pool: Int32Array, where: Int32Array, vote: int) -> None:
 def _sum_of_nine(pool: Int32Array, table: Int32Array, tile_x0: int, tile_y0: int, ix: int, iy: int) -> np.int64:
     """Add up a cell and the eight around it, as far as the table goes."""
     total = np.int64(0)
+    r, c = iy & _MASK, ix & _MASK
+    if 0 < r < _MASK and 0 < c < _MASK:  # all in one tile
+        cells = pool[table[(iy >> _SHIFT) - tile_y0, (ix >> _SHIFT) - tile_x0]]
+        for middle in range(((r - 1) << _SHIFT) + c, ((r + 2) << _SHIFT) + c, TILE):
+            total += cells[middle - 1] + cells[middle] + cells[middle + 1]
+        return total
     for y in range(iy - 1, iy + 2):
         row = (y >> _SHIFT) - tile_y0
         if row < 0 or row >= table.shape[0]:
