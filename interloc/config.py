@@ -65,9 +65,9 @@ class BevConfig(_Config):
     )
     pool_votes: bool = Field(
         False,
-        description="Where less than half of a full window's keyframes lie in the region of interest, and labels err "
-        "from point to point, a road cell needs the majority of the votes in the 3 x 3 cells around it too. Has no "
-        "effect without vote.",
+        description="Where less than half of a full window's keyframes lie in the region of interest, the votes of the "
+        "eight cells around a road cell count too: a quarter each, and up to as much as its own where labels err from "
+        "point to point. Has no effect without vote.",
     )
     max_range_m: float = Field(
         150.0, ge=10, le=1000, description="Points farther than this from the sensor are left out."

@@ -29,6 +29,11 @@ def moment(time_s: float) -> str | None:
     return datetime.fromtimestamp(round(time_s, 3), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
+def unknown_like(values: list[FloatArray]) -> list[FloatArray]:
+    """Return arrays of NaN, as long as the given ones."""
+    return [np.full(len(each), np.nan) for each in values]
+
+
 @dataclass(frozen=True)
 class KeyframeTable:
     """The K keyframes of a run, in the order of the drive.
@@ -88,6 +93,8 @@ class DetectionTable:
         0..1, how sure the detector is.
     intersection : (D,) int64
         Row of the fused intersection that the detection belongs to, -1 for none.
+    widths_m : list of (B,) float64
+        Width of the road across each branch, metres; NaN where it is not known, everywhere unless given.
     """
 
     keyframe: IntArray
@@ -97,6 +104,11 @@ class DetectionTable:
     bearings_deg: list[FloatArray]
     score: FloatArray
     intersection: IntArray
+    widths_m: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if not self.widths_m:
+            object.__setattr__(self, "widths_m", unknown_like(self.bearings_deg))
 
     def __len__(self) -> int:
         return len(self.keyframe)
@@ -136,6 +148,8 @@ class IntersectionTable:
     bearings_deg : list of (B,) float64
     first_frame, last_frame : (M,) int64
         Scan numbers of the first and the last keyframe that saw it.
+    widths_m : list of (B,) float64
+        Width of the road across each branch, metres; NaN where it is not known, everywhere unless given.
     """
 
     id: IntArray
@@ -147,6 +161,11 @@ class IntersectionTable:
     bearings_deg: list[FloatArray]
     first_frame: IntArray
     last_frame: IntArray
+    widths_m: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if not self.widths_m:
+            object.__setattr__(self, "widths_m", unknown_like(self.bearings_deg))
 
     def __len__(self) -> int:
         return len(self.id)

@@ -47,6 +47,7 @@ def write_checkpoint(path: Path, part: RangeResult) -> None:
         "score": _joined([k.score for k in found], (0,)),
         "branches": np.array([len(a) for a in angles], dtype=np.int64),
         "branch_angles_rad": _joined(angles, (0,)),
+        "branch_widths_m": _joined([w for k in found for w in k.branch_widths_m], (0,)),
         "road_keyframe": np.array([p.keyframe for p in part.road], dtype=np.int64),
         "road_corner_xy": np.array([p.corner_xy for p in part.road], dtype=np.float64).reshape(-1, 2),
         "road_resolution_m": np.array([p.resolution_m for p in part.road], dtype=np.float64),
@@ -65,10 +66,11 @@ def read_checkpoint(path: Path) -> RangeResult | None:
             arrays = {name: file[name] for name in file.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
-    if str(arrays.get("made_by")) != _made_by() or "road_packed" not in arrays:
+    if str(arrays.get("made_by")) != _made_by() or "branch_widths_m" not in arrays:
         return None
     angles = _cut(arrays["branch_angles_rad"], arrays["branches"])
     angles_of = _grouped(angles, arrays["detections"])
+    widths_of = _grouped(_cut(arrays["branch_widths_m"], arrays["branches"]), arrays["detections"])
     lidar_xy, world_xy, score = (_cut(arrays[n], arrays["detections"]) for n in ("lidar_xy", "world_xy", "score"))
     times = [None if np.isnan(time) else float(time) for time in arrays["time_s"]]
     detections = [
@@ -78,6 +80,7 @@ def read_checkpoint(path: Path) -> RangeResult | None:
             world_xy[row],
             angles_of[row],
             score[row],
+            widths_of[row],
         )
         for row, frame in enumerate(arrays["frame"])
     ]

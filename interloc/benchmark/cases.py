@@ -26,6 +26,7 @@ Progress = Callable[[int, int], None]
 Poses = Literal["suma", "gt"]
 
 TWIN_FACTS = "twin.json"
+KITTI_SENSOR = "hdl-64e"
 
 
 @dataclass(frozen=True)
@@ -90,14 +91,14 @@ class FolderCase:
 
 @dataclass(frozen=True)
 class TwinCase:
-    """A KITTI twin: the real track of a sequence, simulated over its real map.
+    """A KITTI twin: the real track of a sequence, simulated over its real map with a LiDAR.
 
     Attributes
     ----------
     kitti : Path
         Folder with `oxts/`, `poses_suma/`, `poses_gt/`, `calib/`, `times/`, `osm/` and, if known, `osm_buildings/`.
-    name : str
-        Sequence, two digits.
+    sequence : str
+        Two digits.
     seed : int
         Seed of everything random.
     poses : {"suma", "gt"}
@@ -105,24 +106,32 @@ class TwinCase:
         Folder in which twins stay and are found again.
     max_scans : int or None
         Number of keyframes after which the drive ends.
+    sensor : str
+        One of `interloc.simulate.config.SENSORS`.
     """
 
     kitti: Path
-    name: str
+    sequence: str
     seed: int = 0
     poses: Poses = "suma"
     keep: Path | None = None
     max_scans: int | None = None
+    sensor: str = KITTI_SENSOR
+
+    @property
+    def name(self) -> str:
+        """Name in the tables: the sequence, and the sensor where it is not KITTI's."""
+        return self.sequence if self.sensor == KITTI_SENSOR else f"{self.sequence} {self.sensor}"
 
     @property
     def osm(self) -> Path:
         """Map of the sequence."""
-        return self.kitti / "osm" / f"{self.name}.osm.gz"
+        return self.kitti / "osm" / f"{self.sequence}.osm.gz"
 
     @property
     def inputs(self) -> list[Path]:
         """All files that the twin is made of."""
-        root, name = self.kitti, self.name
+        root, name = self.kitti, self.sequence
         needed = [
             root / "oxts" / f"{name}.txt.gz",
             root / f"poses_{self.poses}" / f"{name}.txt",
@@ -136,8 +145,9 @@ class TwinCase:
     def facts(self) -> dict[str, Any]:
         """Return what the twin depends on: inputs, seed, and the simulator."""
         return {
-            "twin": self.name,
+            "twin": self.sequence,
             "seed": self.seed,
+            "sensor": self.sensor,
             "poses": self.poses,
             "max_scans": self.max_scans,
             "files": file_facts(self.inputs),
@@ -154,22 +164,27 @@ class TwinCase:
             yield open_drive(self._kept(self.keep, progress))
             return
         with tempfile.TemporaryDirectory(prefix=".twin-", dir=scratch) as folder:
-            path = Path(folder) / self.name
+            path = Path(folder) / self.sequence
             self._simulate(path, progress)
             yield open_drive(path)
 
     def explain(self, frame: int, settings: tuple[str, ...]) -> list[str]:
         """Return the command lines that make the twin, unless it is kept, and draw the steps at a frame."""
-        drive = self._place(self.keep) if self.keep is not None else Path(f"twin_{self.name}")
-        show = _explain(drive, frame, self.name, self.osm, settings)
+        drive = self._place(self.keep) if self.keep is not None else Path(f"twin_{self._file_name}")
+        show = _explain(drive, frame, self._file_name, self.osm, settings)
         if self.keep is not None:
             return [show]
-        make = ["interloc", "simulate", "twin", self.name, "--kitti", str(self.kitti), "--seed", str(self.seed)]
+        make = ["interloc", "simulate", "twin", self.sequence, "--kitti", str(self.kitti), "--seed", str(self.seed)]
+        make += [] if self.sensor == KITTI_SENSOR else ["--sensor", self.sensor]
         make += ["--poses", self.poses, "-o", str(drive)]
         return [shlex.join(make), show]
 
     def _place(self, keep: Path) -> Path:
-        return keep / f"{self.name}_{self.poses}_seed{self.seed}"
+        return keep / f"{self._file_name}_{self.poses}_seed{self.seed}"
+
+    @property
+    def _file_name(self) -> str:
+        return self.name.replace(" ", "_")
 
     def _kept(self, keep: Path, progress: Progress | None) -> Path:
         path = self._place(keep)
@@ -186,11 +201,17 @@ class TwinCase:
         return path
 
     def _simulate(self, path: Path, progress: Progress | None) -> None:
-        from interloc.simulate.config import SimulationOptions  # noqa: PLC0415
+        from interloc.simulate.config import SENSORS, SimulationOptions  # noqa: PLC0415
         from interloc.simulate.twins import simulate_twin  # noqa: PLC0415 - not needed where all twins are kept
 
-        options = SimulationOptions(seed=self.seed, keyframes_only=True, ground_only=True, max_scans=self.max_scans)
-        simulate_twin(self.kitti, self.name, path, options, poses=self.poses, progress=progress)
+        options = SimulationOptions(
+            seed=self.seed,
+            keyframes_only=True,
+            ground_only=True,
+            max_scans=self.max_scans,
+            sensor=SENSORS[self.sensor],
+        )
+        simulate_twin(self.kitti, self.sequence, path, options, poses=self.poses, progress=progress)
 
 
 Case = FolderCase | TwinCase
@@ -213,14 +234,22 @@ def twin_cases(
     poses: Poses = "suma",
     keep: Path | None = None,
     max_scans: int | None = None,
+    sensors: Sequence[str] = (KITTI_SENSOR,),
 ) -> list[TwinCase]:
-    """Return the twins of some sequences, each with several seeds.
+    """Return the twins of some sequences, each with several sensors and seeds.
 
     Raises
     ------
+    ConfigError
+        There is no such sensor.
     DriveError
         The folder, or a file of a sequence, is missing.
     """
+    from interloc.simulate.config import SENSORS  # noqa: PLC0415 - not needed for recorded drives
+
+    for sensor in sensors:
+        if sensor not in SENSORS:
+            raise ConfigError(f"sensors: there is no '{sensor}'; choose from {', '.join(SENSORS)}")
     if not kitti.is_dir():
         raise DriveError(f"{kitti}: no such folder. Expected oxts/, poses_{poses}/, calib/, times/ and osm/ in it.")
     cases = []
@@ -233,7 +262,11 @@ def twin_cases(
                 f"{kitti}: sequence {sequence} has no {', '.join(missing)}. "
                 f"Sequences with all that a twin needs: {', '.join(complete) or 'none'}."
             )
-        cases += [TwinCase(kitti, sequence, seed, poses, keep, max_scans) for seed in range(seeds)]
+        cases += [
+            TwinCase(kitti, sequence, seed, poses, keep, max_scans, sensor)
+            for sensor in sensors
+            for seed in range(seeds)
+        ]
     return cases
 
 

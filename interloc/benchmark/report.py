@@ -33,7 +33,8 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
     dict
         `results`: one entry per preset, level of label errors and drive ("all": pooled), each figure with `mean`,
         `spread` (sample standard deviation over the seeds, None for one seed) and `seeds`; `rows`: the same per
-        seed, with the counts behind them; `published`: the paper's figures; `config`: settings of each preset.
+        seed, with the counts behind them; `published`: the paper's figures; `config`: settings of each preset;
+        `sensors`: the drives of each sensor, where several are compared.
     """
     results = [
         {
@@ -61,6 +62,7 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
             "noise": {name: asdict(value) for name, value in LABEL_ERRORS.items()},
         },
         "config": {name: config.model_dump(mode="json") for name, config in configs.items()},
+        **({"sensors": {name: list(drives) for name, drives in measured.sensors.items()}} if measured.sensors else {}),
         "versions": versions(),
     }
 
@@ -126,15 +128,12 @@ def write_benchmark(
             record |= row.failures
             handle.write(encode(record, indent=1).encode() + b"\n")
     record = benchmark_record(title, measured, configs, policy)
-    performance, comparison, noise = tables(measured)
     page = _template().render(
         title=title,
         about=about,
         policy=policy,
         warnings=_warnings(measured.rows),
-        performance=performance,
-        comparison=comparison,
-        noise=noise,
+        tables=tables(measured),
         noisy=[performance_table(measured, level) for level in measured.noises[1:]],
         kinds=kinds_table(measured),
         places=[(ours(preset), worst_places(measured, preset)) for preset in measured.presets],

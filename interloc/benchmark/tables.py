@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from interloc.benchmark.metrics import METRICS, Estimate, estimate
 from interloc.benchmark.row import Row
@@ -47,6 +47,8 @@ class Measured:
         In the order of the tables.
     labels : str
         "labels" (by hand, or exact) or "predictions" (of a network).
+    sensors : dict of str to tuple of str
+        Drives by the sensor that they were simulated with, where several sensors are compared.
     """
 
     rows: tuple[Row, ...]
@@ -54,6 +56,7 @@ class Measured:
     presets: tuple[str, ...]
     noises: tuple[str, ...]
     labels: str = "labels"
+    sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def of(self, *, preset: str, noise: str, drive: str = ALL) -> list[Row]:
         """Return the rows of a preset at a level of label errors, of one drive or all."""
@@ -75,7 +78,8 @@ class Measured:
 
 def performance_table(measured: Measured, noise: str) -> Table:
     """Return the performance per drive (paper, Table "Performance on SemanticKITTI sequences") at a level of errors."""
-    columns = [*measured.drives, *([ALL] if len(measured.drives) > 1 else [])]
+    is_pooled = len(measured.drives) > 1 and not measured.sensors
+    columns = [*measured.drives, *([ALL] if is_pooled else [])]
     groups = []
     for title, metric, write, published in (
         ("ACE [m]", "ace_m", metres, "ace_m"),
@@ -115,6 +119,39 @@ def performance_table(measured: Measured, noise: str) -> Table:
         groups=tuple(groups),
         labels=2,
         notes=(*notes[len(columns) == len(measured.drives) :], *_seed_note(measured)),
+    )
+
+
+def sensor_table(measured: Measured, noise: str) -> Table:
+    """Return the performance per sensor, over all drives with it, at a level of label errors."""
+    groups = []
+    for sensor, drives in measured.sensors.items():
+        lines: list[tuple[str, ...]] = []
+        for preset in measured.presets:
+            rows = [row for row in measured.of(preset=preset, noise=noise) if row.cell.drive in drives]
+            found, total = (estimate(rows, METRICS[name]) for name in ("nodes_found", "nodes_in_zone"))
+            cells = (
+                _write(estimate(rows, METRICS[metric]), write)
+                for metric, write in (
+                    ("ace_m", metres),
+                    ("precision_at_5", percent),
+                    ("recall_at_5", percent),
+                    ("ms_a_keyframe", one_decimal),
+                )
+            )
+            ace, pre, rec, ms = cells
+            lines.append((sensor if not lines else "", ours(preset), ace, pre, rec, counted(found, total), ms))
+        groups.append(tuple(lines))
+    return Table(
+        title=f"Performance per sensor{'' if noise == '0/0' else f', label errors {noise} %'}",
+        header=("", "", "ACE [m]", "Pre@5 [%]", "Rec@5 [%]", "nodes found / in zone", "ms per keyframe"),
+        groups=tuple(groups),
+        labels=2,
+        notes=(
+            "Detections, misses, errors and nodes of all tracks taken together.",
+            "Causal: no keyframe after the current one is accumulated.",
+            *_seed_note(measured),
+        ),
     )
 
 
@@ -170,7 +207,9 @@ def noise_table(measured: Measured) -> Table:
 
 
 def tables(measured: Measured) -> list[Table]:
-    """Return the tables of a benchmark: performance without label errors, comparison, label errors."""
+    """Return the tables of a benchmark: performance without label errors, comparison, label errors; or of sensors."""
+    if measured.sensors:
+        return [*(sensor_table(measured, noise) for noise in measured.noises), performance_table(measured, "0/0")]
     return [performance_table(measured, measured.noises[0]), comparison_table(measured), noise_table(measured)]
 
 

@@ -81,6 +81,7 @@ def command() -> None:
       interloc benchmark twins --kitti kitti -o out                    simulated drives over the real tracks and maps
       interloc benchmark twins --kitti kitti --sequences 07 --preset default --noise 20/20 --seeds 3 -o out
       interloc benchmark semantickitti --root data --oxts raw --osm maps --labels predictions -o out
+      interloc benchmark sensors --kitti kitti -o out                  LiDARs side by side, with and without look-ahead
       interloc benchmark drives first second --osm map.osm.gz -o out   any drives
       interloc benchmark locate --kitti kitti --osm map.osm.gz -o out  placing drives without GNSS
 
@@ -139,6 +140,73 @@ def twins(
         seeds=seeds,
         **measuring,
     )
+
+
+@command.command()
+@click.option(
+    "--kitti",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="Folder of the tracks and maps, as of `interloc benchmark twins`.",
+)
+@click.option("--sequences", default="05,07,10", show_default=True, help="KITTI odometry sequences to measure.")
+@click.option("--sensors", default=",".join(options.SENSORS), show_default=True, help="LiDARs to compare.")
+@click.option(
+    "--lookahead",
+    "lookaheads",
+    default="default,0",
+    show_default=True,
+    help="Keyframes after the current one that are accumulated: of the preset (default), or a number; 0 is causal.",
+)
+@click.option(
+    "--keep", type=click.Path(path_type=Path), help="Folder in which the simulated drives are kept for the next time."
+)
+@click.option("--max-scans", type=click.IntRange(min=1), help="Number of keyframes of each sequence, for a quick look.")
+@measuring_options
+def sensors(
+    kitti: Path,
+    sequences: str,
+    sensors: str,
+    lookaheads: str,
+    keep: Path | None,
+    max_scans: int | None,
+    seeds: int,
+    **measuring: Any,
+) -> None:
+    """Compare LiDARs, with and without look-ahead, on simulated drives along real tracks over their real maps.
+
+    \b
+    Example:
+      interloc benchmark sensors --kitti kitti --sensors vlp-16,hdl-64e --lookahead default,5,0 -o out
+    """
+    from interloc.benchmark.cases import twin_cases
+
+    names = _list(sensors)
+    cases = twin_cases(kitti, _list(sequences), seeds=seeds, keep=keep, max_scans=max_scans, sensors=names)
+    cases.sort(key=lambda case: names.index(case.sensor))
+    _measure(
+        cases,
+        title="Sensors",
+        about="Simulated drives along the real tracks of KITTI sequences over their real OpenStreetMap, with exact "
+        "labels and SuMa poses, once with each LiDAR. The worlds are the same; lasers, shots and ranges are as "
+        "published. Drives without the name of a sensor are by KITTI's HDL-64E.",
+        labels="labels",
+        seeds=seeds,
+        lookaheads=tuple(_lookaheads(lookaheads)),
+        sensors={
+            sensor: tuple(dict.fromkeys(case.name for case in cases if case.sensor == sensor)) for sensor in names
+        },
+        **measuring,
+    )
+
+
+def _lookaheads(text: str) -> list[int | None]:
+    try:
+        return [None if part == "default" else int(part) for part in _list(text)]
+    except ValueError:
+        raise click.UsageError(
+            f"--lookahead {text}: expected whole numbers of keyframes, or default, with commas between them"
+        ) from None
 
 
 @command.command()
@@ -315,6 +383,8 @@ def _measure(
     workers: int | None,
     quiet: bool,
     as_json: bool,
+    lookaheads: tuple[int | None, ...] = (None,),
+    sensors: dict[str, tuple[str, ...]] | None = None,
 ) -> None:
     from interloc.benchmark.measure import GroundTruth
     from interloc.benchmark.report import PAGE, benchmark_record, write_benchmark
@@ -325,7 +395,7 @@ def _measure(
     from interloc.processes import cores
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
-    named = [_named_config(preset, settings) for preset in presets]
+    named = [_named_config(preset, settings, lookahead) for preset in presets for lookahead in lookaheads]
     benchmark = Benchmark(
         tuple(cases),
         tuple(named),
@@ -346,7 +416,12 @@ def _measure(
     finally:
         bars.close()
     measured = Measured(
-        tuple(rows), tuple(benchmark.drives), tuple(each.name for each in named), benchmark.noises, labels
+        tuple(rows),
+        tuple(benchmark.drives),
+        tuple(each.name for each in named),
+        benchmark.noises,
+        labels,
+        sensors or {},
     )
     configs = {each.name: each.config for each in named}
     write_benchmark(measured, configs, out, title=title, about=about, policy=policy)
@@ -357,13 +432,16 @@ def _measure(
     click.echo(f"\nreport  {out / PAGE}")
 
 
-def _named_config(preset: str, settings: tuple[str, ...]) -> NamedConfig:
+def _named_config(preset: str, settings: tuple[str, ...], lookahead: int | None = None) -> NamedConfig:
     """Return a preset with some settings changed, under a name that shows them."""
     from interloc.benchmark.run import NamedConfig
 
-    changed = "".join(f" {setting}" for setting in settings)
+    name = preset + "".join(f" {setting}" for setting in settings)
+    if lookahead is not None:
+        name += ", causal" if lookahead == 0 else f", look-ahead {lookahead}"
+        settings = (*settings, f"keyframes.lookahead={lookahead}")
     arguments = ("--preset", preset, *(part for setting in settings for part in ("--set", setting)))
-    return NamedConfig(preset + changed, options.configure(preset, settings), arguments)
+    return NamedConfig(name, options.configure(preset, settings), arguments)
 
 
 class _Bars:

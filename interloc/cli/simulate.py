@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from interloc.simulate.town import Part
 
 
-_LASERS, _SHOT_BYTES, _GROUND_SHARE = 64, 18, 0.5  # bytes: those shots that return, with their labels
+_SHOT_BYTES, _GROUND_SHARE = 18, 0.5  # bytes: those shots that return, with their labels
 _SHOT_S = 8e-7
 _LARGE_BYTES = 100_000_000
 
@@ -57,11 +57,17 @@ scene_options = options.together(
     click.option("--ground-only", is_flag=True, help="Write only points on the ground: about half the size."),
     click.option("--max-scans", type=click.IntRange(min=1), help="Number of scans after which the drive ends."),
     click.option(
+        "--sensor",
+        type=click.Choice(options.SENSORS),
+        default="hdl-64e",
+        show_default=True,
+        help="LiDAR to drive with: its lasers, shots and range as published.",
+    ),
+    click.option(
         "--columns",
         type=click.IntRange(8, 8192),
-        default=2083,
-        show_default=True,
-        help="Shots of each of the 64 lasers per turn.",
+        show_default="those of the sensor at 10 Hz",
+        help="Shots of each laser per turn.",
     ),
     options.QUIET,
 )
@@ -235,12 +241,14 @@ def _options(
     bare: bool,
     ground_only: bool,
     max_scans: int | None,
-    columns: int,
+    sensor: str,
+    columns: int | None,
     quiet: bool,  # noqa: ARG001 - one of `scene_options`
 ) -> SimulationOptions:
     """Return the values of `scene_options` as the simulator takes them."""
-    from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions
+    from interloc.simulate.config import SENSORS, LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions
 
+    changed: dict[str, Any] = {} if columns is None else {"columns": columns}
     no_noise = {"range_noise_m": 0.0, "surface_noise": 0.0, "dropout": 0.0, "road_half_range_m": None} if exact else {}
     empty = {"roadside": RoadsideConfig(parked_car_density=0.0, hedge_share=0.0, buildings="none")} if bare else {}
     return SimulationOptions(
@@ -249,7 +257,7 @@ def _options(
         ground_only=ground_only,
         max_scans=max_scans,
         scene=SceneConfig(**empty),
-        sensor=LidarConfig(columns=columns, **no_noise),
+        sensor=LidarConfig(**{**SENSORS[sensor].model_dump(), **changed, **no_noise}),
     )
 
 
@@ -262,7 +270,7 @@ class _Announced:
     def __call__(self, done: int, total: int) -> None:
         """Show how many scans are done."""
         if not self._is_said:
-            shots = total * self._options.sensor.columns * _LASERS
+            shots = total * self._options.sensor.columns * self._options.sensor.rings
             size = int(shots * _SHOT_BYTES * (_GROUND_SHARE if self._options.ground_only else 1.0))
             minutes = max(1, round(shots * _SHOT_S / 60))
             if size > _LARGE_BYTES:

@@ -16,7 +16,8 @@ from interloc.kernels import grid
 
 _GROW = 16  # tiles that the pool grows by at least
 _POOLED_SHARE = 0.5  # share of a full window below which votes are pooled: the ends of a dense drive have more
-_POOLED_LONE = 0.022  # share of lone road cells above which they are: docs/accuracy.md has what real labels have
+_RIGHT_LONE, _WRONG_LONE = 0.022, 0.033  # shares of lone road cells: docs/accuracy.md has what real labels have
+_RIGHT_WEIGHT = 0.25  # of a neighbour's vote, where labels err no more than along borders
 
 
 class TileGrid:
@@ -168,17 +169,22 @@ class RoadAccumulator:
         share = self._share(keyframe)
         m = self._config.min_points
         min_points = max(1, round(m * share)) if self._config.adaptive else m
-        # Few scans give a cell one vote, and a wrong one decides. Votes of neighbours are mostly of the same ground,
-        # and add up like the log odds of an occupancy grid (Elfes, "Using occupancy grids", IEEE Computer, 1989).
-        # Where labels err along borders only, pooling mends nothing and shortens branches.
-        pooled = (
-            self._config.vote
-            and self._config.pool_votes
-            and share < _POOLED_SHARE
-            and grid.lone_road_share(self._grid.pool, table, roi.left, roi.top, roi.size) > _POOLED_LONE
-        )
-        grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, int(pooled), image.words)
+        weight = self._neighbour_weight(share, table, roi) if self._config.vote and self._config.pool_votes else 0.0
+        grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, weight, image.words)
         return BevImage(image, roi, min_points)
+
+    def _neighbour_weight(self, share: float, table: Int32Array, roi: Roi) -> float:
+        """Return how much the votes of the cells around a cell count beside its own, 0..1.
+
+        Few scans give a cell one vote, and a wrong one decides. Votes of neighbours are mostly of the same ground, and
+        add up like the log odds of an occupancy grid (Elfes, "Using occupancy grids", IEEE Computer, 1989). The more
+        labels err from point to point, the less a vote of its own says, and the more those around it; where they err
+        along borders only, full weight would mend nothing and shorten branches.
+        """
+        if share >= _POOLED_SHARE:
+            return 0.0
+        lone = grid.lone_road_share(self._grid.pool, table, roi.left, roi.top, roi.size)
+        return float(np.interp(lone, [_RIGHT_LONE, _WRONG_LONE], [_RIGHT_WEIGHT, 1.0]))
 
     def _share(self, keyframe: Keyframe) -> float:
         """Return how many of a full window's keyframes lie in the region of interest, as a share."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from interloc.detection.keyframes import Keyframe, KeyframeSelector
 from interloc.detection.occupancy import infer_occupancy
 from interloc.detection.refinement import Junction, refine
 from interloc.detection.scan import ScanLike
+from interloc.detection.widths import branch_widths
 from interloc.geometry import rotate_2d, yaw_of
+from interloc.results import unknown_like
 from interloc.stopwatch import Stopwatch
 
 
@@ -39,6 +41,8 @@ class KeyframeDetections:
         Direction of each branch in W, counter-clockwise from +x.
     score : (n,) float64
         0..1, how sure the detector is.
+    branch_widths_m : list of (B,) float64
+        Width of the road across each branch, metres; NaN where it is not known, everywhere unless given.
     """
 
     keyframe: Keyframe
@@ -46,6 +50,11 @@ class KeyframeDetections:
     world_xy: FloatArray
     branch_angles_rad: list[FloatArray]
     score: FloatArray
+    branch_widths_m: list[FloatArray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if not self.branch_widths_m:
+            object.__setattr__(self, "branch_widths_m", unknown_like(self.branch_angles_rad))
 
     def __repr__(self) -> str:
         places = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in self.lidar_xy.tolist())
@@ -216,8 +225,9 @@ def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDet
     T = keyframe.T_world_lidar
     lidar_xy = rotate_2d(world_xy - T[:2, 3], -yaw_of(T[:3, :3]))
     angles = [np.arctan2(-j.directions[:, 0], j.directions[:, 1]) for j in junctions]  # rows go against +y
+    widths = [branch_widths(j.position, j.directions, steps.occupancy, roi.resolution_m) for j in junctions]
     score = np.array([_score(j, roi.resolution_m, config) for j in junctions], np.float64)
-    return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score)
+    return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths)
 
 
 def _score(junction: Junction, resolution_m: float, config: ScoreConfig) -> float:

@@ -329,6 +329,7 @@ def _select(detections: DetectionTable, rows: IntArray) -> DetectionTable:
         world_xy=detections.world_xy[rows],
         lonlat=None if detections.lonlat is None else detections.lonlat[rows],
         bearings_deg=[detections.bearings_deg[row] for row in rows],
+        widths_m=[detections.widths_m[row] for row in rows],
         score=detections.score[rows],
         intersection=detections.intersection[rows],
     )

@@ -11,8 +11,10 @@ import math
 
 import numpy as np
 
-from interloc.arrays import Int32Array, UInt8Array, UInt64Array
+from interloc.arrays import FloatArray, Int32Array, UInt8Array, UInt64Array
 from interloc.kernels import compiled
+
+_RUN_STEP = 0.5  # pixels, of the walk across a road
 
 
 def words_for(width: int) -> int:
@@ -115,3 +117,88 @@ def nearest_clear(words: UInt64Array, row: int, col: int, height: int, width: in
                     break
         dy += 1
     return math.sqrt(best)
+
+
+@compiled
+def run_through(
+    words: UInt64Array, height: int, width: int, row: float, col: float, dr: float, dc: float, limit: float
+) -> float:
+    """Measure how far the set pixels run through a point, along a line.
+
+    Parameters
+    ----------
+    words, height, width
+        A packed image.
+    row, col, dr, dc : float
+        The point, and the unit direction of the line.
+    limit : float
+        Longest run, pixels.
+
+    Returns
+    -------
+    float
+        Pixels; 0 where the pixel at the point is clear, and where the run is longer or leaves the image.
+    """
+    total = -_RUN_STEP  # the middle is counted from both sides
+    for side in range(2):
+        step = _RUN_STEP if side == 0 else -_RUN_STEP
+        count = 0
+        while True:
+            r = math.floor(row + count * step * dr + 0.5)
+            c = math.floor(col + count * step * dc + 0.5)
+            if r < 0 or r >= height or c < 0 or c >= width or total > limit:
+                return 0.0
+            if ((words[r + 1, c >> 6] >> np.uint64(c & 63)) & np.uint64(1)) == 0:
+                break
+            total += _RUN_STEP
+            count += 1
+    return max(total, 0.0)
+
+
+@compiled
+def median_runs_across(
+    words: UInt64Array,
+    height: int,
+    width: int,
+    start: FloatArray,
+    directions: FloatArray,
+    distances: FloatArray,
+    limit: float,
+    least: int,
+) -> FloatArray:
+    """Measure how far the set pixels run at right angles to some rays: the median along each.
+
+    Parameters
+    ----------
+    words, height, width
+        A packed image.
+    start : (2,) float64
+        Row and column where the rays start.
+    directions : (B, 2) float64
+        Unit direction (row, column) of each ray.
+    distances : (S,) float64
+        Where along each ray, pixels.
+    limit : float
+        Longest run that counts, pixels.
+    least : int
+        Number of runs that make a median.
+
+    Returns
+    -------
+    (B,) float64
+        Pixels; NaN where there are too few runs.
+    """
+    medians = np.full(directions.shape[0], np.nan)
+    runs = np.empty(distances.size)
+    for b in range(directions.shape[0]):
+        dr, dc = directions[b, 0], directions[b, 1]
+        count = 0
+        for distance in distances:
+            row, col = start[0] + distance * dr, start[1] + distance * dc
+            run = run_through(words, height, width, row, col, -dc, dr, limit)
+            if run > 0.0:
+                runs[count] = run
+                count += 1
+        if count >= least:
+            medians[b] = np.median(runs[:count])
+    return medians

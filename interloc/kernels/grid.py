@@ -112,19 +112,24 @@ def remove_cells(pool: Int32Array, where: Int32Array, vote: int) -> None:
 
 
 @compiled
-def _sum_around(
-    pool: Int32Array, table: Int32Array, tile_x0: int, tile_y0: int, ix: int, iy: int, reach: int
-) -> np.int64:
-    """Add up the cells of a square around one, as far as the table goes."""
+def _sum_of_nine(pool: Int32Array, table: Int32Array, tile_x0: int, tile_y0: int, ix: int, iy: int) -> np.int64:
+    """Add up a cell and the eight around it, as far as the table goes."""
     total = np.int64(0)
-    for y in range(iy - reach, iy + reach + 1):
+    r, c = iy & _MASK, ix & _MASK
+    if 0 < r < _MASK and 0 < c < _MASK:  # all in one tile
+        cells = pool[table[(iy >> _SHIFT) - tile_y0, (ix >> _SHIFT) - tile_x0]]
+        for middle in range(((r - 1) << _SHIFT) + c, ((r + 2) << _SHIFT) + c, TILE):
+            total += cells[middle - 1] + cells[middle] + cells[middle + 1]
+        return total
+    for y in range(iy - 1, iy + 2):
         row = (y >> _SHIFT) - tile_y0
         if row < 0 or row >= table.shape[0]:
             continue
-        for x in range(ix - reach, ix + reach + 1):
+        inside = (y & _MASK) << _SHIFT
+        for x in range(ix - 1, ix + 2):
             column = (x >> _SHIFT) - tile_x0
             if 0 <= column < table.shape[1] and table[row, column] >= 0:
-                total += pool[table[row, column], ((y & _MASK) << _SHIFT) + (x & _MASK)]
+                total += pool[table[row, column], inside + (x & _MASK)]
     return total
 
 
@@ -176,7 +181,7 @@ def threshold_window(
     top: int,
     size: int,
     min_points: int,
-    reach: int,
+    neighbour_weight: float,
     words: UInt64Array,
 ) -> None:
     """Write a square of the grid as a packed image: set where a cell has at least ``min_points``.
@@ -187,8 +192,9 @@ def threshold_window(
         Slots of the tiles from the tile of (left, top - size + 1) on; -1 where there is no tile.
     left, top : int
         ix of the first column; iy of the first row. Rows go down, against +y (paper: R is turned about x).
-    reach : int
-        The sum of all cells at most this many columns and rows away must be positive too; 0: the cell alone decides.
+    neighbour_weight : float
+        The sum of the cell and, with this weight, of the eight cells around it must be positive too; 0: the cell alone
+        decides.
     words : (size + 2, W) uint64
         Empty packed image.
     """
@@ -214,10 +220,11 @@ def threshold_window(
             target = line[first - left : last - left]
             for k in range(target.size):
                 target[k] = counts[k] >= least
-            if reach > 0:
+            if neighbour_weight > 0.0:
                 for k in range(target.size):
                     if target[k] != 0:
-                        target[k] = _sum_around(pool, table, tile_x0, tile_y0, first + k, iy, reach) > 0
+                        around = _sum_of_nine(pool, table, tile_x0, tile_y0, first + k, iy) - counts[k]
+                        target[k] = counts[k] + neighbour_weight * around > 0.0
         for w in range(words.shape[1]):
             word = np.uint64(0)
             for k in range(8):

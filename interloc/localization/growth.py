@@ -105,6 +105,7 @@ def _before(result: DriveResult, frame: int) -> DriveResult:
             world_xy=table.world_xy[rows],
             lonlat=None,
             bearings_deg=[table.bearings_deg[row] for row in rows],
+            widths_m=[table.widths_m[row] for row in rows],
             score=table.score[rows],
             intersection=table.intersection[rows],
         ),

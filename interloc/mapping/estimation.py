@@ -222,6 +222,46 @@ def fuse_bearings(
     return np.sort([bearing for rank, (share, bearing) in enumerate(found) if share >= support or rank < 3])
 
 
+def fuse_widths(
+    fused_deg: FloatArray,
+    bearings_deg: Sequence[FloatArray],
+    widths_m: Sequence[FloatArray],
+    weight: FloatArray,
+    *,
+    within_deg: float,
+) -> FloatArray:
+    """Return the weighted median of what the sightings of an intersection say of the width of each of its branches.
+
+    Parameters
+    ----------
+    fused_deg : (M,) float64
+        Bearings of the branches, of `fuse_bearings`.
+    bearings_deg, widths_m : n (B,) float64
+        Bearings and widths of the branches of each sighting; NaN is no width.
+    weight : (n,) float64
+        Weight of each sighting.
+    within_deg : float
+        A branch of a sighting that lies farther than this from a fused one is another.
+
+    Returns
+    -------
+    (M,) float64
+        Metres; NaN where there is none.
+    """
+    owner = np.repeat(np.arange(len(bearings_deg)), [len(b) for b in bearings_deg])
+    bearing, width = (np.concatenate([np.zeros(0), *each]) for each in (bearings_deg, widths_m))
+    known = np.isfinite(width)
+    owner, bearing, width = owner[known], bearing[known], width[known]
+    medians = np.full(len(fused_deg), np.nan)
+    for i, fused in enumerate(fused_deg if len(width) else []):
+        rows = np.flatnonzero(np.abs((bearing - fused + 180.0) % 360.0 - 180.0) <= within_deg)
+        if len(rows):
+            order = rows[np.argsort(width[rows], kind="stable")]
+            mass = np.cumsum(weight[owner[order]])
+            medians[i] = width[order[np.searchsorted(mass, mass[-1] / 2)]]
+    return medians
+
+
 def members_of(labels: IntArray, count: int) -> list[tuple[int, IntArray]]:
     """Return (label, rows) of each label of 0..count-1 that has any, rows ascending."""
     order = np.argsort(labels, kind="stable")

@@ -12,6 +12,7 @@ from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import (
     fuse_bearings,
+    fuse_widths,
     heaviest_member,
     members_of,
     position_std,
@@ -190,6 +191,16 @@ def _table(
     first = np.array([scene.keyframe[rows].min() for rows in groups], dtype=np.int64)
     last = np.array([scene.keyframe[rows].max() for rows in groups], dtype=np.int64)
     travelled = scene.travelled_m[scene.keyframe]
+    bearings_deg = [
+        fuse_bearings(
+            [detections.bearings_deg[row] for row in rows],
+            scene.weight[rows],
+            spread_deg=config.branch_spread_deg,
+            separation_deg=config.branch_separation_deg,
+            support=config.branch_support,
+        )
+        for rows in groups
+    ]
     return IntersectionTable(
         id=np.arange(1, len(centres) + 1, dtype=np.int64),
         world_xy=_in_world(keyframes, scene, centres, first),
@@ -206,15 +217,16 @@ def _table(
         ),
         observations=np.array([len(rows) for rows in groups], dtype=np.int64),
         confidence=_confidence(scene, centres, labels, config)[0],
-        bearings_deg=[
-            fuse_bearings(
+        bearings_deg=bearings_deg,
+        widths_m=[
+            fuse_widths(
+                fused,
                 [detections.bearings_deg[row] for row in rows],
+                [detections.widths_m[row] for row in rows],
                 scene.weight[rows],
-                spread_deg=config.branch_spread_deg,
-                separation_deg=config.branch_separation_deg,
-                support=config.branch_support,
+                within_deg=config.branch_separation_deg / 2,
             )
-            for rows in groups
+            for fused, rows in zip(bearings_deg, groups, strict=True)
         ],
         first_frame=keyframes.frame[first],
         last_frame=keyframes.frame[last],

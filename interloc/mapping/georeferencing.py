@@ -75,6 +75,7 @@ def build_tables(
         world_xy=_stack([k.world_xy for k in found]),
         lonlat=lonlat_detections,
         bearings_deg=[bearing_deg(a) for a in angles],
+        widths_m=[np.asarray(w, dtype=np.float64) for k in found for w in k.branch_widths_m],
         score=np.concatenate([np.zeros(0), *(k.score for k in found)]),
         intersection=np.full(len(keyframe), -1, dtype=np.int64),
     )

@@ -35,17 +35,19 @@ def derive(name: str, intersections: Rows) -> Rows:
 
 
 def _branches(intersections: Rows) -> list[dict[str, Any]]:
-    lines, ids, bearings, drives = [], [], [], []
+    lines, ids, bearings, widths, drives = [], [], [], [], []
     for feature in intersections.features:
         start, properties = np.array(feature.geometry.coordinates), feature.properties
-        for bearing in properties.branch_bearings_deg:
+        measured = properties.branch_widths_m or [None] * len(properties.branch_bearings_deg)  # none of older versions
+        for bearing, width in zip(properties.branch_bearings_deg, measured, strict=True):
             angle = np.radians(bearing)
             end = _around(start, BRANCH_M * np.array([[np.sin(angle), np.cos(angle)]]))
             lines.append(positions(np.vstack([start, end]), local=False))
             ids.append(properties.id)
             bearings.append(bearing)
+            widths.append(width)
             drives.append(properties.drive)
-    return DERIVED["branches"].features(lines, intersection=ids, bearing_deg=bearings, drive=drives)
+    return DERIVED["branches"].features(lines, intersection=ids, bearing_deg=bearings, width_m=widths, drive=drives)
 
 
 def _uncertainty(intersections: Rows) -> list[dict[str, Any]]:

@@ -351,5 +351,5 @@ def _printed(values: Column, decimals: int | None) -> Sequence[Any]:
 
 def _rounded(value: Any, decimals: int) -> Any:  # noqa: ANN401 - a number or a list of them
     if isinstance(value, list):
-        return [rounded(each, decimals) for each in value]
+        return [_rounded(each, decimals) for each in value]
     return None if value is None else rounded(value, decimals)

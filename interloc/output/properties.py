@@ -47,6 +47,16 @@ BranchBearings = Annotated[
     Decimals(3, "degree"),
     Field(title="Bearings of branches", description="Bearing of each branch, leaving the intersection, degrees."),
 ]
+BranchWidths = Annotated[
+    list[float | None],
+    Decimals(2, "m"),
+    Field(
+        [],
+        title="Widths of branches",
+        description="Width of the road across each branch, metres, in the order of the bearings: from kerb to kerb as "
+        "far as it was seen, 8 to 20 m from the intersection; null where it could not be measured.",
+    ),
+]
 OsmNode = Annotated[int, Field(title="OSM node", description="Id of the OpenStreetMap node.")]
 Scan = Annotated[int, Field(title="Scan", description="Scan number of the keyframe.")]
 Reason = Annotated[
@@ -81,6 +91,7 @@ class IntersectionProperties(Properties):
     )
     branch_count: BranchCount
     branch_bearings_deg: BranchBearings
+    branch_widths_m: BranchWidths
     first_frame: int = Field(title="First scan", description="Scan number of the first keyframe that saw it.")
     last_frame: int = Field(title="Last scan", description="Scan number of the last keyframe that saw it.")
     confidence: Ratio = Field(
@@ -132,6 +143,7 @@ class DetectionProperties(Properties):
     world_y_m: WorldY
     branch_count: BranchCount
     branch_bearings_deg: BranchBearings
+    branch_widths_m: BranchWidths
     score: Ratio = Field(
         title="Score",
         description="0 to 1, how sure the detector is: half of it says how well the lines of the branches meet in one "
@@ -282,6 +294,9 @@ class BranchProperties(Properties):
     intersection: int = Field(title="Intersection", description="Id of the intersection.")
     bearing_deg: Annotated[float, Decimals(3, "degree")] = Field(
         title="Bearing", description="Bearing of the branch, leaving the intersection, degrees."
+    )
+    width_m: Annotated[float | None, Decimals(2, "m")] = Field(
+        None, title="Width", description="Width of the road across it, metres; null where it could not be measured."
     )
     drive: DriveName = None
 

@@ -103,6 +103,7 @@ def _read_intersections(rows: Rows, *, georeferenced: bool) -> IntersectionTable
         observations=rows.integers("observations"),
         confidence=rows.numbers("confidence"),
         bearings_deg=rows.arrays("branch_bearings_deg"),
+        widths_m=_read_widths(rows),
         first_frame=rows.integers("first_frame"),
         last_frame=rows.integers("last_frame"),
     )
@@ -117,9 +118,17 @@ def _read_detections(
         world_xy=rows.numbers("world_x_m", "world_y_m"),
         lonlat=rows.points() if georeferenced else None,
         bearings_deg=rows.arrays("branch_bearings_deg"),
+        widths_m=_read_widths(rows),
         score=rows.numbers("score"),
         intersection=_rows_of(rows, "intersection", intersections.id),
     )
+
+
+def _read_widths(rows: Rows) -> list[FloatArray]:
+    """Return the widths of the branches; NaN where an older version did not write them."""
+    counts = [len(bearings) for bearings in rows.column("branch_bearings_deg")]
+    widths = rows.arrays("branch_widths_m")
+    return [each if len(each) == count else np.full(count, np.nan) for each, count in zip(widths, counts, strict=True)]
 
 
 def _rows_of(rows: Rows, name: str, keys: IntArray) -> IntArray:

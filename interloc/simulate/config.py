@@ -34,6 +34,40 @@ class LidarConfig(_Config):
     )
 
 
+def _uniform(rings: int, top_deg: float, columns: int, range_m: float, noise_m: float) -> LidarConfig:
+    """Return a LiDAR whose rings are evenly spaced, as much above the horizon as below it.
+
+    On flat asphalt the signal falls with the cube of the distance, at a wall with its square: the range on asphalt is
+    that of the HDL-64E, scaled by the published ranges at 80 % reflectance (`max_range_m`) to the power of 2 / 3.
+    """
+    step = 2 * top_deg / (rings - 1)
+    hdl = LidarConfig()
+    assert hdl.road_half_range_m is not None
+    return LidarConfig(
+        rings=rings,
+        columns=columns,
+        top_deg=top_deg,
+        middle_deg=top_deg - step * ((rings + 1) // 2 - 1),
+        bottom_deg=-top_deg,
+        max_range_m=range_m,
+        range_noise_m=noise_m,
+        road_half_range_m=round(hdl.road_half_range_m * (range_m / hdl.max_range_m) ** (2 / 3), 1),
+    )
+
+
+SENSORS: dict[str, LidarConfig] = {
+    "vlp-16": _uniform(16, 15.0, 1800, 100.0, 0.03),
+    "os1-32": _uniform(32, 22.5, 1024, 120.0, 0.03),
+    "os1-64": _uniform(64, 22.5, 1024, 120.0, 0.03),
+    "hdl-64e": LidarConfig(),
+}
+"""LiDARs by name: rings, elevations, shots per turn at 10 Hz, range and its noise as their makers publish them.
+
+Velodyne VLP-16: user manual 63-9243. Ouster OS1 of the second generation: OS1 datasheet; the noise is that at a
+medium signal. Velodyne HDL-64E S2: user manual 63-HDL64ES2. All of them on the roof of KITTI's car.
+"""
+
+
 class StreetConfig(_Config):
     """How wide streets are, and what runs beside them; the table of classes is `osm_map.STREET_CLASSES`."""
 

@@ -35,12 +35,14 @@ def found(draw: st.DrawFn) -> RangeResult:
     def keyframe(frame: int) -> KeyframeDetections:
         count = draw(st.integers(0, 3))
         numbers = np.array([draw(REALS) for _ in range(count)], np.float64)
+        branches = [np.array([draw(REALS) for _ in range(draw(st.integers(0, 4)))], np.float64) for _ in range(count)]
         return KeyframeDetections(
             Keyframe(frame, np.full((4, 4), draw(REALS)), draw(st.none() | REALS)),
             np.stack([numbers, numbers[::-1]], axis=1).reshape(-1, 2),
             np.stack([numbers, -numbers], axis=1).reshape(-1, 2),
-            [np.array([draw(REALS) for _ in range(draw(st.integers(0, 4)))], np.float64) for _ in range(count)],
+            branches,
             numbers,
+            [np.array([draw(REALS) for _ in angles], np.float64) for angles in branches],
         )
 
     detections = [keyframe(frame) for frame in range(draw(st.integers(0, 4)))]
@@ -55,8 +57,9 @@ def found(draw: st.DrawFn) -> RangeResult:
 
 def bits(part: RangeResult) -> list[object]:
     arrays = [
-        [a.tobytes() for a in (k.keyframe.T_world_lidar, k.lidar_xy, k.world_xy, k.score, *k.branch_angles_rad)]
+        [a.tobytes() for a in (k.keyframe.T_world_lidar, k.lidar_xy, k.world_xy, k.score, *angles, *widths)]
         for k in part.detections
+        for angles, widths in [(k.branch_angles_rad, k.branch_widths_m)]
     ]
     frames = [(k.keyframe.frame, k.keyframe.time_s) for k in part.detections]
     road = [(p.keyframe, p.corner_xy.tobytes(), p.resolution_m, p.size, p.packed) for p in part.road]

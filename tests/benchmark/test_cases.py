@@ -39,6 +39,16 @@ def test_a_twin_for_each_seed(kitti_like: Path) -> None:
     assert [(case.name, case.seed) for case in cases] == [("00", 0), ("00", 1), ("00", 2)]
 
 
+def test_a_twin_for_each_sensor(kitti_like: Path) -> None:
+    cases = twin_cases(kitti_like, ["00"], sensors=["vlp-16", "hdl-64e"])
+    assert [case.name for case in cases] == ["00 vlp-16", "00"]
+    assert cases[0].explain(5, ())[0] == (
+        f"interloc simulate twin 00 --kitti {kitti_like} --seed 0 --sensor vlp-16 --poses suma -o twin_00_vlp-16"
+    )
+    with pytest.raises(ConfigError, match="there is no 'os2'; choose from vlp-16, os1-32, os1-64, hdl-64e"):
+        twin_cases(kitti_like, ["00"], sensors=["os2"])
+
+
 def test_a_sequence_without_a_map_is_named_with_those_that_have_all(kitti_like: Path) -> None:
     with pytest.raises(DriveError, match=r"sequence 03 has no osm/03\.osm\.gz\. .*all that a twin needs: 00\."):
         twin_cases(kitti_like, ["03"])

@@ -11,6 +11,7 @@ from interloc.benchmark.tables import (
     comparison_table,
     noise_table,
     performance_table,
+    sensor_table,
     tables,
     text,
 )
@@ -122,3 +123,25 @@ def test_a_drive_without_detections_shows_dashes(row: Rows) -> None:
     for name in ("ACE [m]", "Pre@5 [%]", "Rec@5 [%]", "map precision [%]", "map recall [%]", "map median error [m]"):
         assert lines[name, "preset default"] == ("–",)  # noqa: RUF001
     assert all(text(table) for table in tables(measured))
+
+
+def test_sensors_side_by_side(row: Rows) -> None:
+    rows = [
+        row(drive, [error], preset=preset, fn=fn, nodes=(1, 2))
+        for drive, preset, error, fn in (
+            ("05 vlp-16", "default", 1.0, 0),
+            ("07 vlp-16", "default", 3.0, 1),
+            ("05 vlp-16", "default, causal", 9.0, 0),
+            ("05", "default", 0.5, 0),
+            ("05", "default, causal", 0.75, 0),
+        )
+    ]
+    drives, sensors = ("05 vlp-16", "07 vlp-16", "05"), {"vlp-16": ("05 vlp-16", "07 vlp-16"), "hdl-64e": ("05",)}
+    measured = Measured(tuple(rows), drives, ("default", "default, causal"), ("0/0",), sensors=sensors)
+    lines = lines_of(sensor_table(measured, "0/0"))
+    assert lines["vlp-16", "preset default"] == ("2.00", "100.0", "66.7", "2/4", "5.0")
+    assert lines["vlp-16", "preset default, causal"] == ("9.00", "0.0", "–", "1/2", "5.0")  # noqa: RUF001
+    assert lines["hdl-64e", "preset default"] == ("0.50", "100.0", "100.0", "1/2", "5.0")
+    first, second = tables(measured)
+    assert first.title == "Performance per sensor"
+    assert second.header == ("", "", *drives)  # pooling over sensors would mean nothing

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from interloc.cli import options
 from interloc.drives.open import open_drive
+from interloc.simulate.config import SENSORS
 
 FEW = ("--max-scans", 4, "--columns", 90)
 
@@ -51,6 +53,16 @@ def test_the_small_town_is_a_drive_with_its_map(tmp_path: Path, interloc: Callab
     opened = open_drive(drive)
     assert opened.georeference is not None
     assert np.linalg.norm(opened.T_world_lidar[1, :3, 3]) > 2.0  # keyframes
+
+
+def test_a_sensor_by_its_name(tmp_path: Path, interloc: Callable) -> None:
+    assert list(SENSORS) == list(options.SENSORS)
+    drive = tmp_path / "drive"
+    assert interloc("simulate", "town", "--small", "-o", drive, "--max-scans", 1, "--sensor", "vlp-16").code == 0
+    x, y, z, _ = np.fromfile(drive / "velodyne/000000.bin", np.float32).reshape(-1, 4).T
+    elevations = np.unique(np.degrees(np.arctan2(z, np.hypot(x, y))).round())
+    assert set(elevations.tolist()) <= set(range(-15, 16, 2))
+    assert elevations.min() == -15
 
 
 def test_every_scan(tmp_path: Path, interloc: Callable) -> None:

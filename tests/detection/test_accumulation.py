@@ -214,7 +214,7 @@ def test_lone_votes_do_not_count_where_keyframes_are_sparse_and_labels_err(
     bev = BevConfig(size_m=40, resolution_m=0.5, min_points=1, vote=True, pool_votes=True)
     accumulator = RoadAccumulator(KeyframeConfig(window=4), bev)
     lone = np.array([[9.25, 0.25 + 0.5 * k, -1.7] for k in range(12)], np.float32)
-    road = np.vstack([lone, np.float32([[12.25, 0.25, -1.7]])])
+    road = np.vstack([lone, lone, np.float32([[12.25, 0.25, -1.7]])])
     other = np.vstack([lone + np.float32([0.5 * k, 0, 0]) for k in range(-beside, 2) if k != 0])
     nothing = np.zeros((0, 3), np.float32)
     for k, (keyframe, _) in enumerate(straight(9, step_m)):

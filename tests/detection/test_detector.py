@@ -69,6 +69,9 @@ def test_narrow_road_meets_wide_one_on_its_axis(
     found = detect(np.unique(np.concatenate([main, side]), axis=0))
     assert len(found.world_xy) == 1
     assert math.hypot(*found.world_xy[0]) < 0.3
+    by_angle = np.argsort((np.degrees(found.branch_angles_rad[0]) - 5) % 360)  # main, side, main
+    expected = [widths_m[0], widths_m[1], widths_m[0]]
+    assert found.branch_widths_m[0][by_angle] == pytest.approx(expected, abs=0.5)
 
 
 @pytest.mark.parametrize(

@@ -97,3 +97,16 @@ def test_outside_of_the_image_nothing_is_clear() -> None:
     assert bits.nearest_clear(packed(image), 2, 63, 5, 64, 40) == 40
     image[4, 60] = 0
     assert bits.nearest_clear(packed(image), 1, 63, 5, 64, 40) == math.hypot(3, 3)
+
+
+def test_the_width_of_a_road_across_a_ray() -> None:
+    image = np.zeros((90, 200), np.uint8)
+    image[30:51, 20:180] = 1  # a road of 21 pixels
+    image[:, 60:64] = 1  # one along the way that leaves the image
+    rays = np.array([[0.0, 1.0], [-1.0, 0.0], [np.sin(0.3), np.cos(0.3)]])
+    distances = np.arange(5.0, 25.0)
+    start = np.array([40.0, 40.0])
+    widths = bits.median_runs_across(packed(image), *image.shape, start, rays, distances, 80.0, 5)
+    assert widths[0] == pytest.approx(21, abs=1)
+    assert np.isnan(widths[1])  # the run along the road is longer than the limit
+    assert widths[2] == pytest.approx(21 / np.cos(0.3), abs=1)

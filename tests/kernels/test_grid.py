@@ -120,7 +120,7 @@ def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, siz
     first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
     window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
     image = BinaryImage.empty(size, size)
-    threshold_window(pool, window, left, top, size, least, 0, image.words)
+    threshold_window(pool, window, left, top, size, least, 0.0, image.words)
     counts = plain_counts(cells)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
     np.testing.assert_array_equal(image.to_array(), counts[::-1] >= least)
     assert not image.words[[0, -1]].any()
@@ -130,7 +130,7 @@ def test_tile_that_does_not_exist_is_empty() -> None:
     pool = np.full((1, TILE * TILE), 7, np.int32)
     table = np.array([[-1, 0], [-1, -1]], np.int32)
     image = BinaryImage.empty(100, 100)
-    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, 0, image.words)
+    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, 0.0, image.words)
     expected = np.zeros((100, 100), np.uint8)
     expected[30:, 50:] = 1  # rows go down: the lower tile row is the lower part of the image
     np.testing.assert_array_equal(image.to_array(), expected)
@@ -142,7 +142,7 @@ def test_votes_are_pooled_across_tiles() -> None:
     for ix, votes in ((TILE - 1, 1), (TILE, -1), (TILE + 4, 2), (TILE + 5, -1)):
         pool[ix // TILE, 10 * TILE + ix % TILE] = votes
     image = BinaryImage.empty(20, 20)
-    threshold_window(pool, table, TILE - 10, 19, 20, 1, 1, image.words)
+    threshold_window(pool, table, TILE - 10, 19, 20, 1, 1.0, image.words)
     np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 14]])
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from interloc.arrays import FloatArray
-from interloc.mapping.estimation import fuse_bearings, position_std, robust_centres
+from interloc.mapping.estimation import fuse_bearings, fuse_widths, position_std, robust_centres
 
 
 def test_the_bulk_wins_over_the_outlier() -> None:
@@ -67,3 +67,15 @@ def test_sightings_that_agree_are_kept_as_they_are(branches: list[float], times:
     assert len(found) == len(branches)
     away = np.abs((found[:, None] - np.array(branches)[None] + 180) % 360 - 180)
     assert away.min(axis=1).max() < 1e-6
+
+
+def test_the_width_of_a_branch_is_the_median_of_what_was_seen_of_it() -> None:
+    nan = np.nan
+    widths = fuse_widths(
+        np.array([2.0, 90.0, 180.0]),
+        [np.array([358.0, 91.0]), np.array([5.0, 88.0, 140.0]), np.array([1.0])],
+        [np.array([6.0, nan]), np.array([7.0, 4.0, 9.0]), np.array([12.0])],
+        np.array([1.0, 1.5, 0.4]),
+        within_deg=12.5,
+    )
+    assert_allclose(widths, [7.0, 4.0, nan])

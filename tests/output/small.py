@@ -58,6 +58,7 @@ def small_result(*, local: bool = False, empty: bool = False) -> DriveResult:
             observations=np.array([2])[:count],
             confidence=np.array([0.75])[:count],
             bearings_deg=[np.array([0.5, 90.75, 180.5])][:count],
+            widths_m=[np.array([6.5, np.nan, 3.25])][:count],
             first_frame=np.array([0])[:count],
             last_frame=np.array([12])[:count],
         ),

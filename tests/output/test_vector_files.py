@@ -170,6 +170,7 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
 def test_branches_and_uncertainty_are_as_large_as_they_say(scored: Path, tmp_path: Path) -> None:
     branches, (circle,) = (features(scored, layer, tmp_path) for layer in DERIVED)
     assert [each["properties"]["bearing_deg"] for each in branches] == [0.5, 90.75, 180.5]
+    assert [each["properties"]["width_m"] for each in branches] == [6.5, None, 3.25]
     (lon, lat), (_, north) = branches[0]["geometry"]["coordinates"]
     assert (lon, lat) == (8.4205, 49.011)
     assert (north - lat) * 111.2e3 == pytest.approx(20.0, abs=0.05)

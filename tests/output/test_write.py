@@ -41,7 +41,10 @@ def assert_same(found: Any, expected: Any) -> None:
         elif isinstance(value, list):
             assert len(other) == len(value)
             for a, b in zip(other, value, strict=True):
-                assert_allclose(np.cos(np.radians(a - b)), 1, atol=1e-9, err_msg=name)
+                if name == "widths_m":
+                    assert_allclose(a, b, atol=0.00501, err_msg=name)
+                else:
+                    assert_allclose(np.cos(np.radians(a - b)), 1, atol=1e-9, err_msg=name)
         elif value.dtype == np.int64:
             assert other.dtype == np.int64
             assert_array_equal(other, value, err_msg=name)
@@ -77,6 +80,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
             "world_y_m": 1.0,
             "branch_count": 3,
             "branch_bearings_deg": [1.0, 91.5, 181.25],
+            "branch_widths_m": [None, None, None],
             "score": 0.5,
             "intersection": 1,
             "id": "12-1",
@@ -104,6 +108,7 @@ def test_the_files_of_a_georeferenced_run(tmp_path: Path) -> None:
         "position_std_m": 0.25,
         "branch_count": 3,
         "branch_bearings_deg": [0.5, 90.75, 180.5],
+        "branch_widths_m": [6.5, None, 3.25],
         "first_frame": 0,
         "last_frame": 12,
         "confidence": 0.75,
@@ -243,6 +248,7 @@ def results(draw: st.DrawFn) -> DriveResult:
     def frames(n: int) -> np.ndarray:
         return column(st.integers(0, 10**6), n, np.int64)
 
+    seen = [draw(compass) for _ in range(d)]
     yaws = st.floats(-math.pi, math.pi)
     step = st.integers(1, 50)
     return DriveResult(
@@ -260,9 +266,10 @@ def results(draw: st.DrawFn) -> DriveResult:
             lidar_xy=pairs(d),
             world_xy=pairs(d),
             lonlat=places(d),
-            bearings_deg=[draw(compass) for _ in range(d)],
+            bearings_deg=seen,
             score=column(shares, d),
             intersection=column(st.integers(-1, m - 1), d, np.int64),
+            widths_m=[column(st.floats(0, 30) | st.just(math.nan), len(each)) for each in seen],
         ),
         intersections=IntersectionTable(
             id=np.arange(1, m + 1),

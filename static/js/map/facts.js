@@ -79,8 +79,6 @@ const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 export function factsOf({ kind, item }, result) {
   const { local } = result;
   const { properties: p } = item;
-  /** @type {() => [string, any]} */
-  const branches = () => [`Branches (${p.branch_count})`, bearings(p.branch_bearings_deg, local)];
   const ahead = `${formatMetres(Math.abs(p.x_m), 1)} ${p.x_m < 0 ? "behind" : "ahead"}`;
   const left = `${formatMetres(Math.abs(p.y_m), 1)} ${p.y_m < 0 ? "right" : "left"}`;
   /** @type {Record<Hit["kind"], () => Array<[string, any]|false>>} */
@@ -90,7 +88,7 @@ export function factsOf({ kind, item }, result) {
       ["Confidence", formatPercent(p.confidence)],
       ["Detections", String(p.observations)],
       ["Seen in scans", `${p.first_frame} to ${p.last_frame}`],
-      branches(),
+      ...branchesOf(p, local),
       p.uid && ["Name of the place", p.uid],
     ],
     node: () => [
@@ -108,7 +106,7 @@ export function factsOf({ kind, item }, result) {
       item.outcome !== "TP" && item.osm_id !== null && ["Matched to OSM node", osmLink(item.osm_id, result)],
       ["Score", p.score?.toFixed(2) ?? "–"],
       ["From the LiDAR", `${ahead}, ${left}`],
-      branches(),
+      ...branchesOf(p, local),
       ["Part of", p.intersection === null ? "no intersection of the map" : `intersection ${p.intersection}`],
     ],
     keyframe: () => [
@@ -121,13 +119,26 @@ export function factsOf({ kind, item }, result) {
   return [...facts[kind](), [local ? "x, y in W, metres" : "Latitude, longitude", coordinates(item, local)]];
 }
 
-/** @param {number[]} values @param {boolean} local @returns {string} */
-function bearings(values, local) {
+/**
+ * The bearings of the branches, ascending, and in the same order the widths of their roads, where any was measured.
+ * @param {any} properties
+ * @param {boolean} local
+ * @returns {Array<[string, any]|false>}
+ */
+function branchesOf({ branch_count, branch_bearings_deg, branch_widths_m = [] }, local) {
   const names = ["N", "NE", "E", "SE", "S", "SW", "W", "NW"];
-  return [...values]
-    .sort((a, b) => a - b)
-    .map((b) => `${Math.round(b)}°${local ? "" : ` ${names[Math.round(b / 45) % 8]}`}`)
-    .join(", ");
+  const branches = branch_bearings_deg
+    .map((/** @type {number} */ bearing, /** @type {number} */ k) => ({ bearing, width: branch_widths_m[k] ?? null }))
+    .sort((/** @type {any} */ a, /** @type {any} */ b) => a.bearing - b.bearing);
+  const bearings = branches.map(
+    (/** @type {any} */ { bearing: b }) => `${Math.round(b)}°${local ? "" : ` ${names[Math.round(b / 45) % 8]}`}`,
+  );
+  const widths = branches.map((/** @type {any} */ { width }) => width?.toFixed(1) ?? "–");
+  const isMeasured = branches.some((/** @type {any} */ { width }) => width !== null);
+  return [
+    [`Branches (${branch_count})`, bearings.join(", ")],
+    isMeasured && ["Widths of their roads", `${widths.join(", ")} m`],
+  ];
 }
 
 /** @param {number|null|undefined} id @param {Result} result @returns {string|Node} */
