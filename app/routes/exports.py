@@ -31,7 +31,7 @@ Layer = Literal[
 ]
 LayerQuery = Annotated[
     Layer,
-    Query(description="Layer to export; branches (lines) and uncertainty (circles) are made of the intersections."),
+    Query(description="Layer to export; branches (lines) and uncertainty (ellipses) are made of the intersections."),
 ]
 
 router = APIRouter(tags=["Exports"])
@@ -68,7 +68,7 @@ async def export_gpkg(
 ) -> Response:
     """Give all layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches.
 
-    Also the branches of the intersections as lines, and their uncertainty as circles. EPSG:4326. Lists (bearings of
+    Also the branches of the intersections as lines, and their uncertainty as ellipses. EPSG:4326. Lists (bearings of
     branches) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with data of
     OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0.
     """

@@ -45,6 +45,7 @@ def small_result(*, local: bool = False, empty: bool = False) -> DriveResult:
             bearings_deg=[np.array([0.5, 90.75, 180.5])][:count],
             first_frame=np.array([0])[:count],
             last_frame=np.array([12])[:count],
+            position_cov_m2=np.array([[0.0625, 0.03, 0.0625]])[:count],
         ),
         trajectory_world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
         trajectory_lonlat=None if local else fixes,

@@ -4,6 +4,7 @@ import { test } from "node:test";
 import { distanceM } from "../../../static/js/data/frame.js";
 import { medianError } from "../../../static/js/data/results.js";
 import { formatDate } from "../../../static/js/dom.js";
+import { ellipseOf } from "../../../static/js/map/ellipse.js";
 import { matches } from "../../../static/js/map/filter.js";
 import { kindOfNode, layersOn } from "../../../static/js/map/layers.js";
 import { coordinates, linksAt, noteText } from "../../../static/js/map/links.js";
@@ -118,4 +119,14 @@ test("rows are sorted by numbers and by words, and what has no value comes last 
 test("dates are told without their time", () => {
   assert.equal(formatDate("2015-02-17T11:18:02Z"), "17 Feb 2015");
   assert.equal(formatDate("unknown"), "unknown");
+});
+
+test("an ellipse has the axes of its covariance, and is a circle in results before covariances", () => {
+  const { major, minor, bearing } = ellipseOf({ position_cov_m2: [2.5, 1.5, 2.5], position_std_m: 1.58 });
+  assert.deepEqual(
+    [major, minor, (bearing * 180) / Math.PI].map((each) => Math.round(1e6 * each) / 1e6),
+    [2, 1, 45],
+  );
+  assert.equal(ellipseOf({ position_cov_m2: [4, 0, 1] }).bearing, Math.PI / 2);
+  assert.deepEqual(ellipseOf({ position_std_m: 0.5 }), { major: 0.5, minor: 0.5, bearing: 0 });
 });
