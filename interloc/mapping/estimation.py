@@ -11,6 +11,9 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.config import CalibrationConfig
 from interloc.geometry import wrap_bearing
 
+_LINES_LIMIT_M = 30.0
+"""Standard deviation of a place that no line fixes, for the confidence: lines that meet nowhere."""
+
 _ROUNDS = 30
 _CONVERGED_M = 1e-4
 
@@ -168,7 +171,11 @@ def position_std(sightings: Sightings, *, prior_std_m: float) -> FloatArray:
 
 
 def position_covariance(
-    sightings: Sightings, bearings_deg: Sequence[FloatArray], calibration: CalibrationConfig
+    sightings: Sightings,
+    bearings_deg: Sequence[FloatArray],
+    calibration: CalibrationConfig,
+    *,
+    limit_m: float | None = None,
 ) -> FloatArray:
     """Estimate the covariance of the position of each intersection, but for the part of the georeference.
 
@@ -178,6 +185,8 @@ def position_covariance(
     bearings_deg : M (B,) float64
         Bearings of the branches of each intersection, clockwise from +y of the plane of the positions.
     calibration
+    limit_m : float or None
+        Standard deviation where no line fixes the position; None: that of the calibration.
 
     Returns
     -------
@@ -197,13 +206,14 @@ def position_covariance(
 
     The scatter between sightings: s^2 / n_eff.
     """
+    limit_m = limit_m or calibration.shape_limit_m
     covariance = np.zeros((len(bearings_deg), 2, 2))
     for row, bearings in enumerate(bearings_deg):
         angle = np.radians(bearings)
         normals = np.stack([np.cos(angle), -np.sin(angle)], axis=-1)
         unclear_m = calibration.unclear_line_std_m * (1.0 - sightings.score[row])
         line_var = calibration.line_std_m**2 + unclear_m**2
-        shape = np.linalg.inv(normals.T @ normals / line_var + np.eye(2) / calibration.shape_limit_m**2)
+        shape = np.linalg.inv(normals.T @ normals / line_var + np.eye(2) / limit_m**2)
         scatter = sightings.scatter_m2[row] / max(sightings.independent[row], 1.0)
         covariance[row] = shape + scatter * np.eye(2)
     return covariance
@@ -214,26 +224,28 @@ def fix_variance(sightings: Sightings, calibration: CalibrationConfig) -> FloatA
     return np.where(np.isfinite(sightings.fix_var_m2), sightings.fix_var_m2, calibration.fix_std_m**2)
 
 
-def junction_probability(seen: FloatArray, covariance: FloatArray, calibration: CalibrationConfig) -> FloatArray:
+def junction_probability(
+    seen: FloatArray, sightings: Sightings, bearings_deg: Sequence[FloatArray], calibration: CalibrationConfig
+) -> FloatArray:
     """Estimate the probability that a road junction lies within 10 m of each intersection.
 
     Parameters
     ----------
     seen : (M,) float64
         Share of the keyframes in reach that saw it, 0..1.
-    covariance : (M, 2, 2) float64
-        Of `position_covariance`: lines that meet in no point, or at an acute angle, are often no junction.
-    calibration
+    sightings, bearings_deg, calibration
+        As of `position_covariance`: lines that meet in no point, or at an acute angle, are often no junction.
 
     Returns
     -------
     (M,) float64
-        0..1: a logistic function. It rises with the first and falls with the standard deviation, as no weight is
-        negative.
+        0..1: a logistic function of the share, with which it rises, and of the logarithm of the standard deviation that
+        lines and scatter leave to the position, without the limit of the candidate, with which it falls.
     """
-    std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0)
-    log_odds = calibration.log_odds + calibration.log_odds_seen * seen - calibration.log_odds_per_m * std
-    probability: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(log_odds, -500.0, 500.0)))
+    covariance = position_covariance(sightings, bearings_deg, calibration, limit_m=_LINES_LIMIT_M)
+    doublings = 0.5 * np.log2(np.trace(covariance, axis1=1, axis2=2) / 2.0)  # of 1 m
+    odds = calibration.log_odds + calibration.log_odds_seen * seen - calibration.log_odds_per_doubling * doublings
+    probability: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(odds, -500.0, 500.0)))
     return probability
 
 

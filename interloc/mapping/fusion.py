@@ -249,7 +249,7 @@ def _table(
         covariance = std[:, None, None] ** 2 * np.eye(2)
     else:
         covariance = position_covariance(sightings, bearings, calibration)
-        confidence = junction_probability(rate, covariance, calibration)
+        confidence = junction_probability(rate, sightings, bearings, calibration)
         if scene.origin_lonlat is not None:
             covariance = covariance + fix_variance(sightings, calibration)[:, None, None] * np.eye(2)
         std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0)

@@ -61,7 +61,7 @@ CALIBRATION = CalibrationConfig(
     shape_limit_m=100,
     log_odds=1,
     log_odds_seen=2,
-    log_odds_per_m=3,
+    log_odds_per_doubling=3,
 )
 
 
@@ -90,10 +90,14 @@ def test_the_fix_is_as_uncertain_as_it_states_and_else_as_the_calibration_has_it
     assert_allclose(fix_variance(sightings, CALIBRATION), [0.04, 0.09])
 
 
-def test_more_sightings_and_a_certain_place_make_a_junction_more_probable() -> None:
-    seen = np.array([1.0, 0.5, 1.0])
-    covariance = np.array([1.0, 1.0, 4.0])[:, None, None] * np.eye(2)
-    assert_allclose(junction_probability(seen, covariance, CALIBRATION), 1 / (1 + np.exp([0.0, 1.0, 3.0])))
+def test_more_sightings_and_lines_that_meet_in_a_point_make_a_junction_more_probable() -> None:
+    """The lines leave a variance of 1/8 m2; a scatter makes it 1, 1 and 4."""
+    crossing, bearings = np.array([0.0, 90.0, 180.0, 270.0]), 3
+    sightings = Sightings(np.ones(3), np.array([0.875, 0.875, 3.875]), np.ones(3), np.full(3, np.nan))
+    probability = junction_probability(np.array([1.0, 0.5, 1.0]), sightings, [crossing] * bearings, CALIBRATION)
+    assert_allclose(probability, 1 / (1 + np.exp([-3.0, -2.0, 0.0])), atol=1e-4)
+    parallel = junction_probability(np.ones(3), sightings, [crossing[::2]] * bearings, CALIBRATION)
+    assert np.all(parallel < 1e-3)
 
 
 def bearings_of(*sightings: list[float]) -> list[float]:

@@ -51,7 +51,7 @@ from interloc.results import DriveResult
 Case = FolderCase | TwinCase
 
 FITTED = ("line_std_m", "unclear_line_std_m", "shape_limit_m")
-WEIGHTS = ("log_odds", "log_odds_seen", "log_odds_per_m")
+WEIGHTS = ("log_odds", "log_odds_seen", "log_odds_per_doubling")
 START = CalibrationConfig()
 _LOG_SPREAD = 1.0
 """Of the prior of each standard deviation, about its start: weak, for sets that say nothing of one of them."""
@@ -89,10 +89,10 @@ class Places:
         """(N,) bool, whether a node is assigned."""
         return np.isfinite(self.error[:, 0])
 
-    def covariances(self, calibration: CalibrationConfig, *, with_fix: bool = True) -> FloatArray:
+    def covariances(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the (N, 2, 2) covariances."""
         covariance = position_covariance(self.sightings, self.bearings_deg, calibration)
-        return covariance + with_fix * fix_variance(self.sightings, calibration)[:, None, None] * np.eye(2)
+        return covariance + fix_variance(self.sightings, calibration)[:, None, None] * np.eye(2)
 
     def squared(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the normalised squared errors of the right ones."""
@@ -102,7 +102,7 @@ class Places:
 
     def confidence(self, calibration: CalibrationConfig) -> FloatArray:
         """Return the (N,) probabilities."""
-        return junction_probability(self.seen, self.covariances(calibration, with_fix=False), calibration)
+        return junction_probability(self.seen, self.sightings, self.bearings_deg, calibration)
 
 
 @contextmanager
@@ -185,16 +185,18 @@ def fit(drives: list[Places]) -> CalibrationConfig:
     found = minimize(misfit_of_errors, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3})
     calibration = with_stds(found.x)
 
-    std = [np.trace(each.covariances(calibration, with_fix=False), axis1=1, axis2=2) / 2 for each in drives]
+    def probabilities(weights: FloatArray) -> FloatArray:
+        trial = calibration.model_copy(update=dict(zip(WEIGHTS, weights.tolist(), strict=True)))
+        return np.concatenate([each.confidence(trial) for each in drives])[counts]
+
     counts = np.concatenate([each.counts for each in drives])
     right = np.concatenate([each.right for each in drives])[counts]
-    columns = [np.ones(len(counts)), np.concatenate([each.seen for each in drives]), -np.sqrt(np.concatenate(std))]
-    features = np.stack(columns, axis=-1)[counts]
     of_place = np.repeat(weight, [len(each.seen) for each in drives])[counts]
 
     def misfit_of_outcomes(weights: FloatArray) -> float:
-        odds = np.where(right, 1.0, -1.0) * (features @ weights)
-        return float(np.sum(of_place * np.logaddexp(0.0, -odds))) + float(np.sum(weights**2)) / 2 / _WEIGHT_SPREAD**2
+        chance = np.where(right, probabilities(weights), 1.0 - probabilities(weights))
+        prior = float(np.sum(weights**2)) / 2 / _WEIGHT_SPREAD**2
+        return prior - float(np.sum(of_place * np.log(np.maximum(chance, 1e-12))))
 
     weights = minimize(misfit_of_outcomes, np.ones(3), bounds=[(None, None), (0, None), (0, None)]).x
     return calibration.model_copy(update=dict(zip(WEIGHTS, weights.tolist(), strict=True)))
