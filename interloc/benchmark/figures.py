@@ -12,18 +12,26 @@ from interloc.arrays import FloatArray
 from interloc.benchmark.metrics import errors_m, estimate, f1, map_outcomes, map_squared
 from interloc.benchmark.row import MapPicture, Point, Row
 from interloc.benchmark.tables import Measured, ours
-from interloc.drawing import BLUE, FAINT, GREEN, INK, MUTED, PURPLE, SKY, VERMILION, new_figure, quiet
-from interloc.evaluation.figures import PERCENTILES
-from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.drawing import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    MUTED,
+    PURPLE,
+    VERMILION,
+    new_figure,
+    quiet,
+    series_colour,
+    series_style,
+)
+from interloc.evaluation.figures import PERCENTILES, scale_to_thresholds
 from interloc.evaluation.reliability import bins_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY, INK)
-MARKERS = "os^Dv*"
-DASHES = ("-", "--", "-.", ":")
 F1_THRESHOLDS_M = tuple(0.5 * i for i in range(1, 21))
 
 _TITLE: dict[str, Any] = {"loc": "left", "fontsize": 11, "color": INK}
@@ -174,15 +182,21 @@ def reliability_figure(measured: Measured) -> Figure:
         quiet(axes)
     for number, preset in enumerate(measured.presets):
         rows = measured.of(preset=preset, noise=noise)
-        colour, dash = COLOURS[number % len(COLOURS)], DASHES[number % len(DASHES)]
+        style = series_style(number)
         bins = bins_of(*map_outcomes(rows))
         confidence, share = [100.0 * each.confidence for each in bins], [100.0 * each.right for each in bins]
-        left.plot(confidence, share, color=colour, linestyle=dash, linewidth=1.6, label=preset)
-        sizes = [12.0 + 1.5 * each.count for each in bins]
-        left.scatter(confidence, share, s=sizes, color=colour, marker=MARKERS[number % len(MARKERS)], alpha=0.8)
+        left.plot(confidence, share, **style, label=preset)
+        left.scatter(
+            confidence,
+            share,
+            s=[12.0 + 1.5 * b.count for b in bins],
+            c=style["color"],
+            marker=style["marker"],
+            alpha=0.8,
+        )
         if len(squared := np.sort(map_squared(rows))):
             within = np.searchsorted(squared, -2.0 * np.log1p(-levels[:-1]), side="right") / len(squared)
-            right.plot(100.0 * levels[:-1], 100.0 * within, color=colour, linestyle=dash, linewidth=1.6, label=preset)
+            right.plot(100.0 * levels[:-1], 100.0 * within, **style, markevery=20, label=preset)
     left.set(xlabel="confidence [%]", ylabel="right [%]")
     right.set(xlabel="probability of the ellipse [%]", ylabel="nodes in the ellipse [%]")
     left.set_title("Confidence", **_TITLE)
@@ -196,7 +210,7 @@ def _draw_boxes(axes: Axes, samples: dict[str, list[FloatArray]]) -> None:
     """Draw groups of boxes: the n-th of each series stand side by side at x = n."""
     width = 0.8 / len(samples)
     for series, (name, values) in enumerate(samples.items()):
-        colour = COLOURS[series % len(COLOURS)]
+        colour = series_colour(series)
         for position, errors in enumerate(values):
             if len(errors) == 0:
                 continue
@@ -229,15 +243,9 @@ def _draw_curves(axes: Axes, series: dict[str, list[Row]]) -> None:
         axes.plot(
             F1_THRESHOLDS_M,
             [np.nan if value is None else 100.0 * value for value in values],
-            color=COLOURS[number % len(COLOURS)],
-            marker=MARKERS[number % len(MARKERS)],
-            linestyle=DASHES[number % len(DASHES)],
-            markersize=4,
-            linewidth=1.6,
             label=name,
+            **series_style(number),
         )
-    axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
-    axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
-    axes.set(xlabel="confidence threshold D [m]", ylabel="F1 [%]")
+    scale_to_thresholds(axes)
+    axes.set_ylabel("F1 [%]")
     axes.legend(loc="lower right", frameon=False, fontsize=9)
-    quiet(axes)
