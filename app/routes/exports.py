@@ -55,7 +55,7 @@ _EXPORTS = {
         "Download the result as a GeoPackage",
         "All layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches. "
         "Also the branches of the intersections as lines, and their uncertainty as ellipses. EPSG:4326. Lists (such as "
-        "bearings of branches) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers "
+        "bearings) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers "
         "with data of OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0.",
         of_all_layers=True,
     ),
