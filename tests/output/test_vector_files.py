@@ -189,7 +189,7 @@ def test_branches_and_uncertainty_are_as_large_as_they_say(scored: Path, tmp_pat
     assert (north - lat) * 111.2e3 == pytest.approx(20.0, abs=0.05)
     assert ellipse["properties"] | {"drive": ""} == {
         "intersection": 1, "position_std_m": 0.25, "radius_m": 0.6119, "drive": "",
-        "semi_major_m": 0.7445, "semi_minor_m": 0.4413, "bearing_deg": 45.0,
+        "semi_major_m": 0.7444, "semi_minor_m": 0.4413, "bearing_deg": 45.0,
     }  # fmt: skip
     ring = shapely.geometry.shape(ellipse["geometry"])
     assert ring.exterior.is_ccw

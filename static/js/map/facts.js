@@ -95,7 +95,7 @@ export function factsOf({ kind, item }, result) {
   const facts = {
     intersection: () => [
       ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
-      p.position_cov_m2 && ["Ellipse of 95 %", ellipseText(p)],
+      p.position_cov_m2 && ["Semi-axes of 95 %", ellipseText(p)],
       ["Confidence", formatPercent(p.confidence)],
       ["Detections", String(p.observations)],
       ["Seen in scans", `${p.first_frame} to ${p.last_frame}`],
