@@ -313,7 +313,9 @@ class FusionConfig(_Config):
         le=10000,
         description="Number of detections that make an intersection, where that many keyframes were within reach.",
     )
-    min_confidence: float = Field(0.3, ge=0, le=1, description="Intersections of lower confidence are dropped.")
+    min_confidence: float = Field(
+        0.3, ge=0, le=1, description="Intersections of lower confidence are dropped, before its calibration or after."
+    )
     correlation_length_m: float = Field(
         80.0,
         gt=0,
@@ -324,7 +326,8 @@ class FusionConfig(_Config):
         0.7,
         gt=0,
         le=100,
-        description="Typical error of one independent sighting (prior of the position's uncertainty).",
+        description="Typical error of one independent sighting (prior of the scatter); has no effect "
+        "with a calibration.",
     )
     branch_spread_deg: float = Field(8.0, gt=0, le=90, description="Scatter of the bearing of a branch.")
     branch_separation_deg: float = Field(
@@ -342,6 +345,46 @@ class FusionConfig(_Config):
                 f"({self.visible_radius_m:g})"
             )
         return self
+
+
+class CalibrationConfig(_Config):
+    """Uncertainty and confidence of an intersection of the map, as fitted to drives whose truth is known.
+
+    The covariance is `interloc.mapping.estimation.position_covariance`, the confidence
+    `interloc.mapping.estimation.junction_probability`. All but `fix_std_m` are fitted by
+    tests/performance/calibrate.py.
+    """
+
+    fix_std_m: float = Field(
+        0.3,
+        ge=0,
+        le=1000,
+        description="Standard deviation of the georeference along each axis, where it states none of its own.",
+    )
+    line_std_m: float = Field(
+        0.73, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
+    )
+    unclear_line_std_m: float = Field(
+        31.8,
+        ge=0,
+        le=1000,
+        description="Standard deviation that comes to it at a score of 0; in proportion less at higher scores.",
+    )
+    shape_limit_m: float = Field(
+        3.6, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
+    )
+    log_odds: float = Field(
+        3.7,
+        ge=-50,
+        le=50,
+        description="Log odds of a road junction that no keyframe saw and whose lines leave an uncertainty of 1 m.",
+    )
+    log_odds_seen: float = Field(
+        1.03, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
+    )
+    log_odds_per_doubling: float = Field(
+        1.0, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+    )
 
 
 class DetectorConfig(_Config):
@@ -363,6 +406,11 @@ class DetectorConfig(_Config):
     )
     score: ScoreConfig = ScoreConfig()
     fusion: FusionConfig = FusionConfig()
+    calibration: CalibrationConfig | None = Field(
+        None,
+        description="Without a value the position of an intersection is as uncertain as its sightings scatter, and its "
+        "confidence is how often it was seen when it could have been.",
+    )
 
     def __repr__(self) -> str:
         started_from = dict(_flat(PRESETS.get(self.preset, DetectorConfig()).model_dump(exclude={"preset"})))
@@ -410,6 +458,7 @@ DEFAULT = DetectorConfig(
         candidate_std_m=2.0,
     ),
     compound=CompoundConfig(),
+    calibration=CalibrationConfig(),
 )
 
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}

@@ -63,6 +63,9 @@ class Georeference:
         Attitude: L axes in the local east-north-up frame at the fix.
     source : str
         Where it came from, in words ("oxts/data, lever arm of calib_imu_to_velo.txt").
+    position_std_m : (N,) float64 or None
+        One-sigma uncertainty of the position along each horizontal axis, as its source states it; NaN where it does
+        not.
     """
 
     lat_deg: FloatArray
@@ -70,6 +73,7 @@ class Georeference:
     alt_m: FloatArray
     R_enu_lidar: FloatArray
     source: str
+    position_std_m: FloatArray | None = None
 
 
 @runtime_checkable

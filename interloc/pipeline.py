@@ -225,7 +225,7 @@ def assemble(
     found = [detections for part in parts for detections in part.detections]
     keyframe_table, detection_table = build_tables(found, keyframes, drive.georeference)
     stopwatch.lap("georeference")
-    intersections, intersection = fuse(keyframe_table, detection_table, config.fusion)
+    intersections, intersection = fuse(keyframe_table, detection_table, config.fusion, config.calibration)
     detection_table = replace(detection_table, intersection=intersection)
     stopwatch.lap("fusion")
     world_xy, lonlat = trajectory(drive.T_world_lidar, drive.georeference)

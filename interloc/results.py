@@ -52,6 +52,9 @@ class KeyframeTable:
         Longitude, latitude of the LiDAR, degrees; None without georeference.
     enu_yaw_rad : (K,) float64 or None
         Heading of the LiDAR, counter-clockwise from east; None without georeference.
+    position_std_m : (K,) float64 or None
+        One-sigma uncertainty of `lonlat` along each axis, as the georeference states it, NaN where it does not; None
+        without georeference, and where the run was read from a folder.
     """
 
     frame: IntArray
@@ -60,6 +63,7 @@ class KeyframeTable:
     world_yaw_rad: FloatArray
     lonlat: FloatArray | None = None
     enu_yaw_rad: FloatArray | None = None
+    position_std_m: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -144,10 +148,14 @@ class IntersectionTable:
     observations : (M,) int64
         Number of detections fused.
     confidence : (M,) float64
-        0..1, from how often it was seen when it could have been.
+        0..1: probability that a road junction lies within 10 m where `FusionConfig.confidence` is set, else how often
+        it was seen when it could have been.
     bearings_deg : list of (B,) float64
     first_frame, last_frame : (M,) int64
         Scan numbers of the first and the last keyframe that saw it.
+    position_cov_m2 : (M, 3) float64 or None
+        Covariance of the position: variance to the east, covariance of east and north, variance to the north, square
+        metres (of x and y of W without georeference). None in results of versions before: use `covariances`.
     widths_m : list of (B,) float64
         Width of the road across each branch, metres; NaN where it is not known, everywhere unless given.
     """
@@ -161,11 +169,19 @@ class IntersectionTable:
     bearings_deg: list[FloatArray]
     first_frame: IntArray
     last_frame: IntArray
+    position_cov_m2: FloatArray | None = None
     widths_m: list[FloatArray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         if not self.widths_m:
             object.__setattr__(self, "widths_m", unknown_like(self.bearings_deg))
+
+    @property
+    def covariances(self) -> FloatArray:
+        """(M, 2, 2) covariance of each position; the same in all directions where only `position_std_m` is known."""
+        if self.position_cov_m2 is None:
+            return self.position_std_m[:, None, None] ** 2 * np.eye(2)
+        return self.position_cov_m2[:, [[0, 1], [1, 2]]]
 
     def __len__(self) -> int:
         return len(self.id)

@@ -34,7 +34,7 @@ Layer = Literal[
 ]
 LayerQuery = Annotated[
     Layer,
-    Query(description="Layer to export; branches (lines) and uncertainty (circles) are made of the intersections."),
+    Query(description="Layer to export; branches (lines) and uncertainty (ellipses) are made of the intersections."),
 ]
 
 router = APIRouter(tags=["Exports"])
@@ -66,10 +66,10 @@ _EXPORTS = {
     ".gpkg": _Export(
         "Download the result as a GeoPackage",
         "All layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches. "
-        "Also the branches of the intersections as lines, and their uncertainty as circles. EPSG:4326. Lists (bearings "
-        "of branches) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with "
-        "data of OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0. QGIS draws the "
-        "layers as the page does: the table `layer_styles` holds QML and SLD.",
+        "Also the branches of the intersections as lines, and their uncertainty as ellipses. EPSG:4326. Lists (such as "
+        "bearings) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with data "
+        "of OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0. QGIS draws the layers "
+        "as the page does: the table `layer_styles` holds QML and SLD.",
     ),
     ".qgz": _Export(
         "Download the result as a project of QGIS",
@@ -84,7 +84,7 @@ _EXPORTS = {
     ".kml": _Export("Download a layer as KML", "One layer as KML, for Google Earth."),
     ".csv": _Export(
         "Download a layer as a table",
-        "One layer as CSV (RFC 4180): points with `lon` and `lat`, lines and circles with `wkt`; null is empty. "
+        "One layer as CSV (RFC 4180): points with `lon` and `lat`, lines and ellipses with `wkt`; null is empty. "
         "A text that spreadsheets would run as a formula gets an apostrophe in front.",
     ),
     ".geojson": _Export(

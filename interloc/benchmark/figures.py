@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.benchmark.metrics import errors_m, estimate, f1
+from interloc.benchmark.metrics import errors_m, estimate, f1, map_outcomes, map_squared
 from interloc.benchmark.row import MapPicture, Point, Row
 from interloc.benchmark.tables import Measured, ours
 from interloc.drawing import (
@@ -26,6 +26,7 @@ from interloc.drawing import (
     series_style,
 )
 from interloc.evaluation.figures import PERCENTILES, scale_to_thresholds
+from interloc.evaluation.reliability import bins_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -162,6 +163,46 @@ def noise_figure(measured: Measured) -> Figure:
         curves.set_title(f"\n{ours(preset)}: F1 over the threshold", **_TITLE)
     for boxes in grid[:, 0]:
         boxes.set_ylim(0.0, top)  # one scale for all presets
+    return figure
+
+
+def reliability_figure(measured: Measured) -> Figure:
+    """Draw whether confidence and uncertainty are true, without label errors: both should follow the diagonal.
+
+    Left: share of right intersections over their confidence, a mark for each bin, larger for more intersections.
+    Right: share of the intersections whose node lies in the ellipse of each probability.
+    """
+    figure = new_figure(9.5, 4.4)
+    left, right = figure.subplots(1, 2)
+    noise = measured.noises[0]
+    levels = np.linspace(0.0, 1.0, 101)
+    for axes in (left, right):
+        axes.plot([0, 100], [0, 100], color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+        axes.set(xlim=(0.0, 102.0), ylim=(0.0, 102.0), aspect="equal")
+        quiet(axes)
+    for number, preset in enumerate(measured.presets):
+        rows = measured.of(preset=preset, noise=noise)
+        style = series_style(number)
+        bins = bins_of(*map_outcomes(rows))
+        confidence, share = [100.0 * each.confidence for each in bins], [100.0 * each.right for each in bins]
+        left.plot(confidence, share, **style, label=preset)
+        left.scatter(
+            confidence,
+            share,
+            s=[12.0 + 1.5 * b.count for b in bins],
+            c=style["color"],
+            marker=style["marker"],
+            alpha=0.8,
+        )
+        if len(squared := np.sort(map_squared(rows))):
+            within = np.searchsorted(squared, -2.0 * np.log1p(-levels[:-1]), side="right") / len(squared)
+            right.plot(100.0 * levels[:-1], 100.0 * within, **style, markevery=20, label=preset)
+    left.set(xlabel="confidence [%]", ylabel="right [%]")
+    right.set(xlabel="probability of the ellipse [%]", ylabel="nodes in the ellipse [%]")
+    left.set_title("Confidence", **_TITLE)
+    right.set_title("Uncertainty of the position", **_TITLE)
+    if len(measured.presets) > 1:
+        left.legend(loc="upper left", frameon=False, fontsize=9)
     return figure
 
 

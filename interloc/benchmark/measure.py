@@ -18,6 +18,7 @@ from interloc.drives.label_errors import MislabelledDrive
 from interloc.evaluation.evaluate import Evaluation, evaluate
 from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
+from interloc.evaluation.reliability import squared_errors
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import road_ways
@@ -84,6 +85,7 @@ def measure(
     used_s = time.process_time() - began  # of this process: what else runs on the machine does not count
     evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
     matching, table, level = evaluation.matching, evaluation.node_table, evaluation.map_level
+    squared = squared_errors(evaluation.intersections, level, evaluation.nodes.lonlat)
     return Row(
         cell=cell,
         fingerprint=fingerprint,
@@ -99,6 +101,9 @@ def measure(
         map_missed=int(np.count_nonzero(level.node_in_zone & ~level.node_found)),
         map_nodes=int(np.count_nonzero(level.node_in_zone)),
         map_errors_m=_rounded(level.errors_m),
+        map_squared=_rounded(squared[np.isfinite(squared)]),
+        map_confidence=_rounded(evaluation.intersections.confidence[level.counts]),
+        map_right=tuple(np.isfinite(level.error_m[level.counts]).tolist()),
         compute_s=round(used_s, 4),
         warnings=evaluation.warnings,
         picture=map_picture(evaluation, result),

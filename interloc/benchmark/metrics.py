@@ -9,9 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import BoolArray, FloatArray
 from interloc.benchmark.row import Row
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.evaluation.reliability import calibration_error, share_within, squared_per_dimension
 
 PRECISION_THRESHOLD_M, RECALL_THRESHOLD_M = 6.9, 13.3
 """Of the comparison with MMInsectDet (paper, section V-C)."""
@@ -102,6 +103,35 @@ def map_median_m(rows: Sequence[Row]) -> float | None:
     return None if len(errors) == 0 else float(np.median(errors))
 
 
+def map_squared(rows: Sequence[Row]) -> FloatArray:
+    """Return the squared errors of the fused intersections that have a node, in units of their covariances."""
+    return np.concatenate([np.asarray(row.map_squared, dtype=np.float64) for row in rows] or [np.empty(0)])
+
+
+def map_outcomes(rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
+    """Return the confidences of the fused intersections in the zone, and whether each has a node."""
+    confidence = np.array([each for row in rows for each in row.map_confidence], dtype=np.float64)
+    return confidence, np.array([each for row in rows for each in row.map_right], dtype=np.bool_)
+
+
+def map_within_95(rows: Sequence[Row]) -> float | None:
+    """Return the share of the fused intersections with a node whose node lies in their ellipse of 95 %."""
+    squared = map_squared(rows)
+    return share_within(squared) if len(squared) else None
+
+
+def map_nees(rows: Sequence[Row]) -> float | None:
+    """Return the normalised estimation error squared per degree of freedom: 1 where errors are as large as said."""
+    squared = map_squared(rows)
+    return squared_per_dimension(squared) if len(squared) else None
+
+
+def map_calibration_error(rows: Sequence[Row]) -> float | None:
+    """Return the expected calibration error of the confidence."""
+    confidence, right = map_outcomes(rows)
+    return calibration_error(confidence, right) if len(confidence) else None
+
+
 def ms_per_keyframe(rows: Sequence[Row]) -> float | None:
     """Return the processor time from files to intersections, milliseconds per keyframe."""
     keyframes = sum(row.keyframes for row in rows)
@@ -121,6 +151,9 @@ METRICS: dict[str, Metric] = {
     "map_precision": map_precision,
     "map_recall": map_recall,
     "map_median_m": map_median_m,
+    "map_within_95": map_within_95,
+    "map_nees": map_nees,
+    "map_calibration_error": map_calibration_error,
     "ms_a_keyframe": ms_per_keyframe,
 }
 """Every figure under the name that `benchmark.json` gives it."""

@@ -8,8 +8,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from interloc.benchmark.figures import curves_figure, drive_boxes_figure, map_figure, noise_figure
-from interloc.benchmark.metrics import METRICS, Estimate
+from interloc.benchmark.figures import (
+    curves_figure,
+    drive_boxes_figure,
+    map_figure,
+    noise_figure,
+    reliability_figure,
+)
+from interloc.benchmark.metrics import METRICS, Estimate, map_outcomes
 from interloc.benchmark.row import Row
 from interloc.benchmark.run import NO_NOISE
 from interloc.benchmark.tables import ALL, Measured, Table, ours, performance_table, tables, text
@@ -17,6 +23,7 @@ from interloc.config import DetectorConfig
 from interloc.drawing import image, metres, percent, write_image
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
 from interloc.evaluation.reasons import KINDS
+from interloc.evaluation.reliability import bins_of
 from interloc.evaluation.report import data_address, make_folder
 from interloc.files import atomic_write
 from interloc.output.geojson import encode, rounded
@@ -33,8 +40,9 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
     dict
         `results`: one entry per preset, level of label errors and drive ("all": pooled), each figure with `mean`,
         `spread` (sample standard deviation over the seeds, None for one seed) and `seeds`; `rows`: the same per
-        seed, with the counts behind them; `published`: the paper's figures; `config`: settings of each preset;
-        `sensors`: the drives of each sensor, where several are compared.
+        seed, with the counts behind them; `reliability`: whether uncertainty and confidence are true, one entry per
+        preset and level, with bootstrap intervals and the bins of the diagram; `published`: the paper's figures;
+        `config`: settings of each preset; `sensors`: the drives of each sensor, where several are compared.
     """
     results = [
         {
@@ -47,6 +55,16 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
         for noise in measured.noises
         for drive in (*measured.drives, ALL)
     ]
+    reliability = [
+        {
+            "preset": preset,
+            "noise": noise,
+            **{name: asdict(each) for name, each in measured.reliability(preset=preset, noise=noise).items()},
+            "bins": [asdict(each) for each in bins_of(*map_outcomes(measured.of(preset=preset, noise=noise)))],
+        }
+        for preset in measured.presets
+        for noise in measured.noises
+    ]
     return {
         "benchmark": title,
         "policy": policy,
@@ -55,6 +73,7 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
         "presets": list(measured.presets),
         "noises": list(measured.noises),
         "results": results,
+        "reliability": reliability,
         "rows": [_row(row) for row in measured.rows],
         "published": {
             "performance": {name: asdict(value) for name, value in {**PERFORMANCE, ALL: AVERAGE}.items()},
@@ -128,12 +147,14 @@ def write_benchmark(
             record |= row.failures
             handle.write(encode(record, indent=1).encode() + b"\n")
     record = benchmark_record(title, measured, configs, policy)
+    *results, reliability = tables(measured)
     page = _template().render(
         title=title,
         about=about,
         policy=policy,
         warnings=_warnings(measured.rows),
-        tables=tables(measured),
+        tables=results,
+        reliability=reliability,
         noisy=[performance_table(measured, level) for level in measured.noises[1:]],
         kinds=kinds_table(measured),
         places=[(ours(preset), worst_places(measured, preset)) for preset in measured.presets],
@@ -221,6 +242,7 @@ def _write_figures(measured: Measured, folder: Path) -> tuple[dict[str, str], li
     make_folder(folder)
     pictures = {"noise": ""}
     figures = {"boxes": drive_boxes_figure(measured), "curves": curves_figure(measured)}
+    figures["reliability"] = reliability_figure(measured)
     if len(measured.noises) > 1:
         figures["noise"] = noise_figure(measured)
     for name, figure in figures.items():

@@ -90,6 +90,12 @@ class Row(_Record):
         Fused intersections in the zone with and without a node; nodes in the zone without one; nodes in the zone.
     map_errors_m : tuple of float
         Of the assigned pairs, metres.
+    map_squared : tuple of float
+        Of the assigned pairs: errors in units of their covariances, squared (`evaluation.reliability`).
+    map_confidence : tuple of float
+        Of the fused intersections in the zone.
+    map_right : tuple of bool
+        Whether these have a node.
     compute_s : float
         Processor time from files to intersections.
     warnings : tuple of str
@@ -112,6 +118,9 @@ class Row(_Record):
     map_missed: int
     map_nodes: int
     map_errors_m: tuple[float, ...]
+    map_squared: tuple[float, ...]
+    map_confidence: tuple[float, ...]
+    map_right: tuple[bool, ...]
     compute_s: float
     warnings: tuple[str, ...]
     picture: MapPicture

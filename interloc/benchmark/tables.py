@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from interloc.benchmark.metrics import METRICS, Estimate, estimate
+from interloc.benchmark.metrics import METRICS, Estimate, estimate, map_outcomes, map_squared
 from interloc.benchmark.row import Row
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
+from interloc.evaluation.reliability import (
+    Interval,
+    calibration_error,
+    share_within,
+    squared_per_dimension,
+    with_interval,
+)
 
 MISSING = "–"  # noqa: RUF001 - a dash, not a minus
 PUBLISHED = "published"
@@ -69,6 +76,16 @@ class Measured:
     def estimate(self, metric: str, *, preset: str, noise: str, drive: str = ALL) -> Estimate:
         """Return a figure of `METRICS`: pooled over the drives, mean and spread over the seeds."""
         return estimate(self.of(preset=preset, noise=noise, drive=drive), METRICS[metric])
+
+    def reliability(self, *, preset: str, noise: str) -> dict[str, Interval]:
+        """Return how true uncertainty and confidence are: all intersections of all drives and seeds, each counted."""
+        rows = self.of(preset=preset, noise=noise)
+        squared = map_squared(rows)
+        return {
+            "within_95": with_interval(share_within, squared),
+            "nees": with_interval(squared_per_dimension, squared),
+            "calibration_error": with_interval(calibration_error, *map_outcomes(rows)),
+        }
 
     @property
     def is_papers_set(self) -> bool:
@@ -206,11 +223,47 @@ def noise_table(measured: Measured) -> Table:
     )
 
 
+def reliability_table(measured: Measured) -> Table:
+    """Return whether the uncertainty of the intersections and their confidence are true, per level of label errors."""
+    groups = []
+    for noise in measured.noises:
+        lines: list[tuple[str, ...]] = []
+        for preset in measured.presets:
+            found = measured.reliability(preset=preset, noise=noise)
+            lines.append(
+                (
+                    noise if not lines else "",
+                    ours(preset),
+                    str(found["within_95"].count),
+                    _with_bounds(found["within_95"], percent),
+                    _with_bounds(found["nees"], metres),
+                    str(found["calibration_error"].count),
+                    _with_bounds(found["calibration_error"], percent),
+                )
+            )
+        groups.append(tuple(lines))
+    return Table(
+        title="Uncertainty and confidence",
+        header=("r-FPR/r-FNR", "", "with a node", "within 95 % [%]", "NEES", "in the zone", "ECE [%]"),
+        groups=tuple(groups),
+        labels=2,
+        notes=(
+            "Intersections of the map, each counted once per drive and seed; in brackets: bootstrap interval of 95 %.",
+            "Within 95 %: share whose node lies in the ellipse of 95 % of the covariance.",
+            "NEES: squared error in units of the covariance per degree of freedom; 1 where errors are as stated.",
+            "ECE: expected calibration error of the confidence, ten bins of equal width.",
+        ),
+    )
+
+
 def tables(measured: Measured) -> list[Table]:
-    """Return the tables of a benchmark: performance without label errors, comparison, label errors; or of sensors."""
+    """Return the tables of a benchmark: performance, comparison and label errors, or sensors; and reliability."""
     if measured.sensors:
-        return [*(sensor_table(measured, noise) for noise in measured.noises), performance_table(measured, "0/0")]
-    return [performance_table(measured, measured.noises[0]), comparison_table(measured), noise_table(measured)]
+        shown = [*(sensor_table(measured, noise) for noise in measured.noises), performance_table(measured, "0/0")]
+    else:
+        noise = measured.noises[0]
+        shown = [performance_table(measured, noise), comparison_table(measured), noise_table(measured)]
+    return [*shown, reliability_table(measured)]
 
 
 def text(table: Table) -> str:
@@ -267,6 +320,12 @@ def _write(value: Estimate, write: Callable[[float], str] | None) -> str:
     if value.mean is None or write is None:
         return MISSING
     return write(value.mean) if value.spread is None else f"{write(value.mean)} ± {write(value.spread)}"
+
+
+def _with_bounds(found: Interval, write: Callable[[float], str]) -> str:
+    if found.value is None or found.low is None or found.high is None:
+        return MISSING
+    return f"{write(found.value)} ({write(found.low)} to {write(found.high)})"
 
 
 def _published(measured: Measured, column: str) -> Published | None:

@@ -8,7 +8,7 @@ how smoothly.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -153,12 +153,9 @@ def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:
     bent = fit(chain, start, ways, nodes)
     covariance = uncertainty(chain, bent, ways, nodes)
     rows = np.round(np.interp(track.at_m, chain.at_m, np.arange(len(chain)))).astype(np.int64)
-    return GpxPlacement(
-        georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by})"),
-        matched_by,
-        rms_m,
-        np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + FIX_STD_M**2),
-    )
+    georeference = georeference_by(chain, bent, track, roads, f"the track {gpx.source} (by {matched_by})")
+    position_std_m = np.sqrt((covariance[rows, 0, 0] + covariance[rows, 1, 1]) / 2.0 + FIX_STD_M**2)
+    return GpxPlacement(replace(georeference, position_std_m=position_std_m), matched_by, rms_m, position_std_m)
 
 
 def _as_roads(gpx: GpxTrack) -> RoadMap:

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -295,7 +295,7 @@ def _placed(
         location.decision,
         location.places,
         location.chance,
-        georeference_by(best.chain, best.fit, track, searched.roads, name),
+        replace(georeference_by(best.chain, best.fit, track, searched.roads, name), position_std_m=position_std_m),
         position_std_m,
         heading_std_deg,
         leaving_out,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.config import FusionConfig
+from interloc.config import CalibrationConfig, FusionConfig
 from interloc.drive import Drive, Georeference
 from interloc.errors import GeoreferenceError, LocationError
 from interloc.geometry import ecef_from_geodetic, lonlat_from_enu, rotate_2d, wrap_bearing, yaw_of
@@ -150,14 +150,24 @@ def place_result(result: DriveResult, drive: Drive, georeference: Georeference, 
     lat, lon = georeference.lat_deg[rows], georeference.lon_deg[rows]
     yaw = yaw_of(georeference.R_enu_lidar[rows])
     turn_deg = np.degrees(yaw - result.keyframes.world_yaw_rad)
-    keyframes = replace(result.keyframes, lonlat=np.stack([lon, lat], axis=-1), enu_yaw_rad=yaw)
+    std = georeference.position_std_m
+    keyframes = replace(
+        result.keyframes,
+        lonlat=np.stack([lon, lat], axis=-1),
+        enu_yaw_rad=yaw,
+        position_std_m=None if std is None else std[rows],
+    )
     table = result.detections
     of = table.keyframe
     bearings = [wrap_bearing(each - turn_deg[row]) for each, row in zip(table.bearings_deg, of.tolist(), strict=True)]
     lonlat = lonlat_from_enu(lat[of], lon[of], rotate_2d(table.lidar_xy, yaw[of]))
     detections = replace(table, lonlat=lonlat, bearings_deg=bearings)
-    fusion = FusionConfig.model_validate(result.run["config"]["fusion"])
-    intersections, intersection = fuse(keyframes, detections, fusion)
+    config = result.run["config"]
+    fusion = FusionConfig.model_validate(config["fusion"])
+    calibration = config.get("calibration")  # results of versions before have none
+    intersections, intersection = fuse(
+        keyframes, detections, fusion, None if calibration is None else CalibrationConfig.model_validate(calibration)
+    )
     _, trajectory_lonlat = trajectory(drive.T_world_lidar, georeference)
     return replace(
         result,

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.config import CalibrationConfig
 from interloc.geometry import wrap_bearing
+
+_LINES_LIMIT_M = 30.0
+"""Standard deviation of a place that no line fixes, for the confidence: lines that meet nowhere."""
 
 _ROUNDS = 30
 _CONVERGED_M = 1e-4
@@ -77,11 +82,40 @@ def heaviest_member(xy: FloatArray, weight: FloatArray, labels: IntArray, count:
     return start
 
 
-def position_std(
+@dataclass(frozen=True)
+class Sightings:
+    """What the sightings of each of M intersections say about it together.
+
+    Attributes
+    ----------
+    independent : (M,) float64
+        n_eff: number of independent sightings that they are worth, 0 without any.
+    scatter_m2 : (M,) float64
+        s^2: weighted mean of the squared distances from the centre, half of it: the variance along each axis.
+    score : (M,) float64
+        Weighted mean of their scores, 0..1.
+    fix_var_m2 : (M,) float64
+        Weighted mean variance of the fixes that placed them along each axis, NaN where any is unknown.
+
+    Notes
+    -----
+    Neighbouring keyframes see the intersection through nearly the same scans, so their errors agree, and 40 sightings
+    of one pass are not 40 measurements. Two windows share the part r = max(0, 1 - d / correlation_m) of their scans
+    when d metres of driving lie between them; taking r as the correlation of their errors, n sightings with weights w
+    are worth n_eff = (sum w)^2 / sum_ij w_i w_j r_ij independent ones: about 1.5 per pass, however dense the keyframes.
+    """
+
+    independent: FloatArray
+    scatter_m2: FloatArray
+    score: FloatArray
+    fix_var_m2: FloatArray
+
+
+def summarize_sightings(
     xy: FloatArray, weight: FloatArray, labels: IntArray, travelled_m: FloatArray, centres: FloatArray, *,
-    correlation_m: float, prior_std_m: float, clip_m: float
-) -> FloatArray:  # fmt: skip
-    """Estimate the one-sigma uncertainty of each centre.
+    score: FloatArray, fix_std_m: FloatArray, correlation_m: float, clip_m: float
+) -> Sightings:  # fmt: skip
+    """Sum up the sightings of each centre.
 
     Parameters
     ----------
@@ -89,12 +123,34 @@ def position_std(
         As in `robust_centres`.
     travelled_m : (D,) float64
         Distance driven up to the keyframe of each detection.
+    score, fix_std_m : (D,) float64
+        Score of each detection; one sigma of the fix of its keyframe, NaN where that is unknown.
     correlation_m : float
         Distance after which the windows of two keyframes have no scan of the intersection in common.
-    prior_std_m : float
-        Typical error of one independent sighting, for intersections that were seen too rarely to estimate it.
     clip_m : float
         Distances count as no more than this, since such members do not move the centre either.
+    """
+    count = len(centres)
+    independent, scatter, mean_score, fix_var = (np.zeros(count) for _ in range(4))
+    for label, rows in members_of(labels, count):
+        order = rows[np.argsort(travelled_m[rows], kind="stable")]
+        w = weight[order] / weight[order].sum()
+        independent[label] = 1.0 / float(w @ _shared(travelled_m[order], w, correlation_m))
+        squared = np.minimum(np.sum((xy[order] - centres[label]) ** 2, axis=1), clip_m**2)
+        scatter[label] = 0.5 * float(w @ squared)
+        mean_score[label] = float(w @ score[order])
+        fix_var[label] = float(w @ fix_std_m[order] ** 2)
+    return Sightings(independent, scatter, mean_score, fix_var)
+
+
+def position_std(sightings: Sightings, *, prior_std_m: float) -> FloatArray:
+    """Estimate the one-sigma uncertainty of each centre from the scatter of its sightings alone.
+
+    Parameters
+    ----------
+    sightings
+    prior_std_m : float
+        Typical error of one independent sighting, for intersections that were seen too rarely to estimate it.
 
     Returns
     -------
@@ -103,24 +159,94 @@ def position_std(
 
     Notes
     -----
-    Neighbouring keyframes see the intersection through nearly the same scans, so their errors agree, and 40 sightings
-    of one pass are not 40 measurements. Two windows share the part r = max(0, 1 - d / correlation_m) of their scans
-    when d metres of driving lie between them; taking r as the correlation of their errors, n sightings with weights w
-    are worth n_eff = (sum w)^2 / sum_ij w_i w_j r_ij independent ones: about 1.5 per pass, however dense the keyframes.
-    The scatter s^2 within such sightings underestimates the variance by 1 - 1 / n_eff, and says nothing at all for
-    n_eff = 1. Hence the posterior with a prior worth two sightings (scaled inverse chi-squared):
-    variance = (n_eff s^2 + 2 prior^2) / (n_eff + 1), and the variance of the centre is that over n_eff.
+    The scatter s^2 within sightings that are worth n_eff independent ones underestimates the variance by 1 - 1 / n_eff,
+    and says nothing at all for n_eff = 1. Hence the posterior with a prior worth two sightings (scaled inverse
+    chi-squared): variance = (n_eff s^2 + 2 prior^2) / (n_eff + 1), and the variance of the centre is that over n_eff.
+    What all sightings share, it does not hold: `position_covariance` does.
     """
-    result = np.full(len(centres), prior_std_m)
-    for label, rows in members_of(labels, len(centres)):
-        order = rows[np.argsort(travelled_m[rows], kind="stable")]
-        w = weight[order] / weight[order].sum()
-        n_eff = 1.0 / float(w @ _shared(travelled_m[order], w, correlation_m))
-        squared = np.minimum(np.sum((xy[order] - centres[label]) ** 2, axis=1), clip_m**2)
-        scatter = 0.5 * float(w @ squared)
-        variance = (n_eff * scatter + 2.0 * prior_std_m**2) / (n_eff + 1.0)
-        result[label] = np.sqrt(variance / n_eff)
-    return result
+    n_eff = np.where(sightings.independent > 0, sightings.independent, 1.0)
+    variance = (n_eff * sightings.scatter_m2 + 2.0 * prior_std_m**2) / (n_eff + 1.0)
+    std: FloatArray = np.where(sightings.independent > 0, np.sqrt(variance / n_eff), prior_std_m)
+    return std
+
+
+def position_covariance(
+    sightings: Sightings,
+    bearings_deg: Sequence[FloatArray],
+    calibration: CalibrationConfig,
+    *,
+    limit_m: float | None = None,
+) -> FloatArray:
+    """Estimate the covariance of the position of each intersection, but for the part of the georeference.
+
+    Parameters
+    ----------
+    sightings
+    bearings_deg : M (B,) float64
+        Bearings of the branches of each intersection, clockwise from +y of the plane of the positions.
+    calibration
+    limit_m : float or None
+        Standard deviation where no line fixes the position; None: that of the calibration.
+
+    Returns
+    -------
+    (M, 2, 2) float64
+        Square metres.
+
+    Notes
+    -----
+    The sum of two independent parts; `fix_variance` is the third.
+
+    The shape: an intersection is where the lines of its branches meet. With a standard deviation sigma of each line
+    across itself, weighted least squares give the covariance (sum n n^T / sigma^2)^-1 over the normals n of the
+    branches (Foerstner and Wrobel, Photogrammetric Computer Vision, 4.1.2): along the bisector of an acute pair it is
+    largest. Where the score is low the lines pass the point widely, so sigma^2 = line_std_m^2 +
+    (unclear_line_std_m (1 - score))^2. The candidate bounds it: + I / shape_limit_m^2 in the inverse. All sightings
+    share it, since all see the same kerbs: their number does not make it smaller.
+
+    The scatter between sightings: s^2 / n_eff.
+    """
+    limit_m = limit_m or calibration.shape_limit_m
+    covariance = np.zeros((len(bearings_deg), 2, 2))
+    for row, bearings in enumerate(bearings_deg):
+        angle = np.radians(bearings)
+        normals = np.stack([np.cos(angle), -np.sin(angle)], axis=-1)
+        unclear_m = calibration.unclear_line_std_m * (1.0 - sightings.score[row])
+        line_var = calibration.line_std_m**2 + unclear_m**2
+        shape = np.linalg.inv(normals.T @ normals / line_var + np.eye(2) / limit_m**2)
+        scatter = sightings.scatter_m2[row] / max(sightings.independent[row], 1.0)
+        covariance[row] = shape + scatter * np.eye(2)
+    return covariance
+
+
+def fix_variance(sightings: Sightings, calibration: CalibrationConfig) -> FloatArray:
+    """Return the variance of the georeference at each intersection along each axis, (M,), which all sightings share."""
+    return np.where(np.isfinite(sightings.fix_var_m2), sightings.fix_var_m2, calibration.fix_std_m**2)
+
+
+def junction_probability(
+    seen: FloatArray, sightings: Sightings, bearings_deg: Sequence[FloatArray], calibration: CalibrationConfig
+) -> FloatArray:
+    """Estimate the probability that a road junction lies within 10 m of each intersection.
+
+    Parameters
+    ----------
+    seen : (M,) float64
+        Share of the keyframes in reach that saw it, 0..1.
+    sightings, bearings_deg, calibration
+        As of `position_covariance`: lines that meet in no point, or at an acute angle, are often no junction.
+
+    Returns
+    -------
+    (M,) float64
+        0..1: a logistic function of the share, with which it rises, and of the logarithm of the standard deviation that
+        lines and scatter leave to the position, without the limit of the candidate, with which it falls.
+    """
+    covariance = position_covariance(sightings, bearings_deg, calibration, limit_m=_LINES_LIMIT_M)
+    doublings = 0.5 * np.log2(np.trace(covariance, axis1=1, axis2=2) / 2.0)  # of 1 m
+    odds = calibration.log_odds + calibration.log_odds_seen * seen - calibration.log_odds_per_doubling * doublings
+    probability: FloatArray = 1.0 / (1.0 + np.exp(-np.clip(odds, -500.0, 500.0)))
+    return probability
 
 
 def _shared(place: FloatArray, w: FloatArray, length: float) -> FloatArray:

@@ -7,23 +7,31 @@ from dataclasses import dataclass
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.config import FusionConfig
+from interloc.config import CalibrationConfig, FusionConfig
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import (
+    Sightings,
+    fix_variance,
     fuse_bearings,
     fuse_widths,
     heaviest_member,
+    junction_probability,
     members_of,
+    position_covariance,
     position_std,
     robust_centres,
+    summarize_sightings,
     visibility,
 )
 from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
 
 
 def fuse(
-    keyframes: KeyframeTable, detections: DetectionTable, config: FusionConfig | None = None
+    keyframes: KeyframeTable,
+    detections: DetectionTable,
+    config: FusionConfig | None = None,
+    calibration: CalibrationConfig | None = None,
 ) -> tuple[IntersectionTable, IntArray]:
     """Fuse the detections of a run into physical intersections.
 
@@ -35,6 +43,9 @@ def fuse(
         Their detections. With georeference they are fused where their own fixes put them, else in W.
     config
         Defaults suit drives with keyframes every 2 to 20 m.
+    calibration
+        Makes of the uncertainty a covariance that holds what all sightings share, and of the confidence a probability.
+        None: the uncertainty is that of the scatter, the confidence the rate of seeing.
 
     Returns
     -------
@@ -49,12 +60,14 @@ def fuse(
 
     Without georeference, two passes whose poses drifted apart by more than `merge_radius_m` give two intersections.
 
-    Confidence: the keyframes within reach could have seen the intersection, each with a chance of 1 within
+    Rate of seeing: the keyframes within reach could have seen the intersection, each with a chance of 1 within
     `visible_radius_m` that falls to 0 at `visible_limit_m`. Of the sum of these chances, the part of the keyframes
     that did see it, with a Beta prior, is the rate of seeing; the mean score of its detections takes away up to
-    `score_influence`. A false detection in one of twenty keyframes gets 0.07, a real one in two of two 0.6.
+    `score_influence`. A false detection in one of twenty keyframes gets 0.07, a real one in two of two 0.6. It
+    decides what is kept, and is the confidence where there is no calibration.
 
-    Uncertainty of the position: see `interloc.mapping.estimation.position_std`.
+    Uncertainty of the position and calibrated confidence: see `position_std`, `position_covariance` and
+    `junction_probability` of `interloc.mapping.estimation`.
     """
     config = config or FusionConfig()
     scene = _Scene.of(keyframes, detections, config)
@@ -70,7 +83,35 @@ def fuse(
     kept = _worth_keeping(scene, centres, labels, config)
     centres, labels = _reassign(scene, centres[kept], None, config)
     centres, labels = _in_order_of_sight(scene, centres, labels)
-    return _table(keyframes, detections, scene, centres, labels, config), labels
+    table = _table(keyframes, detections, scene, centres, labels, config, calibration)
+    sure = table.confidence >= config.min_confidence
+    if calibration is None or sure.all():
+        return table, labels
+    row = np.append(np.where(sure, np.cumsum(sure) - 1, -1), -1)  # the last one is picked by label -1
+    labels = row[labels]
+    return _table(keyframes, detections, scene, centres[sure], labels, config, calibration), labels
+
+
+def evidence(
+    keyframes: KeyframeTable,
+    detections: DetectionTable,
+    intersections: IntersectionTable,
+    config: FusionConfig | None = None,
+) -> tuple[Sightings, FloatArray]:
+    """Return what a calibration is fitted to: the sightings of fused intersections, and their rates of seeing, (M,).
+
+    Parameters
+    ----------
+    keyframes, detections, intersections, config
+        As they went into `fuse`, and what came of it; the detections know their intersections.
+    """
+    config = config or FusionConfig()
+    scene = _Scene.of(keyframes, detections, config)
+    centres = intersections.world_xy
+    if scene.origin_lonlat is not None and intersections.lonlat is not None:
+        centres = _unrolled(intersections.lonlat, scene.origin_lonlat)
+    labels = detections.intersection
+    return _sightings(keyframes, scene, centres, labels, config), _rate_of_seeing(scene, centres, labels, config)[0]
 
 
 @dataclass(frozen=True)
@@ -143,10 +184,10 @@ def _reassign(
     return centres[used], labels
 
 
-def _confidence(
+def _rate_of_seeing(
     scene: _Scene, centres: FloatArray, labels: IntArray, config: FusionConfig
-) -> tuple[FloatArray, IntArray]:
-    """Return the confidence of each centre and the number of keyframes in reach of it (see `fuse`), (M,) each."""
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return the rate of seeing each centre, as it is and lowered by low scores, and the keyframes in reach, (M,)."""
     count, keyframes = len(centres), len(scene.keyframe_xy)
     centre, keyframe, chance = visibility(
         centres, scene.keyframe_xy, certain_m=config.visible_radius_m, limit_m=config.visible_limit_m
@@ -158,11 +199,12 @@ def _confidence(
     rate = (config.prior_seen + seen) / (config.prior_seen + config.prior_missed + possible)
     total = np.bincount(labels[inside], scene.weight[inside], count)
     score = np.bincount(labels[inside], scene.weight[inside] * scene.score[inside], count) / np.maximum(total, 1e-12)
-    return rate * (1.0 - config.score_influence * (1.0 - score)), np.bincount(centre[chance > 0], minlength=count)
+    lowered = rate * (1.0 - config.score_influence * (1.0 - score))
+    return rate, lowered, np.bincount(centre[chance > 0], minlength=count)
 
 
 def _worth_keeping(scene: _Scene, centres: FloatArray, labels: IntArray, config: FusionConfig) -> BoolArray:
-    confidence, in_reach = _confidence(scene, centres, labels, config)
+    _, confidence, in_reach = _rate_of_seeing(scene, centres, labels, config)
     observations = np.bincount(labels[labels >= 0], minlength=len(centres))
     enough = observations >= np.minimum(config.min_observations, np.maximum(in_reach, 1))
     kept: BoolArray = enough & (confidence >= config.min_confidence)
@@ -186,12 +228,12 @@ def _table(
     centres: FloatArray,
     labels: IntArray,
     config: FusionConfig,
+    calibration: CalibrationConfig | None,
 ) -> IntersectionTable:
     groups = [rows for _, rows in members_of(labels, len(centres))]
     first = np.array([scene.keyframe[rows].min() for rows in groups], dtype=np.int64)
     last = np.array([scene.keyframe[rows].max() for rows in groups], dtype=np.int64)
-    travelled = scene.travelled_m[scene.keyframe]
-    bearings_deg = [
+    bearings = [
         fuse_bearings(
             [detections.bearings_deg[row] for row in rows],
             scene.weight[rows],
@@ -201,23 +243,25 @@ def _table(
         )
         for rows in groups
     ]
+    sightings = _sightings(keyframes, scene, centres, labels, config)
+    rate, confidence, _ = _rate_of_seeing(scene, centres, labels, config)
+    if calibration is None:
+        std = position_std(sightings, prior_std_m=config.prior_std_m)
+        covariance = std[:, None, None] ** 2 * np.eye(2)
+    else:
+        covariance = position_covariance(sightings, bearings, calibration)
+        confidence = junction_probability(rate, sightings, bearings, calibration)
+        if scene.origin_lonlat is not None:
+            covariance = covariance + fix_variance(sightings, calibration)[:, None, None] * np.eye(2)
+        std = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0)
     return IntersectionTable(
         id=np.arange(1, len(centres) + 1, dtype=np.int64),
         world_xy=_in_world(keyframes, scene, centres, first),
         lonlat=_on_globe(scene, centres) if keyframes.lonlat is not None else None,
-        position_std_m=position_std(
-            scene.xy,
-            scene.weight,
-            labels,
-            travelled,
-            centres,
-            correlation_m=config.correlation_length_m,
-            prior_std_m=config.prior_std_m,
-            clip_m=2.0 * config.bandwidth_m,
-        ),
+        position_std_m=std,
         observations=np.array([len(rows) for rows in groups], dtype=np.int64),
-        confidence=_confidence(scene, centres, labels, config)[0],
-        bearings_deg=bearings_deg,
+        confidence=confidence,
+        bearings_deg=bearings,
         widths_m=[
             fuse_widths(
                 fused,
@@ -226,10 +270,28 @@ def _table(
                 scene.weight[rows],
                 within_deg=config.branch_separation_deg / 2,
             )
-            for fused, rows in zip(bearings_deg, groups, strict=True)
+            for fused, rows in zip(bearings, groups, strict=True)
         ],
         first_frame=keyframes.frame[first],
         last_frame=keyframes.frame[last],
+        position_cov_m2=covariance[:, [0, 0, 1], [0, 1, 1]],
+    )
+
+
+def _sightings(
+    keyframes: KeyframeTable, scene: _Scene, centres: FloatArray, labels: IntArray, config: FusionConfig
+) -> Sightings:
+    fix_std = np.full(len(keyframes), np.nan) if keyframes.position_std_m is None else keyframes.position_std_m
+    return summarize_sightings(
+        scene.xy,
+        scene.weight,
+        labels,
+        scene.travelled_m[scene.keyframe],
+        centres,
+        score=scene.score,
+        fix_std_m=fix_std[scene.keyframe],
+        correlation_m=config.correlation_length_m,
+        clip_m=2.0 * config.bandwidth_m,
     )
 
 

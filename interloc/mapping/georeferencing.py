@@ -52,9 +52,10 @@ def build_tables(
     fixes = None if georeference is None else _fixes(found, scans, georeference)
 
     turn = np.zeros(len(found))  # from W to the frame of the bearings
-    lonlat_keyframes = lonlat_detections = enu_yaw = None
-    if fixes is not None:
+    lonlat_keyframes = lonlat_detections = enu_yaw = position_std = None
+    if georeference is not None and fixes is not None:
         lat, lon, enu_yaw = fixes
+        position_std = None if georeference.position_std_m is None else georeference.position_std_m[scans]
         turn = enu_yaw - world_yaw
         lonlat_keyframes = np.stack([lon, lat], axis=-1)
         enu_xy = rotate_2d(lidar_xy, enu_yaw[keyframe])
@@ -68,6 +69,7 @@ def build_tables(
         world_yaw_rad=world_yaw,
         lonlat=lonlat_keyframes,
         enu_yaw_rad=enu_yaw,
+        position_std_m=position_std,
     )
     detection_table = DetectionTable(
         keyframe=keyframe,

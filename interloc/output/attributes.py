@@ -27,14 +27,19 @@ branches, exp(-(spread / 2 m)^2), where the spread says how far (root mean squar
 other half is the length of the third longest branch, from 0 m (0) to 15 m and more (1). The settings are those of
 `score`.
 
-`confidence` belongs to an intersection of the map: the share of the keyframes near enough to see it that did. A prior
-of half a sighting and one and a half misses keeps it low where there were few keyframes, and low scores of its
-detections take up to 30 % away. Intersections under 0.3 are not written. The settings are those of `fusion`. It is no
-probability that the intersection exists: a junction with a service road that the policy leaves out has a high
-confidence, and is wrong against OpenStreetMap.
+`confidence` belongs to an intersection of the map: the probability that a road junction, a node of policy `drive`, lies
+within 10 m. It rises with the share of the keyframes near enough to see it that did, and falls with the uncertainty of
+the position that its branches leave: lines that meet in no point, or at an acute angle, are often no junction. The
+settings `calibration` were fitted to drives whose truth is known; docs/accuracy.md says how true they are. A junction
+with a service road that the policy leaves out has a high confidence, and is wrong against OpenStreetMap. Intersections
+that under 30 % of the keyframes near enough saw (a prior of half a sighting and one and a half misses added, up to
+30 % taken away for low scores) are not written; with preset `paper`, which has no calibration, that share is the
+confidence.
 
-`position_std_m` is the uncertainty of the position that the fusion estimates, one sigma along each axis; the layer
-`uncertainty` draws the circle of 95 %.
+`position_cov_m2` is the covariance of the position: of the georeference (as OXTS state it of themselves, else 0.3 m),
+of the lines of the branches, which is largest along the bisector of an acute pair, and of the scatter of the sightings.
+`position_std_m` sums it up as one sigma along each axis; the layer `uncertainty` draws the ellipse of 95 %. With preset
+`paper` both hold the scatter alone.
 """
 
 _KINDS = {

@@ -57,6 +57,15 @@ BranchWidths = Annotated[
         "far as it was seen, 8 to 20 m from the intersection; null where it could not be measured.",
     ),
 ]
+PositionCovariance = Annotated[
+    list[float] | None,
+    Decimals(6, "m2"),
+    Field(
+        title="Covariance",
+        description="Covariance of the position, square metres: variance to the east, covariance of east and north, "
+        "variance to the north (of x and y of W without georeference); null in results of versions before.",
+    ),
+]
 OsmNode = Annotated[int, Field(title="OSM node", description="Id of the OpenStreetMap node.")]
 Scan = Annotated[int, Field(title="Scan", description="Scan number of the keyframe.")]
 Reason = Annotated[
@@ -87,8 +96,11 @@ class IntersectionProperties(Properties):
     id: int = Field(title="Number", description="Number of the intersection, from 1 in the order of first sight.")
     observations: int = Field(title="Observations", description="Number of detections fused.")
     position_std_m: Metres = Field(
-        title="Uncertainty", description="One-sigma uncertainty of the position along each axis, metres."
+        title="Uncertainty",
+        description="One-sigma uncertainty of the position along each axis, metres: root of the mean of the two "
+        "variances of its covariance.",
     )
+    position_cov_m2: PositionCovariance = None
     branch_count: BranchCount
     branch_bearings_deg: BranchBearings
     branch_widths_m: BranchWidths
@@ -96,8 +108,9 @@ class IntersectionProperties(Properties):
     last_frame: int = Field(title="Last scan", description="Scan number of the last keyframe that saw it.")
     confidence: Ratio = Field(
         title="Confidence",
-        description="0 to 1: the share of the keyframes near enough to see it that did, lowered by up to "
-        "30 % where the scores of its detections are low. It is no probability that the intersection exists.",
+        description="0 to 1: probability that a road junction of the map lies within 10 m, calibrated on drives whose "
+        "truth is known. Without a calibration (preset paper): the share of the keyframes near enough to see it that "
+        "did, lowered by up to 30 % where the scores of its detections are low.",
     )
     world_x_m: WorldX
     world_y_m: WorldY
@@ -302,13 +315,20 @@ class BranchProperties(Properties):
 
 
 class UncertaintyProperties(Properties):
-    """The circle that holds the true position of an intersection with a probability of 95 %: 2.45 sigma."""
+    """The ellipse that holds the true position of an intersection with a probability of 95 %: 2.45 sigma."""
 
     intersection: int = Field(title="Intersection", description="Id of the intersection.")
     position_std_m: Metres = Field(
         title="Uncertainty", description="One-sigma uncertainty of the position along each axis, metres."
     )
-    radius_m: Metres = Field(title="Radius", description="Radius of the circle, 2.45 sigma, metres.")
+    radius_m: Metres = Field(
+        title="Radius", description="2.45 times that, metres: the radius of a circle of the same uncertainty."
+    )
+    semi_major_m: Metres = Field(title="Semi-major axis", description="Longer semi-axis of the ellipse, metres.")
+    semi_minor_m: Metres = Field(title="Semi-minor axis", description="Shorter semi-axis of the ellipse, metres.")
+    bearing_deg: Annotated[float, Decimals(3, "degree")] = Field(
+        title="Bearing", description="Bearing of the longer axis, 0 to 180 degrees."
+    )
     drive: DriveName = None
 
 

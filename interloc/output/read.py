@@ -106,7 +106,18 @@ def _read_intersections(rows: Rows, *, georeferenced: bool) -> IntersectionTable
         widths_m=_read_widths(rows),
         first_frame=rows.integers("first_frame"),
         last_frame=rows.integers("last_frame"),
+        position_cov_m2=_read_covariances(rows),
     )
+
+
+def _read_covariances(rows: Rows) -> FloatArray | None:
+    """Return the covariances of the positions, (M, 3); None where the result is of a version before them."""
+    written = rows.column("position_cov_m2")
+    if any(each is None for each in written):
+        return None
+    if any(len(each) != 3 for each in written):
+        raise damaged(rows.path, "a position_cov_m2 does not have three numbers")
+    return np.array(written, dtype=np.float64).reshape(-1, 3)
 
 
 def _read_detections(

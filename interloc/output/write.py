@@ -145,6 +145,7 @@ def intersection_features(
         id=table.id,
         observations=table.observations,
         position_std_m=table.position_std_m,
+        position_cov_m2=table.covariances[:, [0, 0, 1], [0, 1, 1]],
         branch_count=[len(each) for each in table.bearings_deg],
         branch_bearings_deg=[bearings(each) for each in table.bearings_deg],
         branch_widths_m=[each.tolist() for each in table.widths_m],

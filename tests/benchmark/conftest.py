@@ -26,10 +26,12 @@ def make_row(
     nodes: tuple[int, int] = (1, 1),
     fused: tuple[int, int, int, int] = (1, 0, 0, 1),
     map_errors_m: Sequence[float] = (0.5,),
+    map_squared: Sequence[float] = (1.0,),
+    outcomes: Sequence[tuple[float, bool]] = ((0.9, True),),
     keyframes: int = 100,
     compute_s: float = 0.5,
 ) -> Row:
-    """Make a row; `nodes`: found, in zone; `fused`: true, false, missed, nodes."""
+    """Make a row; `nodes`: found, in zone; `fused`: true, false, missed, nodes; `outcomes`: confidence, right."""
     return Row(
         cell=Cell(drive=drive, preset=preset, noise=noise, seed=seed),
         fingerprint="f",
@@ -45,6 +47,9 @@ def make_row(
         map_missed=fused[2],
         map_nodes=fused[3],
         map_errors_m=tuple(map_errors_m),
+        map_squared=tuple(map_squared),
+        map_confidence=tuple(confidence for confidence, _ in outcomes),
+        map_right=tuple(right for _, right in outcomes),
         compute_s=compute_s,
         warnings=(),
         picture=NOTHING,

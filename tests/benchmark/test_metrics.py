@@ -47,6 +47,16 @@ def test_map_level_is_pooled(row: Rows) -> None:
     assert metrics.map_median_m(rows) == pytest.approx(0.2)
 
 
+def test_uncertainty_and_confidence_are_counted_over_places(row: Rows) -> None:
+    rows = [
+        row(map_squared=[0.5, 5.9], outcomes=[(0.85, True), (0.85, False)]),
+        row("02", map_squared=[6.1, 7.5], outcomes=[(0.35, True), (0.95, True)]),
+    ]
+    assert metrics.map_within_95(rows) == pytest.approx(2 / 4)
+    assert metrics.map_nees(rows) == pytest.approx(20 / 4 / 2)
+    assert metrics.map_calibration_error(rows) == pytest.approx((2 * 0.35 + 0.65 + 0.05) / 4)
+
+
 def test_time_is_per_keyframe(row: Rows) -> None:
     rows = [row(keyframes=100, compute_s=0.5), row("02", keyframes=300, compute_s=0.7)]
     assert metrics.ms_per_keyframe(rows) == pytest.approx(3.0)

@@ -119,7 +119,7 @@ def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[R
             assert place["see"][0].startswith("interloc explain ")
     page = (out / "benchmark.html").read_text()
     assert "Town &amp; country" in page
-    assert page.count("data:image/") == 3 + 2  # boxes, curves, label errors, a map per preset
+    assert page.count("data:image/") == 4 + 2  # boxes, curves, label errors, reliability, a map per preset
     assert "http" not in page.replace("http://www.w3.org", "")
     assert "IV. Errors of the labels" in (out / "benchmark.txt").read_text()
     names = {path.name for path in (out / "figures").iterdir()}

@@ -9,7 +9,18 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from interloc.arrays import FloatArray
-from interloc.mapping.estimation import fuse_bearings, fuse_widths, position_std, robust_centres
+from interloc.config import CalibrationConfig
+from interloc.mapping.estimation import (
+    Sightings,
+    fix_variance,
+    fuse_bearings,
+    fuse_widths,
+    junction_probability,
+    position_covariance,
+    position_std,
+    robust_centres,
+    summarize_sightings,
+)
 
 
 def test_the_bulk_wins_over_the_outlier() -> None:
@@ -26,8 +37,11 @@ def test_sightings_of_one_window_count_as_about_one() -> None:
         n = len(travelled_m)
         return float(
             position_std(
-                np.zeros((n, 2)), np.ones(n), np.zeros(n, dtype=np.int64), travelled_m, np.zeros((1, 2)),
-                correlation_m=80.0, prior_std_m=0.7, clip_m=4.0,
+                summarize_sightings(
+                    np.zeros((n, 2)), np.ones(n), np.zeros(n, dtype=np.int64), travelled_m, np.zeros((1, 2)),
+                    score=np.ones(n), fix_std_m=np.full(n, np.nan), correlation_m=80.0, clip_m=4.0,
+                ),
+                prior_std_m=0.7,
             )[0]
         )  # fmt: skip
 
@@ -39,6 +53,52 @@ def test_sightings_of_one_window_count_as_about_one() -> None:
     share = np.maximum(0, 1 - np.abs(with_shares[:, None] - with_shares[None]) / 80)
     n_eff = 25 / share.sum()
     assert std(with_shares) == pytest.approx(0.7 * math.sqrt(2 / (n_eff + 1) / n_eff))
+
+
+CALIBRATION = CalibrationConfig(
+    fix_std_m=0.3,
+    line_std_m=0.5,
+    unclear_line_std_m=10,
+    shape_limit_m=100,
+    log_odds=1,
+    log_odds_seen=2,
+    log_odds_per_doubling=3,
+)
+
+
+def covariance_of(bearings_deg: list[float], *, scatter_m2: float = 0.0, score: float = 1.0) -> FloatArray:
+    sightings = Sightings(np.array([2.0]), np.array([scatter_m2]), np.array([score]), np.array([np.nan]))
+    covariance: FloatArray = position_covariance(sightings, [np.array(bearings_deg)], CALIBRATION)[0]
+    return covariance
+
+
+def test_a_right_angle_is_uncertain_in_all_directions_alike_an_acute_one_along_its_bisector() -> None:
+    """Two lines across each bearing: north and south fix the east, a single branch to the east fixes the north."""
+    assert_allclose(covariance_of([0, 90, 180]), [[0.125, 0], [0, 0.25]], atol=1e-4)
+    assert_allclose(covariance_of([0, 90, 180], scatter_m2=0.5), [[0.375, 0], [0, 0.5]], atol=1e-4)
+    variance, axes = np.linalg.eigh(covariance_of([20, 40]))
+    assert_allclose(
+        variance, [0.5**2 / 2 / np.cos(np.radians(10)) ** 2, 0.5**2 / 2 / np.sin(np.radians(10)) ** 2], rtol=1e-3
+    )
+    assert_allclose(np.abs(axes[:, 1]), [np.sin(np.radians(30)), np.cos(np.radians(30))], atol=1e-6)
+    unclear = covariance_of([0, 90, 180], score=0.9)
+    assert_allclose(unclear, [[(0.25 + 1) / 2, 0], [0, 0.25 + 1]], atol=1e-3)
+    assert np.all(np.linalg.eigvalsh(covariance_of([])) < 1.001e4)  # no branch at all: the limit
+
+
+def test_the_fix_is_as_uncertain_as_it_states_and_else_as_the_calibration_has_it() -> None:
+    sightings = Sightings(np.ones(2), np.zeros(2), np.ones(2), np.array([0.04, np.nan]))
+    assert_allclose(fix_variance(sightings, CALIBRATION), [0.04, 0.09])
+
+
+def test_more_sightings_and_lines_that_meet_in_a_point_make_a_junction_more_probable() -> None:
+    """The lines leave a variance of 1/8 m2; a scatter makes it 1, 1 and 4."""
+    crossing, bearings = np.array([0.0, 90.0, 180.0, 270.0]), 3
+    sightings = Sightings(np.ones(3), np.array([0.875, 0.875, 3.875]), np.ones(3), np.full(3, np.nan))
+    probability = junction_probability(np.array([1.0, 0.5, 1.0]), sightings, [crossing] * bearings, CALIBRATION)
+    assert_allclose(probability, 1 / (1 + np.exp([-3.0, -2.0, 0.0])), atol=1e-4)
+    parallel = junction_probability(np.ones(3), sightings, [crossing[::2]] * bearings, CALIBRATION)
+    assert np.all(parallel < 1e-3)
 
 
 def bearings_of(*sightings: list[float]) -> list[float]:

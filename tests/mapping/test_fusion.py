@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from interloc.arrays import FloatArray
-from interloc.config import FusionConfig
+from interloc.config import CalibrationConfig, FusionConfig
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
 from interloc.drive import Georeference
@@ -387,6 +387,22 @@ def test_the_uncertainty_is_honest() -> None:
             intersections, _ = run(stream)
             squared.append(errors(intersections, ONE)[0, 0] ** 2 / 2 / intersections.position_std_m[0] ** 2)
     assert 0.4 < np.mean(squared) < 2.5
+
+
+def test_a_calibration_changes_what_is_said_of_intersections_not_where_they_are() -> None:
+    keyframes, detections = town(0).tables()
+    plain, labels = fuse(keyframes, detections)
+    table, same = fuse(keyframes, detections, FusionConfig(), CalibrationConfig())
+    assert_array_equal(same, labels)
+    assert_array_equal(table.lonlat, plain.lonlat)
+    assert_allclose(plain.covariances, plain.position_std_m[:, None, None] ** 2 * np.eye(2))
+    assert_allclose(np.trace(table.covariances, axis1=1, axis2=2), 2 * table.position_std_m**2)
+    doubtful = CalibrationConfig(log_odds=-1)
+    bound = float(np.median(fuse(keyframes, detections, FusionConfig(), doubtful)[0].confidence))
+    sure, assigned = fuse(keyframes, detections, FusionConfig(min_confidence=bound), doubtful)
+    assert 0 < len(sure) < len(table)
+    assert sure.confidence.min() >= bound
+    assert sorted(set(assigned.tolist()) - {-1}) == list(range(len(sure)))
 
 
 # whatever comes ------------------------------------------------------------------------------------------------------

@@ -61,6 +61,7 @@ def small_result(*, local: bool = False, empty: bool = False) -> DriveResult:
             widths_m=[np.array([6.5, np.nan, 3.25])][:count],
             first_frame=np.array([0])[:count],
             last_frame=np.array([12])[:count],
+            position_cov_m2=np.array([[0.0625, 0.03, 0.0625]])[:count],
         ),
         trajectory_world_xy=np.array([[0.0, 0.0], [2.125, -1.0]]),
         trajectory_lonlat=None if local else fixes,

@@ -3,6 +3,7 @@
 import csv
 import gzip
 import json
+import math
 import resource
 import shutil
 import subprocess
@@ -168,18 +169,20 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
 
 
 def test_branches_and_uncertainty_are_as_large_as_they_say(scored: Path, tmp_path: Path) -> None:
-    branches, (circle,) = (features(scored, layer, tmp_path) for layer in DERIVED)
+    branches, (ellipse,) = (features(scored, layer, tmp_path) for layer in DERIVED)
     assert [each["properties"]["bearing_deg"] for each in branches] == [0.5, 90.75, 180.5]
     assert [each["properties"]["width_m"] for each in branches] == [6.5, None, 3.25]
     (lon, lat), (_, north) = branches[0]["geometry"]["coordinates"]
     assert (lon, lat) == (8.4205, 49.011)
     assert (north - lat) * 111.2e3 == pytest.approx(20.0, abs=0.05)
-    assert circle["properties"] | {"drive": ""} == {
-        "intersection": 1, "position_std_m": 0.25, "radius_m": 0.6119, "drive": ""
+    assert ellipse["properties"] | {"drive": ""} == {
+        "intersection": 1, "position_std_m": 0.25, "radius_m": 0.6119, "drive": "",
+        "semi_major_m": 0.7444, "semi_minor_m": 0.4413, "bearing_deg": 45.0,
     }  # fmt: skip
-    ring = shapely.geometry.shape(circle["geometry"])
+    ring = shapely.geometry.shape(ellipse["geometry"])
     assert ring.exterior.is_ccw
     assert (ring.bounds[3] - ring.bounds[1]) * 111.2e3 == pytest.approx(2 * 0.6119, abs=0.03)
+    assert ring.area * 111.2e3**2 * math.cos(math.radians(lat)) == pytest.approx(math.pi * 0.7445 * 0.4413, rel=0.1)
 
 
 def test_csv_is_safe_to_open_in_a_spreadsheet(tmp_path: Path) -> None:

@@ -26,6 +26,8 @@ NOTE_PATHS = """(() => {
   after("lineTo", (context, x, y) => context.noted.parts.at(-1).points.push([x, y]));
   after("rect", (context, x, y, w, h) => start(context, { points: [[x, y], [x + w, y + h]], radius: null }));
   after("arc", (context, x, y, radius) => Object.assign(context.noted.parts.at(-1), { points: [[x, y]], radius }));
+  after("ellipse", (context, x, y, radius) =>
+    Object.assign(context.noted.parts.at(-1), { points: [[x, y]], radius }));
   for (const [name, style] of [["stroke", "strokeStyle"], ["fill", "fillStyle"]]) {
     after(name, (context) => {
       const { canvas, noted } = context;
@@ -70,7 +72,7 @@ class Part:
     points : ndarray
         (N, 2) on the screen: the corners, of a ring its middle.
     radius : float or None
-        Of a ring.
+        Of a ring; of an ellipse its longer semi-axis.
     ink : int or None
         Alpha of the canvas where it lies, None where it lies outside.
     """

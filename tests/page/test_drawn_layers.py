@@ -132,12 +132,14 @@ def test_each_feature_has_its_sign(sheet: Any, scored: Scored, layer: str) -> No
     assert_ink(drawn.parts)
 
 
-def test_each_circle_is_as_wide_as_the_uncertainty(sheet: Any, scored: Scored) -> None:
+def test_each_ellipse_is_as_long_as_the_uncertainty(sheet: Any, scored: Scored) -> None:
     features = scored.features("intersections")
     drawn = sheet("uncertainty")
     assert_one_sign_each(np.array([part.middle for part in drawn.parts]), drawn.screen(features))
     for feature, place in zip(features, drawn.screen(features), strict=True):
-        radius = 2 * feature["properties"]["position_std_m"] * pixels_per_metre(drawn.page)
+        east, both, north = feature["properties"]["position_cov_m2"]
+        longest = np.linalg.eigvalsh([[east, both], [both, north]])[1]
+        radius = math.sqrt(-2 * math.log(0.05) * longest) * pixels_per_metre(drawn.page)
         assert radius > 2, "too small to be drawn at this scale"
         (part,) = [part for part in drawn.parts if math.dist(part.middle, place) < NEAR_PX]
         assert part.radius == pytest.approx(radius, rel=0.01)

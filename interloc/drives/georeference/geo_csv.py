@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from pathlib import Path
 
@@ -16,11 +17,15 @@ from interloc.geometry import rotation_from_rpy, rpy_from_rotation
 
 GEO_COLUMNS = ("frame", "lat_deg", "lon_deg", "alt_m", "roll_rad", "pitch_rad", "yaw_rad")
 
+STD_COLUMN = "position_std_m"
+"""Optional: one-sigma uncertainty of the position along each horizontal axis, metres; empty where it is unknown."""
+
 _DIGITS = (".9f", ".9f", ".3f", ".6f", ".6f", ".6f")
+_STD_DIGITS = ".4f"
 
 
 def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
-    """Read a geo.csv: frame, position and attitude of the LiDAR itself.
+    """Read a geo.csv: frame, position and attitude of the LiDAR itself, and if known the uncertainty of the position.
 
     Raises
     ------
@@ -33,7 +38,8 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
     if missing_columns:
         raise file.fault(f"no column {', '.join(missing_columns)}. Expected the header {','.join(GEO_COLUMNS)}.", 1)
     columns = [header.index(column) for column in GEO_COLUMNS]
-    rows = array("d")
+    std_column = header.index(STD_COLUMN) if STD_COLUMN in header else None
+    rows, stds = array("d"), array("d")
     for number, text in enumerate(lines[1:], start=2):
         if not text.strip():
             continue
@@ -41,6 +47,8 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
         if len(fields) != len(header):
             raise file.fault(f"{len(fields)} fields; expected {len(header)} as in the header.", number)
         rows.extend(file.numbers([fields[column] for column in columns], number))
+        if std_column is not None:
+            stds.extend(file.numbers([fields[std_column]], number) if fields[std_column].strip() else [math.nan])
     if not rows:
         raise file.fault("holds a header only. Expected one row per scan.")
     values = np.frombuffer(rows).reshape(-1, len(columns))
@@ -50,14 +58,16 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
         raise file.fault(
             f"{len(missing):,} of {len(frames):,} scans have no row: frames {listed(missing)}. Expected one per scan."
         )
-    chosen = values[first[np.searchsorted(numbers, frames)]]
-    poses = checked_fixes(file, chosen[:, 1:], frames)
+    chosen = first[np.searchsorted(numbers, frames)]
+    poses = checked_fixes(file, values[chosen, 1:], frames)
+    std = None if std_column is None else np.frombuffer(stds)[chosen]
     return Georeference(
         lat_deg=poses[:, 0].copy(),
         lon_deg=poses[:, 1].copy(),
         alt_m=poses[:, 2].copy(),
         R_enu_lidar=rotation_from_rpy(poses[:, 3], poses[:, 4], poses[:, 5]),
         source=f"{file.name} (poses of the LiDAR)",
+        position_std_m=None if std is None else np.where(std > 0, std, np.nan),
     )
 
 
@@ -71,9 +81,13 @@ def geo_csv_text(frames: IntArray, georeference: Georeference, *, exact: bool = 
     """
     columns = (georeference.lat_deg, georeference.lon_deg, georeference.alt_m)
     angles = rpy_from_rotation(georeference.R_enu_lidar)
-    rows = [",".join(GEO_COLUMNS)]
-    for frame, *values in np.column_stack([frames, *columns, angles]).tolist():
-        texts = map(repr, values) if exact else map(format, values, _DIGITS)
+    stds = [] if georeference.position_std_m is None else georeference.position_std_m.tolist()
+    rows = [",".join([*GEO_COLUMNS, *([STD_COLUMN] if stds else [])])]
+    for row, (frame, *values) in enumerate(np.column_stack([frames, *columns, angles]).tolist()):
+        texts = list(map(repr, values) if exact else map(format, values, _DIGITS))
+        if stds:
+            std = stds[row]
+            texts.append("" if math.isnan(std) else repr(std) if exact else format(std, _STD_DIGITS))
         rows.append(",".join([str(int(frame)), *texts]))
     return "\n".join(rows) + "\n"
 

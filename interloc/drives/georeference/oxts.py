@@ -23,6 +23,8 @@ from interloc.geometry import invert_transform, lonlat_from_enu, rotation_from_r
 
 OXTS_VALUES = 30
 
+_POS_ACCURACY = 23  # column: standard deviation of the position north and east, metres; 0 where there is none
+
 ODOMETRY_OF_RAW = {
     "2011_10_03_drive_0027": ("00", 0, 4540),
     "2011_10_03_drive_0042": ("01", 0, 1100),
@@ -153,10 +155,12 @@ def georeference_of_lidar(rows: FloatArray, T_lidar_imu: FloatArray, source: str
     R_enu_imu = rotation_from_rpy(rows[:, 3], rows[:, 4], rows[:, 5])
     offset = R_enu_imu @ T_imu_lidar[:3, 3]
     lonlat = lonlat_from_enu(rows[:, 0], rows[:, 1], offset[:, :2])
+    accuracy = rows[:, _POS_ACCURACY]
     return Georeference(
         lat_deg=lonlat[:, 1].copy(),
         lon_deg=lonlat[:, 0].copy(),
         alt_m=rows[:, 2] + offset[:, 2],
         R_enu_lidar=R_enu_imu @ T_imu_lidar[:3, :3],
         source=source,
+        position_std_m=np.where(accuracy > 0, accuracy, np.nan),
     )

@@ -24,7 +24,7 @@ const LAYERS = /** @type {Record<string, string>} */ ({
 /** Layers that an export makes of the intersections. */
 const DERIVED = /** @type {Record<string, string>} */ ({
   branches: "Branches, as lines",
-  uncertainty: "Uncertainty, as circles",
+  uncertainty: "Uncertainty, as ellipses",
 });
 
 /** Ending -> what its button says, of formats that hold one layer. */

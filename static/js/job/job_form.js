@@ -149,6 +149,7 @@ const SECTIONS = {
   compound: "Compound intersections",
   score: "Score of a detection",
   fusion: "Map of intersections",
+  calibration: "Uncertainty and confidence",
 };
 
 const UNITS = { m: "m", deg: "°", px: "px", widths: "road widths" };

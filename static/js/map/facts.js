@@ -4,6 +4,7 @@
  */
 import { medianError } from "../data/results.js";
 import { el, formatDuration, formatMetres, formatPercent, plural } from "../dom.js";
+import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { kindOfNode, verdictOf } from "./layers.js";
 import { coordinates } from "./links.js";
 
@@ -67,6 +68,13 @@ export function whyOf({ kind, item }, result) {
   return error_m === null ? "No OSM intersection in its region of interest." : null;
 }
 
+/** @param {any} properties @returns {string} Semi-axes of the ellipse, and where the longer one points. */
+function ellipseText(properties) {
+  const { major, minor, bearing } = ellipseOf(properties);
+  const axes = `${(SIGMAS_95 * major).toFixed(1)} × ${formatMetres(SIGMAS_95 * minor, 1)}`;
+  return minor > 0.95 * major ? axes : `${axes}, longest toward ${Math.round((bearing * 180) / Math.PI)}°`;
+}
+
 /** @param {string} text @returns {string} */
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}.`;
 
@@ -85,6 +93,7 @@ export function factsOf({ kind, item }, result) {
   const facts = {
     intersection: () => [
       ["Uncertainty (1 σ)", formatMetres(p.position_std_m)],
+      p.position_cov_m2 && ["Semi-axes of 95 %", ellipseText(p)],
       ["Confidence", formatPercent(p.confidence)],
       ["Detections", String(p.observations)],
       ["Seen in scans", `${p.first_frame} to ${p.last_frame}`],

@@ -29,9 +29,9 @@ export const LAYERS = [
   layer(
     "uncertainty",
     "Intersections",
-    "Uncertainty (2 σ)",
+    "Uncertainty (95 %)",
     "line uncertainty",
-    "It lies in the circle with a chance of 86 %.",
+    "It lies in the ellipse with a chance of 95 %.",
   ),
   layer("branches", "Intersections", "Branches", "line branch", "Bearings of the roads that leave an intersection."),
   layer("found", "OSM intersections", "Found", "found", "An intersection of the map is assigned to it, within 10 m."),

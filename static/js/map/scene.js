@@ -2,6 +2,7 @@
  * A result on the surface: positions projected once, painted layer by layer, found again under the pointer.
  * @module map/scene
  */
+import { ellipseOf, SIGMAS_95 } from "./ellipse.js";
 import { passes } from "./filter.js";
 import { kindOfNode, verdictOf } from "./layers.js";
 import { paintStreetNames } from "./street_names.js";
@@ -228,9 +229,13 @@ export class Scene {
     const { xs, ys, items } = this.intersections;
     context.beginPath();
     items.forEach((item, i) => {
-      const r = 2 * (item.properties.position_std_m ?? 0) * view.perMetre;
+      const { major, minor, bearing } = ellipseOf(item.properties);
+      const r = SIGMAS_95 * major * view.perMetre;
       const [x, y] = [view.x(xs[i]), view.y(ys[i])];
-      if (r > 2 && view.shows(x, y, r) && passes(item)) trace(context, "ring", x, y, r);
+      if (r <= 2 || !view.shows(x, y, r) || !passes(item)) return;
+      const turn = bearing - Math.PI / 2; // of the canvas: clockwise from east
+      context.moveTo(x + r * Math.cos(turn), y + r * Math.sin(turn));
+      context.ellipse(x, y, r, SIGMAS_95 * minor * view.perMetre, turn, 0, 2 * Math.PI);
     });
     context.fillStyle = colour("--fused");
     context.globalAlpha = 0.28;

@@ -48,14 +48,14 @@ const COLUMNS = [
   },
   {
     name: "±",
-    meaning: "Uncertainty of the position by the spread of the detections, metres (1 σ).",
+    meaning: "Uncertainty of the position, metres (1 σ along each axis).",
     value: ({ properties: p }) => p.position_std_m,
     text: ({ properties: p }) => p.position_std_m?.toFixed(2),
     down: true,
   },
   {
     name: "Conf.",
-    meaning: "Confidence, from how often it was seen when it could have been, percent.",
+    meaning: "Confidence: probability that a road junction is within 10 m, percent.",
     value: ({ properties: p }) => p.confidence,
     text: ({ properties: p }) => `${Math.round(100 * p.confidence)} %`,
   },

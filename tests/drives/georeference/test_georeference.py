@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -14,7 +15,7 @@ import pytest
 from interloc.arrays import FloatArray
 from interloc.drive import Georeference
 from interloc.drives.files import GeoreferenceFile, SourceFile
-from interloc.drives.georeference.geo_csv import read_geo_csv
+from interloc.drives.georeference.geo_csv import geo_csv_text, read_geo_csv
 from interloc.drives.georeference.geodetic import ecef_poses, poses_of
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW, raw_offset, read_oxts_rows
 from interloc.drives.georeference.read import georeference_of_lidar, read_georeference
@@ -176,6 +177,18 @@ def test_raw_drive_of_another_sequence(tmp_path: Path) -> None:
 def test_the_published_table_is_whole() -> None:
     assert sorted(sequence for sequence, _, _ in ODOMETRY_OF_RAW.values()) == [f"{n:02d}" for n in range(11) if n != 3]
     assert ODOMETRY_OF_RAW["2011_09_30_drive_0028"] == ("08", 1100, 5170)
+
+
+def test_what_oxts_state_of_their_accuracy_survives_a_geo_csv(tmp_path: Path) -> None:
+    rows = np.zeros((3, 30))
+    rows[:, :2] = [49.0, 8.4]
+    rows[:, 23] = [0.02, 0.0, 0.5]  # 0: unknown
+    georeference = georeference_of_lidar(rows, np.eye(4), "oxts")
+    (tmp_path / "geo.csv").write_text(geo_csv_text(np.arange(3), georeference, exact=True))
+    back = read_geo_csv(GeoreferenceFile(tmp_path / "geo.csv", tmp_path), np.arange(3))
+    np.testing.assert_array_equal(back.position_std_m, [0.02, np.nan, 0.5])
+    without = geo_csv_text(np.arange(3), replace(georeference, position_std_m=None))
+    assert without.splitlines()[0].endswith("yaw_rad")
 
 
 def test_earth_fixed_poses_agree_with_proj() -> None:

@@ -4,6 +4,7 @@ import { test } from "node:test";
 import { distanceM } from "../../../static/js/data/frame.js";
 import { lineOf, medianError } from "../../../static/js/data/results.js";
 import { formatDate } from "../../../static/js/dom.js";
+import { ellipseOf } from "../../../static/js/map/ellipse.js";
 import { matches } from "../../../static/js/map/filter.js";
 import { kindOfNode, layersOn } from "../../../static/js/map/layers.js";
 import { coordinates, linksAt, noteText } from "../../../static/js/map/links.js";
@@ -134,4 +135,14 @@ test("a line across the antimeridian is one line again", () => {
   assert.deepEqual(lineOf({ type: "MultiLineString", coordinates: parts }), parts.flat());
   assert.deepEqual(lineOf({ type: "LineString", coordinates: parts[0] }), parts[0]);
   assert.deepEqual(lineOf(null), []);
+});
+
+test("an ellipse has the axes of its covariance, and is a circle in results before covariances", () => {
+  const { major, minor, bearing } = ellipseOf({ position_cov_m2: [2.5, 1.5, 2.5], position_std_m: 1.58 });
+  assert.deepEqual(
+    [major, minor, (bearing * 180) / Math.PI].map((each) => Math.round(1e6 * each) / 1e6),
+    [2, 1, 45],
+  );
+  assert.equal(ellipseOf({ position_cov_m2: [4, 0, 1] }).bearing, Math.PI / 2);
+  assert.deepEqual(ellipseOf({ position_std_m: 0.5 }), { major: 0.5, minor: 0.5, bearing: 0 });
 });

@@ -1,0 +1,125 @@
+"""Whether what an intersection says of itself is true: its uncertainty against errors, its confidence against facts.
+
+Counted over intersections of the map, not over their sightings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from interloc.arrays import BoolArray, FloatArray
+from interloc.evaluation.map_level import MapLevel
+from interloc.evaluation.matching import UNMATCHED
+from interloc.geometry import enu_from_lonlat
+from interloc.results import IntersectionTable
+
+BOUND_95 = 5.991464547107979
+"""Squared distance in sigmas that holds 95 % of a normal distribution in the plane: -2 ln 0.05, 2.45 squared."""
+
+BINS = 10
+_RESAMPLES = 1000
+_INTERVAL = (2.5, 97.5)
+
+Statistic = Callable[..., float]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure with its bootstrap interval of 95 %.
+
+    Attributes
+    ----------
+    value, low, high : float or None
+        None where there is nothing to count.
+    count : int
+        Number of places behind it.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    count: int
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Places of about the same confidence.
+
+    Attributes
+    ----------
+    confidence, right : float
+        Mean confidence; share that is right.
+    count : int
+    """
+
+    confidence: float
+    right: float
+    count: int
+
+
+def squared_errors(intersections: IntersectionTable, level: MapLevel, node_lonlat: FloatArray) -> FloatArray:
+    """Return the error of each intersection in units of its covariance, squared: e^T C^-1 e.
+
+    Parameters
+    ----------
+    intersections : IntersectionTable
+        M, with longitude and latitude.
+    level
+        Their nodes.
+    node_lonlat : (N, 2) float64
+        Degrees.
+
+    Returns
+    -------
+    (M,) float64
+        NaN for those that no node is assigned to. Of errors as large as said, the mean is 2 (the dimensions of the
+        plane) and 95 % are at most `BOUND_95`.
+    """
+    squared = np.full(len(intersections), np.nan)
+    rows = np.flatnonzero(level.node != UNMATCHED)
+    if len(rows):
+        assert intersections.lonlat is not None
+        lonlat = intersections.lonlat[rows]
+        error = enu_from_lonlat(lonlat[:, 1], lonlat[:, 0], node_lonlat[level.node[rows]])
+        covariance = intersections.covariances[rows] + 1e-12 * np.eye(2)
+        squared[rows] = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    return squared
+
+
+def share_within(squared: FloatArray) -> float:
+    """Return the share of squared errors within the ellipse of 95 %."""
+    return float(np.mean(squared <= BOUND_95))
+
+
+def squared_per_dimension(squared: FloatArray) -> float:
+    """Return the normalised estimation error squared per degree of freedom (Bar-Shalom et al. 2001, 5.4): 1 if true."""
+    return float(np.mean(squared)) / 2.0
+
+
+def calibration_error(confidence: FloatArray, right: BoolArray) -> float:
+    """Return the expected calibration error over `BINS` bins of equal width (Naeini et al. 2015; Guo et al. 2017)."""
+    return sum(each.count * abs(each.right - each.confidence) for each in bins_of(confidence, right)) / len(confidence)
+
+
+def bins_of(confidence: FloatArray, right: BoolArray) -> list[Bin]:
+    """Return the bins of a reliability diagram that hold any place."""
+    number = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
+    members = [np.flatnonzero(number == each) for each in range(BINS)]
+    return [Bin(float(confidence[m].mean()), float(right[m].mean()), len(m)) for m in members if len(m)]
+
+
+def with_interval(statistic: Statistic, *columns: FloatArray | BoolArray) -> Interval:
+    """Return a figure of some places with the interval of its bootstrap: places drawn anew, with replacement."""
+    count = len(columns[0])
+    if not count:
+        return Interval(None, None, None, 0)
+    rng = np.random.default_rng(0)
+    drawn = []
+    for _ in range(_RESAMPLES):
+        rows = rng.integers(0, count, count)
+        drawn.append(statistic(*(column[rows] for column in columns)))
+    low, high = np.percentile(drawn, _INTERVAL)
+    return Interval(statistic(*columns), float(low), float(high), count)

@@ -1,0 +1,51 @@
+"""Uncertainty and confidence against the truth, from literal arrays."""
+
+import numpy as np
+import pytest
+
+from interloc.evaluation.map_level import MapLevel
+from interloc.evaluation.reliability import (
+    BOUND_95,
+    bins_of,
+    calibration_error,
+    share_within,
+    squared_errors,
+    squared_per_dimension,
+    with_interval,
+)
+from interloc.geometry import lonlat_from_enu
+from interloc.results import IntersectionTable
+
+
+def test_an_error_counts_in_units_of_its_own_covariance() -> None:
+    """An ellipse of 2 m to the east and 1 m to the north, a circle of 0.5 m, and an intersection without a node."""
+    lonlat = lonlat_from_enu(49.0, 8.4, np.array([[0.0, 0.0], [100.0, 0.0], [200.0, 0.0]]))
+    nodes = lonlat_from_enu(49.0, 8.4, np.array([[100.0, 1.0], [2.0, 1.0]]))
+    ids = np.arange(1, 4)
+    zero = np.zeros((3, 2))
+    covariance = np.array([[4.0, 0.0, 1.0], [0.25, 0.0, 0.25], [1.0, 0.0, 1.0]])
+    table = IntersectionTable(ids, zero, lonlat, np.ones(3), ids, np.ones(3), [], ids, ids, covariance)
+    node, counts = np.array([1, 0, -1]), np.ones(3, dtype=np.bool_)
+    level = MapLevel(node, np.array([2.2, 1.0, np.inf]), counts, counts[:2], counts[:2], 10.0)
+    assert squared_errors(table, level, nodes) == pytest.approx([2.0, 4.0, np.nan], rel=1e-4, nan_ok=True)
+
+
+def test_normal_errors_are_true_to_their_uncertainty() -> None:
+    squared = np.sum(np.random.default_rng(0).normal(size=(20_000, 2)) ** 2, axis=1)
+    assert share_within(squared) == pytest.approx(0.95, abs=0.005)
+    assert squared_per_dimension(squared) == pytest.approx(1.0, abs=0.02)
+    assert share_within(np.array([BOUND_95, BOUND_95 + 1e-9])) == 0.5
+    interval = with_interval(share_within, squared[:100])
+    assert interval.low is not None
+    assert interval.high is not None
+    assert interval.low <= 0.95 <= interval.high
+    assert with_interval(share_within, np.zeros(0)).value is None
+
+
+def test_the_calibration_error_is_that_of_the_bins() -> None:
+    confidence = np.array([0.92, 0.98, 0.91, 0.99, 0.2, 1.0])
+    right = np.array([True, True, False, True, True, True])
+    low, high = bins_of(confidence, right)
+    assert (low.count, low.right, high.count, high.right) == (1, 1.0, 5, 0.8)
+    assert high.confidence == pytest.approx(0.96)
+    assert calibration_error(confidence, right) == pytest.approx((0.8 + 5 * 0.16) / 6)

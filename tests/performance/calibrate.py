@@ -1,0 +1,277 @@
+"""Fits uncertainty and confidence: `tests/performance/calibrate.py -o OUT --kitti DIR --twins DIR --drive DRIVE MAP`.
+
+From the project's folder, with PYTHONPATH=. there. Prints the settings `calibration.*` of the preset, and how true they
+are on drives that they were not fitted to. What is true is the map: a node of policy `drive` assigned to an
+intersection, one to one, within 10 m. For twins (`interloc benchmark twins --keep`) it is so by construction.
+
+Drives go together by their maps (00.osm.gz): those of one sequence share their junctions, so a sequence is either
+fitted to or held out, in all its seeds. Simulated and recorded drives have the same weight in all. Three fits are made:
+to the sequences of --fit; to all but one sequence, for each in turn (cross-validation); and to all. Detections are kept
+in OUT as long as drives, settings and detector stay the same, so a second fit takes seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pickle
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import click
+import numpy as np
+from scipy.optimize import minimize
+
+import interloc
+from interloc.arrays import FloatArray
+from interloc.benchmark.cases import FolderCase, TwinCase
+from interloc.benchmark.fingerprint import file_facts, fingerprint, imported_by
+from interloc.config import PRESETS, CalibrationConfig, DetectorConfig
+from interloc.drive import Drive
+from interloc.drives.label_errors import MislabelledDrive
+from interloc.evaluation.evaluate import evaluate
+from interloc.evaluation.label_errors import parse_level
+from interloc.evaluation.reliability import (
+    Interval,
+    calibration_error,
+    share_within,
+    squared_per_dimension,
+    with_interval,
+)
+from interloc.geometry import enu_from_lonlat
+from interloc.mapping.estimation import Sightings, fix_variance, junction_probability, position_covariance
+from interloc.mapping.fusion import evidence, fuse
+from interloc.osm.reader import read_osm
+from interloc.pipeline import detect
+from interloc.results import DriveResult
+
+Case = FolderCase | TwinCase
+
+FITTED = ("line_std_m", "unclear_line_std_m", "shape_limit_m")
+WEIGHTS = ("log_odds", "log_odds_seen", "log_odds_per_doubling")
+START = CalibrationConfig()
+_LOG_SPREAD = 1.0
+"""Of the prior of each standard deviation, about its start: weak, for sets that say nothing of one of them."""
+_WEIGHT_SPREAD = 10.0
+
+
+@dataclass(frozen=True)
+class Places:
+    """The N intersections of a drive with what is known and what is true of them.
+
+    Attributes
+    ----------
+    sequence, kind : str
+        Name of its map; "simulated" or "recorded", and the level of label errors.
+    sightings : Sightings
+    seen : (N,) float64
+    bearings_deg : list of N (B,) float64
+    error : (N, 2) float64
+        East and north of the intersection to its node, NaN for none.
+    counts, kept : (N,) bool
+        In the relevant zone of a keyframe; part of the map.
+    """
+
+    sequence: str
+    kind: str
+    sightings: Sightings
+    seen: FloatArray
+    bearings_deg: list[FloatArray]
+    error: FloatArray
+    counts: FloatArray
+    kept: FloatArray
+
+    @property
+    def right(self) -> FloatArray:
+        """(N,) bool, whether a node is assigned."""
+        return np.isfinite(self.error[:, 0])
+
+    def covariances(self, calibration: CalibrationConfig) -> FloatArray:
+        """Return the (N, 2, 2) covariances."""
+        covariance = position_covariance(self.sightings, self.bearings_deg, calibration)
+        return covariance + fix_variance(self.sightings, calibration)[:, None, None] * np.eye(2)
+
+    def squared(self, calibration: CalibrationConfig) -> FloatArray:
+        """Return the normalised squared errors of the right ones."""
+        covariance, error = self.covariances(calibration)[self.right], self.error[self.right]
+        squared: FloatArray = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+        return squared
+
+    def confidence(self, calibration: CalibrationConfig) -> FloatArray:
+        """Return the (N,) probabilities."""
+        return junction_probability(self.seen, self.sightings, self.bearings_deg, calibration)
+
+
+@contextmanager
+def opened(case: Case, level: str, out: Path) -> Iterator[Drive]:
+    """Give a drive, with label errors if the level says so."""
+    with case.opened(out) as drive:
+        r_fpr, r_fnr = parse_level(level)
+        yield MislabelledDrive(drive, r_fpr, r_fnr, case.seed or 0) if r_fpr or r_fnr else drive
+
+
+def detected(case: Case, name: str, level: str, config: DetectorConfig, out: Path) -> DriveResult:
+    """Detect on a drive, or take what is kept of it."""
+    package = Path(interloc.__file__).parent
+    program = imported_by(package / "detection") - {package / "config.py"}  # what matters of it is below
+    facts = {
+        "drive": case.facts(),
+        "level": level,
+        "config": config.model_dump(mode="json", exclude={"fusion", "calibration"}),
+        "program": file_facts(sorted(program)),
+    }
+    path, mark = out / f"{name}_{level.replace('/', '-')}.pickle", fingerprint(facts)
+    if path.exists():
+        known, result = pickle.loads(path.read_bytes())  # noqa: S301 - written by this program
+        if known == mark:
+            assert isinstance(result, DriveResult)
+            return result
+    click.echo(f"detects on {name}, label errors {level}")
+    with opened(case, level, out) as drive:
+        result = replace(detect(drive, config), road=())
+    path.write_bytes(pickle.dumps((mark, result)))
+    return result
+
+
+def places_of(result: DriveResult, case: Case, kind: str, config: DetectorConfig) -> Places:
+    """Fuse what was detected, also what is seen too rarely for the map, and ask the map."""
+    generous = config.fusion.model_copy(update={"min_observations": 1, "min_confidence": 0.0})
+    table, labels = fuse(result.keyframes, result.detections, generous)
+    detections = replace(result.detections, intersection=labels)
+    evaluation = evaluate(replace(result, detections=detections, intersections=table), read_osm(case.osm))
+    node, nodes = evaluation.map_level.node, evaluation.nodes.lonlat
+    error = np.full((len(table), 2), np.nan)
+    rows = np.flatnonzero(node >= 0)
+    if len(rows) and table.lonlat is not None:
+        lonlat = table.lonlat[rows]
+        error[rows] = enu_from_lonlat(lonlat[:, 1], lonlat[:, 0], nodes[node[rows]])
+    sightings, seen = evidence(result.keyframes, detections, table, config.fusion)
+    kept = (table.confidence >= config.fusion.min_confidence) & (table.observations >= config.fusion.min_observations)
+    return Places(
+        case.osm.name[:2], kind, sightings, seen, table.bearings_deg, error, evaluation.map_level.counts, kept
+    )
+
+
+def weights_of(drives: list[Places]) -> FloatArray:
+    """Return the weight of the places of each drive: those of simulated and of recorded drives add up to the same."""
+    simulated = np.array([each.kind.startswith("simulated") for each in drives])
+    count = np.array([len(each.seen) for each in drives])
+    weight = np.ones(len(drives))
+    for these in (simulated, ~simulated):
+        if simulated.any() and not simulated.all():
+            weight[these] = count.sum() / 2.0 / count[these].sum()
+    return weight
+
+
+def fit(drives: list[Places]) -> CalibrationConfig:
+    """Return the settings of largest posterior: errors are normal, outcomes Bernoulli."""
+
+    def with_stds(logs: FloatArray) -> CalibrationConfig:
+        return START.model_copy(update=dict(zip(FITTED, np.exp(logs).tolist(), strict=True)))
+
+    def misfit_of_errors(logs: FloatArray) -> float:
+        calibration = with_stds(logs)
+        total = float(np.sum((logs - start) ** 2)) / 2 / _LOG_SPREAD**2
+        for drive, w in zip(drives, weight, strict=True):
+            covariance = drive.covariances(calibration)[drive.right]
+            total += 0.5 * w * float(np.sum(np.log(np.linalg.det(covariance))) + np.sum(drive.squared(calibration)))
+        return total
+
+    weight = weights_of(drives)
+    start = np.log([getattr(START, name) for name in FITTED])
+    found = minimize(misfit_of_errors, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-3})
+    calibration = with_stds(found.x)
+
+    def probabilities(weights: FloatArray) -> FloatArray:
+        trial = calibration.model_copy(update=dict(zip(WEIGHTS, weights.tolist(), strict=True)))
+        return np.concatenate([each.confidence(trial) for each in drives])[counts]
+
+    counts = np.concatenate([each.counts for each in drives])
+    right = np.concatenate([each.right for each in drives])[counts]
+    of_place = np.repeat(weight, [len(each.seen) for each in drives])[counts]
+
+    def misfit_of_outcomes(weights: FloatArray) -> float:
+        chance = np.where(right, probabilities(weights), 1.0 - probabilities(weights))
+        prior = float(np.sum(weights**2)) / 2 / _WEIGHT_SPREAD**2
+        return prior - float(np.sum(of_place * np.log(np.maximum(chance, 1e-12))))
+
+    weights = minimize(misfit_of_outcomes, np.ones(3), bounds=[(None, None), (0, None), (0, None)]).x
+    return calibration.model_copy(update=dict(zip(WEIGHTS, weights.tolist(), strict=True)))
+
+
+def reliability(drives: Iterable[tuple[Places, CalibrationConfig]]) -> tuple[Interval, Interval, Interval]:
+    """Return the share within 95 %, squared error per dimension and calibration error of what is on the map."""
+    pairs = list(drives)
+    squared = [each.squared(calibration)[each.kept[each.right]] for each, calibration in pairs]
+    shown = [each.kept & each.counts for each, _ in pairs]
+    confidence = [each.confidence(calibration)[m] for (each, calibration), m in zip(pairs, shown, strict=True)]
+    right = [each.right[m] for (each, _), m in zip(pairs, shown, strict=True)]
+    errors = np.concatenate(squared or [np.zeros(0)])
+    return (
+        with_interval(share_within, errors),
+        with_interval(squared_per_dimension, errors),
+        with_interval(calibration_error, np.concatenate(confidence or [np.zeros(0)]), np.concatenate(right or [[]])),
+    )
+
+
+def say(title: str, drives: list[tuple[Places, CalibrationConfig]]) -> None:
+    """Print how true the settings are on some drives, by their kinds."""
+    click.echo(f"\n{title}\n  {'':28s} places  within 95 %          squared per dimension  calibration error")
+    for kind in sorted({each.kind for each, _ in drives}):
+        within, squared, wrong = reliability(pair for pair in drives if pair[0].kind == kind)
+        cells = [
+            f"{scale * v.value:.{n}f} ({scale * v.low:.{n}f} to {scale * v.high:.{n}f})"
+            if None not in {v.value, v.low, v.high}
+            else "-"
+            for v, scale, n in ((within, 100, 0), (squared, 1, 2), (wrong, 100, 1))
+        ]
+        click.echo(f"  {kind:28s} {wrong.count:6d}  {cells[0]:20s} {cells[1]:22s} {cells[2]}")
+
+
+def main() -> None:
+    """Detect, fit, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--out", type=Path, required=True, help="Folder that keeps the detections.")
+    parser.add_argument("--kitti", type=Path, help="Folder with oxts/, poses_suma/, osm/, ... of the twins.")
+    parser.add_argument("--twins", type=Path, help="Folder that keeps the twins.")
+    parser.add_argument("--sequences", nargs="*", default=["00", "02", "05", "06", "07", "08", "09", "10"])
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--levels", nargs="*", default=["0/0"], help="Label errors of simulated drives, as 20/20.")
+    parser.add_argument("--drive", nargs=2, type=Path, action="append", default=[], metavar=("DRIVE", "MAP"))
+    parser.add_argument("--fit", nargs="*", default=["00", "05", "07", "08"], help="Sequences to fit to.")
+    parser.add_argument("--preset", default="default")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    config = PRESETS[given.preset]
+    cases: list[tuple[str, Case]] = []
+    if given.kitti is not None:
+        twins = [
+            TwinCase(given.kitti, n, seed, keep=given.twins) for n in given.sequences for seed in range(given.seeds)
+        ]
+        cases += [(f"{twin.name}_seed{twin.seed}", twin) for twin in twins]
+    cases += [("_".join(path.parts[-2:]), FolderCase(path.name, path, osm)) for path, osm in given.drive]
+    drives = []
+    for name, case in cases:
+        simulated = isinstance(case, TwinCase) or (case.path / "simulation.json").exists()
+        for level in given.levels if simulated else ["0/0"]:
+            kind = "recorded" if not simulated else f"simulated {level}" if level != "0/0" else "simulated"
+            drives.append(places_of(detected(case, name, level, config, given.out), case, kind, config))
+
+    chosen = fit([each for each in drives if each.sequence in given.fit])
+    say(f"fitted to {' '.join(given.fit)}: the same", [(d, chosen) for d in drives if d.sequence in given.fit])
+    say("  the others", [(d, chosen) for d in drives if d.sequence not in given.fit])
+    without = {name: fit([d for d in drives if d.sequence != name]) for name in {d.sequence for d in drives}}
+    say("fitted to all other sequences", [(d, without[d.sequence]) for d in drives])
+    total = fit(drives)
+    say("fitted to all", [(d, total) for d in drives])
+    shown = partial(json.dumps, indent=1)
+    names = [*FITTED, *WEIGHTS]
+    click.echo(f"\nfitted to {' '.join(given.fit)}: {shown({name: round(getattr(chosen, name), 2) for name in names})}")
+    click.echo(f"fitted to all: {shown({name: round(getattr(total, name), 2) for name in names})}")
+
+
+if __name__ == "__main__":
+    main()
