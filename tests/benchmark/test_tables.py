@@ -142,6 +142,6 @@ def test_sensors_side_by_side(row: Rows) -> None:
     assert lines["vlp-16", "preset default"] == ("2.00", "100.0", "66.7", "2/4", "5.0")
     assert lines["vlp-16", "preset default, causal"] == ("9.00", "0.0", "–", "1/2", "5.0")  # noqa: RUF001
     assert lines["hdl-64e", "preset default"] == ("0.50", "100.0", "100.0", "1/2", "5.0")
-    first, second = tables(measured)
+    first, second, _ = tables(measured)
     assert first.title == "Performance per sensor"
     assert second.header == ("", "", *drives)  # pooling over sensors would mean nothing

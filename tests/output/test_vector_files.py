@@ -150,7 +150,7 @@ def test_a_name_may_use_hyphens_and_an_older_file_is_replaced(scored: Path, tmp_
 
 
 def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"\.shp.*Expected one of \.gpkg, \.fgb, \.kml, \.csv"):
+    with pytest.raises(ConfigError, match=r"\.shp.*Expected one of \.gpkg, \.qgz, \.fgb, \.kml"):
         write_vector_file(scored, tmp_path / "a.shp")
     with pytest.raises(ConfigError, match="'streets' is not a layer"):
         write_vector_file(scored, tmp_path / "a.fgb", layer="streets")
