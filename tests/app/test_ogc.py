@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -13,7 +15,6 @@ from typing import Any
 import cql2
 import httpx
 import numpy as np
-import pyogrio
 import pytest
 from sqlalchemy import update
 
@@ -118,8 +119,14 @@ def add_drive(context: Context, name: str, lonlat: FloatArray, **options: Any) -
         session.add(drive)
         session.flush()
         for number, age in enumerate(("old", "new")):
-            values = {"kind": "intersections", "state": "successful", "owner": "me", "created_at": float(number)}
-            session.add(Job(id=f"{name}-{age}", drive_id=name, request={"preset": "paper"}, **values))
+            values = {
+                "kind": "intersections",
+                "state": "successful",
+                "owner": "me",
+                "created_at": 1.0 + number,
+                "finished_at": 9.0,
+            }
+            session.add(Job(id=f"{name}-{age}", drive_id=name, request={"preset": "paper"}, summary={}, **values))
     write_result(context.storage.folder(f"jobs/{name}-old/result"), line((8.4, 49.0), 2))
     write_result(context.storage.folder(f"jobs/{name}-new/result"), lonlat, **options)
     return f"{name}-new"
@@ -224,7 +231,7 @@ def see_collection(gis: Gis) -> None:
 
 
 def see_items(gis: Gis) -> None:
-    answer = gis.get("/ogc/collections/detections/items", limit=3)
+    answer = gis.get("/ogc/collections/detections/items", limit=3, filter="job = 'town-new'")
     assert answer.headers["content-type"] == "application/geo+json"
     first = answer.json()["features"][0]
     of_result = {"drive": "Straße town", "job": "town-new", "preset": "paper", "labels": "predictions"}
@@ -387,9 +394,10 @@ FILTERS = [
 def holds(expression: cql2.Expr, feature: dict[str, Any]) -> bool:
     try:
         return bool(expression.matches(feature))
-    except Exception as error:  # noqa: BLE001 - it has no other
-        assert "reduce" in str(error), "of null, which is neither true nor false"
-        return False
+    except Exception as error:
+        if "reduce" not in str(error):
+            raise
+        return False  # null is neither true nor false
 
 
 def test_filters_find_what_the_package_finds_one_by_one(gis: Gis) -> None:
@@ -478,34 +486,49 @@ def test_hostile_filters_are_refused_soon(gis: Gis) -> None:
     for text in HOSTILE:
         for language in ("cql2-text", "cql2-json"):
             began = time.process_time()
-            answer = gis.get("/ogc/collections/detections/items", filter=text[:40_000], **{"filter-lang": language})
+            answer = gis.get("/ogc/collections/detections/items", filter=text[:20_000], **{"filter-lang": language})
             assert answer.status_code == 400, (text[:80], language, answer.text[:200])
             assert answer.json()["type"] in {"/problems/filter-not-valid", "/problems/request-not-valid"}
             assert time.process_time() - began < 2.0, text[:80]
     assert read_filter("frame = 1", "cql2-text", collection).equal == {}
 
 
+READ_BY_GDAL = """
+import json, sys
+import pyogrio
+
+address, token = sys.argv[1:]
+of_all, of_job = f"OAPIF:{address}/ogc", f"OAPIF:{address}/api/v1/jobs/fiji-new/ogc"
+found = {"drives": pyogrio.read_info(of_all, layer="drives", USERPWD=f"qgis:{token}")["features"]}
+pyogrio.set_gdal_config_options({"GDAL_HTTP_AUTH": "BEARER", "GDAL_HTTP_BEARER": token})
+found["layers"] = [name for name, _ in pyogrio.list_layers(of_all)]
+info = pyogrio.read_info(of_all, layer="detections")
+found["types"] = dict(zip(info["fields"], info["dtypes"]))
+found["count"] = info["features"]
+every = pyogrio.read_dataframe(of_all, layer="detections")
+found["every"] = [len(every), str(every.crs), every[every.job == "town-new"].geometry.iloc[0].coords[0]]
+found["box"] = len(pyogrio.read_dataframe(of_all, layer="detections", bbox=(8.3999, 48.9, 8.400095, 49.1)))
+found["where"] = len(pyogrio.read_dataframe(of_all, layer="detections", where="outcome = 'wrong' AND frame < 100"))
+found["matches"] = len(pyogrio.read_dataframe(of_job, layer="matches"))
+print(json.dumps(found))
+"""
+
+
 def test_gdal_reads_all_layers_by_a_password_and_by_a_header(gis: Gis) -> None:
-    address = f"OAPIF:{gis.address}/ogc"
-    try:
-        assert pyogrio.read_info(address, layer="drives", USERPWD=f"qgis:{TOKEN}")["features"] == 3
-        pyogrio.set_gdal_config_options({"GDAL_HTTP_HEADERS": f"Authorization: Bearer {TOKEN}"})
-        assert [name for name, _ in pyogrio.list_layers(address)] == list(OF_ALL)
-        info = pyogrio.read_info(address, layer="detections")
-        types = dict(zip(info["fields"], info["dtypes"], strict=True))
-        assert types["time"].startswith("datetime64"), "though the first page has none"
-        assert (types["error_m"], types["frame"], types["osm_id"]) == ("float64", "int32", "int64")
-        assert info["features"] == COUNT + 220
-        every = pyogrio.read_dataframe(address, layer="detections")
-        assert len(every) == COUNT + 220
-        assert every.crs == "EPSG:4326"
-        assert every.geometry.iloc[0].coords[0] == TOWN
-        assert len(pyogrio.read_dataframe(address, layer="detections", bbox=(8.3999, 48.9, 8.400095, 49.1))) == 10
-        wrong = pyogrio.read_dataframe(address, layer="detections", where="outcome = 'wrong' AND frame < 100")
-        assert len(wrong) == 50
-        assert len(pyogrio.read_dataframe(f"OAPIF:{gis.address}/api/v1/jobs/fiji-new/ogc", layer="matches")) == 9
-    finally:
-        pyogrio.set_gdal_config_options({"GDAL_HTTP_HEADERS": None})
+    command = [sys.executable, "-c", READ_BY_GDAL, gis.address, TOKEN]  # GDAL would stop the threads of this process
+    found = json.loads(subprocess.run(command, check=True, capture_output=True, timeout=120).stdout)
+    types = found.pop("types")
+    assert types["time"].startswith("datetime64"), "though the first page has none"
+    assert (types["error_m"], types["frame"], types["osm_id"]) == ("float64", "int32", "int64")
+    assert found == {
+        "drives": 3,
+        "layers": list(OF_ALL),
+        "count": COUNT + 220,
+        "every": [COUNT + 220, "EPSG:4326", list(TOWN)],
+        "box": 10,
+        "where": 50,
+        "matches": 9,
+    }
 
 
 def test_the_index_follows_trash_purge_and_repair(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -19,7 +21,6 @@ from typing import Any
 import click
 import httpx
 import numpy as np
-import pyogrio
 
 from app.context import Context
 from app.jobs.features import write_chunks
@@ -50,6 +51,20 @@ QUERIES = {
     "an hour": "limit=100&datetime=2026-03-01T12:00:00Z/2026-03-01T13:00:00Z",
     "a drive": "limit=1000&filter=drive='drive 500'",
 }
+
+
+READ_BY_GDAL = """
+import sys, time
+
+import pyogrio
+
+address = f"OAPIF:{sys.argv[1]}/ogc"
+for _ in range(3):
+    began = time.perf_counter()
+    count = len(pyogrio.raw.read(address, layer="detections", max_features=10_000)[2])
+    print(f"GDAL {pyogrio.__gdal_version_string__}: {count:,} features in {time.perf_counter() - began:.2f} s")
+"""
+"""In a process of its own: GDAL would stop the threads of the server."""
 
 
 def write_result(folder: Path, rng: np.random.Generator, start: FloatArray, seconds: float) -> None:
@@ -159,11 +174,8 @@ def main() -> None:
         for name in ("", "/collections", "/collections/trajectories/items?bbox=8.43,49.03,8.433,49.032"):
             click.echo(f"/ogc{name[:40]:40} {1000 * median_s(lambda name=name: client.get(f'/ogc{name}')):7.0f} ms")
 
-        def read() -> int:
-            return len(pyogrio.raw.read(f"OAPIF:{address}/ogc", layer="detections", max_features=10_000)[2])
-
-        assert read() == 10_000
-        click.echo(f"GDAL {pyogrio.__gdal_version_string__}: 10,000 features in {median_s(read):.2f} s")
+        command = [sys.executable, "-c", READ_BY_GDAL, address]
+        subprocess.run(command, check=True)
 
 
 if __name__ == "__main__":
