@@ -61,7 +61,8 @@ def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, 
     times = [f"{HOUR}{i // 60 % 60:02}:{i % 60:02}Z" if with_times else None for i in range(n)]
     nodes = (4_000_000_000 + rows // 8).tolist()  # more than 32 bits hold
     here = {"world_x_m": zeros, "world_y_m": zeros}
-    found = {"branch_count": rows % 3 + 3, "branch_bearings_deg": [[0.0, 90.0, 180.5]] * n}
+    branches = {"branch_bearings_deg": [[0.0, 90.0, 180.5]] * n, "branch_widths_m": [[7.0, 6.5, None]] * n}
+    found = {"branch_count": rows % 3 + 3, **branches}
     scores = {
         "outcome": np.where(wrong, "wrong", "right" if scored else "unscored").tolist(),
         "osm_id": nodes if scored else [None] * n,
