@@ -78,7 +78,8 @@ class _Served:
         if form == "html":
             document = json.loads(document) if isinstance(document, str) else document
             headers["content-security-policy"] = DOCUMENT_POLICY
-            page = page_of(document, self.request.url.path.rpartition("/")[2])
+            name = self.request.url.path.rpartition("/")[2].replace("-", " ").capitalize()
+            page = page_of(document, name)
             return answer_tagged(self.request, page.encode(), "text/html; charset=utf-8", **headers)
         content = document if isinstance(document, str) else json.dumps(document, ensure_ascii=False)
         return answer_tagged(self.request, content.encode(), media_type, **headers)

@@ -91,6 +91,8 @@ def test_a_job_finds_what_the_command_line_finds(
     assert summary["intersections"] == len(json.loads((out / "intersections.geojson").read_text())["features"])
     assert summary["report"]["f1_at_5"] == report["f1"]["5.0"]
     assert summary["report"]["nodes_found"] == report["nodes_found"] > 2
+    live = client.get("/ogc/collections/intersections/items", params={"filter": f"job = '{job['id']}'"}).json()
+    assert live["numberMatched"] == summary["intersections"], "a GIS sees it at once"
     assert job["progress"] == {"done": SCANS, "total": SCANS, "fraction": 1.0, "seconds_left": None}
     assert (job["attempts"], job["error"], job["stage"]) == (1, None, "finished")
 
