@@ -56,7 +56,7 @@ START = CalibrationConfig()
 _LOG_SPREAD = 1.0
 """Of the prior of each standard deviation, about its start: weak, for sets that say nothing of one of them."""
 _WEIGHTS, _WEIGHT_SPREADS = np.array([0.0, 6.0, 0.0]), np.array([10.0, 1.0, 10.0])
-"""Of the prior of each weight. A place that one of twenty keyframes saw is hardly a junction, but few are in the data."""
+"""Of the prior of each weight. A place that one of twenty keyframes saw is hardly a junction; the data hold few."""
 
 
 @dataclass(frozen=True)
