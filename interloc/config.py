@@ -374,16 +374,16 @@ class CalibrationConfig(_Config):
         3.6, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
     )
     log_odds: float = Field(
-        3.7,
+        1.24,
         ge=-50,
         le=50,
         description="Log odds of a road junction that no keyframe saw and whose lines leave an uncertainty of 1 m.",
     )
     log_odds_seen: float = Field(
-        1.03, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
+        3.69, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
     )
     log_odds_per_doubling: float = Field(
-        1.0, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+        0.87, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
     )
 
 

@@ -55,7 +55,8 @@ WEIGHTS = ("log_odds", "log_odds_seen", "log_odds_per_doubling")
 START = CalibrationConfig()
 _LOG_SPREAD = 1.0
 """Of the prior of each standard deviation, about its start: weak, for sets that say nothing of one of them."""
-_WEIGHT_SPREAD = 10.0
+_WEIGHTS, _WEIGHT_SPREADS = np.array([0.0, 6.0, 0.0]), np.array([10.0, 1.0, 10.0])
+"""Of the prior of each weight. A place that one of twenty keyframes saw is hardly a junction; the data hold few."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ def fit(drives: list[Places]) -> CalibrationConfig:
 
     def misfit_of_outcomes(weights: FloatArray) -> float:
         chance = np.where(right, probabilities(weights), 1.0 - probabilities(weights))
-        prior = float(np.sum(weights**2)) / 2 / _WEIGHT_SPREAD**2
+        prior = float(np.sum(((weights - _WEIGHTS) / _WEIGHT_SPREADS) ** 2)) / 2
         return prior - float(np.sum(of_place * np.log(np.maximum(chance, 1e-12))))
 
     weights = minimize(misfit_of_outcomes, np.ones(3), bounds=[(None, None), (0, None), (0, None)]).x
