@@ -15,6 +15,8 @@ from interloc.detection.centerline import Centerline
 from interloc.detection.lines import least_squares, through_start_and_mean
 from interloc.kernels.skeleton import trace_branches
 
+CORE_PX = 3.0  # from the junctions of the centerline in a candidate to its inner circle
+
 
 @dataclass(frozen=True)
 class Branches:
@@ -235,7 +237,11 @@ def inner_radius(
     radius = config.inner_radius_m / resolution_m
     if config.inner_widths is None:
         return radius
-    radius = min(radius, config.inner_widths * float(candidates.widths[index]))
+    bent = config.inner_widths * float(candidates.widths[index])
+    core = candidates.core(index) - candidates.positions[index]
+    if len(core):  # a junction of the centerline left outside would make one branch of two
+        bent = max(bent, float(np.hypot(core[:, 0], core[:, 1]).max()) + CORE_PX)
+    radius = min(radius, bent)
     others = blockers[blockers != index]
     if len(others):
         gaps = candidates.positions[others] - candidates.positions[index]

@@ -31,11 +31,12 @@ GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
 PIXEL_PX = 0.1  # how well the line of an ideal road is known
 INNER_RINGS = 40  # rings that the axis is followed inwards at most
 
+PARALLEL_SLACK = 0.08
 SLACK, SLACK_PX = 0.15, 1.5  # share of its half width, and pixels, by which an edge may leave where it belongs
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
 MIN_PARALLEL_PX = 24.0  # a branch with less of it between parallel sides is taken as it is
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
-MAX_SHIFT_PX = 1.0  # what it may move sideways in a ring
+MAX_SHIFT_PX = 1.5  # what it may move sideways in a ring
 LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
 MAX_TURN_COS = 0.5  # it does not turn by more than 60 degrees
 
@@ -235,7 +236,7 @@ def _keep_parallel(
     known = np.sort(halves[halves > 0.0])
     # Both ends of a road between two junctions open into mouths.
     half = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (count - 1))]
-    slack = max(SLACK_PX, SLACK * half)
+    slack = max(SLACK_PX, PARALLEL_SLACK * half)
     parallel = 0
     for i in range(rings.size):
         if some[i] >= 0 and abs(halves[i] - half) <= slack:
@@ -290,9 +291,10 @@ def _follow_edge(
         elif toward == 0.0:
             break
         else:
-            shift = left - half if toward > 0.0 else half - right
-        if abs(left - half) > slack and abs(right - half) > slack:
-            break
+            # An edge that comes nearer bends with its road; one that draws away opens into a mouth.
+            shift = toward * ((left if toward > 0.0 else right) - half)
+            if toward * shift > slack:
+                break
         shift = min(max(shift, -MAX_SHIFT_PX), MAX_SHIFT_PX)
         r, c = r - shift * u_col, c + shift * u_row
         at += 1
