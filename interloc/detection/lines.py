@@ -36,6 +36,7 @@ SLACK, SLACK_PX = 0.15, 1.5  # share of its half width, and pixels, by which an 
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
 MIN_PARALLEL_PX = 24.0  # a branch with less of it between parallel sides is taken as it is
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
+MAX_MISSES = 4  # rings without an edge that it crosses straight on
 MAX_SHIFT_PX = 1.5  # what it may move sideways in a ring
 LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
 MAX_TURN_COS = 0.5  # it does not turn by more than 60 degrees
@@ -273,7 +274,7 @@ def _follow_edge(
         ahead = along + (LAG - k) * RING_PX
         trail[k, 0] = line.point[0] + ahead * line.direction[0]
         trail[k, 1] = line.point[1] + ahead * line.direction[1]
-    at = LAG
+    at, misses, shift = LAG, 0, 0.0
     for i in range(first - 1, -1, -1):
         u_row, u_col = trail[at, 0] - trail[at - LAG, 0], trail[at, 1] - trail[at - LAG, 1]
         norm = np.sqrt(u_row * u_row + u_col * u_col)
@@ -286,20 +287,24 @@ def _follow_edge(
         reach = half + slack + 1.0
         left = to_edge(words, r, c, -u_col, u_row, reach)
         right = to_edge(words, r, c, u_col, -u_row, reach)
+        misses += 1
         if left + right <= 2.0 * half + slack:
-            shift = 0.5 * (left - right)
-        elif toward == 0.0:
-            break
-        else:
-            # An edge that comes nearer bends with its road; one that draws away opens into a mouth.
+            shift, misses = 0.5 * (left - right), 0
+        elif toward != 0.0:
+            # An edge that comes nearer bends with its road; one that draws away opens into a mouth, or has a gap.
             shift = toward * ((left if toward > 0.0 else right) - half)
-            if toward * shift > slack:
-                break
-        shift = min(max(shift, -MAX_SHIFT_PX), MAX_SHIFT_PX)
+            if toward * shift <= slack:
+                misses = 0
+        if misses > MAX_MISSES:
+            break
+        shift = 0.0 if misses else min(max(shift, -MAX_SHIFT_PX), MAX_SHIFT_PX)
         r, c = r - shift * u_col, c + shift * u_row
         at += 1
         trail[at, 0], trail[at, 1] = r, c
-        samples[i].n = samples[i].r = samples[i].c = samples[i].rr = samples[i].rc = samples[i].cc = 0.0
+        samples[i].n = 0.0
+        if misses:
+            continue
+        samples[i].r = samples[i].c = samples[i].rr = samples[i].rc = samples[i].cc = 0.0
         _add(samples[i], r - candidate[0], c - candidate[1], RING_PX)
         first = i
     return first

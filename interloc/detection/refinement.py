@@ -16,7 +16,8 @@ from interloc.detection.lines import to_edge
 # less than this share of their number: a fan of lines within about 10 degrees.
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
-ROUNDS = 3  # the weights of the lines are those at the point of the round before
+ROUNDS = 4  # the weights of the lines are those at the point of the round before
+TOLERANCE = 0.8  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
 
 
@@ -73,7 +74,8 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
         prior_weight /= _spread(branches.directions[weights > 0]) ** 2
         shift = np.zeros(2)
         for _ in range(ROUNDS):
-            weights = branches.weights_at(candidate + shift)
+            off = (normals @ shift - offsets) / (TOLERANCE * branches.inner)
+            weights = branches.weights_at(candidate + shift) / (1.0 + off**2) ** 2
             shift = _within(_solve(normals, weights, offsets, prior_weight), MAX_SHIFTS * branches.inner)
             shift = _on_road(occupancy, candidate, shift, branches.inner)
     residual = float(np.sqrt(np.average((normals @ shift - offsets) ** 2, weights=weights)))
