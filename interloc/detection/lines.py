@@ -34,7 +34,7 @@ INNER_RINGS = 40  # rings that the axis is followed inwards at most
 PARALLEL_SLACK = 0.08
 SLACK, SLACK_PX = 0.15, 1.5  # share of its half width, and pixels, by which an edge may leave where it belongs
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
-MIN_PARALLEL_PX = 24.0  # a branch with less of it between parallel sides is taken as it is
+MIN_PARALLEL, MIN_PARALLEL_PX = 0.5, 24.0  # a branch with less of it between parallel sides is taken as it is
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
 MAX_MISSES = 4  # rings without an edge that it crosses straight on
 MAX_SHIFT_PX = 1.5  # what it may move sideways in a ring
@@ -169,7 +169,7 @@ def fit_lines(
         firsts[i] = _fit_straight_part(lines[i], samples[i], INNER_RINGS + min(begin, n_rings - 1), candidate, limits)
     straight = lines.copy()
     for i in range(pieces.size):
-        if lines[i].length > 0.0:
+        if lines[i].length > 0.0 and halves[i] > 0.0:
             first = _follow_edge(samples[i], firsts[i], straight, i, halves, words, candidate)
             _fit_straight_part(lines[i], samples[i], first, candidate, limits)
     _weigh(lines, candidate, limits.full)
@@ -225,7 +225,10 @@ def _keep_parallel(
     size: int,
     limits: Record,
 ) -> float:
-    """Empty the rings where the road is wider or narrower than the branch is; return its half width, pixels."""
+    """Empty the rings where the road is wider or narrower than the branch is.
+
+    Returns its half width, pixels; 0 where too little of it is between parallel sides, and nothing was emptied.
+    """
     halves = np.zeros(rings.size)
     count = 0
     for i in range(rings.size):
@@ -242,10 +245,11 @@ def _keep_parallel(
     for i in range(rings.size):
         if some[i] >= 0 and abs(halves[i] - half) <= slack:
             parallel += 1
-    if parallel * RING_PX >= MIN_PARALLEL_PX:
-        for i in range(rings.size):
-            if some[i] >= 0 and abs(halves[i] - half) > slack:
-                rings[i].n = 0.0
+    if parallel < max(MIN_PARALLEL * count, MIN_PARALLEL_PX / RING_PX):
+        return 0.0  # its edges are too ragged to tell
+    for i in range(rings.size):
+        if some[i] >= 0 and abs(halves[i] - half) > slack:
+            rings[i].n = 0.0
     return half
 
 

@@ -17,7 +17,7 @@ from interloc.detection.lines import to_edge
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
-TOLERANCE = 0.8  # radii of the inner circle that a line may pass the point at before it counts a quarter
+TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
 
 
