@@ -69,7 +69,8 @@ class Branches:
         here, there = (
             np.einsum("ij,ij->i", p - self.points, self.directions) / self.spans for p in (self.candidate, point)
         )
-        return self.weights * (1.0 + 12.0 * here**2) / (1.0 + 12.0 * there**2)
+        weights: FloatArray = self.weights * (1.0 + 12.0 * here**2) / (1.0 + 12.0 * there**2)
+        return weights
 
     def select(self, indices: list[int], candidate: FloatArray) -> Branches:
         """Return some of the branches, around another point."""

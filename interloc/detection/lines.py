@@ -5,12 +5,14 @@ intersection: it is bent as far as the surfaces of its roads overlap, it leans w
 was seen in passing, and roads bend further out. So the preset `default` fits a line to the part that can be trusted:
 
 1. Pixels near a dead end of the branch or near the border of the image are left out (`trim_m`), and so are those where
-   the road is wider or narrower than the branch is: there a mouth opens, or an edge was not seen (`_are_sides_parallel`).
+   the road is wider or narrower than the branch is: there a mouth opens, or an edge was not seen (`_keep_parallel`).
 2. From where its sides are parallel the axis is followed inwards along the edge that goes on, half a width from it: at
-   an acute mouth or a rounded corner one edge turns away long before the other (`_follow_edge`).
+   an acute mouth or a rounded corner one edge turns away long before the other (`_follow_edge`). A branch whose edges
+   are too ragged to tell stays as it is.
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight
    (`straight_m`, `fit_length_m`).
-4. Its variance grows with the distance from what it was fitted to (`Lines.variances_at`).
+4. It weighs the inverse of its variance where the roads meet, which grows with the distance from what it was fitted to
+   (`_weigh`, `Branches.weights_at`).
 """
 
 from __future__ import annotations
@@ -29,10 +31,11 @@ from interloc.kernels.bits import nearest_clear
 RING_PX = 4.0  # a line grows by this much at a time
 GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
 PIXEL_PX = 0.1  # how well the line of an ideal road is known
-INNER_RINGS = 40  # rings that the axis is followed inwards at most
+INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the inner circle
 
-PARALLEL_SLACK = 0.08
-SLACK, SLACK_PX = 0.15, 1.5  # share of its half width, and pixels, by which an edge may leave where it belongs
+# Share of the half width of a branch by which it may differ between parallel sides, and by which an edge may leave the
+# place where it belongs; both at least so many pixels.
+PARALLEL_SLACK, SLACK, SLACK_PX = 0.08, 0.15, 1.5
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
 MIN_PARALLEL, MIN_PARALLEL_PX = 0.5, 24.0  # a branch with less of it between parallel sides is taken as it is
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
@@ -67,7 +70,9 @@ class Lines(NamedTuple):
 
 def through_start_and_mean(pieces: StructuredArray) -> Lines:
     """Lay a line through the start and the mean of each piece (paper, eq. 9); all count alike."""
-    return Lines(pieces["start"], _unit(pieces["mean"] - pieces["start"]), np.ones(len(pieces)), np.full(len(pieces), np.inf))
+    return Lines(
+        pieces["start"], _unit(pieces["mean"] - pieces["start"]), np.ones(len(pieces)), np.full(len(pieces), np.inf)
+    )
 
 
 def least_squares(
@@ -239,7 +244,7 @@ def _keep_parallel(
         return 0.0
     known = np.sort(halves[halves > 0.0])
     # Both ends of a road between two junctions open into mouths.
-    half = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (count - 1))]
+    half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (count - 1))]
     slack = max(SLACK_PX, PARALLEL_SLACK * half)
     parallel = 0
     for i in range(rings.size):
@@ -355,7 +360,7 @@ def to_edge(words: UInt64Array, r: float, c: float, d_row: float, d_col: float, 
     size = words.shape[0] - 2
     distance = 0.0
     while distance < reach:
-        row, col = int(round(r + distance * d_row)), int(round(c + distance * d_col))
+        row, col = round(r + distance * d_row), round(c + distance * d_col)
         if row < 0 or col < 0 or row >= size or col >= size:
             return reach
         if (words[row + 1, col >> 6] >> np.uint64(col & 63)) & np.uint64(1) == 0:
@@ -439,7 +444,9 @@ def _weigh(lines: StructuredArray, candidate: FloatArray, full: float) -> None:
             scatter = max(line.rms - GRID_PX, 0.0)
             variance = 0.5 * (scatter * scatter + common / total) + PIXEL_PX * PIXEL_PX
             # A line that is prolonged back to the candidate is known there the worse the farther off it was fitted.
-            off = (candidate[0] - line.point[0]) * line.direction[0] + (candidate[1] - line.point[1]) * line.direction[1]
+            off = (candidate[0] - line.point[0]) * line.direction[0] + (candidate[1] - line.point[1]) * line.direction[
+                1
+            ]
             far = off / line.length
             variance *= 1.0 + 12.0 * far * far
             line.weight = min(line.length, full) / full / variance

@@ -60,8 +60,11 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     Notes
     -----
     Paper, eq. 10. With unit normals n, points a and weights w (1 in the paper) of the lines, the minimum solves
-    (sum w n n^T) p = sum w n n^T a.
+    (sum w n n^T) p = sum w n n^T a. With the road it is found by iteratively reweighted least squares (Geman and
+    McClure, "Statistical methods for tomographic image reconstruction", 1987): a line that passes far off, because its
+    road bends before it comes to the intersection, counts little.
     """
+    shift: FloatArray
     candidate, normals, weights = branches.candidate, branches.normals, branches.weights
     counted = normals[weights > 0]
     # Whether lines are near-parallel is a matter of their directions, however unlike their weights.
@@ -72,7 +75,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
         shift = _within(_solve(normals, weights, offsets, prior_weight), branches.inner)
     else:
         prior_weight /= _spread(branches.directions[weights > 0]) ** 2
-        shift = np.zeros(2)
+        shift = np.zeros(2, np.float64)
         for _ in range(ROUNDS):
             off = (normals @ shift - offsets) / (TOLERANCE * branches.inner)
             weights = branches.weights_at(candidate + shift) / (1.0 + off**2) ** 2
