@@ -283,6 +283,7 @@ def _follow_edge(
         ahead = along + (LAG - k) * RING_PX
         trail[k, 0] = line.point[0] + ahead * line.direction[0]
         trail[k, 1] = line.point[1] + ahead * line.direction[1]
+    half = _half_width_along(words, line, trail[: LAG + 1], half, slack)
     at, misses, shift = LAG, 0, 0.0
     for i in range(first - 1, -1, -1):
         u_row, u_col = trail[at, 0] - trail[at - LAG, 0], trail[at, 1] - trail[at - LAG, 1]
@@ -317,6 +318,20 @@ def _follow_edge(
         _add(samples[i], r - candidate[0], c - candidate[1], RING_PX)
         first = i
     return first
+
+
+@compiled
+def _half_width_along(words: UInt64Array, line: Record, places: FloatArray, half: float, slack: float) -> float:
+    """Return the half width of a branch between its edges at some places of its line; ``half`` where they are ragged."""
+    reach = half + slack + 1.0
+    total, count = 0.0, 0
+    for r, c in places:
+        left = to_edge(words, r, c, line.direction[1], -line.direction[0], reach)
+        right = to_edge(words, r, c, -line.direction[1], line.direction[0], reach)
+        if abs(left + right - 2.0 * half) <= slack:
+            total += 0.5 * (left + right)
+            count += 1
+    return total / count if count >= LAG // 2 else half
 
 
 @compiled
