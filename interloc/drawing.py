@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 BLUE, VERMILION, GREEN, YELLOW, SKY, PURPLE = "#0072B2", "#D55E00", "#009E73", "#F0E442", "#56B4E9", "#CC79A7"
 INK, MUTED, FAINT, PAPER = "#22262b", "#6b7280", "#d7dbe0", "#ffffff"
 
+_SERIES = (BLUE, VERMILION, GREEN, PURPLE, SKY, INK)
+_DASHES = ("-", "--", "-.", ":")
+_MARKERS = "o^sDvP*X"
+
 ImageFormat = Literal["png", "svg"]
 
 
@@ -39,6 +43,22 @@ def quiet(axes: Axes, *, grid: Literal["x", "y", "both"] = "y") -> None:
     axes.tick_params(colors=INK, length=3, color=MUTED, labelsize=9)
     axes.grid(visible=True, axis=grid, color=FAINT, linewidth=0.7)
     axes.set_axisbelow(True)
+
+
+def series_colour(number: int) -> str:
+    """Return the colour of the n-th series of a figure."""
+    return _SERIES[number % len(_SERIES)]
+
+
+def series_style(number: int) -> dict[str, Any]:
+    """Return how `Axes.plot` draws the n-th line of a figure: told from the others by colour, dashes and marks."""
+    return {
+        "color": series_colour(number),
+        "linestyle": _DASHES[number % len(_DASHES)],
+        "marker": _MARKERS[number % len(_MARKERS)],
+        "markersize": 4,
+        "linewidth": 1.6,
+    }
 
 
 def mark(axes: Axes, xy: FloatArray, sign: str, size: float, **style: Any) -> None:  # noqa: ANN401 - matplotlib's

@@ -102,6 +102,13 @@ TAGGED: dict[int | str, dict[str, Any]] = {
 PAGED: dict[int | str, dict[str, Any]] = {**TAGGED, 200: {"headers": headers_named("ETag", "Link")}}
 """Answers of `app.http.paging.answer_page`, likewise."""
 
+CHANGED: dict[int | str, dict[str, Any]] = {
+    200: {"headers": headers_named("ETag")},
+    412: {"model": ProblemDocument, "description": "It is not the version that If-Match names."},
+    422: {"model": ProblemDocument, "description": "A member is refused."},
+}
+"""Answers of a change that asks `app.http.delivery.require_unchanged`, likewise."""
+
 _CHALLENGE = headers_named("WWW-Authenticate")
 _WAIT = headers_named("Retry-After")
 

@@ -25,6 +25,7 @@ from app.work.kinds import WARM
 from interloc.processes import end_with_parent, interrupts_held_back
 
 _LOOK_S = 0.2  # interval at which time and memory of a piece of work are looked at
+_START_S = 120.0  # within which a process is ready, however busy the machine: one that hangs is replaced
 _log = logging.getLogger(__name__)
 # A worker inherits none of the threads, locks and connections of the server. Forked from a process that has imported
 # everything, and does nothing else, it is there at once, also in the place of one that was killed.
@@ -188,6 +189,8 @@ class _Slot:
             raise WorkerLostError("nobody waits for it any more")
         try:
             if not self._is_ready:
+                if not connection.poll(_START_S):
+                    raise TimeoutError
                 connection.recv_bytes()
                 self._is_ready = True
             connection.send_bytes(content)
@@ -195,7 +198,8 @@ class _Slot:
             good, value = pickle.loads(connection.recv_bytes())  # noqa: S301 - from our own process
         except (EOFError, OSError) as error:
             self._end()
-            reason = _reason(process.exitcode)
+            late = isinstance(error, TimeoutError)
+            reason = f"was not ready within {_START_S:g} s" if late else _reason(process.exitcode)
             if not (work.is_given_up or self._executor.is_stopping):
                 self._executor.count_loss()
                 _log.warning("a worker process (%s) died: %s", process.pid, reason)

@@ -12,8 +12,7 @@ from app.context import Context, part_of_app
 from app.http.problems import Problem
 from app.jobs.view import find_job
 from app.states import JobKind, JobState
-from interloc.output.layout import RUN_FILE, TABLES, file_names
-from interloc.output.road import ROAD_FILE
+from interloc.output.layout import ROAD_FILE, RUN_FILE, TABLES, file_names
 
 _MAX_KNOWN = 1000
 _BELIEVED_S = 1.0

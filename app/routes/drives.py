@@ -12,7 +12,7 @@ from app.drives import records, trash
 from app.drives.plan import judge_label_counts
 from app.http.delivery import answer_tagged, require_unchanged, tag_of
 from app.http.headers import IdempotencyKey, IfMatch
-from app.http.openapi import CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named
+from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named
 from app.http.paging import After, answer_page, has_part, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.problems import ProblemDocument
@@ -110,12 +110,7 @@ def _shown(session: Session, context: Context, drive: Drive) -> bytes:
     "/{drive_id}",
     response_model=DriveModel,
     summary="Rename a drive, or note something about it",
-    responses={
-        **NOT_FOUND,
-        200: {"headers": headers_named("ETag")},
-        412: {"model": ProblemDocument, "description": "It is not the version that If-Match names."},
-        422: {"model": ProblemDocument, "description": "A member is refused."},
-    },
+    responses={**NOT_FOUND, **CHANGED},
 )
 def change_drive(
     drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None

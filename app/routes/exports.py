@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, deliver
-from app.http.openapi import Endpoint, get_and_head
+from app.http.openapi import get_and_head
 from app.http.problems import ProblemDocument
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
@@ -45,85 +44,69 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-def _export(suffix: str, summary: str) -> Callable[[Endpoint], Endpoint]:
-    """Register an export."""
-    binary = _CONTENT.get(suffix, {"type": "string", "format": "binary"})
-    return get_and_head(
+class _Export(NamedTuple):
+    summary: str
+    description: str
+    of_all_layers: bool = False  # unless one is named
+
+
+_EXPORTS = {
+    ".gpkg": _Export(
+        "Download the result as a GeoPackage",
+        "All layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches. "
+        "Also the branches of the intersections as lines, and their uncertainty as circles. EPSG:4326. Lists (bearings "
+        "of branches) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with "
+        "data of OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0.",
+        of_all_layers=True,
+    ),
+    ".fgb": _Export("Download a layer as FlatGeobuf", "One layer as FlatGeobuf: compact, with a spatial index."),
+    ".kml": _Export("Download a layer as KML", "One layer as KML, for Google Earth."),
+    ".csv": _Export(
+        "Download a layer as a table",
+        "One layer as CSV (RFC 4180): points with `lon` and `lat`, lines and circles with `wkt`; null is empty. "
+        "A text that spreadsheets would run as a formula gets an apostrophe in front.",
+    ),
+    ".geojson": _Export(
+        "Download a layer as GeoJSON",
+        "One layer as GeoJSON: also those that are made of the intersections, which have no address of their own.",
+    ),
+}
+
+
+def _add_export(suffix: str) -> None:
+    async def export_layer(
+        job_id: JobId,
+        request: Request,
+        results: ResultsDep,
+        on_demand: OnDemandDep,
+        layer: LayerQuery = "intersections",
+    ) -> Response:
+        return await _deliver(request, results, on_demand, job_id, suffix, layer)
+
+    async def export_all(
+        job_id: JobId,
+        request: Request,
+        results: ResultsDep,
+        on_demand: OnDemandDep,
+        layer: Annotated[Layer | None, Query(description="Layer to export; all by default.")] = None,
+    ) -> Response:
+        return await _deliver(request, results, on_demand, job_id, suffix, layer)
+
+    export = _EXPORTS[suffix]
+    content = _CONTENT.get(suffix, {"type": "string", "format": "binary"})
+    get_and_head(
         router,
         f"/jobs/{{job_id}}/export{suffix}",
-        summary=summary,
+        summary=export.summary,
+        description=export.description,
         operation_id=f"export_{suffix[1:]}",
         response_class=Response,
-        responses={**answers(MEDIA_TYPES[suffix], binary, "The file."), **_PROBLEMS},
-    )
+        responses={**answers(MEDIA_TYPES[suffix], content, "The file."), **_PROBLEMS},
+    )(export_all if export.of_all_layers else export_layer)
 
 
-@_export(".gpkg", "Download the result as a GeoPackage")
-async def export_gpkg(
-    job_id: JobId,
-    request: Request,
-    results: ResultsDep,
-    on_demand: OnDemandDep,
-    layer: Annotated[Layer | None, Query(description="Layer to export; all by default.")] = None,
-) -> Response:
-    """Give all layers in one file for QGIS: intersections, detections, trajectory, keyframes, OSM nodes, matches.
-
-    Also the branches of the intersections as lines, and their uncertainty as circles. EPSG:4326. Lists (bearings of
-    branches) are JSON text. Fields have titles and descriptions, the metadata hold `run.json`. Layers with data of
-    OpenStreetMap say so in their description: © OpenStreetMap contributors, ODbL 1.0.
-    """
-    return await _deliver(request, results, on_demand, job_id, ".gpkg", layer)
-
-
-@_export(".fgb", "Download a layer as FlatGeobuf")
-async def export_fgb(
-    job_id: JobId,
-    request: Request,
-    results: ResultsDep,
-    on_demand: OnDemandDep,
-    layer: LayerQuery = "intersections",
-) -> Response:
-    """Give one layer as FlatGeobuf: compact, with a spatial index."""
-    return await _deliver(request, results, on_demand, job_id, ".fgb", layer)
-
-
-@_export(".kml", "Download a layer as KML")
-async def export_kml(
-    job_id: JobId,
-    request: Request,
-    results: ResultsDep,
-    on_demand: OnDemandDep,
-    layer: LayerQuery = "intersections",
-) -> Response:
-    """Give one layer as KML, for Google Earth."""
-    return await _deliver(request, results, on_demand, job_id, ".kml", layer)
-
-
-@_export(".csv", "Download a layer as a table")
-async def export_csv(
-    job_id: JobId,
-    request: Request,
-    results: ResultsDep,
-    on_demand: OnDemandDep,
-    layer: LayerQuery = "intersections",
-) -> Response:
-    """Give one layer as CSV (RFC 4180): points with `lon` and `lat`, lines and circles with `wkt`; null is empty.
-
-    A text that spreadsheets would run as a formula gets an apostrophe in front.
-    """
-    return await _deliver(request, results, on_demand, job_id, ".csv", layer)
-
-
-@_export(".geojson", "Download a layer as GeoJSON")
-async def export_geojson(
-    job_id: JobId,
-    request: Request,
-    results: ResultsDep,
-    on_demand: OnDemandDep,
-    layer: LayerQuery = "intersections",
-) -> Response:
-    """Give one layer as GeoJSON: also those that are made of the intersections, which have no address of their own."""
-    return await _deliver(request, results, on_demand, job_id, ".geojson", layer)
+for _suffix in _EXPORTS:
+    _add_export(_suffix)
 
 
 async def _deliver(

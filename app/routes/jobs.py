@@ -15,7 +15,7 @@ from app.drives.trash import delete_job as delete_ended_job
 from app.http.delivery import answer_tagged, require_unchanged, tag_of
 from app.http.headers import IdempotencyKey, IfMatch, WaitIfAsked
 from app.http.limits import job_limit
-from app.http.openapi import PAGED, TAGGED, get_and_head, headers_named
+from app.http.openapi import CHANGED, PAGED, TAGGED, get_and_head, headers_named
 from app.http.paging import After, answer_page, cursor_of, has_part, made_between, newest_first, rows_after
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.problems import ProblemDocument
@@ -170,12 +170,7 @@ def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> R
     "/jobs/{job_id}",
     response_model=JobModel,
     summary="Rename a job, or note something about it",
-    responses={
-        **NOT_FOUND,
-        200: {"headers": headers_named("ETag")},
-        412: _problem("It is not the version that If-Match names."),
-        422: _problem("A member is refused."),
-    },
+    responses={**NOT_FOUND, **CHANGED},
 )
 def change_job(
     job_id: JobId, changes: JobChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None

@@ -94,7 +94,8 @@ def draw_road_picture(result: Path, folder: Path) -> None:
     InterLocError
         The file of the result is damaged, or the disk is full.
     """
-    from interloc.output.road import ROAD_FILE, draw_road, read_road  # noqa: PLC0415
+    from interloc.output.layout import ROAD_FILE  # noqa: PLC0415
+    from interloc.output.road import draw_road, read_road  # noqa: PLC0415
 
     mosaic = read_road(result / ROAD_FILE)
     picture = draw_road(mosaic)

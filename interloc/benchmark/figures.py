@@ -12,17 +12,25 @@ from interloc.arrays import FloatArray
 from interloc.benchmark.metrics import errors_m, estimate, f1
 from interloc.benchmark.row import MapPicture, Point, Row
 from interloc.benchmark.tables import Measured, ours
-from interloc.drawing import BLUE, FAINT, GREEN, INK, MUTED, PURPLE, SKY, VERMILION, new_figure, quiet
-from interloc.evaluation.figures import PERCENTILES
-from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
+from interloc.drawing import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    MUTED,
+    PURPLE,
+    VERMILION,
+    new_figure,
+    quiet,
+    series_colour,
+    series_style,
+)
+from interloc.evaluation.figures import PERCENTILES, scale_to_thresholds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLOURS = (BLUE, VERMILION, GREEN, PURPLE, SKY, INK)
-MARKERS = "os^Dv*"
-DASHES = ("-", "--", "-.", ":")
 F1_THRESHOLDS_M = tuple(0.5 * i for i in range(1, 21))
 
 _TITLE: dict[str, Any] = {"loc": "left", "fontsize": 11, "color": INK}
@@ -161,7 +169,7 @@ def _draw_boxes(axes: Axes, samples: dict[str, list[FloatArray]]) -> None:
     """Draw groups of boxes: the n-th of each series stand side by side at x = n."""
     width = 0.8 / len(samples)
     for series, (name, values) in enumerate(samples.items()):
-        colour = COLOURS[series % len(COLOURS)]
+        colour = series_colour(series)
         for position, errors in enumerate(values):
             if len(errors) == 0:
                 continue
@@ -194,15 +202,9 @@ def _draw_curves(axes: Axes, series: dict[str, list[Row]]) -> None:
         axes.plot(
             F1_THRESHOLDS_M,
             [np.nan if value is None else 100.0 * value for value in values],
-            color=COLOURS[number % len(COLOURS)],
-            marker=MARKERS[number % len(MARKERS)],
-            linestyle=DASHES[number % len(DASHES)],
-            markersize=4,
-            linewidth=1.6,
             label=name,
+            **series_style(number),
         )
-    axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
-    axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
-    axes.set(xlabel="confidence threshold D [m]", ylabel="F1 [%]")
+    scale_to_thresholds(axes)
+    axes.set_ylabel("F1 [%]")
     axes.legend(loc="lower right", frameon=False, fontsize=9)
-    quiet(axes)

@@ -30,10 +30,8 @@ def command(
     from interloc.evaluation.evaluate import evaluate
     from interloc.evaluation.report import report_record, write_report
     from interloc.files import atomic_write
-    from interloc.output.layers import PLACES
-    from interloc.output.layout import RUN_FILE, file_names, result_folder
+    from interloc.output.layout import RUN_NAMES, result_folder
     from interloc.output.read import read_results
-    from interloc.output.road import ROAD_FILE
 
     options.check_map_choice(osm, overpass=overpass)
     console.set_up_log(quiet=quiet)
@@ -43,8 +41,7 @@ def command(
         graph = options.fetch_map(result, quiet=quiet)
     evaluation = evaluate(result, graph, policy=policy, tolerance_m=tolerance_m)
     with result_folder(out) as folder:  # the whole new report, or the folder as it was
-        kept = [name for name in (ROAD_FILE, f"{PLACES}.geojson") if (out / name).is_file()]
-        for name in (*file_names(georeferenced=True).values(), *kept, RUN_FILE):
+        for name in filter(lambda name: (out / name).is_file(), RUN_NAMES):
             with atomic_write(folder / name) as file:
                 file.write((out / name).read_bytes())
         write_report(evaluation, folder)

@@ -19,7 +19,6 @@ from interloc.drawing import (
     MUTED,
     PAPER,
     PURPLE,
-    SKY,
     VERMILION,
     YELLOW,
     mark,
@@ -27,6 +26,7 @@ from interloc.drawing import (
     new_figure,
     percent,
     quiet,
+    series_style,
 )
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
@@ -212,27 +212,14 @@ def comparison_figure(names: Sequence[str], reports: Sequence[Mapping[str, Any]]
     """Draw precision, recall and F1 of several runs over the confidence threshold D, from their `report.json`."""
     figure = new_figure(11.0, 4.2 + 0.22 * ((len(names) + 1) // 2))
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
-    colours, styles, markers = (BLUE, VERMILION, GREEN, PURPLE, SKY, INK), ("-", "--", "-.", ":"), "o^sDvP*X"
     for axes, measure in zip(panels, ("precision", "recall", "f1"), strict=True):
         for run, (name, report) in enumerate(zip(names, reports, strict=True)):
             points = [(float(d), value) for d, value in report[measure].items() if float(d) <= NEAR_PAIR_M]
             thresholds = [d for d, _ in points]
             values = [np.nan if value is None else 100.0 * value for _, value in points]
-            axes.plot(
-                thresholds,
-                values,
-                color=colours[run % len(colours)],
-                linestyle=styles[run % len(styles)],
-                marker=markers[run % len(markers)],
-                markersize=4,
-                linewidth=1.6,
-                label=name,
-            )
-        axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
-        axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
-        axes.set(xlabel="confidence threshold D [m]")
+            axes.plot(thresholds, values, label=name, **series_style(run))
         axes.set_title("F1" if measure == "f1" else measure, loc="left", fontsize=12, color=INK)
-        quiet(axes)
+        scale_to_thresholds(axes)
     panels[0].set_ylabel("[%]")
     legend = figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
@@ -262,10 +249,16 @@ def threshold_figure(evaluation: Evaluation) -> Figure:
             "linewidth": 1.8,
         }
         axes.plot(scores.threshold_m[shown], 100.0 * values[shown], label=label, **line)
-    axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
-    axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(11))
-    axes.set(xlabel="confidence threshold D [m]", ylabel="[%]")
+    scale_to_thresholds(axes)
+    axes.set_ylabel("[%]")
     axes.set_title("Scores over the distance that still counts as found", loc="left", fontsize=12, color=INK)
     axes.legend(loc="lower right", frameon=False, fontsize=10)
-    quiet(axes)
     return figure
+
+
+def scale_to_thresholds(axes: Axes) -> None:
+    """Prepare axes for percentages over the confidence threshold D; the usual threshold is marked."""
+    axes.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
+    axes.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
+    axes.set_xlabel("confidence threshold D [m]")
+    quiet(axes)

@@ -19,12 +19,14 @@ from pathlib import Path
 from typing import Any
 
 from interloc.files import atomic_folder
-from interloc.output.layers import LAYERS
+from interloc.output.layers import LAYERS, PLACES
 
 FORMAT = "interloc-result"
 FORMAT_VERSION = 1
 RUN_FILE = "run.json"
 """The file that makes a folder a result folder; written last."""
+
+ROAD_FILE = "road.tif"
 
 RUN_KEYS = ("format", "format_version", "drive_name", "georeferenced", "files", "first_time", "last_time")
 """What `run.json` holds before what the run records about itself; the times are those of the first and the last
@@ -57,16 +59,22 @@ def file_names(*, georeferenced: bool) -> dict[str, str]:
     return {table: f"{table}.{ending}" for table in TABLES}
 
 
+RUN_NAMES = (
+    *file_names(georeferenced=True).values(),
+    *file_names(georeferenced=False).values(),
+    f"{PLACES}.geojson",
+    ROAD_FILE,
+    RUN_FILE,
+)
+"""What a run writes, whether it is evaluated or not, in this order."""
+
 RESULT_NAMES = frozenset(
     [
-        RUN_FILE,
-        *file_names(georeferenced=True).values(),
-        *file_names(georeferenced=False).values(),
+        *RUN_NAMES,
         "report.json",
         "report.html",
         *(f"{layer.name}.geojson" for layer in LAYERS.values() if layer.is_osm),
         "figures",
-        "road.tif",
     ]
 )
 """What InterLoc itself puts into a result folder. All else in there is the user's and survives a new run."""

@@ -18,9 +18,8 @@ from interloc.errors import ConfigError, DamagedResultError
 from interloc.files import atomic_write
 from interloc.mapping.mosaic import TILE, Mosaic, Raster
 from interloc.output.geojson import read_json
-from interloc.output.layout import RUN_FILE
+from interloc.output.layout import ROAD_FILE, RUN_FILE
 
-ROAD_FILE = "road.tif"
 ROAD_LAYER = "road"
 RASTER_SUFFIXES = (".tif", ".tiff")
 ROAD_TITLE = "Road seen by LiDAR"

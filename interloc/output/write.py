@@ -17,8 +17,8 @@ from interloc.geometry import bearing_deg, thin
 from interloc.mapping.mosaic import build_mosaic
 from interloc.output.geojson import bearings, encode, positions, write_collection
 from interloc.output.layers import LAYERS
-from interloc.output.layout import FORMAT, FORMAT_VERSION, RUN_FILE, RUN_KEYS, file_names
-from interloc.output.road import ROAD_FILE, write_road
+from interloc.output.layout import FORMAT, FORMAT_VERSION, ROAD_FILE, RUN_FILE, RUN_KEYS, file_names
+from interloc.output.road import write_road
 from interloc.output.uids import place_uids
 from interloc.results import DriveResult, Verdicts
 

@@ -116,7 +116,7 @@ export function newKey() {
 }
 
 /** @param {Record<string, string>} [extra] @returns {Record<string, string>} */
-export function authHeaders(extra = {}) {
+function authHeaders(extra = {}) {
   const token = getToken();
   return token ? { Authorization: `Bearer ${token}`, ...extra } : { ...extra };
 }

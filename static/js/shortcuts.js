@@ -3,14 +3,13 @@
  * @module shortcuts
  */
 import { iconButton, openDialog } from "./controls.js";
-import { el } from "./dom.js";
+import { el, isTyping } from "./dom.js";
 
 /** @typedef {{key: string, label: string, text: string, call: () => void}} Shortcut */
 
 /** @type {Map<string, Shortcut>} */
 const shortcuts = new Map();
-const TYPING = "input:not([type=range]):not([type=checkbox]):not([type=radio]), select, textarea, dialog";
-const PRESSED_BY_SPACE = `${TYPING}, button, summary, a, input:not([type=range])`;
+const PRESSED_BY_SPACE = "button, summary, a, input:not([type=range])";
 
 /** What controls do with keys by themselves. */
 const OF_CONTROLS = [
@@ -33,9 +32,8 @@ export function addShortcut(key, text, call, label = key) {
 /** @param {KeyboardEvent} event */
 function press(event) {
   const found = shortcuts.get(event.key);
-  if (!found || event.ctrlKey || event.metaKey || event.altKey) return;
-  const target = /** @type {Element} */ (event.target);
-  if (target.closest(event.key === " " ? PRESSED_BY_SPACE : TYPING)) return;
+  if (!found || isTyping(event)) return;
+  if (event.key === " " && /** @type {Element} */ (event.target).closest(PRESSED_BY_SPACE)) return;
   event.preventDefault(); // a space would scroll
   found.call();
 }

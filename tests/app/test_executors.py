@@ -9,12 +9,14 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numba
 import psutil
 import pytest
 
+from app.jobs import processes
 from app.jobs.executors import DaskExecutor, open_executor
 from app.jobs.hand_out import EXTRA_SLOTS
 from app.jobs.processes import ProcessExecutor, WorkerLostError
@@ -268,6 +270,25 @@ def test_work_that_takes_too_long_is_ended_and_its_place_goes_on(tmp_path: Path)
 
 
 @pytest.mark.skipif(not memory_of(os.getpid()), reason="this system does not tell the memory of processes")
+def hang_at_the_start(_connection: Connection) -> None:
+    """Begin as a worker that waits for a lock that nobody will open."""
+    threading.Event().wait()
+
+
+def test_a_worker_that_hangs_as_it_starts_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(processes, "_START_S", 0.5)
+        patched.setattr(processes, "_work", hang_at_the_start)
+        executor = ProcessExecutor(1)
+        try:
+            with pytest.raises(WorkerLostError, match=r"was not ready within 0\.5 s"):
+                executor.submit(pid_of).result(60)
+            patched.undo()
+            assert executor.submit(pid_of).result(60) in executor.pids
+        finally:
+            executor.stop()
+
+
 def test_work_that_fills_the_memory_is_ended_and_its_place_goes_on() -> None:
     bound = memory_of(os.getpid()) + 300 * 2**20  # a forked worker shares what this process has
     executor = ProcessExecutor(1, memory_bytes=bound)

@@ -131,7 +131,7 @@ function bearings(values, local) {
 }
 
 /** @param {number|null|undefined} id @param {Result} result @returns {string|Node} */
-export function osmLink(id, result) {
+function osmLink(id, result) {
   if (id === null || id === undefined) return "–";
   if (!isOsmNode(id, result)) return String(id);
   return el("a", { href: `https://www.openstreetmap.org/node/${id}`, target: "_blank", rel: "noopener" }, String(id));

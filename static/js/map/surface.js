@@ -106,7 +106,7 @@ export class View {
 }
 
 /** @param {any} map @param {number} zoom @returns {number} Pixels per metre in the middle of the map. */
-export function pixelsPerMetre(map, zoom) {
+function pixelsPerMetre(map, zoom) {
   const { crs } = map.options;
   if (crs.code !== "EPSG:3857") return crs.scale(zoom);
   return crs.scale(zoom) / (40075016.686 * Math.cos((map.getCenter().lat * Math.PI) / 180));

@@ -42,7 +42,7 @@ export function groupsOf({ road, confusable }) {
  * @param {string} labelName
  * @returns {{bits: Uint32Array, roadCount: number}} Bits of the coordinates, three per point.
  */
-export function selectPoints(scan, labels, groups, scanName, labelName) {
+function selectPoints(scan, labels, groups, scanName, labelName) {
   checkSizes(scan.byteLength, labels.byteLength, scanName, labelName);
   const words = new Uint32Array(scan); // bits, not numbers: what is kept stays as it was
   const ids = new Uint32Array(labels);
@@ -114,7 +114,7 @@ export async function countLabels(labels, name) {
 }
 
 /** @param {number} scanBytes @param {number} labelBytes @param {string} scanName @param {string} labelName */
-export function checkSizes(scanBytes, labelBytes, scanName, labelName) {
+function checkSizes(scanBytes, labelBytes, scanName, labelName) {
   const complaint = sizeComplaint(scanBytes, labelBytes, scanName, labelName);
   if (complaint) {
     throw new Error(`${complaint.path}: ${complaint.message}`);
@@ -181,7 +181,7 @@ export async function readWhole(blob, name) {
  * @param {Uint32Array} bits Three per point: the bits of its coordinates.
  * @returns {Uint8Array<ArrayBuffer>} Twelve planes, each of one byte per point.
  */
-export function splitPlanes(bits) {
+function splitPlanes(bits) {
   const n = bits.length / 3;
   const planes = new Uint8Array(12 * n);
   for (let c = 0; c < 3; c += 1) {
@@ -211,7 +211,7 @@ export function splitPlanes(bits) {
  * @param {number} roadCount How many points are road.
  * @returns {Promise<Uint8Array<ArrayBuffer>>}
  */
-export async function encodeGround(bits, roadCount) {
+async function encodeGround(bits, roadCount) {
   const count = bits.length / 3;
   if (count > MAX_POINTS) {
     const most = MAX_POINTS.toLocaleString("en");

@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 
 from app.store.database import Database
-from interloc.output.road import ROAD_FILE, draw_road, read_road
+from interloc.output.layout import ROAD_FILE
+from interloc.output.road import draw_road, read_road
 from tests.app.results.conftest import Finished, add_job
 
 
