@@ -33,9 +33,8 @@ GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
 PIXEL_PX = 0.1  # how well the line of an ideal road is known
 INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the inner circle
 
-# Share of the half width of a branch by which it may differ between parallel sides, and by which an edge may leave the
-# place where it belongs; both at least so many pixels.
-PARALLEL_SLACK, SLACK, SLACK_PX = 0.08, 0.15, 1.5
+PARALLEL_SLACK = 0.08  # share of its half width that a branch may differ from it by between parallel sides
+SLACK_PX = 1.5  # at least; and what an edge may leave the place by where it belongs
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
 MIN_PARALLEL, MIN_PARALLEL_PX = 0.5, 24.0  # a branch with less of it between parallel sides is taken as it is
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
@@ -240,11 +239,11 @@ def _keep_parallel(
         if some[i] >= 0:
             halves[i] = nearest_clear(words, rows[some[i]], cols[some[i]], size, size, int(limits.half_width))
             count += 1
-    if count == 0:
-        return 0.0
     known = np.sort(halves[halves > 0.0])
+    if known.size == 0:
+        return 0.0
     # Both ends of a road between two junctions open into mouths.
-    half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (count - 1))]
+    half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (known.size - 1))]
     slack = max(SLACK_PX, PARALLEL_SLACK * half)
     parallel = 0
     for i in range(rings.size):
@@ -273,7 +272,7 @@ def _follow_edge(
     It ends where both edges have turned away, or where the axis comes upon the surface of another branch.
     """
     line, half = lines[which], halves[which]
-    slack = max(SLACK_PX, SLACK * half)
+    slack = SLACK_PX
     toward = _lasting_side(lines, which)
     ring = samples[first]
     along = (candidate[0] + ring.r / ring.n - line.point[0]) * line.direction[0]
@@ -283,7 +282,7 @@ def _follow_edge(
         ahead = along + (LAG - k) * RING_PX
         trail[k, 0] = line.point[0] + ahead * line.direction[0]
         trail[k, 1] = line.point[1] + ahead * line.direction[1]
-    half = _half_width_along(words, line, trail[: LAG + 1], half, slack)
+    half = _half_width_along(words, line, trail[: LAG + 1], half)
     at, misses, shift = LAG, 0, 0.0
     for i in range(first - 1, -1, -1):
         u_row, u_col = trail[at, 0] - trail[at - LAG, 0], trail[at, 1] - trail[at - LAG, 1]
@@ -321,8 +320,9 @@ def _follow_edge(
 
 
 @compiled
-def _half_width_along(words: UInt64Array, line: Record, places: FloatArray, half: float, slack: float) -> float:
+def _half_width_along(words: UInt64Array, line: Record, places: FloatArray, half: float) -> float:
     """Return the half width of a branch between its edges at some places of its line; ``half`` where they are ragged."""
+    slack = max(2.0 * SLACK_PX, PARALLEL_SLACK * half)
     reach = half + slack + 1.0
     total, count = 0.0, 0
     for r, c in places:
