@@ -452,6 +452,7 @@ DEFAULT = DetectorConfig(
         stop_m=2.0,
         end_at_rejected=False,
         line="least_squares",
+        fit_least_m=12.0,
         straight_m=0.2,
         trim_m=2.0,
         margin_m=15.0,

@@ -15,6 +15,8 @@ from interloc.detection.centerline import Centerline
 from interloc.detection.lines import least_squares, through_start_and_mean
 from interloc.kernels.skeleton import trace_branches
 
+CORE_PX = 3.0  # from the junctions of the centerline in a candidate to its inner circle
+
 
 @dataclass(frozen=True)
 class Branches:
@@ -28,7 +30,7 @@ class Branches:
         Row and column, pixels.
     inner : float
         Radius of the inner circle, pixels.
-    directions, points, weights : (B, 2), (B, 2), (B,) float64
+    directions, points, weights, spans : (B, 2), (B, 2), (B,), (B,) float64
         The line of each branch, see `interloc.detection.lines.Lines`; weights in 1 / m^2.
     lengths : (B,) float64
         Pixels of centerline in each branch.
@@ -44,6 +46,7 @@ class Branches:
     directions: FloatArray
     points: FloatArray
     weights: FloatArray
+    spans: FloatArray
     lengths: FloatArray
     reaches: FloatArray
     core: FloatArray
@@ -58,6 +61,17 @@ class Branches:
         """(B, 2) float64 unit normals of the lines."""
         return np.column_stack([self.directions[:, 1], -self.directions[:, 0]])
 
+    def weights_at(self, point: FloatArray) -> FloatArray:
+        """Return the weights of the lines at a point instead of the candidate, (B,) float64.
+
+        A line is known best in the middle of what it was fitted to (the variance of a prediction by regression).
+        """
+        here, there = (
+            np.einsum("ij,ij->i", p - self.points, self.directions) / self.spans for p in (self.candidate, point)
+        )
+        weights: FloatArray = self.weights * (1.0 + 12.0 * here**2) / (1.0 + 12.0 * there**2)
+        return weights
+
     def select(self, indices: list[int], candidate: FloatArray) -> Branches:
         """Return some of the branches, around another point."""
         return replace(
@@ -66,6 +80,7 @@ class Branches:
             directions=self.directions[indices],
             points=self.points[indices],
             weights=self.weights[indices],
+            spans=self.spans[indices],
             lengths=self.lengths[indices],
             reaches=self.reaches[indices],
         )
@@ -208,6 +223,7 @@ def segment_branches(
         directions=lines.directions[is_branch],
         points=lines.points[is_branch],
         weights=lines.weights[is_branch],
+        spans=lines.spans[is_branch],
         lengths=(pieces["end"] - pieces["begin"])[is_branch].astype(np.float64),
         reaches=pieces["reach"][is_branch],
         core=candidates.core(index),
@@ -222,7 +238,11 @@ def inner_radius(
     radius = config.inner_radius_m / resolution_m
     if config.inner_widths is None:
         return radius
-    radius = min(radius, config.inner_widths * float(candidates.widths[index]))
+    bent = config.inner_widths * float(candidates.widths[index])
+    core = candidates.core(index) - candidates.positions[index]
+    if len(core):  # a junction of the centerline left outside would make one branch of two
+        bent = max(bent, float(np.hypot(core[:, 0], core[:, 1]).max()) + CORE_PX)
+    radius = min(radius, bent)
     others = blockers[blockers != index]
     if len(others):
         gaps = candidates.positions[others] - candidates.positions[index]

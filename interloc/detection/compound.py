@@ -82,6 +82,7 @@ def _connected(part: Branches, places: list[FloatArray]) -> Branches:
         directions=np.vstack([part.directions, toward]),
         points=np.vstack([part.points, part.candidate]),
         weights=np.append(part.weights, 0.0),
+        spans=np.append(part.spans, np.inf),
         lengths=np.append(part.lengths, length),
         reaches=np.append(part.reaches, length),
     )

@@ -125,7 +125,8 @@ class Window:
         if config.compound is not None:
             branches = [part for b in branches for part in split_compound(b, resolution_m, config.compound)]
         prior = config.branches.candidate_std_m
-        junctions = [refine(b, 0.0 if prior is None else prior**-2) for b in branches]  # III-C.2
+        road = occupancy if config.branches.line == "least_squares" else None
+        junctions = [refine(b, 0.0 if prior is None else prior**-2, road) for b in branches]  # III-C.2
         lap("refinement")
         roi, min_points = self.bev.roi, self.bev.min_points
         return Steps(roi, min_points, bev, occupancy, centerline, candidates, segmentation, junctions)

@@ -1,30 +1,47 @@
-"""The straight lines that stand for branches, and how much each counts.
+"""The straight lines that stand for branches, and how well each is known.
 
 The paper lays a line through the start of a branch and its mean. But a centerline does not run straight into an
-intersection: it is bent as far as the surfaces of its roads overlap, it leans where the road ends or leaves the window,
-and roads bend further out. So the preset `default` fits a line to the part of a branch that can be trusted:
+intersection: it is bent as far as the surfaces of its roads overlap, it leans where the road ends, leaves the window or
+was seen in passing, and roads bend further out. So the preset `default` fits a line to the part that can be trusted:
 
-1. Pixels near a dead end of the branch or near the border of the image are left out (`trim_m`).
-2. The line begins where the surface of the road parts from those of the other branches (`_parting`).
-3. It takes in more of the branch, ring by ring, as long as the branch is straight (`straight_m`, `fit_length_m`).
-4. It weighs the inverse of its variance at the candidate: a short or crooked branch, or one that can be trusted only
-   far away, tells less about where the roads meet (`_weigh`).
+1. Pixels near a dead end of the branch or near the border of the image are left out (`trim_m`), and so are those where
+   the road is wider or narrower than the branch is: there a mouth opens, or an edge was not seen (`_keep_parallel`).
+2. From where its sides are parallel the axis is followed inwards along the edge that goes on, half a width from it: at
+   an acute mouth or a rounded corner one edge turns away long before the other (`_follow_edge`). A branch whose edges
+   are too ragged to tell stays as it is.
+3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight
+   (`straight_m`, `fit_length_m`).
+4. It weighs the inverse of its variance where the roads meet, which grows with the distance from what it was fitted to
+   (`_weigh`, `Branches.weights_at`).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, Int32Array, Record, StructuredArray
+from interloc.arrays import BoolArray, FloatArray, Int32Array, Record, StructuredArray, UInt64Array
 from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline
 from interloc.kernels import compiled
+from interloc.kernels.bits import nearest_clear
 
 RING_PX = 4.0  # a line grows by this much at a time
 GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
 PIXEL_PX = 0.1  # how well the line of an ideal road is known
+INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the inner circle
+
+PARALLEL_SLACK = 0.08  # share of its half width that a branch may differ from it by between parallel sides
+SLACK_PX = 1.5  # at least; and what an edge may leave the place by where it belongs
+ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
+MIN_PARALLEL, MIN_PARALLEL_PX = 0.5, 24.0  # a branch with less of it between parallel sides is taken as it is
+LAG = 6  # rings behind that an axis followed inwards takes its direction from
+MAX_MISSES = 4  # rings without an edge that it crosses straight on
+MAX_SHIFT_PX = 1.5  # what it may move sideways in a ring
+LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
+MAX_TURN_COS = 0.5  # it does not turn by more than 60 degrees
 
 
 class Lines(NamedTuple):
@@ -39,16 +56,22 @@ class Lines(NamedTuple):
     weights : (B,) float64
         How much each line counts: 1 in the paper, else the inverse of its variance at the candidate, 1 / m^2; 0 for a
         branch that is too short to show its direction.
+    spans : (B,) float64
+        Length of the part that each line was fitted to, pixels, around its point; infinite in the paper, where lines
+        are as well known everywhere.
     """
 
     points: FloatArray
     directions: FloatArray
     weights: FloatArray
+    spans: FloatArray
 
 
 def through_start_and_mean(pieces: StructuredArray) -> Lines:
     """Lay a line through the start and the mean of each piece (paper, eq. 9); all count alike."""
-    return Lines(pieces["start"], _unit(pieces["mean"] - pieces["start"]), np.ones(len(pieces)))
+    return Lines(
+        pieces["start"], _unit(pieces["mean"] - pieces["start"]), np.ones(len(pieces)), np.full(len(pieces), np.inf)
+    )
 
 
 def least_squares(
@@ -77,8 +100,10 @@ def least_squares(
     config
     """
     limits_m = config.fit_length_m, config.fit_least_m, config.full_fit_m, config.straight_m, config.trim_m
-    limits = np.array((width, inner, *(limit_m / resolution_m for limit_m in limits_m)), LIMITS)
+    lengths = (limit_m / resolution_m for limit_m in limits_m)
+    limits = np.array((width, inner, *lengths, centerline.max_width // 2), LIMITS)
     lines = fit_lines(
+        centerline.occupancy.words,
         centerline.rows,
         centerline.cols,
         centerline.border_distance,
@@ -90,7 +115,8 @@ def least_squares(
     )
     has_line = lines["length"] * resolution_m >= config.min_fit_m
     directions = np.where(has_line[:, None], lines["direction"], _unit(pieces["mean"] - candidate))
-    return Lines(lines["point"], directions, np.where(has_line, lines["weight"] / resolution_m**2, 0.0))
+    weights = np.where(has_line, lines["weight"] / resolution_m**2, 0.0)
+    return Lines(lines["point"], directions, weights, np.where(has_line, lines["length"], np.inf))
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -114,13 +140,14 @@ _MOMENTS = np.dtype([(name, np.float64) for name in ("n", "r", "c", "rr", "rc", 
 
 
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
-_LIMITS = ("width", "inner", "length", "shortest", "full", "straight", "trim")
+_LIMITS = ("width", "inner", "length", "shortest", "full", "straight", "trim", "half_width")
 LIMITS = np.dtype([(name, np.float64) for name in _LIMITS])
 """Road width and inner radius at the candidate, and the settings of the fit from `BranchConfig`; pixels."""
 
 
 @compiled
 def fit_lines(
+    words: UInt64Array,
     rows: Int32Array,
     cols: Int32Array,
     border_distance: Int32Array,
@@ -131,49 +158,230 @@ def fit_lines(
     limits: Record,
 ) -> StructuredArray:
     """Fit and weigh a line for each piece; (P,) LINE. For the arrays see `Centerline` and `trace_branches`."""
+    size = words.shape[0] - 2
     lines = np.zeros(pieces.size, LINE)
     n_rings = max(1, int(limits.length / RING_PX))
+    samples = np.zeros((pieces.size, INNER_RINGS + n_rings), _MOMENTS)
+    firsts = np.zeros(pieces.size, np.int64)
+    halves = np.zeros(pieces.size)
     for i in range(pieces.size):
-        rings = _moments_by_ring(
-            rows, cols, border_distance, is_tip, traced[pieces[i].begin : pieces[i].end], candidate, n_rings, limits
-        )
+        rings = samples[i, INNER_RINGS:]
+        piece = traced[pieces[i].begin : pieces[i].end]
+        some = _sum_rings(rings, rows, cols, border_distance, is_tip, piece, candidate, limits)
+        halves[i] = _keep_parallel(rings, some, words, rows, cols, pieces[i].at_candidate, size, limits)
         begin = int(max(_parting(pieces, i, candidate, limits.width) - limits.inner, 0.0) / RING_PX)
-        _fit_straight_part(lines[i], rings, min(begin, n_rings - 1), candidate, limits)
-    _weigh(lines, limits.full)
+        firsts[i] = _fit_straight_part(lines[i], samples[i], INNER_RINGS + min(begin, n_rings - 1), candidate, limits)
+    straight = lines.copy()
+    for i in range(pieces.size):
+        if lines[i].length > 0.0 and halves[i] > 0.0:
+            first = _follow_edge(samples[i], firsts[i], straight, i, halves, words, candidate)
+            _fit_straight_part(lines[i], samples[i], first, candidate, limits)
+    _weigh(lines, candidate, limits.full)
     return lines
 
 
 @compiled
-def _moments_by_ring(
+def _sum_rings(
+    rings: StructuredArray,
     rows: Int32Array,
     cols: Int32Array,
     border_distance: Int32Array,
     is_tip: BoolArray,
     piece: Int32Array,
     candidate: FloatArray,
-    n_rings: int,
     limits: Record,
-) -> StructuredArray:
-    """Sum up the trustworthy pixels of a piece in rings around the inner circle, from it outwards."""
-    rings = np.zeros(n_rings, _MOMENTS)
+) -> Int32Array:
+    """Sum up the usable pixels of a piece in rings around the inner circle, from it outwards; return one of each."""
+    some = np.full(rings.size, -1, np.int32)
     tips = piece[is_tip[piece]]
     for p in piece:
         dr, dc = rows[p] - candidate[0], cols[p] - candidate[1]
         ring = int((np.sqrt(dr * dr + dc * dc) - limits.inner) / RING_PX)
-        usable = ring < n_rings and border_distance[p] >= limits.trim
+        usable = ring < rings.size and border_distance[p] >= limits.trim
         for t in tips:
             tr, tc = rows[p] - rows[t], cols[p] - cols[t]
             if tr * tr + tc * tc < limits.trim * limits.trim:
                 usable = False
         if usable:
-            sums = rings[ring]
-            sums.n += 1.0
-            sums.r += dr
-            sums.c += dc
-            sums.rr += dr * dr
-            sums.rc += dr * dc
-            sums.cc += dc * dc
-    return rings
+            _add(rings[ring], dr, dc, 1.0)
+            some[ring] = p
+    return some
+
+
+@compiled
+def _add(sums: Record, r: float, c: float, n: float) -> None:
+    sums.n += n
+    sums.r += n * r
+    sums.c += n * c
+    sums.rr += n * r * r
+    sums.rc += n * r * c
+    sums.cc += n * c * c
+
+
+@compiled
+def _keep_parallel(
+    rings: StructuredArray,
+    some: Int32Array,
+    words: UInt64Array,
+    rows: Int32Array,
+    cols: Int32Array,
+    is_link: bool,
+    size: int,
+    limits: Record,
+) -> float:
+    """Empty the rings where the road is wider or narrower than the branch is.
+
+    Returns its half width, pixels; 0 where too little of it is between parallel sides, and nothing was emptied.
+    """
+    halves = np.zeros(rings.size)
+    count = 0
+    for i in range(rings.size):
+        if some[i] >= 0:
+            halves[i] = nearest_clear(words, rows[some[i]], cols[some[i]], size, size, int(limits.half_width))
+            count += 1
+    known = np.sort(halves[halves > 0.0])
+    if known.size == 0:
+        return 0.0
+    # Both ends of a road between two junctions open into mouths.
+    half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (known.size - 1))]
+    slack = max(SLACK_PX, PARALLEL_SLACK * half)
+    parallel = 0
+    for i in range(rings.size):
+        if some[i] >= 0 and abs(halves[i] - half) <= slack:
+            parallel += 1
+    if parallel < max(MIN_PARALLEL * count, MIN_PARALLEL_PX / RING_PX):
+        return 0.0  # its edges are too ragged to tell
+    for i in range(rings.size):
+        if some[i] >= 0 and abs(halves[i] - half) > slack:
+            rings[i].n = 0.0
+    return half
+
+
+@compiled
+def _follow_edge(
+    samples: StructuredArray,
+    first: int,
+    lines: StructuredArray,
+    which: int,
+    halves: FloatArray,
+    words: UInt64Array,
+    candidate: FloatArray,
+) -> int:
+    """Follow the axis of a branch inwards along the edge that stays half a width from it; return the new first ring.
+
+    It ends where both edges have turned away, or where the axis comes upon the surface of another branch.
+    """
+    line, half = lines[which], halves[which]
+    slack = SLACK_PX
+    toward = _lasting_side(lines, which)
+    ring = samples[first]
+    along = (candidate[0] + ring.r / ring.n - line.point[0]) * line.direction[0]
+    along += (candidate[1] + ring.c / ring.n - line.point[1]) * line.direction[1]
+    trail = np.empty((first + LAG + 1, 2))
+    for k in range(LAG + 1):
+        ahead = along + (LAG - k) * RING_PX
+        trail[k, 0] = line.point[0] + ahead * line.direction[0]
+        trail[k, 1] = line.point[1] + ahead * line.direction[1]
+    half = _half_width_along(words, line, trail[: LAG + 1], half)
+    at, misses, shift = LAG, 0, 0.0
+    for i in range(first - 1, -1, -1):
+        u_row, u_col = trail[at, 0] - trail[at - LAG, 0], trail[at, 1] - trail[at - LAG, 1]
+        norm = np.sqrt(u_row * u_row + u_col * u_col)
+        u_row, u_col = u_row / norm, u_col / norm
+        if -(u_row * line.direction[0] + u_col * line.direction[1]) < MAX_TURN_COS:
+            break
+        r, c = trail[at, 0] + RING_PX * u_row, trail[at, 1] + RING_PX * u_col
+        if _is_on_other(r, c, lines, which, halves, candidate):
+            break
+        reach = half + slack + 1.0
+        left = to_edge(words, r, c, -u_col, u_row, reach)
+        right = to_edge(words, r, c, u_col, -u_row, reach)
+        misses += 1
+        if left + right <= 2.0 * half + slack:
+            shift, misses = 0.5 * (left - right), 0
+        elif toward != 0.0:
+            # An edge that comes nearer bends with its road; one that draws away opens into a mouth, or has a gap.
+            shift = toward * ((left if toward > 0.0 else right) - half)
+            if toward * shift <= slack:
+                misses = 0
+        if misses > MAX_MISSES:
+            break
+        shift = 0.0 if misses else min(max(shift, -MAX_SHIFT_PX), MAX_SHIFT_PX)
+        r, c = r - shift * u_col, c + shift * u_row
+        at += 1
+        trail[at, 0], trail[at, 1] = r, c
+        samples[i].n = 0.0
+        if misses:
+            continue
+        samples[i].r = samples[i].c = samples[i].rr = samples[i].rc = samples[i].cc = 0.0
+        _add(samples[i], r - candidate[0], c - candidate[1], RING_PX)
+        first = i
+    return first
+
+
+@compiled
+def _half_width_along(words: UInt64Array, line: Record, places: FloatArray, half: float) -> float:
+    """Return the half width of a branch between its edges at some places of its line; ``half`` where they are ragged."""
+    slack = max(2.0 * SLACK_PX, PARALLEL_SLACK * half)
+    reach = half + slack + 1.0
+    total, count = 0.0, 0
+    for r, c in places:
+        left = to_edge(words, r, c, line.direction[1], -line.direction[0], reach)
+        right = to_edge(words, r, c, -line.direction[1], line.direction[0], reach)
+        if abs(left + right - 2.0 * half) <= slack:
+            total += 0.5 * (left + right)
+            count += 1
+    return total / count if count >= LAG // 2 else half
+
+
+@compiled
+def _lasting_side(lines: StructuredArray, which: int) -> float:
+    """Return on which side of a branch, seen inwards, its edge lasts the longest: 1 left, -1 right, 0 on neither.
+
+    A corner between two roads is rounded over r / tan(t / 2), with the angle t between them: the edge lasts on the side
+    where the next branch is far round.
+    """
+    d_row, d_col = lines[which].direction
+    left, right = 2.0 * np.pi, 2.0 * np.pi
+    for j in range(lines.size):
+        if j != which and lines[j].length > 0.0:
+            o_row, o_col = lines[j].direction
+            angle = np.arctan2(d_col * o_row - d_row * o_col, d_row * o_row + d_col * o_col) % (2.0 * np.pi)
+            left, right = min(left, angle), min(right, 2.0 * np.pi - angle)
+    if max(left, right) < LASTING_RAD:
+        return 0.0
+    return 1.0 if left > right else -1.0
+
+
+@compiled
+def _is_on_other(
+    r: float, c: float, lines: StructuredArray, which: int, halves: FloatArray, candidate: FloatArray
+) -> bool:
+    """Return whether a place lies on the surface of another branch, prolonged to the candidate."""
+    for j in range(lines.size):
+        if j == which or lines[j].length == 0.0:
+            continue
+        d_row, d_col = lines[j].direction
+        across = (r - lines[j].point[0]) * d_col - (c - lines[j].point[1]) * d_row
+        along = (r - candidate[0]) * d_row + (c - candidate[1]) * d_col
+        if abs(across) < halves[j] and along > 0.0:
+            return True
+    return False
+
+
+@compiled
+def to_edge(words: UInt64Array, r: float, c: float, d_row: float, d_col: float, reach: float) -> float:
+    """Return the distance from a place to the edge of the road in a direction, pixels; ``reach`` at most."""
+    size = words.shape[0] - 2
+    distance = 0.0
+    while distance < reach:
+        row, col = round(r + distance * d_row), round(c + distance * d_col)
+        if row < 0 or col < 0 or row >= size or col >= size:
+            return reach
+        if (words[row + 1, col >> 6] >> np.uint64(col & 63)) & np.uint64(1) == 0:
+            return distance
+        distance += 0.5
+    return reach
 
 
 @compiled
@@ -193,8 +401,11 @@ def _parting(pieces: StructuredArray, which: int, candidate: FloatArray, width: 
 
 
 @compiled
-def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candidate: FloatArray, limits: Record) -> None:
-    """Fit a line by total least squares to the rings from ``begin`` on, as far as the branch is straight."""
+def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candidate: FloatArray, limits: Record) -> int:
+    """Fit a line by total least squares to the rings from ``begin`` on, as far as the branch is straight.
+
+    Returns the first ring that was used.
+    """
     first = -1
     m, sr, sc, srr, src, scc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(begin, rings.size):
@@ -219,15 +430,20 @@ def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candida
         length = (i + 1 - first) * RING_PX
         if rms > limits.straight and length > limits.shortest:
             break
-        if d_row * ur + d_col * uc < 0.0:
+        # Away from where the branch begins: the candidate may lie beyond the place that it comes from.
+        sense = d_row * (ur - rings[first].r / rings[first].n) + d_col * (uc - rings[first].c / rings[first].n)
+        if i == first:
+            sense = d_row * ur + d_col * uc
+        if sense < 0.0:
             d_row, d_col = -d_row, -d_col
         line.point[0], line.point[1] = candidate[0] + ur, candidate[1] + uc
         line.direction[0], line.direction[1] = d_row, d_col
-        line.start, line.length, line.rms = limits.inner + first * RING_PX, length, rms
+        line.start, line.length, line.rms = limits.inner + (first - INNER_RINGS) * RING_PX, length, rms
+    return max(first, begin)
 
 
 @compiled
-def _weigh(lines: StructuredArray, full: float) -> None:
+def _weigh(lines: StructuredArray, candidate: FloatArray, full: float) -> None:
     """Weigh each line by its length, as far as ``full`` counts, over its variance at the candidate.
 
     The scatter of a short branch may be small by chance, so half of its variance is that of all branches around.
@@ -243,6 +459,9 @@ def _weigh(lines: StructuredArray, full: float) -> None:
             scatter = max(line.rms - GRID_PX, 0.0)
             variance = 0.5 * (scatter * scatter + common / total) + PIXEL_PX * PIXEL_PX
             # A line that is prolonged back to the candidate is known there the worse the farther off it was fitted.
-            far = (line.start + 0.5 * line.length) / line.length
+            off = (candidate[0] - line.point[0]) * line.direction[0] + (candidate[1] - line.point[1]) * line.direction[
+                1
+            ]
+            far = off / line.length
             variance *= 1.0 + 12.0 * far * far
             line.weight = min(line.length, full) / full / variance

@@ -51,18 +51,7 @@ def test_a_place_has_the_same_name_under_both_presets(evaluation: Evaluation, to
     assert set(of_paper) == set(evaluation.verdicts.uids) == {f"n{each.node_id}" for each in JUNCTIONS.values()}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(
-            "T45",
-            marks=pytest.mark.xfail(
-                strict=True, reason="the line of a road seen in passing leans towards its ragged end"
-            ),
-        ),
-        *sorted(JUNCTIONS.keys() - {"T45"}),
-    ],
-)
+@pytest.mark.parametrize("name", sorted(JUNCTIONS))
 def test_intersection_of_the_map_is_where_the_plan_has_it(town_result: DriveResult, name: str) -> None:
     assert errors_m(name, town_result.intersections.lonlat).min() <= 0.3
 

@@ -29,6 +29,7 @@ def blob(*branches: Branch, core: list[tuple[float, float]], inner: float = 15.0
         directions=directions,
         points=points,
         weights=np.ones(count),
+        spans=np.full(count, np.inf),
         lengths=np.full(count, 30.0),
         reaches=np.full(count, 40.0),
         core=np.array(core).reshape(-1, 2),

@@ -30,8 +30,10 @@ def fit(
     """Fit a line to each branch of a candidate, from its inner circle 60 pixels far; all lengths are pixels."""
     line, place = Centerline.of(image, image), np.array(candidate, np.float64)
     traced, pieces = trace_branches(line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0)
-    limits = np.array((width, inner, length, shortest, 20.0, straight, trim), LIMITS)[()]
-    return fit_lines(line.rows, line.cols, line.border_distance, line.is_tip, traced, pieces, place, limits)
+    limits = np.array((width, inner, length, shortest, 20.0, straight, trim, 99.0), LIMITS)[()]
+    no_surface = BinaryImage.empty(image.height, image.width)  # so there are no edges to follow
+    pixels = no_surface.words, line.rows, line.cols, line.border_distance, line.is_tip
+    return fit_lines(*pixels, traced, pieces, place, limits)
 
 
 def cross(size: int = 201) -> UInt8Array:

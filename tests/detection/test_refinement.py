@@ -34,6 +34,7 @@ def branches(
         directions=directions.reshape(-1, 2),
         points=np.array(points).reshape(-1, 2),
         weights=weight,
+        spans=np.full(len(points), np.inf),
         lengths=np.full(len(points), 50.0),
         reaches=np.full(len(points), 60.0),
         core=np.empty((0, 2)),
