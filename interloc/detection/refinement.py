@@ -87,8 +87,8 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
 
 def _solve(normals: FloatArray, weights: FloatArray, offsets: FloatArray, prior_weight: float) -> FloatArray:
     weighted = normals * weights[:, None]
-    shift: FloatArray = np.linalg.solve(normals.T @ weighted + prior_weight * np.eye(2), weighted.T @ offsets)
-    return shift
+    shift = np.linalg.solve(normals.T @ weighted + prior_weight * np.eye(2), weighted.T @ offsets)
+    return shift.astype(np.float64, copy=False)
 
 
 def _within(shift: FloatArray, limit: float) -> FloatArray:
