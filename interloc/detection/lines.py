@@ -321,7 +321,7 @@ def _follow_edge(
 
 @compiled
 def _half_width_along(words: UInt64Array, line: Record, places: FloatArray, half: float) -> float:
-    """Return the half width of a branch between its edges at places of its line; ``half`` where they are ragged."""
+    """Return the half width between the edges at some places of a line; ``half`` where they are ragged."""
     slack = max(2.0 * SLACK_PX, PARALLEL_SLACK * half)
     reach = half + slack + 1.0
     total, count = 0.0, 0

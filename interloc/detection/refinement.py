@@ -64,7 +64,6 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     McClure, "Statistical methods for tomographic image reconstruction", 1987): a line that passes far off, because its
     road bends before it comes to the intersection, counts little.
     """
-    shift: FloatArray
     candidate, normals, weights = branches.candidate, branches.normals, branches.weights
     counted = normals[weights > 0]
     # Whether lines are near-parallel is a matter of their directions, however unlike their weights.
@@ -78,7 +77,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
         shift = np.zeros(2, np.float64)
         for _ in range(ROUNDS):
             off = (normals @ shift - offsets) / (TOLERANCE * branches.inner)
-            weights = branches.weights_at(candidate + shift) / (1.0 + off**2) ** 2
+            weights = (branches.weights_at(candidate + shift) / (1.0 + off**2) ** 2).astype(np.float64)
             shift = _within(_solve(normals, weights, offsets, prior_weight), MAX_SHIFTS * branches.inner)
             shift = _on_road(occupancy, candidate, shift, branches.inner)
     residual = float(np.sqrt(np.average((normals @ shift - offsets) ** 2, weights=weights)))
@@ -87,8 +86,10 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
 
 def _solve(normals: FloatArray, weights: FloatArray, offsets: FloatArray, prior_weight: float) -> FloatArray:
     weighted = normals * weights[:, None]
-    shift = np.linalg.solve(normals.T @ weighted + prior_weight * np.eye(2), weighted.T @ offsets)
-    return shift.astype(np.float64, copy=False)
+    shift: FloatArray = np.linalg.solve(normals.T @ weighted + prior_weight * np.eye(2), weighted.T @ offsets).astype(
+        np.float64, copy=False
+    )
+    return shift
 
 
 def _within(shift: FloatArray, limit: float) -> FloatArray:

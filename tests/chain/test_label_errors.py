@@ -48,6 +48,7 @@ def test_result_does_not_depend_on_the_number_of_processes(
         for name, column in vars(getattr(noisy_result, table)).items():
             theirs = getattr(getattr(other, table), name)
             if isinstance(column, list):
-                assert [values.tolist() for values in theirs] == [values.tolist() for values in column]
+                for value, their in zip(column, theirs, strict=True):
+                    assert np.array_equal(their, value, equal_nan=True)
             else:
                 assert np.array_equal(theirs, column, equal_nan=column.dtype.kind == "f")

@@ -18,7 +18,7 @@ from interloc.pipeline import detect
 from interloc.results import DriveResult
 
 SAME_DEG = 1e-9  # 0.1 mm
-MOVED_DEG = 1e-7  # 1 cm: the last digit of a moved pose may put a point into the next cell
+MOVED_DEG = 5e-7  # 5 cm: the last digit of a moved pose may put a point into the next cell
 
 LEARNING = {40: 9, 60: 9, 44: 10, 48: 11, 49: 12, 50: 13, 51: 14, 70: 15, 72: 17, 80: 18, 10: 1, 0: 0}
 KITTI360 = {40: 7, 60: 7, 44: 9, 48: 8, 49: 6, 50: 11, 51: 13, 70: 21, 72: 22, 80: 17, 10: 26, 0: 0}
