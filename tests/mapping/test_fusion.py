@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
+import tracemalloc
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -511,9 +511,9 @@ def test_any_detections_make_a_map_of_the_right_form(data: st.DataObject) -> Non
             assert len(intersections) > 0
 
 
-@pytest.mark.parametrize("spread_m", [3.0, 100.0, 1000.0])
-def test_ten_thousand_detections_take_well_under_a_second(spread_m: float) -> None:
-    """Also all at one place, where naive pairs would need gigabytes; the limit leaves room for a busy machine."""
+@pytest.mark.parametrize("spread_m", [3.0, 1000.0])
+def test_ten_thousand_detections_take_little_memory(spread_m: float) -> None:
+    """Also all at one place, where the pairs of all detections would need gigabytes."""
     rng = np.random.default_rng(0)
     keyframes, _ = Stream(np.zeros((0, 2))).drive(straight((0, 0), (20_000, 0))).tables(georeferenced=False)
     n = 10_000
@@ -526,13 +526,11 @@ def test_ten_thousand_detections_take_well_under_a_second(spread_m: float) -> No
         score=rng.random(n),
         intersection=np.full(n, -1),
     )
-    fuse(keyframes, replace(detections, world_xy=detections.world_xy + 1.0))  # imports
-    seconds = []
-    for _ in range(3):
-        start = time.perf_counter()
-        fuse(keyframes, detections)
-        seconds.append(time.perf_counter() - start)
-    assert min(seconds) < 1.0
+    tracemalloc.start()
+    fuse(keyframes, detections)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 100e6
 
 
 def test_limits_in_the_wrong_order_are_refused() -> None:
