@@ -27,7 +27,7 @@ from tests.app.processes import (
     archive_of,
     ended,
     files_below,
-    half_way,
+    job_of,
     kill_if_there,
     started,
     submit,
@@ -192,9 +192,10 @@ def test_a_drive_is_ready_after_a_kill_in_the_middle_of_its_commit(start: Start,
     answer = server.client.post(f"{API}/drives/{drive}/commit", headers=ASYNC)
     assert answer.status_code == 202, answer.text
     (job,) = server.client.get(f"{API}/jobs", params={"drive": drive, "kind": "commit"}).json()["jobs"]
-    half_way(server.client, job["id"])
+    wait_until(lambda: job_of(server.client, job["id"])["state"] == "running", "the commit to begin", every_s=0.005)
     for worker in server.workers():
         os.kill(worker.pid, signal.SIGSTOP)
+    assert job_of(server.client, job["id"])["state"] == "running", "the job ended before it could be disturbed"
     kill_all(server)
     assert not (data / "drives" / drive / "reduced").exists()
     raw = count_files(data / "drives" / drive / "files")

@@ -330,7 +330,7 @@ def see_schema(gis: Gis) -> None:
     queryables = gis.json("/ogc/collections/detections/queryables")["properties"]
     assert schema.keys() - queryables.keys() == {"branch_bearings_deg", "branch_widths_m"}
     features = gis.json("/ogc/collections/detections/feature-schema")["properties"]["properties"]["properties"]
-    assert schema.keys() - features.keys() == {"geometry", "branch_bearings_deg", "osm_id"}
+    assert schema.keys() - features.keys() == {"geometry", "branch_bearings_deg", "branch_widths_m", "osm_id"}
     assert schema.keys() - {"geometry"} == gis.items(limit=1)["features"][0]["properties"].keys()
 
 

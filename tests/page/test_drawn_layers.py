@@ -214,6 +214,7 @@ def many_detections(result: DriveResult) -> DriveResult:
         world_xy=enu,
         lonlat=lonlat_from_enu(LAT_DEG, LON_DEG, enu),
         bearings_deg=[np.array([0.0, 90.0, 180.0])] * MANY,
+        widths_m=[np.array([7.0, 6.0, 7.0])] * MANY,
         score=np.ones(MANY),
         intersection=np.full(MANY, -1),
     )
