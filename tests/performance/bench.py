@@ -190,11 +190,13 @@ def write_long(drive: FolderDrive, root: Path) -> None:
         start[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
         start[:3, 3] = last[:3, 3]
         start = start @ ahead
-    for folder, files in (("velodyne", drive.ground.scan_files), ("labels", drive.ground.label_files)):
+    folders = ("velodyne", "labels")
+    for folder in folders:
         (root / folder).mkdir()
-        for number in range(LONG * len(drive.frames)):
-            source = files.path(int(drive.frames[number % len(drive.frames)])).resolve()
-            (root / folder / f"{number:06d}{files.suffix}").symlink_to(source)
+    for number in range(LONG * len(drive.frames)):
+        sources = drive.ground.files(int(drive.frames[number % len(drive.frames)]))
+        for folder, source in zip(folders, sources, strict=True):
+            (root / folder / f"{number:06d}{source.suffix}").symlink_to(source.resolve())
     np.savetxt(root / "poses.txt", np.concatenate(poses)[:, :3].reshape(-1, 12))
 
 
