@@ -69,11 +69,7 @@ class Collection:
         described = {each.name: _described(each) for each in self.attributes}
         plain = {each.name for each in self.attributes if each.kind != "list"} - _LARGE
         return {
-            "$schema": _DRAFT,
-            "$id": address,
-            "title": self.layer.title,
-            "description": self.layer.description,
-            "type": "object",
+            **self._head(address),
             "required": ["type", "geometry", "properties"],
             "properties": {
                 "type": {"type": "string", "const": "Feature"},
@@ -87,15 +83,20 @@ class Collection:
         """Return the JSON schema of what filters may name (part 3), which stands at this address."""
         return self._document(address, list(self.queryables))
 
-    def _document(self, address: str, names: list[str]) -> dict[str, Any]:
-        shape = {"x-ogc-role": "primary-geometry", "format": f"geometry-{_SHAPES[self.layer.geometry]}"}
-        described = {each.name: _described(each) for each in self.attributes}
+    def _head(self, address: str) -> dict[str, Any]:
         return {
             "$schema": _DRAFT,
             "$id": address,
             "title": self.layer.title,
             "description": self.layer.description,
             "type": "object",
+        }
+
+    def _document(self, address: str, names: list[str]) -> dict[str, Any]:
+        shape = {"x-ogc-role": "primary-geometry", "format": f"geometry-{_SHAPES[self.layer.geometry]}"}
+        described = {each.name: _described(each) for each in self.attributes}
+        return {
+            **self._head(address),
             "properties": {GEOMETRY: shape, **{name: described[name] for name in names}},
             "additionalProperties": False,
         }
