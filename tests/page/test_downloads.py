@@ -33,6 +33,8 @@ COUNT_CLICKS = """() => {
   window.clicked = [];
 }"""
 DOWNLOAD_MS = 15_000
+# Chromium begins ten downloads of a page within a second, and drops the eleventh without a word.
+PACE_MS = 110
 TITLES = ("Intersections", "Detections", "Keyframes", "Trajectory", "OSM intersections", "Matches")
 
 
@@ -80,6 +82,7 @@ class Open:
                 )
         path = tmp_path / waiting.value.suggested_filename
         waiting.value.save_as(path)
+        self.page.wait_for_timeout(PACE_MS)
         return path
 
     def count(self, layer: str) -> int:

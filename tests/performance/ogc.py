@@ -48,7 +48,7 @@ QUERIES = {
     "two numbers": "limit=100&filter=score>0.95 AND error_m BETWEEN 2 AND 3",
     "a pattern": "limit=100&filter=reason LIKE '%25misplaced%25'",
     "a polygon": "limit=100&filter=S_INTERSECTS(geometry, POLYGON((8.42 49.02,8.45 49.02,8.44 49.05,8.42 49.02)))",
-    "an hour": "limit=100&datetime=2026-03-01T12:00:00Z/2026-03-01T13:00:00Z",
+    "an afternoon": "limit=100&datetime=2026-03-01T12:00:00Z/2026-03-01T18:00:00Z",
     "a drive": "limit=1000&filter=drive='drive 500'",
 }
 
@@ -74,25 +74,23 @@ def write_result(folder: Path, rng: np.random.Generator, start: FloatArray, seco
     times = [time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(seconds + i)) for i in range(DETECTIONS)]
     error = rng.gamma(2.0, 1.0, DETECTIONS)
     wrong = error > 5.0
-    number = np.zeros(DETECTIONS)
-    features = LAYERS["detections"].features(
-        lonlat.tolist(),
-        frame=np.arange(DETECTIONS) * 3,
-        x_m=rng.normal(0, 10, DETECTIONS),
-        y_m=rng.normal(0, 10, DETECTIONS),
-        world_x_m=number,
-        world_y_m=number,
-        branch_count=rng.integers(3, 6, DETECTIONS),
-        branch_bearings_deg=[[0.0, 90.0, 180.0]] * DETECTIONS,
-        score=rng.random(DETECTIONS),
-        intersection=(np.arange(DETECTIONS) // 20).tolist(),
-        id=[f"{3 * i}-1" for i in range(DETECTIONS)],
-        time=times,
-        outcome=np.where(wrong, "wrong", "right").tolist(),
-        osm_id=(4_000_000_000 + rng.integers(0, 20_000, DETECTIONS)).tolist(),
-        error_m=error,
-        reason=[f"misplaced by {e:.1f} m" if w else None for e, w in zip(error, wrong, strict=True)],
-    )
+    layer = LAYERS["detections"]
+    columns = {each.name: [None] * DETECTIONS for each in layer.attributes} | {
+        "frame": np.arange(DETECTIONS) * 3,
+        "x_m": rng.normal(0, 10, DETECTIONS),
+        "y_m": rng.normal(0, 10, DETECTIONS),
+        "branch_count": rng.integers(3, 6, DETECTIONS),
+        "branch_bearings_deg": [[0.0, 90.0, 180.0]] * DETECTIONS,
+        "score": rng.random(DETECTIONS),
+        "intersection": (np.arange(DETECTIONS) // 20).tolist(),
+        "id": [f"{3 * i}-1" for i in range(DETECTIONS)],
+        "time": times,
+        "outcome": np.where(wrong, "wrong", "right").tolist(),
+        "osm_id": (4_000_000_000 + rng.integers(0, 20_000, DETECTIONS)).tolist(),
+        "error_m": error,
+        "reason": [f"misplaced by {e:.1f} m" if w else None for e, w in zip(error, wrong, strict=True)],
+    }
+    features = layer.features(lonlat.tolist(), **columns)
     folder.mkdir(parents=True, exist_ok=True)
     write_collection(folder / "detections.geojson", features, local=False)
     for name in ("intersections", "keyframes"):
