@@ -97,6 +97,12 @@ class OccupancyConfig(_Config):
     opening_m: float = Field(
         2.4, ge=0, le=20, description="Diameter of the disc that removes what is too small to be road."
     )
+    island_m2: float = Field(
+        0.0,
+        ge=0,
+        le=10000,
+        description="Gaps enclosed by road count as road up to this area: traffic islands, lay-bys; 0 keeps all gaps.",
+    )
 
 
 class CenterlineConfig(_Config):
@@ -178,6 +184,14 @@ class BranchConfig(_Config):
         ge=0,
         le=200,
         description="Distance from its candidate that a branch must reach, unless it ends at another candidate.",
+    )
+    min_surface_m2: float = Field(
+        0.0,
+        ge=0,
+        le=10000,
+        description="Road surface outside of the inner circle that a branch must show, unless it ends at another "
+        "candidate: what is short must be wide. In proportion less where fewer keyframes than a full window lie in the "
+        "region of interest.",
     )
     stop_m: float = Field(1.0, gt=0, le=50, description="A branch ends this far before another candidate.")
     end_at_rejected: bool = Field(
@@ -442,13 +456,14 @@ PAPER = DetectorConfig(
 DEFAULT = DetectorConfig(
     preset="default",
     bev=BevConfig(min_points=2, vote=True, pool_votes=True),
-    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
+    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
     branches=BranchConfig(
         inner_radius_m=15.0,
         inner_widths=0.85,
         min_reach_m=14.0,
+        min_surface_m2=24.0,
         stop_m=2.0,
         end_at_rejected=False,
         line="least_squares",
