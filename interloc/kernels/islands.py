@@ -24,11 +24,11 @@ def fill_islands(words: UInt64Array, height: int, width: int, limit: float) -> N
     parent = np.arange(total // 2).astype(np.int32)
     area = np.zeros(total // 2, np.int64)
     is_open = np.zeros(total // 2, np.bool_)
-    rows = np.empty(height + 1, np.int32)
+    begin_of = np.empty(height + 1, np.int32)  # number of the first run of each row
     count, above = 0, 0
     for r in range(height):
         first = count
-        rows[r] = first
+        begin_of[r] = first
         is_end = False
         for w in range(words.shape[1]):
             word = edges[r, w]
@@ -56,9 +56,9 @@ def fill_islands(words: UInt64Array, height: int, width: int, limit: float) -> N
                     is_open[a] |= is_open[b]
                 touching += 1
         above = first
-    rows[height] = count
+    begin_of[height] = count
     for r in range(height):
-        for i in range(rows[r], rows[r + 1]):
+        for i in range(begin_of[r], begin_of[r + 1]):
             root = _root(parent, i)
             if not is_open[root] and area[root] <= limit:
                 for c in range(begins[i], ends[i]):
@@ -74,7 +74,8 @@ def _edges_of(row: UInt64Array, width: int, edges: UInt64Array) -> int:
         clear = ~row[w] & inside
         edges[w] = clear ^ ((clear << one) | before)
         before = clear >> np.uint64(63)
-        count += popcount(edges[w])
+        if edges[w] != 0:
+            count += popcount(edges[w])
     return count
 
 
