@@ -34,7 +34,7 @@ from interloc.arrays import FloatArray
 from interloc.output.credits import ODBL, map_credit
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
-from interloc.output.styles import RIGHT, STYLES
+from interloc.output.styles import RIGHT, ROAD, STYLES
 from tests.app.conftest import running_server
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.qgis import ask_qgis, pixels_of, require_qgis
@@ -130,6 +130,9 @@ def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, 
             intersection=[None] * len(links),
         )
         write_collection(folder / "matches.geojson", matches, local=False, credit=map_credit(is_made_up=False))
+        across = [[[lon, lat - 5e-4], [lon, lat + 5e-4]] for lon, lat in lonlat[:1].tolist()]
+        road = LAYERS["osm_roads"].features(across, osm_id=[7], highway=["service"], name=[None], is_drivable=[True])
+        write_collection(folder / "osm_roads.geojson", road, local=False, credit=map_credit(is_made_up=False))
     spans = {"georeferenced": True, "first_time": times[0], "last_time": times[-1]}
     (folder / "run.json").write_text(json.dumps({"labels": "predictions", **spans}))
 
@@ -652,11 +655,14 @@ def test_qgis_reads_all_layers_and_the_live_project(gis: Gis, tmp_path: Path) ->
     assert told["since"] == [10, "DateTime"]
     assert any("datetime=2026-03-01T12:01:50" in each for each in gis.asked)
     live = told["project"]
-    assert [*live["groups"]] == ["Verdict", "Evidence"]
+    assert [*live["groups"]] == ["Verdict", "Evidence", "Map of OpenStreetMap"]
     assert {layer["provider"] for layer in live["layers"].values()} == {"OAPIF"}
     assert all(layer["valid"] for layer in live["layers"].values())
-    assert live["layers"]["Detections"]["legend"] == [each.title for each in STYLES["detections"].rules]
-    assert pixels_of(tmp_path / "live.png", RIGHT) > 20
+    assert {"Branches", "Uncertainty, 95 %"} < live["layers"].keys()
+    detections = live["layers"]["Detections"]
+    assert detections["legend"] == [each.title for each in STYLES["detections"].rules]
+    assert (detections["aliases"]["error_m"], detections["types"]["error_m"]) == ("Error", "Real")
+    assert min(pixels_of(tmp_path / "live.png", colour) for colour in (RIGHT, ROAD)) > 20
 
 
 def test_the_index_follows_trash_purge_and_repair(tmp_path: Path) -> None:
