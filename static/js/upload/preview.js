@@ -117,6 +117,7 @@ function previewOf(drive, { track, look }, map) {
   result.keyframes = scans.map(([lng, lat]) => ({ lng, lat, properties: {} }));
   result.places = fitted ? [fitted] : [];
   result.roads = look?.roads ?? [];
+  result.isMadeUp = look?.isMadeUp ?? false;
   const parts = [plural(scans.length, "scan"), formatMetres(length_m, 0)];
   if (local) parts.push("in metres of its poses: no georeference");
   if (look?.roads.length) parts.push(`roads of ${map?.name}`);

@@ -103,6 +103,9 @@ test("roads near a track are read from OSM XML, plain or packed, and how much of
     assert.equal(look.covered, 0.5);
     assert.ok(Math.abs(look.road_m - 2) < 0.05);
   }
+  assert.equal((await lookIntoMap(file(OSM, "map.osm"), track)).isMadeUp, false);
+  const simulated = OSM.replace("<osm>", '<osm version="0.6" generator="interloc simulate">');
+  assert.equal((await lookIntoMap(file(simulated, "map.osm"), track)).isMadeUp, true); // and no credit is due
   assert.equal(await lookIntoMap(file("no map", "map.osm"), track), null);
 });
 
