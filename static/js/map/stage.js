@@ -161,7 +161,7 @@ export async function mountStage() {
     isPlaced = false;
     timeline.show(next);
     setResult(next);
-    if (isFiltering()) clearFilter(); // it was one of another result
+    parts.filterNote.update();
     shown.map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
