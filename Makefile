@@ -13,7 +13,7 @@ COVER := --cov --cov-report=term:skip-covered
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
 PIP_INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt
-# Two halves, of which the faster one helps the other; bytecode is kept, for the processes that the tests start.
+# Processes that have done their part help the others; bytecode is kept, for the processes that the tests start.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
 BIOME := static/node_modules/.bin/biome
 

@@ -14,6 +14,13 @@ settings.register_profile("interloc", deadline=None, max_examples=50, derandomiz
 settings.load_profile("interloc")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Take two processes per core, up to eight: tests of servers and browsers mostly wait. Each needs up to 1 GB."""
+    cores = os.cpu_count() or 1
+    return max(cores, min(2 * cores, 8))
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Report, once and last, which tests were not run and why: missing tools and missing real data."""

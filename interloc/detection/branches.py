@@ -56,22 +56,6 @@ class Branches:
         """Number of branches."""
         return len(self.directions)
 
-    @property
-    def normals(self) -> FloatArray:
-        """(B, 2) float64 unit normals of the lines."""
-        return np.column_stack([self.directions[:, 1], -self.directions[:, 0]])
-
-    def weights_at(self, point: FloatArray) -> FloatArray:
-        """Return the weights of the lines at a point instead of the candidate, (B,) float64.
-
-        A line is known best in the middle of what it was fitted to (the variance of a prediction by regression).
-        """
-        here, there = (
-            np.einsum("ij,ij->i", p - self.points, self.directions) / self.spans for p in (self.candidate, point)
-        )
-        weights: FloatArray = self.weights * (1.0 + 12.0 * here**2) / (1.0 + 12.0 * there**2)
-        return weights
-
     def select(self, indices: list[int], candidate: FloatArray) -> Branches:
         """Return some of the branches, around another point."""
         return replace(

@@ -12,7 +12,7 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight
    (`straight_m`, `fit_length_m`).
 4. It weighs the inverse of its variance where the roads meet, which grows with the distance from what it was fitted to
-   (`_weigh`, `Branches.weights_at`).
+   (`_weigh`, and `interloc.detection.refinement`).
 """
 
 from __future__ import annotations

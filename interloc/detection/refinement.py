@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, UInt64Array
 from interloc.detection.branches import Branches
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import to_edge
+from interloc.kernels import compiled
 
 # Lines are near-parallel, and their meeting point means nothing, when the smaller eigenvalue of the normal matrix is
 # less than this share of their number: a fan of lines within about 10 degrees.
@@ -64,58 +65,132 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     McClure, "Statistical methods for tomographic image reconstruction", 1987): a line that passes far off, because its
     road bends before it comes to the intersection, counts little.
     """
-    candidate, normals, weights = branches.candidate, branches.normals, branches.weights
-    counted = normals[weights > 0]
-    # Whether lines are near-parallel is a matter of their directions, however unlike their weights.
-    if len(counted) < 2 or _smaller_eigenvalue(counted.T @ counted) < PARALLEL * len(counted):
-        return Junction(candidate, branches.directions, math.inf, branches)
-    offsets = np.einsum("ij,ij->i", normals, branches.points - candidate)
-    if occupancy is None:
-        shift = _within(_solve(normals, weights, offsets, prior_weight), branches.inner)
-    else:
-        prior_weight /= _spread(branches.directions[weights > 0]) ** 2
-        shift = np.zeros(2, np.float64)
-        for _ in range(ROUNDS):
-            off = (normals @ shift - offsets) / (TOLERANCE * branches.inner)
-            weights = (branches.weights_at(candidate + shift) / (1.0 + off**2) ** 2).astype(np.float64)
-            shift = _within(_solve(normals, weights, offsets, prior_weight), MAX_SHIFTS * branches.inner)
-            shift = _on_road(occupancy, candidate, shift, branches.inner)
-    residual = float(np.sqrt(np.average((normals @ shift - offsets) ** 2, weights=weights)))
-    return Junction(candidate + shift, branches.directions, residual, branches)
-
-
-def _solve(normals: FloatArray, weights: FloatArray, offsets: FloatArray, prior_weight: float) -> FloatArray:
-    weighted = normals * weights[:, None]
-    shift: FloatArray = np.linalg.solve(normals.T @ weighted + prior_weight * np.eye(2), weighted.T @ offsets).astype(
-        np.float64, copy=False
+    row, col, residual = _meet(
+        branches.directions,
+        branches.points,
+        branches.weights,
+        branches.spans,
+        branches.candidate,
+        branches.inner,
+        prior_weight,
+        None if occupancy is None else occupancy.words,
     )
-    return shift
+    return Junction(branches.candidate + np.array([row, col]), branches.directions, residual, branches)
 
 
-def _within(shift: FloatArray, limit: float) -> FloatArray:
-    length = math.hypot(*shift)
-    return shift * (limit / length) if length > limit else shift
+@compiled
+def _meet(
+    directions: FloatArray,
+    points: FloatArray,
+    weights: FloatArray,
+    spans: FloatArray,
+    candidate: FloatArray,
+    inner: float,
+    prior_weight: float,
+    words: UInt64Array | None,
+) -> tuple[float, float, float]:
+    """Return by how many rows and columns the candidate moves, and the residual."""
+    if not _fix_a_point(directions, weights):
+        return 0.0, 0.0, np.inf
+    row, col = 0.0, 0.0
+    current = weights.copy()
+    if words is None:
+        row, col = _solve(directions, points, current, candidate, prior_weight)
+        row, col = _within(row, col, inner)
+    else:
+        prior_weight /= _spread(directions, weights) ** 2
+        for _ in range(ROUNDS):
+            for i in range(weights.size):
+                off = _distance(directions[i], points[i], candidate, row, col) / (TOLERANCE * inner)
+                here = _along(directions[i], points[i], candidate, 0.0, 0.0) / spans[i]
+                there = _along(directions[i], points[i], candidate, row, col) / spans[i]
+                # A line is known best in the middle of what it was fitted to (the variance of a prediction).
+                at_point = weights[i] * (1.0 + 12.0 * here * here) / (1.0 + 12.0 * there * there)
+                current[i] = at_point / (1.0 + off * off) ** 2
+            row, col = _solve(directions, points, current, candidate, prior_weight)
+            row, col = _within(row, col, MAX_SHIFTS * inner)
+            row, col = _on_road(words, candidate, row, col, inner)
+    total = 0.0
+    for i in range(weights.size):
+        total += current[i] * _distance(directions[i], points[i], candidate, row, col) ** 2
+    return row, col, math.sqrt(total / current.sum())
 
 
-def _spread(directions: FloatArray) -> float:
+@compiled
+def _fix_a_point(directions: FloatArray, weights: FloatArray) -> bool:
+    """Return whether the lines that count are not near-parallel, however unlike their weights."""
+    count, a, b, d = 0, 0.0, 0.0, 0.0  # of the normal matrix
+    for i in range(weights.size):
+        if weights[i] > 0.0:
+            d_row, d_col = directions[i]
+            a += d_col * d_col
+            b -= d_col * d_row
+            d += d_row * d_row
+            count += 1
+    smaller_eigenvalue: float = (a + d) / 2 - math.hypot((a - d) / 2, b)
+    return count >= 2 and smaller_eigenvalue >= PARALLEL * count
+
+
+@compiled
+def _distance(direction: FloatArray, point: FloatArray, candidate: FloatArray, row: float, col: float) -> float:
+    """Return the signed distance from a line of a place so many rows and columns from the candidate."""
+    distance: float = (candidate[0] - point[0] + row) * direction[1] - (candidate[1] - point[1] + col) * direction[0]
+    return distance
+
+
+@compiled
+def _along(direction: FloatArray, point: FloatArray, candidate: FloatArray, row: float, col: float) -> float:
+    """Return how far along a line, from its point, such a place lies."""
+    along: float = (candidate[0] - point[0] + row) * direction[0] + (candidate[1] - point[1] + col) * direction[1]
+    return along
+
+
+@compiled
+def _solve(
+    directions: FloatArray, points: FloatArray, weights: FloatArray, candidate: FloatArray, prior_weight: float
+) -> tuple[float, float]:
+    """Return rows and columns from the candidate to the point of least squared distances."""
+    a, b, d = prior_weight, 0.0, prior_weight
+    u, v = 0.0, 0.0
+    for i in range(weights.size):
+        d_row, d_col = directions[i]
+        off = _distance(directions[i], points[i], candidate, 0.0, 0.0)
+        a += weights[i] * d_col * d_col
+        b -= weights[i] * d_col * d_row
+        d += weights[i] * d_row * d_row
+        u -= weights[i] * d_col * off
+        v += weights[i] * d_row * off
+    determinant = a * d - b * b
+    return (d * u - b * v) / determinant, (a * v - b * u) / determinant
+
+
+@compiled
+def _within(row: float, col: float, limit: float) -> tuple[float, float]:
+    length = math.hypot(row, col)
+    share = limit / length if length > limit else 1.0
+    return row * share, col * share
+
+
+@compiled
+def _spread(directions: FloatArray, weights: FloatArray) -> float:
     """Return how much farther off its intersection a centerline branches than at a right angle; 1 at the least.
 
-    The surfaces of roads at an angle t part at 1 / sin(t / 2) half widths.
+    The surfaces of roads at an angle t part at 1 / sin(t / 2) half widths. Lines without weight do not count.
     """
-    cosines = directions @ directions.T - 2.0 * np.eye(len(directions))
-    half = 0.5 * math.acos(float(np.clip(cosines.max(), -1.0, 1.0)))
+    cosine = -1.0  # of the smallest angle
+    for i in range(weights.size):
+        for j in range(i):
+            if weights[i] > 0.0 and weights[j] > 0.0:
+                cosine = max(cosine, directions[i, 0] * directions[j, 0] + directions[i, 1] * directions[j, 1])
+    half = 0.5 * math.acos(min(cosine, 1.0))
     return max(1.0, math.sin(math.pi / 4) / max(math.sin(half), 0.1))
 
 
-def _on_road(occupancy: BinaryImage, candidate: FloatArray, shift: FloatArray, free: float) -> FloatArray:
+@compiled
+def _on_road(words: UInt64Array, candidate: FloatArray, row: float, col: float, free: float) -> tuple[float, float]:
     """Return a shift up to where it leaves the road, if that is farther than ``free``."""
-    length = math.hypot(*shift)
+    length = math.hypot(row, col)
     if length <= free:
-        return shift
-    reach = to_edge(occupancy.words, candidate[0], candidate[1], shift[0] / length, shift[1] / length, length)
-    return shift * (max(reach, free) / length)
-
-
-def _smaller_eigenvalue(matrix: FloatArray) -> float:
-    a, b, d = matrix[0, 0], matrix[0, 1], matrix[1, 1]
-    return float((a + d) / 2 - math.hypot((a - d) / 2, b))
+        return row, col
+    share = max(to_edge(words, candidate[0], candidate[1], row / length, col / length, length), free) / length
+    return row * share, col * share

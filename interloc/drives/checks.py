@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import ndimage
 
-from interloc.arrays import Float32Array, FloatArray, IntArray
+from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.findings import DriveFileError, Findings, GeoreferenceFileError
 from interloc.drives.folder import FolderDrive
@@ -240,14 +240,11 @@ def _road_overlap(here: FloatArray, there: FloatArray, relative: FloatArray) -> 
         Pose of the second scan in the first.
     """
     size = 2 * int(_RANGE_M + 2)
-    road = np.zeros((size, size), dtype=np.bool_)
-    row, column = (np.floor(here[:, :2]).astype(np.int64) + size // 2).T
-    road[row, column] = True
-    road = ndimage.binary_dilation(road, np.ones((3, 3), dtype=np.bool_))
-    near = there[np.hypot(there[:, 0], there[:, 1]) < _OVERLAP_M, :2]
+    road = ndimage.binary_dilation(_covered(here, size), np.ones((3, 3), dtype=np.bool_))
+    near = there[np.hypot(there[:, 0], there[:, 1]) < _OVERLAP_M]
     if not len(near):
         return np.zeros(len(_OTHER_TURNS_DEG))
-    cells = np.unique(np.floor(near), axis=0) + 0.5
+    cells = np.argwhere(_covered(near, size)).astype(np.float64) - size // 2 + 0.5
     yaw = yaw_of(relative[:3, :3])
     shares = np.zeros(len(_OTHER_TURNS_DEG))
     for number, other in enumerate(np.radians(_OTHER_TURNS_DEG)):
@@ -256,6 +253,14 @@ def _road_overlap(here: FloatArray, there: FloatArray, relative: FloatArray) -> 
         inside = ((at >= 0) & (at < size)).all(axis=1)
         shares[number] = np.count_nonzero(road[at[inside, 0], at[inside, 1]]) / len(cells)
     return shares
+
+
+def _covered(points: FloatArray, size: int) -> BoolArray:
+    """Return which cells of 1 m, (size, size) around the sensor, hold some of (N, 3) points."""
+    covered = np.zeros((size, size), dtype=np.bool_)
+    row, column = (np.floor(points[:, :2]).astype(np.int64) + size // 2).T
+    covered[row, column] = True
+    return covered
 
 
 def _tilt(points: FloatArray) -> float | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import ParamSpec, TypeVar, cast
 
 from numba import njit
@@ -27,3 +29,20 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
         )
         kernel = njit(nogil=True)(function)
     return cast("Callable[P, R]", kernel)
+
+
+def forget_older_code(package: Path) -> None:
+    """Delete machine code that is older than any kernel of a package, whose modules lie in folders side by side.
+
+    numba sees that a kernel has changed, not that one has which it calls.
+    """
+    with suppress(OSError):  # other processes do the same; or the folder is read only
+        kept = list(package.glob("*/__pycache__/*.nb[ic]"))  # module.kernel-line.py311.nbi
+        sources = {path.parents[1] / f"{path.name.partition('.')[0]}.py" for path in kept}
+        changed = max((path.stat().st_mtime for path in sources if path.exists()), default=0.0)
+        for path in kept:
+            if path.stat().st_mtime < changed:
+                path.unlink(missing_ok=True)
+
+
+forget_older_code(Path(__file__).parents[1])

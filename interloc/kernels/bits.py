@@ -89,6 +89,37 @@ def set_pixels(words: UInt64Array) -> tuple[Int32Array, Int32Array]:
 
 
 @compiled
+def highest_bit(x: np.uint64) -> int:
+    """Return the index of the highest set bit of a word that is not 0."""
+    for shift in (1, 2, 4, 8, 16, 32):
+        x |= x >> np.uint64(shift)
+    return popcount(x) - 1
+
+
+@compiled
+def _columns_to_clear(words: UInt64Array, row: int, col: int, width: int, limit: int) -> int:
+    """Return how many columns from a place the nearest clear pixel of its row is, at most ``limit``."""
+    nearest = limit
+    for side in range(2):
+        w, within = col >> 6, col & 63
+        # The bit of the pixel itself comes to the end of the word that is looked at first, whatever is behind is gone.
+        clear = ~words[row + 1, w]
+        clear = clear >> np.uint64(within) if side == 0 else clear << np.uint64(63 - within)
+        passed = 0
+        while clear == 0 and passed < nearest:
+            w += 1 if side == 0 else -1
+            if w < 0 or w >= words.shape[1]:
+                break
+            clear = ~words[row + 1, w]
+            passed = 64 * w - col if side == 0 else col - (64 * w + 63)
+        if clear != 0:
+            distance = passed + (lowest_bit(clear) if side == 0 else 63 - highest_bit(clear))
+            if side == 1 or col + distance < width:
+                nearest = min(nearest, distance)
+    return nearest
+
+
+@compiled
 def nearest_clear(words: UInt64Array, row: int, col: int, height: int, width: int, limit: int) -> float:
     """Return the distance in pixels from a set pixel to the nearest clear one, at most ``limit``.
 
@@ -97,24 +128,13 @@ def nearest_clear(words: UInt64Array, row: int, col: int, height: int, width: in
     """
     best = limit * limit
     dy = 0
-    while dy * dy < best and dy <= limit:
+    while dy * dy < best:
+        reach = int(np.sqrt(best - dy * dy)) + 1
         for side in range(2):
             r = row + dy if side == 0 else row - dy
-            if r < 0 or r >= height or (side == 1 and dy == 0):
-                continue
-            reach = int(np.sqrt(best - dy * dy)) + 1
-            for dx in range(reach + 1):
-                if dx * dx + dy * dy >= best:
-                    break
-                left, right = col - dx, col + dx
-                clear = False
-                if left >= 0:
-                    clear = ((words[r + 1, left >> 6] >> np.uint64(left & 63)) & np.uint64(1)) == 0
-                if not clear and right < width:
-                    clear = ((words[r + 1, right >> 6] >> np.uint64(right & 63)) & np.uint64(1)) == 0
-                if clear:
-                    best = dx * dx + dy * dy
-                    break
+            if 0 <= r < height and (side == 0 or dy > 0):
+                dx = _columns_to_clear(words, r, col, width, reach)
+                best = min(best, dx * dx + dy * dy)
         dy += 1
     return math.sqrt(best)
 

@@ -1,7 +1,7 @@
 """Dilation and erosion of packed images by a disc, 64 pixels at a time.
 
-A disc is a stack of horizontal spans: each row is widened once by every half-width that the disc has, then the
-widened rows are joined vertically. What lies outside of the image never decides: neither road nor gap.
+A disc is a stack of horizontal spans: the rows are widened once by every half-width that the disc has, then the widened
+rows are joined vertically. What lies outside of the image never decides: neither road nor gap.
 """
 
 from __future__ import annotations
@@ -26,63 +26,56 @@ def disc_half_widths(diameter_px: int) -> IntArray:
 
 
 @compiled
-def _column_masks(n_words: int, width: int) -> UInt64Array:
-    """Return the words of a row whose pixels inside of the image are all set."""
-    masks = np.zeros(n_words, np.uint64)
+def _all_set(height: int, n_words: int, width: int) -> UInt64Array:
+    """Return the words of an image whose pixels are all set, row after row."""
+    words = np.zeros(height * n_words, np.uint64)
     for c in range(width):
-        masks[c >> 6] |= np.uint64(1) << np.uint64(c & 63)
-    return masks
+        words[c >> 6] |= np.uint64(1) << np.uint64(c & 63)
+    for k in range(n_words, words.size):
+        words[k] = words[k - n_words]
+    return words
 
 
 @compiled
 def _combine(source: UInt64Array, half_widths: IntArray, width: int, invert: bool) -> UInt64Array:
-    """Dilate by the disc; with ``invert``, dilate the complement and complement the result: an erosion."""
+    """Dilate by the disc; with ``invert``, dilate the complement and complement the result: an erosion.
+
+    The loops run over all words of the image at once: the empty column at the end of each row keeps the rows apart.
+    They are over slices of equal length, which the compiler does several words at a time.
+    """
     n_rows, n_words = source.shape
     radius = half_widths.size - 1
-    masks = _column_masks(n_words, width)
     one, last = np.uint64(1), np.uint64(63)
-    target = np.zeros((n_rows, n_words), np.uint64)
-    wide = np.empty(n_words, np.uint64)
-    wider = np.empty(n_words, np.uint64)
-    full = np.zeros(n_rows, np.bool_)  # rows of the target that are set throughout: no need to look at them again
-    for r in range(1, n_rows - 1):
-        empty, whole = True, True
-        for w in range(n_words):
-            wide[w] = (~source[r, w] & masks[w]) if invert else source[r, w]
-            if wide[w] != 0:
-                empty = False
-            if wide[w] != masks[w]:
-                whole = False
-        if empty:
-            continue
-        if whole:
-            full[max(r - radius, 1) : min(r + radius, n_rows - 2) + 1] = True
-            continue
-        grown = 0
-        # The rows far from the disc's middle are its narrowest, so one row is widened step by step.
-        for dy in range(radius, -1, -1):
-            while grown < half_widths[dy]:
-                for w in range(n_words):
-                    word = wide[w] | (wide[w] << one) | (wide[w] >> one)
-                    if w > 0:
-                        word |= wide[w - 1] >> last
-                    if w + 1 < n_words:
-                        word |= wide[w + 1] << last
-                    wider[w] = word & masks[w]
-                wide, wider = wider, wide
-                grown += 1
-            if r - dy >= 1 and not full[r - dy]:
-                for w in range(n_words):
-                    target[r - dy, w] |= wide[w]
-            if dy > 0 and r + dy < n_rows - 1 and not full[r + dy]:
-                for w in range(n_words):
-                    target[r + dy, w] |= wide[w]
-    for r in range(1, n_rows - 1):
-        for w in range(n_words):
-            if full[r]:
-                target[r, w] = masks[w]
-            if invert:
-                target[r, w] = ~target[r, w] & masks[w]
+    given = source[1 : n_rows - 1].reshape(-1)
+    image = _all_set(n_rows - 2, n_words, width)
+    above = (radius + 1) * n_words  # empty words above and below, so that the disc may reach beyond the image
+    wide = np.zeros(given.size + 2 * above, np.uint64)
+    wider = np.zeros_like(wide)
+    here = wide[above : above + given.size]
+    for k in range(given.size):
+        here[k] = (~given[k] & image[k]) if invert else given[k]
+    target = np.zeros_like(source)
+    result = target[1 : n_rows - 1].reshape(-1)
+    grown = 0
+    # The rows far from the disc's middle are its narrowest, so the image is widened step by step.
+    for dy in range(radius, -1, -1):
+        while grown < half_widths[dy]:
+            here = wide[above : above + given.size]
+            left = wide[above - 1 : above - 1 + given.size]
+            right = wide[above + 1 : above + 1 + given.size]
+            widened = wider[above : above + given.size]
+            for k in range(given.size):
+                word = here[k] | (here[k] << one) | (here[k] >> one) | (left[k] >> last) | (right[k] << last)
+                widened[k] = word & image[k]
+            wide, wider = wider, wide
+            grown += 1
+        up = wide[above - dy * n_words : above - dy * n_words + given.size]
+        down = wide[above + dy * n_words : above + dy * n_words + given.size]
+        for k in range(given.size):
+            result[k] |= up[k] | down[k]
+    if invert:
+        for k in range(given.size):
+            result[k] = ~result[k] & image[k]
     return target
 
 

@@ -189,11 +189,9 @@ class Gate:
         new.write_bytes(self._content)
         new.replace(self._place)
         try:
-            while True:
-                with os.fdopen(os.open(self._pipe, os.O_WRONLY | os.O_NONBLOCK), "wb") as pipe:
-                    os.set_blocking(pipe.fileno(), True)
-                    pipe.write(self._content)
-                time.sleep(0.02)  # for the reader to go on: it has the pipe open until then
+            with os.fdopen(os.open(self._pipe, os.O_WRONLY | os.O_NONBLOCK), "wb") as pipe:
+                os.set_blocking(pipe.fileno(), True)
+                pipe.write(self._content)  # once: who stands there would read it twice
         except OSError as error:
             if error.errno not in {errno.ENXIO, errno.EPIPE}:  # nobody stands there any more
                 raise

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from scipy.optimize import least_squares, minimize
 
 from interloc.arrays import FloatArray
 from interloc.detection.branches import Branches
-from interloc.detection.refinement import refine
+from interloc.detection.image import BinaryImage
+from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, TOLERANCE, refine
 
 
 def branches(
@@ -178,3 +181,50 @@ def test_point_with_the_candidate_is_that_of_a_general_solver(seed: int, weight:
 
     expected = least_squares(all_residuals, np.zeros(2), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
     np.testing.assert_allclose(refine(lines, weight).position, expected, atol=1e-5)
+
+
+# --- lines that count by what is known of them at the point (beyond the paper) ----------------------------------------
+
+
+def plain_reweighted(given_branches: Branches, prior_weight: float) -> FloatArray:
+    """Return the point after four rounds of reweighted least squares, on road that ends nowhere."""
+    b, inner = given_branches, given_branches.inner
+    normals = np.column_stack([b.directions[:, 1], -b.directions[:, 0]])
+    offsets = np.sum(normals * (b.points - b.candidate), axis=1)
+    cosines = [u @ v for u, v in combinations(b.directions[b.weights > 0], 2)]
+    half_rad = 0.5 * math.acos(min(max(cosines), 1.0))
+    prior_weight /= max(1.0, math.sin(math.pi / 4) / max(math.sin(half_rad), 0.1)) ** 2
+
+    def variance(p: FloatArray) -> FloatArray:
+        return 1.0 + 12.0 * (np.sum((p - b.points) * b.directions, axis=1) / b.spans) ** 2
+
+    shift = np.zeros(2)
+    for _ in range(ROUNDS):
+        off = (normals @ shift - offsets) / (TOLERANCE * inner)
+        weights = b.weights * variance(b.candidate) / variance(b.candidate + shift) / (1.0 + off**2) ** 2
+        normal_matrix = (normals.T * weights) @ normals + prior_weight * np.eye(2)
+        shift = np.linalg.solve(normal_matrix, normals.T @ (weights * offsets))
+        shift *= min(1.0, MAX_SHIFTS * inner / math.hypot(*shift))
+    return b.candidate + shift
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 12.0, 40.0]))
+def test_point_on_the_road_is_that_of_reweighted_least_squares(seed: int, inner: float) -> None:
+    generator = np.random.default_rng(seed)
+    points = [(math.cos(angle) * 40.0 + 100.0, math.sin(angle) * 40.0 + 100.0) for angle in (0.0, 1.6, 3.5)]
+    angles_deg = (np.degrees([0.0, 1.6, 3.5]) + generator.normal(0.0, 20.0, 3)).tolist()
+    weights = generator.uniform(0.5, 9.0, 3).tolist()
+    lines = replace(
+        branches(points, angles_deg, candidate=(100.0, 100.0), inner=inner, weights=weights),
+        spans=generator.uniform(20.0, 90.0, 3),
+    )
+    road = BinaryImage.from_array(np.ones((200, 200), np.uint8))
+    found = refine(lines, 0.25, road)
+    np.testing.assert_allclose(found.position, plain_reweighted(lines, 0.25), atol=1e-9)
+
+
+def test_point_does_not_leave_the_road() -> None:
+    lines = branches([(50.0, 75.0), (75.0, 50.0)], [0, 90], candidate=(50.0, 50.0), inner=10.0)
+    image = np.zeros((101, 101), np.uint8)
+    image[:66, :66] = 1
+    np.testing.assert_allclose(refine(lines, 0.0, BinaryImage.from_array(image)).position, [65.5, 65.5], atol=0.5)

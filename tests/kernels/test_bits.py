@@ -55,8 +55,9 @@ def test_bits_of_a_word_are_counted(x: int) -> None:
 
 @given(st.integers(1, 2**64 - 1) | st.integers(0, 63).map(lambda i: 1 << i))
 @settings(deadline=None)
-def test_lowest_bit_of_a_word_is_found(x: int) -> None:
+def test_lowest_and_highest_bit_of_a_word_are_found(x: int) -> None:
     assert bits.lowest_bit(np.uint64(x)) == (x & -x).bit_length() - 1
+    assert bits.highest_bit(np.uint64(x)) == x.bit_length() - 1
 
 
 @given(images())

@@ -1,0 +1,30 @@
+"""Machine code that is kept on disk."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from interloc.kernels import forget_older_code
+
+
+def test_code_of_before_any_kernel_changed_is_deleted(tmp_path: Path) -> None:
+    ages = {
+        "here/changed.py": 30,
+        "here/__pycache__/changed.kernel-1.py311.nbi": 20,
+        "there/caller.py": 10,
+        "there/other.py": 50,  # no kernel is in it
+        "there/__pycache__/caller.kernel-1.py311.nbi": 20,
+        "there/__pycache__/caller.kernel-1.py311.1.nbc": 20,
+        "there/__pycache__/caller.kernel-1.py311.2.nbc": 40,
+        "there/__pycache__/caller.cpython-311.pyc": 20,
+    }
+    for name, changed in ages.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        os.utime(path, (changed, changed))
+    forget_older_code(tmp_path)
+    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")}
+    assert left == {name for name, changed in ages.items() if changed != 20 or name.endswith(".pyc")}
+    forget_older_code(tmp_path / "nothing")
