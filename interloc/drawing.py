@@ -66,6 +66,14 @@ def mark(axes: Axes, xy: FloatArray, sign: str, size: float, **style: Any) -> No
     axes.plot(*xy.T, linestyle="none", marker=sign, markersize=size, **style)
 
 
+def credit_roads(axes: Axes, *, is_made_up: bool) -> None:
+    """Name OpenStreetMap in the corner of a drawing of its roads, unless a simulator made them up."""
+    if not is_made_up:
+        text = "Roads © OpenStreetMap contributors, ODbL"
+        corner: dict[str, Any] = {"ha": "right", "va": "bottom", "transform": axes.transAxes}
+        axes.text(0.995, 0.005, text, fontsize=7, color=MUTED, zorder=9, **corner)
+
+
 def image(figure: Figure, kind: ImageFormat, *, dpi: int = 150) -> bytes:
     """Return the bytes of an image file of a figure; the same figure gives the same bytes."""
     import matplotlib as mpl  # noqa: PLC0415 - slow to import

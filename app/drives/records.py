@@ -69,7 +69,10 @@ def create_drive_once(context: Context, owner: str, new: NewDrive, key: str | No
         if key is not None:
             context.database.lock_owner(session, owner)
             earlier = session.scalar(select(Drive).where(Drive.owner == owner, Drive.idempotency_key == key))
-            if earlier is not None:
+            if earlier is not None and earlier.deleted_at is not None:
+                earlier.idempotency_key = None  # from the trash it comes back without
+                session.flush()
+            elif earlier is not None:
                 if earlier.request_sha256 != request:
                     raise key_used(key, f"drive {earlier.id}")
                 return drive_model(earlier, context.settings), False

@@ -95,8 +95,6 @@ def delete_drive(
             return False
         for job in session.scalars(of_drive):
             cancel(session, context.database, job)
-            job.idempotency_key = None  # a later request with the same key means another job
-        drive.idempotency_key = None
         drive.deleted_at = context.database.clock(session)
         drive.deleted_by = client
     _log.info("drive %s: deleted by %s", drive_id, client or "the clean-up", extra={"drive": drive_id})
@@ -123,7 +121,6 @@ def delete_job(context: Context, job_id: str, client: str) -> None:
                 "Job not ended",
                 f"Job {job.id} is {job.state}. Cancel it first (DELETE without purge), then remove it.",
             )
-        job.idempotency_key = None
         job.deleted_at = context.database.clock(session)
         job.deleted_by = client
         job.version += 1

@@ -233,7 +233,7 @@ def submit(
     kind, drive_id, owner, request
         See `Job`.
     key
-        Idempotency key: the same key returns the same job.
+        Idempotency key: the same key returns the same job, unless that lies in the trash.
     limit
         Maximum number of jobs of this owner and kind that may wait or run.
 
@@ -251,7 +251,7 @@ def submit(
     """
     database.lock_owner(session, owner)
     if key is not None:
-        earlier = session.scalar(select(Job).where(Job.owner == owner, Job.idempotency_key == key))
+        earlier = _job_of_key(session, owner, key)
         if earlier is not None:
             return _same(earlier, kind, drive_id, request, key), False
     drive = session.get(Drive, drive_id)
@@ -321,6 +321,20 @@ def cancel(session: Session, database: Database, job: Job) -> None:
         job.finished_at = database.clock(session)
     else:
         job.message = "It is being cancelled."
+
+
+def _job_of_key(session: Session, owner: str, key: str) -> Job | None:
+    """Return the job that was made with a key; one in the trash gives the key up, since the request means another."""
+    query = select(Job, Drive.deleted_at).join(Drive, Drive.id == Job.drive_id)
+    found = session.execute(query.where(Job.owner == owner, Job.idempotency_key == key)).first()
+    if found is None:
+        return None
+    job, drive_deleted_at = found
+    if job.deleted_at is None and drive_deleted_at is None:
+        return job
+    job.idempotency_key = None
+    session.flush()  # before another row takes it
+    return None
 
 
 def _same(job: Job, kind: str, drive_id: str, request: dict[str, Any], key: str) -> Job:

@@ -20,6 +20,7 @@ from interloc.drawing import (
     MUTED,
     PURPLE,
     VERMILION,
+    credit_roads,
     new_figure,
     quiet,
     series_colour,
@@ -74,6 +75,7 @@ def map_figure(picture: MapPicture) -> Figure:
     ring = {"markersize": 14, "markeredgewidth": 1.6, "color": PURPLE, "fillstyle": "none", "marker": "o", "zorder": 8}
     _scatter(axes, picture.missed, ring | {"label": "missed"})
     _draw_scale_bar(axes, low, high)
+    credit_roads(axes, is_made_up=picture.is_made_up)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     return figure

@@ -146,6 +146,7 @@ def map_picture(evaluation: Evaluation, result: DriveResult) -> MapPicture:
         found=_points(nodes[table.in_zone & table.found]),
         missed=_points(nodes[table.in_zone & ~table.found]),
         beyond=_points(nodes[~table.in_zone & inside]),
+        is_made_up=graph.is_made_up,
     )
 
 

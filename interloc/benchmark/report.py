@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.reliability import bins_of
 from interloc.evaluation.report import data_address, make_folder
 from interloc.files import atomic_write
+from interloc.output.credits import Credit, joint_credit, map_credit
 from interloc.output.geojson import encode, rounded
 from interloc.pipeline import versions
 
@@ -42,7 +44,8 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
         `spread` (sample standard deviation over the seeds, None for one seed) and `seeds`; `rows`: the same per
         seed, with the counts behind them; `reliability`: whether uncertainty and confidence are true, one entry per
         preset and level, with bootstrap intervals and the bins of the diagram; `published`: the paper's figures;
-        `config`: settings of each preset; `sensors`: the drives of each sensor, where several are compared.
+        `config`: settings of each preset; `attribution`, `license`: of the maps; `sensors`: the drives of each sensor,
+        where several are compared.
     """
     results = [
         {
@@ -81,9 +84,14 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
             "noise": {name: asdict(value) for name, value in LABEL_ERRORS.items()},
         },
         "config": {name: config.model_dump(mode="json") for name, config in configs.items()},
+        **_credit(measured.rows).members,
         **({"sensors": {name: list(drives) for name, drives in measured.sensors.items()}} if measured.sensors else {}),
         "versions": versions(),
     }
+
+
+def _credit(rows: Iterable[Row]) -> Credit:
+    return joint_credit(map_credit(is_made_up=row.picture.is_made_up) for row in rows)
 
 
 def _estimate(value: Estimate) -> dict[str, float | int | None]:
@@ -144,7 +152,7 @@ def write_benchmark(
             record = {**row.cell.model_dump(), "policy": row.policy}
             if row.cell.noise != NO_NOISE:
                 record["note"] = "`see` draws the frame without the label errors"
-            record |= row.failures
+            record |= {**row.failures, **map_credit(is_made_up=row.picture.is_made_up).members}
             handle.write(encode(record, indent=1).encode() + b"\n")
     record = benchmark_record(title, measured, configs, policy)
     *results, reliability = tables(measured)
@@ -160,6 +168,7 @@ def write_benchmark(
         places=[(ours(preset), worst_places(measured, preset)) for preset in measured.presets],
         pictures=pictures,
         maps=maps,
+        made_up_maps=sorted({row.picture.is_made_up for row in measured.rows}),
         configs=[(name, json.dumps(config.model_dump(mode="json"), indent=2)) for name, config in configs.items()],
         versions=", ".join(f"{name} {version}" for name, version in record["versions"].items()),
     )

@@ -58,6 +58,8 @@ class MapPicture(_Record):
         Detections within 5 m of their node, and all others.
     found, missed, beyond : tuple of (x, y)
         Nodes of the map: in the zone and found, in the zone and not found, around but never in the zone.
+    is_made_up : bool
+        A simulator made the map up: it is not of OpenStreetMap.
     """
 
     roads: tuple[Segment, ...]
@@ -67,6 +69,7 @@ class MapPicture(_Record):
     found: tuple[Point, ...]
     missed: tuple[Point, ...]
     beyond: tuple[Point, ...]
+    is_made_up: bool = False
 
 
 class Row(_Record):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +73,28 @@ measuring_options = options.together(
 """Options that all benchmarks share."""
 
 
+def twin_options(sequences: str) -> Callable[[options.Command], options.Command]:
+    """Return the options of benchmarks on simulated drives along tracks of KITTI; `sequences` is the default."""
+    return options.together(
+        click.option(
+            "--kitti",
+            required=True,
+            type=click.Path(path_type=Path),
+            help="Folder with oxts/NN.txt.gz, poses_suma/NN.txt, poses_gt/NN.txt, calib/NN.txt, times/NN.txt, "
+            "osm/NN.osm.gz and, for real houses, osm_buildings/NN.osm.gz.",
+        ),
+        click.option("--sequences", default=sequences, show_default=True, help="KITTI odometry sequences to measure."),
+        click.option(
+            "--keep",
+            type=click.Path(path_type=Path),
+            help="Folder in which the simulated drives are kept for the next time.",
+        ),
+        click.option(
+            "--max-scans", type=click.IntRange(min=1), help="Number of keyframes of each sequence, for a quick look."
+        ),
+    )
+
+
 @click.group(short_help="Measure presets on many drives: the tables of the paper.")
 def command() -> None:
     """Repeat the paper's experiments: its Tables I, II and IV beside the published figures.
@@ -91,14 +114,7 @@ def command() -> None:
 
 
 @command.command()
-@click.option(
-    "--kitti",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Folder with oxts/NN.txt.gz, poses_suma/NN.txt, poses_gt/NN.txt, calib/NN.txt, times/NN.txt, osm/NN.osm.gz "
-    "and, for real houses, osm_buildings/NN.osm.gz.",
-)
-@click.option("--sequences", default=SEQUENCES, show_default=True, help="KITTI odometry sequences to measure.")
+@twin_options(SEQUENCES)
 @click.option(
     "--poses",
     type=click.Choice(["suma", "gt"]),
@@ -106,10 +122,6 @@ def command() -> None:
     show_default=True,
     help="Poses to write with the drives: SemanticKITTI's, which drift, or KITTI's ground truth.",
 )
-@click.option(
-    "--keep", type=click.Path(path_type=Path), help="Folder in which the simulated drives are kept for the next time."
-)
-@click.option("--max-scans", type=click.IntRange(min=1), help="Number of keyframes of each sequence, for a quick look.")
 @measuring_options
 def twins(
     kitti: Path,
@@ -143,13 +155,7 @@ def twins(
 
 
 @command.command()
-@click.option(
-    "--kitti",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Folder of the tracks and maps, as of `interloc benchmark twins`.",
-)
-@click.option("--sequences", default="05,07,10", show_default=True, help="KITTI odometry sequences to measure.")
+@twin_options("05,07,10")
 @click.option("--sensors", default=",".join(options.SENSORS), show_default=True, help="LiDARs to compare.")
 @click.option(
     "--lookahead",
@@ -158,10 +164,6 @@ def twins(
     show_default=True,
     help="Keyframes after the current one that are accumulated: of the preset (default), or a number; 0 is causal.",
 )
-@click.option(
-    "--keep", type=click.Path(path_type=Path), help="Folder in which the simulated drives are kept for the next time."
-)
-@click.option("--max-scans", type=click.IntRange(min=1), help="Number of keyframes of each sequence, for a quick look.")
 @measuring_options
 def sensors(
     kitti: Path,

@@ -39,6 +39,7 @@ _THREADS = 8
     "--jobs", type=click.IntRange(1, 64), default=_THREADS, show_default=True, help="Number of files sent at once."
 )
 @click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
+@click.option("--fresh", is_flag=True, help="Run the job even if one has done the same before; needs --run.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the result to this folder; needs --run.")
 @options.config_options
 @click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
@@ -58,6 +59,7 @@ def command(
     keep_raw: bool,
     jobs: int,
     run: bool,
+    fresh: bool,
     out: Path | None,
     preset: str,
     settings: tuple[str, ...],
@@ -72,14 +74,14 @@ def command(
 ) -> None:
     """Send DRIVE to a server, reduced to what the method needs. After an interruption only what is missing is sent.
 
-    A job that has done the same before, with the same settings, is not repeated.
+    A job that has done the same before, with the same settings, is not repeated, unless with --fresh.
 
     \b
     Examples:
       interloc push sequences/07 --server https://interloc.example.org
       interloc push sequences/07 --osm karlsruhe.osm.pbf --run -o out     from a drive to a result
     """
-    _check_usage(run=run, out=out, osm=osm, overpass=overpass, settings=settings)
+    _check_usage(run=run, fresh=fresh, out=out, osm=osm, overpass=overpass, settings=settings)
     from interloc.client.connection import Connection
     from interloc.client.jobs import finished, submit
     from interloc.client.prepare import PushOptions, prepare
@@ -113,12 +115,12 @@ def command(
                 "policy": policy,
                 "tolerance_m": tolerance_m,
             }
-            if not pushed.files_sent and not overpass:
+            if not pushed.files_sent and not overpass and not fresh:
                 job = finished(connection, pushed.drive_id, **wanted)
             if job is None:
                 job = submit(connection, pushed.drive_id, overpass=overpass, **wanted)
             elif not quiet:
-                click.echo(f"job {job.id} has done the same already: it is not repeated", err=True)
+                click.echo(f"job {job.id} has done the same already: it is not repeated (--fresh repeats it)", err=True)
             job = _finish(connection, job, out, quiet=quiet)
     if as_json:
         result = {} if job is None else {"job": job.id, "summary": job.summary}
@@ -128,10 +130,12 @@ def command(
         console.say_facts(_facts(pushed, job, out))
 
 
-def _check_usage(*, run: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]) -> None:
+def _check_usage(
+    *, run: bool, fresh: bool, out: Path | None, osm: Path | None, overpass: bool, settings: tuple[str, ...]
+) -> None:
     """Raise a usage error for options that would have no effect."""
-    if not run and (out is not None or overpass or settings):
-        raise click.UsageError("-o, --overpass and --set need --run")
+    if not run and (fresh or out is not None or overpass or settings):
+        raise click.UsageError("--fresh, -o, --overpass and --set need --run")
     if osm is not None and overpass:
         raise click.UsageError("give the map by one of --osm FILE and --overpass")
 

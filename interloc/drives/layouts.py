@@ -34,6 +34,9 @@ PCD_ENDINGS = (".pcd", ".pcd.bin")
 KITTI360_SCANS = "data_3d_raw"
 """Folder of the drives in KITTI-360 as it is published."""
 
+KITTI360_POSES = "data_poses"
+"""Folder of their poses there."""
+
 _KITTI360_POSES = ("poses.txt", "cam0_to_world.txt")
 _PCD_FOLDERS = ("pcd", "clouds", "velodyne", "velodyne_points/data", ".")
 _POSE_FILES = ("poses.txt", "poses.tum", "trajectory.tum", "trajectory.txt")
@@ -80,7 +83,7 @@ class DriveParts:
     @property
     def in_kitti360_world(self) -> bool:
         """Whether the poses are in the world of KITTI-360: its pose file, where it is published."""
-        return self.layout == "kitti360" and self.poses is not None and self.poses.parent.parent.name == "data_poses"
+        return self.layout == "kitti360" and self.poses is not None and self.poses.parent.parent.name == KITTI360_POSES
 
     @property
     def drive_name(self) -> str:
@@ -130,19 +133,21 @@ def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DrivePa
     """KITTI-360: pose lines that start with the frame number, those of the left camera or of the IMU (poses.txt).
 
     They lie beside the scans, or as published: scans in data_3d_raw/DRIVE, poses in data_poses/DRIVE, calibration/; of
-    such a data set its root will do, where it holds one drive.
+    such a data set its root will do, where it holds one drive. A drive that was taken out of it may hold its own
+    data_poses/DRIVE, as the page sends it.
     """
     scans: Path | None
     if (published := _published_kitti360(root)) is not None:
         dataset, root = published
-        poses = dataset / "data_poses" / root.name
+        poses = dataset / KITTI360_POSES / root.name
         scans, pose_folders, calibration = root / "velodyne_points" / "data", [root, poses], [dataset / "calibration"]
         oxts = [root / "oxts", poses / "oxts", dataset / "data_poses_oxts" / root.name / "oxts"]
     else:
         above = root.absolute().parent
         scans = next((root / folder for folder in SCAN_FOLDERS if folder in scan_folders), None)
-        pose_folders, calibration = [root], [above, above / "calibration", above.parent / "calibration"]
-        oxts = [root / "oxts"]
+        pose_folders = [root, *islice((root / KITTI360_POSES).glob("*"), 1)]
+        calibration = [above, above / "calibration", above.parent / "calibration"]
+        oxts = [folder / "oxts" for folder in pose_folders]
     if scans is None or (published and not scans.is_dir()):
         return None
     pose_file = _existing(*(folder / name for folder in pose_folders for name in _KITTI360_POSES))

@@ -21,6 +21,7 @@ from interloc.drawing import (
     PURPLE,
     VERMILION,
     YELLOW,
+    credit_roads,
     mark,
     metres,
     new_figure,
@@ -73,15 +74,7 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     _draw_scale_bar(axes, low, high)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    if not evaluation.graph.is_made_up:
-        credit: dict[str, Any] = {
-            "fontsize": 7,
-            "color": MUTED,
-            "ha": "right",
-            "va": "bottom",
-            "transform": axes.transAxes,
-        }
-        axes.text(0.995, 0.005, "Roads © OpenStreetMap contributors, ODbL", zorder=9, **credit)
+    credit_roads(axes, is_made_up=evaluation.graph.is_made_up)
     return figure
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.drawing import BLUE, FAINT, INK, MUTED, SKY, VERMILION, new_figure
+from interloc.drawing import BLUE, FAINT, INK, MUTED, SKY, VERMILION, credit_roads, new_figure
 from interloc.geometry import enu_from_lonlat
 from interloc.localization.locate import Location
 from interloc.osm.graph import RoadGraph
@@ -33,6 +33,7 @@ def location_figure(location: Location, graph: RoadGraph, drive: str) -> Figure:
     tracks = [enu_from_lonlat(lat, lon, place.track_lonlat) for place in location.places[: 1 + _RUNNERS_UP]]
     for axes, shown, margin_m in ((near, tracks[:1], _NEAR_MARGIN_M), (everywhere, tracks, _MARGIN_M)):
         _draw(axes, location, roads, tracks)
+        credit_roads(axes, is_made_up=graph.is_made_up)
         visible = np.concatenate(shown) if shown else roads.reshape(-1, 2)
         low, high = visible.min(axis=0) - margin_m, visible.max(axis=0) + margin_m
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="east [m]", ylabel="north [m]")

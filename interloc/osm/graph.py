@@ -45,19 +45,25 @@ class Buildings:
     Attributes
     ----------
     id : (B,) int64
-        OSM way ids.
+        OSM ids; a relation of several outlines is several buildings.
+    is_relation : (B,) bool
+        Whether the id is that of a relation (a multipolygon), not of a way.
     outlines : tuple of B (n, 2) float64
         Closed rings of longitude and latitude, degrees.
+    holes : tuple of B tuples of (n, 2) float64
+        Courtyards: rings within the outline, as they.
     """
 
     id: IntArray
+    is_relation: BoolArray
     outlines: tuple[FloatArray, ...]
+    holes: tuple[tuple[FloatArray, ...], ...]
 
     def __len__(self) -> int:
         return len(self.id)
 
 
-NO_BUILDINGS = Buildings(np.empty(0, dtype=np.int64), ())
+NO_BUILDINGS = Buildings(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_), (), ())
 
 
 @dataclass(frozen=True)

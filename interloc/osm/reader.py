@@ -8,12 +8,12 @@ from __future__ import annotations
 import logging
 import os
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.errors import MapError
 from interloc.osm.container import MAX_UNPACKED_BYTES, read_prolog
 from interloc.osm.graph import NO_BUILDINGS, Bounds, Buildings, RoadGraph, Ways, within
+from interloc.osm.multipolygons import Multipolygon, holes_of, rings_of
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +31,11 @@ MAX_NODES, MAX_WAYS = 10_000_000, 500_000
 MAX_NODES_WITH_BUILDINGS = 2_000_000
 """Buildings are read of extracts up to a large city: of a country they would take longer than all the rest."""
 
+MAX_NODES_OF_RELATIONS = 2_000_000
+"""Of all buildings that are relations, each node as often as it is used; what is more is not drawn."""
+
+_Holes = tuple[FloatArray, ...]
+_T = TypeVar("_T")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BATCH = 50_000
 
@@ -81,7 +87,7 @@ def read_osm(
     used = _is_in(nodes.id, wanted)
     node_id, lonlat = nodes.id[used], nodes.lonlat[used]
     few = bounds is not None and len(nodes.id) + nodes.beyond <= MAX_NODES_WITH_BUILDINGS
-    buildings = _buildings(stream.outlines(), nodes) if few else NO_BUILDINGS
+    buildings = _buildings(stream, nodes) if few else NO_BUILDINGS
     edges, edge_way, clipped = _edges([len(way.refs) for way in found], refs, node_id)
     if len(edges) == 0:
         raise MapError(
@@ -162,6 +168,10 @@ class _Nodes:
         unique, last = np.unique(ids[::-1], return_index=True)
         return cls(unique, lonlat[::-1][last], beyond, extent)
 
+    def places(self, ids: Sequence[int]) -> FloatArray:
+        """Return (n, 2) longitudes and latitudes of nodes, all of which are among these."""
+        return self.lonlat[np.searchsorted(self.id, np.array(ids, dtype=np.int64))]
+
     def with_others(self, others: _Nodes) -> _Nodes:
         """Return these and others."""
         ids = np.concatenate([self.id, others.id])
@@ -210,13 +220,32 @@ class _OsmStream:
                 yield _Way(way.id, tags["highway"], name, tags.get("area") == "yes", refs, way.timestamp)
 
     def outlines(self) -> Iterator[tuple[int, array[int]]]:
-        """Yield id and nodes of the ways that outline buildings; relations, of several ways each, are left out."""
+        """Yield id and nodes of the ways that outline buildings."""
         import osmium  # noqa: PLC0415
 
         for way in self.objects("WAY", osmium.filter.KeyFilter("building")):
             refs = array("q", [node.ref for node in way.nodes])
             if len(refs) >= 4 and refs[0] == refs[-1] and not way.deleted and way.tags["building"] != "no":
                 yield way.id, refs
+
+    def multipolygons(self) -> Iterator[Multipolygon]:
+        """Yield the relations that are buildings."""
+        import osmium  # noqa: PLC0415
+
+        for relation in self.objects("RELATION", osmium.filter.KeyFilter("building")):
+            tags = relation.tags
+            if relation.deleted or tags["building"] == "no" or tags.get("type") != "multipolygon":
+                continue
+            members = ((each.ref, each.role) for each in relation.members if each.type == "w")
+            found = Multipolygon.of(relation.id, members)
+            if found is not None:
+                yield found
+
+    def ways(self, wanted: set[int]) -> Iterator[tuple[int, array[int]]]:
+        """Yield id and nodes of some ways."""
+        for way in self.objects("WAY"):
+            if way.id in wanted and len(way.nodes) >= 2 and not way.deleted:
+                yield way.id, array("q", [node.ref for node in way.nodes])
 
     def nodes(self, keep: Callable[[IntArray, FloatArray], BoolArray] | None) -> _Nodes:
         """Return the nodes that are to be kept, judged by ids, longitudes and latitudes."""
@@ -277,17 +306,59 @@ def _collect_ways(stream: _OsmStream, inside: IntArray | None) -> tuple[list[_Wa
     return list(found.values()), left_out
 
 
-def _buildings(outlines: Iterable[tuple[int, array[int]]], nodes: _Nodes) -> Buildings:
+def _buildings(stream: _OsmStream, nodes: _Nodes) -> Buildings:
     """Return the buildings of which all nodes are known."""
+    areas, covered = _areas(stream, nodes)
+    ways = {way: ring for way, ring in _outlines(stream, nodes).items() if way not in covered}
+    return Buildings(
+        np.array([*ways, *(relation for relation, _, _ in areas)], dtype=np.int64),
+        np.arange(len(ways) + len(areas)) >= len(ways),
+        (*ways.values(), *(outline for _, outline, _ in areas)),
+        (*[()] * len(ways), *(holes for _, _, holes in areas)),
+    )
+
+
+def _outlines(stream: _OsmStream, nodes: _Nodes) -> dict[int, FloatArray]:
+    """Return the closed ways that are buildings, by id."""
     found: dict[int, FloatArray] = {}
-    for batch in _batches(outlines):
+    for batch in _batches(stream.outlines()):
         refs = np.fromiter(chain.from_iterable(refs for _, refs in batch), np.int64)
         first = np.cumsum([0, *(len(refs) for _, refs in batch[:-1])])
         is_whole = np.logical_and.reduceat(_is_in(refs, nodes.id), first)
         for (way, ring), whole in zip(batch, is_whole.tolist(), strict=True):
             if whole:
-                found.setdefault(way, nodes.lonlat[np.searchsorted(nodes.id, np.array(ring, dtype=np.int64))])
-    return Buildings(np.fromiter(found, np.int64, len(found)), tuple(found.values()))
+                found.setdefault(way, nodes.places(ring))
+    return found
+
+
+def _areas(stream: _OsmStream, nodes: _Nodes) -> tuple[list[tuple[int, FloatArray, _Holes]], set[int]]:
+    """Return id, outline and holes of the relations that are buildings, and the ways of their outlines."""
+    relations = _within_limit(stream.multipolygons(), lambda each: len(each.ways))
+    wanted = {way for each in relations for way in each.ways}
+    ways = _within_limit(stream.ways(wanted), lambda each: len(each[1])) if wanted else []
+    refs = {way: ring for way, ring in ways if _is_in(np.array(ring, dtype=np.int64), nodes.id).all()}
+    whole = [each for each in relations if all(way in refs for way in each.ways)]  # else the map is cut within it
+    areas: list[tuple[int, FloatArray, _Holes]] = []
+    covered: set[int] = set()
+    for each in _within_limit(whole, lambda each: sum(len(refs[way]) for way in each.ways)):
+        outer, inner = (
+            [nodes.places(ring) for ring in rings_of([refs[way] for way in part])] for part in (each.outer, each.inner)
+        )
+        areas += [(each.id, outline, holes) for outline, holes in zip(outer, holes_of(outer, inner), strict=True)]
+        covered.update(each.outer if outer else ())
+    return areas, covered
+
+
+def _within_limit(items: Iterable[_T], size: Callable[[_T], int]) -> list[_T]:
+    """Return as many items as hold together `MAX_NODES_OF_RELATIONS`."""
+    kept = []
+    left = MAX_NODES_OF_RELATIONS
+    for item in items:
+        left -= size(item)
+        if left < 0:
+            break
+        kept.append(item)
+    return kept
 
 
 def _latest_edit(ways: list[_Way]) -> str | None:

@@ -244,7 +244,7 @@ LAYERS = {
             "Buildings of OpenStreetMap",
             "Polygon",
             OsmBuildingProperties,
-            "OSM way {osm_id}",
+            "OSM {osm_type} {osm_id}",
             is_osm=True,
             key="osm_id",
         ),

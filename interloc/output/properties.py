@@ -279,9 +279,12 @@ class OsmRoadProperties(Properties):
 
 
 class OsmBuildingProperties(Properties):
-    """The outline of a building of OpenStreetMap near the track; buildings of several ways are left out."""
+    """A building of OpenStreetMap near the track; one of several outlines is several polygons."""
 
-    osm_id: int = Field(title="OSM way", description="Id of the OpenStreetMap way.")
+    osm_id: int = Field(title="OSM id", description="Id of the OpenStreetMap way or relation.")
+    osm_type: Literal["way", "relation"] = Field(
+        "way", title="OSM element", description="Whether the building is a way or a relation (a multipolygon)."
+    )
 
 
 class PlaceProperties(Properties):

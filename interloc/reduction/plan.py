@@ -26,7 +26,7 @@ from interloc.drives.scans.reduced_format import (
     make_manifest,
     to_runs,
 )
-from interloc.drives.trajectory import Trajectory, read_trajectory
+from interloc.drives.trajectory import Trajectory, posed_frames, read_trajectory
 from interloc.reduction.small_files import SmallFileCopies, gather_small_files, make_small_files
 
 
@@ -130,6 +130,7 @@ def plan_reduction(
             raise DriveFileError(MANIFEST, "is there already: the drive is a reduced one, and has no scans to reduce.")
         numbers = checked_frames(frames)
         parts = find_layout(root, chosen, announced=scan_folder or _likely_scan_folder(root, chosen.layout))
+        numbers = posed_frames(parts, numbers, findings)
         trajectory = read_trajectory(parts, numbers, chosen, findings)
     return plan_of(parts, numbers, trajectory, chosen, tuple(label_folders), keyframes, findings)
 

@@ -15,6 +15,7 @@
  * @property {boolean} drawer Whether the keyframe is shown at large.
  * @property {string|null} intersection Id or uid of the intersection that is chosen; it belongs to the job.
  * @property {number|null} node OSM id of the node that is chosen; it belongs to the job too.
+ * @property {string|null} filter Which intersections of the job are looked at, see map/filter.js.
  */
 
 /** @type {State} */
@@ -29,6 +30,7 @@ const initial = {
   drawer: false,
   intersection: null,
   node: null,
+  filter: null,
 };
 
 /** @type {State} */
@@ -52,7 +54,7 @@ export function setState(patch) {
   const leaves = patch.drive !== undefined && before.drive !== null && patch.drive !== before.drive;
   const next = {
     ...before,
-    ...(isOther && { intersection: null, node: null }),
+    ...(isOther && { intersection: null, node: null, filter: null }),
     ...(leaves && { compare: null }), // they are of one drive
     ...patch,
   };
@@ -96,16 +98,18 @@ function same(a, b) {
 /** @param {State} shown @returns {string} */
 function format(shown) {
   const parts = [];
-  for (const key of /** @type {const} */ (["panel", "drive", "job", "frame", "view", "intersection", "node"])) {
-    const value = shown[key];
-    if (value !== null && value !== initial[key])
-      parts.push(`${key}=${encodeURIComponent(value).replaceAll("%2F", "/").replaceAll("%2C", ",")}`);
+  const { compare, layers, drawer, ...texts } = shown;
+  for (const [key, value] of Object.entries(texts)) {
+    if (value !== null && value !== /** @type {any} */ (initial)[key]) parts.push(`${key}=${encoded(String(value))}`);
   }
-  if (shown.compare) parts.push(`compare=${shown.compare.map(encodeURIComponent).join(",")}`);
-  if (shown.layers) parts.push(`layers=${shown.layers.join(",")}`);
-  if (shown.drawer) parts.push("drawer=1");
+  if (compare) parts.push(`compare=${compare.map(encodeURIComponent).join(",")}`);
+  if (layers) parts.push(`layers=${layers.join(",")}`);
+  if (drawer) parts.push("drawer=1");
   return parts.join("&");
 }
+
+/** @param {string} text @returns {string} For an address, with what may stand there as it is. */
+const encoded = (text) => encodeURIComponent(text).replace(/%2F|%2C|%3A|%3B/g, decodeURIComponent);
 
 /** @param {string} hash @returns {State} */
 function parse(hash) {
@@ -126,6 +130,7 @@ function parse(hash) {
     drawer: fields.get("drawer") === "1",
     intersection: fields.get("intersection") || null,
     node: integer("node"),
+    filter: fields.get("filter") || null,
   };
 }
 

@@ -117,13 +117,16 @@ def test_a_deleted_job_comes_back_with_its_result(client: httpx.Client, street: 
 
     again = client.post(f"{API}/jobs", json={"drive_id": drive}, headers=key)
     assert again.status_code == 202  # the key means another job now
-    assert again.json()["id"] != job
-    assert ended(client, again.json()["id"])["state"] == "successful"
+    other = again.json()["id"]
+    assert other != job
+    assert client.post(f"{API}/jobs", json={"drive_id": drive}, headers=key).json()["id"] == other
+    assert ended(client, other)["state"] == "successful"
 
     assert client.delete(f"{API}/drives/{drive}").status_code == 204
     answer = client.post(f"{API}/trash/jobs/{job}/restore")
     assert (answer.status_code, answer.json()["title"]) == (409, "Drive in the trash")
     assert client.post(f"{API}/trash/drives/{drive}/restore").status_code == 200
+    assert client.post(f"{API}/jobs", json={"drive_id": drive}, headers=key).json()["id"] == other  # it kept its key
     assert client.get(f"{API}/jobs/{job}").status_code == 404  # it had been deleted by itself
     assert client.post(f"{API}/trash/jobs/{job}/restore").status_code == 200
     assert result_of(client, job) == result

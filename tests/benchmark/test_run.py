@@ -117,7 +117,11 @@ def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[R
         failures = json.loads((out / entry["failures"]).read_text())
         for place in failures["false_detections"] + failures["missed_nodes"]:
             assert place["see"][0].startswith("interloc explain ")
+        assert failures["attribution"] == record["attribution"]
     page = (out / "benchmark.html").read_text()
+    assert "made up by a simulator" in record["attribution"]
+    assert "The map was made up by a simulator" in page
+    assert "contributors" not in page
     assert "Town &amp; country" in page
     assert page.count("data:image/") == 4 + 2  # boxes, curves, label errors, reliability, a map per preset
     assert "http" not in page.replace("http://www.w3.org", "")

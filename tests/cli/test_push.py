@@ -11,7 +11,7 @@ import pytest
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["-o", "out"], "-o, --overpass and --set need --run"),
+        (["-o", "out"], "--fresh, -o, --overpass and --set need --run"),
         (["--run", "--osm", "map.osm", "--overpass"], "one of --osm FILE and --overpass"),
         (["--keep-raw"], "--keep-raw: the server has no raw scans to keep"),
         (["--osm", "map.txt"], "is not an OpenStreetMap file by its name"),

@@ -90,6 +90,7 @@ def test_the_same_job_is_not_done_twice(here: Any, street: Path, tmp_path: Path)
     again = here(*push)
     assert f"job {first['job']} has done the same already" in again.err
     assert first["job"] in again.out
+    assert here(*push, "--fresh", "--json").json["job"] != first["job"]
 
 
 def test_without_a_georeference_results_are_local(here: Any, street: Path, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import posed_frames
 from interloc.errors import DriveError
 from interloc.geometry import rotation_from_rpy, yaw_of
+from interloc.reduction.plan import plan_reduction
 
 DRIVE = "2013_05_28_drive_0009_sync"
 T_IMU_CAM = np.array([[0.0, 0, 1, 1.5], [1, 0, 0, 0.3], [0, 1, 0, 0.9], [0, 0, 0, 1]])  # x ahead, y right, z down
@@ -137,6 +138,25 @@ def test_scans_without_a_pose_are_left_out_and_counted(published: Path) -> None:
     assert "1 of 12 scans have no pose (frames 111) and are left out" in note.message
     with pytest.raises(DriveError, match="has poses for the frames 100 to 110, and none for the scans 500 to 501"):
         posed_frames(parts, np.arange(500, 502), findings)
+
+
+def test_a_drive_may_hold_its_part_of_the_data_set(published: Path, make: ModuleType) -> None:
+    drive = published / "data_3d_raw" / DRIVE
+    write_oxts(published)
+    (published / "data_poses").rename(drive / "data_poses")  # as the page sends it
+    (published / "calibration").rename(drive / "calibration")
+    own = drive.rename(published.parent / "files")
+    opened = open_drive(own, labels="predictions")
+    assert (opened.layout, opened.pose_frame) == ("kitti360", "imu")
+    np.testing.assert_allclose(opened.T_world_lidar, make.lidar_poses()[:11], atol=1e-5)
+    assert opened.georeference is not None
+    assert "in the world of KITTI-360" in opened.georeference.source
+
+    plan = plan_reduction(own, range(100, 112), keyframes=None, scan_folder="velodyne_points/data")
+    assert plan.manifest is not None
+    assert plan.frames_to_send.tolist() == list(range(100, 111))
+    assert plan.manifest.files.poses == f"data_poses/{DRIVE}/poses.txt"
+    assert "in the world of KITTI-360" in str(plan.georeference)
 
 
 def test_the_root_of_several_drives_lists_them(published: Path) -> None:

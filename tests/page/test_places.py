@@ -58,7 +58,9 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     page.get_by_label("Observations, at least").fill(str(max(each["observations"] for each in right)))
     best = [each for each in [*wrong, *right] if each["observations"] >= max(one["observations"] for one in right)]
     assert rows.count() == len(best) < len(wrong) + len(right)
-    page.locator(".filter-note", has_text=f"{len(best)} of {len(wrong) + len(right)}").wait_for()
+    note = page.locator(".filter-note", has_text=f"{len(best)} of {len(wrong) + len(right)}")
+    note.wait_for()
+    filtered = page.url
     page.keyboard.press("n")  # the field has the focus: it goes nowhere
     page.locator(".filter-note button").click()
     popup_of(page, f"Intersection {last}: right")
@@ -74,6 +76,18 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     page.goto("about:blank")
     page.goto(link)
     popup_of(page, f"Intersection {last}: right")
+    page.goto("about:blank")
+    page.goto(filtered)
+    note.wait_for()
+    least = page.get_by_label("Observations, at least").input_value()
+    assert f"observations:{least}.." in filtered
+    assert rows.count() == len(best)
+    page.get_by_role("tab", name="Export").click()
+    page.locator(".filter-note button").click()
+    note.wait_for(state="hidden")
+    assert "filter=" not in page.url
+    page.go_back()
+    note.wait_for()
     page.goto("about:blank")
     node = scored.nodes("missed")[0]["properties"]
     show(page, scored, f"node={node['osm_id']}")

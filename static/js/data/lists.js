@@ -4,8 +4,12 @@
  */
 import { ApiError, getJson } from "../api.js";
 
-/** @type {{drives: any[], jobs: any[], trash: any[], isLoaded: boolean}} */
-export const lists = { drives: [], jobs: [], trash: [], isLoaded: false };
+/**
+ * @type {{drives: any[], jobs: any[], trash: any[], isLoaded: boolean, isWhole: boolean, isCut: boolean}} The newest
+ *   first. `isLoaded`: the newest of them are there; `isWhole`: so are all others, as far as the page reads them;
+ *   `isCut`: the server has more drives than that.
+ */
+export const lists = { drives: [], jobs: [], trash: [], isLoaded: false, isWhole: false, isCut: false };
 
 /** What the folders of labels hold. */
 export const LABEL_FOLDERS = /** @type {Record<string, string>} */ ({
@@ -13,8 +17,11 @@ export const LABEL_FOLDERS = /** @type {Record<string, string>} */ ({
   predictions: "predictions (of a network)",
 });
 
-const MAX_ROWS = 500;
+const MAX_ROWS = 2000;
+const HEAD_ROWS = 100; // what a look asks for: all there is on most servers
+const PAGE_ROWS = 1000;
 const LOOK_MS = 10000; // between looks for what others did; three short exchanges while nothing has changed
+const WHOLE_LOOKS = 6; // every so many looks at everything: what was done to old rows
 const MAX_TRIES = 3;
 
 /** @type {Set<() => void>} */
@@ -31,20 +38,39 @@ let shown = 0;
 /** Number of drives and jobs that were made here: an answer may not know them yet. */
 let made = 0;
 
-/** Ask the server again. */
-export async function refreshLists() {
+/** The newest rows as last received, to see whether anything has happened. */
+let headsShown = "";
+
+/**
+ * Ask the server again.
+ * @param {boolean} [isLook] Whether the older rows may stay as they are where nothing has happened to the newest.
+ */
+export async function refreshLists(isLook = false) {
   const mine = ++asked;
   for (let tries = 1; ; tries += 1) {
     const before = made;
-    const [drives, jobs, trash] = await Promise.all([
-      readPages("drives", "drives"),
-      readPages("jobs", "jobs"),
-      readPages("trash", "items"),
+    const heads = await Promise.all([
+      readHead("drives", "drives"),
+      readHead("jobs", "jobs"),
+      readHead("trash", "items"),
     ]);
+    const now = JSON.stringify(heads);
+    if (isLook && lists.isWhole && now === headsShown && heads.some(({ next }) => next)) return;
+    if (!lists.isLoaded)
+      showRows(
+        heads.map(({ rows }) => rows),
+        false,
+      );
+    const pages = await Promise.all(heads.map(readRest));
     if (mine < shown) return; // one that was asked for later was faster
     if (made > before && tries < MAX_TRIES) continue;
     shown = mine;
-    show({ drives, jobs: jobs.map(newer), trash });
+    headsShown = now;
+    lists.isCut = pages[0].next !== null;
+    showRows(
+      pages.map(({ rows }) => rows),
+      true,
+    );
     return;
   }
 }
@@ -52,11 +78,13 @@ export async function refreshLists() {
 /** Keep the lists up to date with what other tabs and programs do, while somebody looks at the page. */
 export function watchLists() {
   let timer = 0;
+  let looks = 0;
   const look = async () => {
     clearTimeout(timer);
     if (document.hidden) return;
     try {
-      if (lists.isLoaded) await refreshLists();
+      looks += 1;
+      if (lists.isLoaded) await refreshLists(looks % WHOLE_LOOKS !== 0);
     } catch (error) {
       if (error instanceof ApiError && error.status === 401) return; // the person was asked for a token just now
     }
@@ -67,12 +95,13 @@ export function watchLists() {
   timer = setTimeout(look, LOOK_MS);
 }
 
-/** @param {{drives: any[], jobs: any[], trash: any[]}} received */
-function show(received) {
-  const { drives, jobs, trash } = lists;
-  const isSame = lists.isLoaded && JSON.stringify(received) === JSON.stringify({ drives, jobs, trash });
+/** @param {any[][]} received Drives, jobs, trash. @param {boolean} isWhole */
+function showRows([drives, received, trash], isWhole) {
+  const jobs = received.map(newer);
+  const isSame =
+    lists.isWhole && JSON.stringify([drives, jobs, trash]) === JSON.stringify([lists.drives, lists.jobs, lists.trash]);
   if (isSame) return; // nothing is drawn anew while nothing happens
-  Object.assign(lists, received, { isLoaded: true });
+  Object.assign(lists, { drives, jobs, trash, isLoaded: true, isWhole });
   notify();
 }
 
@@ -106,16 +135,24 @@ function notify() {
   for (const call of listeners) call();
 }
 
-/** @param {string} path @param {string} member @returns {Promise<any[]>} */
-async function readPages(path, member) {
-  const rows = [];
-  let after = null;
-  do {
-    const page = await getJson(`${path}?limit=100${after ? `&after=${encodeURIComponent(after)}` : ""}`);
-    rows.push(...page[member]);
-    after = page.next;
-  } while (after && rows.length < MAX_ROWS);
-  return rows;
+/** @typedef {{path: string, member: string, rows: any[], next: string|null}} Rows */
+
+/** @param {string} path @param {string} member @returns {Promise<Rows>} The newest rows. */
+async function readHead(path, member) {
+  const page = await getJson(`${path}?limit=${HEAD_ROWS}`);
+  return { path, member, rows: page[member], next: page.next };
+}
+
+/** @param {Rows} head @returns {Promise<Rows>} All rows, as far as the page reads them. */
+async function readRest({ path, member, rows, next }) {
+  const all = [...rows];
+  while (next && all.length < MAX_ROWS) {
+    const limit = Math.min(PAGE_ROWS, MAX_ROWS - all.length);
+    const page = await getJson(`${path}?limit=${limit}&after=${encodeURIComponent(next)}`);
+    all.push(...page[member]);
+    next = page.next;
+  }
+  return { path, member, rows: all, next };
 }
 
 /** @param {any} config @param {string} [prefix] @returns {Map<string, any>} Values by path: "bev.resolution_m". */

@@ -13,10 +13,15 @@ import { lineOf } from "./results.js";
  * @property {number[][]} track Longitude, latitude.
  * @property {number[][]} intersections
  */
-/** @typedef {{drives: DriveOnMap[], unplaced: number}} Overview `unplaced`: how many drives have no georeference. */
+/**
+ * @typedef {object} Overview
+ * @property {DriveOnMap[]} drives The newest first.
+ * @property {number} unplaced How many drives have no georeference.
+ * @property {boolean} isCut Whether the server has more drives.
+ */
 
-const MAX_DRIVES = 1000;
-const PAGE = 100;
+const MAX_DRIVES = 2000;
+const PAGE = 250;
 
 /** @returns {Promise<Overview>} */
 export async function loadOverview() {
@@ -31,7 +36,8 @@ export async function loadOverview() {
       else if (geometry) drives.set(id, { id, name, job, track: lineOf(geometry), intersections: [] });
       else unplaced += 1;
     }
-    if (!page.next || drives.size + unplaced >= MAX_DRIVES) return { drives: [...drives.values()], unplaced };
+    if (!page.next || drives.size + unplaced >= MAX_DRIVES)
+      return { drives: [...drives.values()], unplaced, isCut: page.next !== null };
     after = page.next;
   }
 }

@@ -29,7 +29,7 @@ import { Frame } from "./frame.js";
  * @property {Match[]} matches
  * @property {Array<{line: number[][], properties: any}>} roads
  * @property {import("./compared.js").Compared[]} compared Beside those of other jobs; empty where none are compared.
- * @property {number[][][]} buildings Outlines of those of the map near the track.
+ * @property {number[][][]} buildings Outlines of those of the map near the track, and of their holes, the other way round.
  * @property {number[][][]} places Where else on the map the drive might have been, if it was placed by its roads.
  * @property {string|null} surface Path of the road seen by LiDAR; null where the result has none.
  * @property {number} roi_m Side S of the region of interest.
@@ -96,8 +96,8 @@ async function load(job) {
     matches: pairs,
     compared: [],
     places: (places?.features ?? []).slice(1).map((/** @type {any} */ f) => lineOf(f.geometry)),
-    buildings: (buildings?.features ?? []).map((/** @type {any} */ f) =>
-      f.geometry.type === "MultiPolygon" ? f.geometry.coordinates[0][0] : f.geometry.coordinates[0],
+    buildings: (buildings?.features ?? []).flatMap((/** @type {any} */ f) =>
+      f.geometry.type === "MultiPolygon" ? f.geometry.coordinates.flat() : f.geometry.coordinates,
     ),
     roads: (roads?.features ?? []).map((/** @type {any} */ f) => ({
       line: lineOf(f.geometry),

@@ -6,13 +6,16 @@ import { getJson, sendJson } from "../api.js";
 import { iconButton } from "../controls.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
 import { lists, onListsChange, refreshLists, rememberDrive } from "../data/lists.js";
-import { el, fill, formatAgo, formatBytes, formatMetres, icon, plural } from "../dom.js";
+import { el, fill, formatAgo, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { isEditing, naming } from "../job/naming.js";
 import { openRunDialog } from "../job/run_dialog.js";
 import { ANYONE, afterDeletion, driveBadge, openDrive, openJob, outcomeOf, stateBadge } from "../job/words.js";
 import { confirmAction, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { trashSection } from "./trash.js";
+
+const ROOM = 50; // cards at first, and more each time
+const FEW = 10; // drives that need no search
 
 /** @type {Map<string, any>} What the check of a drive found; lists leave it out. */
 const reports = new Map();
@@ -24,9 +27,18 @@ export function mount(container) {
   const upload = el("button", { class: "primary", onClick: () => setState({ panel: "upload" }) }, icon("upload"));
   upload.append("Upload a drive");
   const body = el("div", { class: "stack-s" });
+  let room = ROOM;
+  const search = el("input", {
+    type: "search",
+    placeholder: "Find a drive",
+    "aria-label": "Find drives by name, note or owner",
+    onInput: () => ((room = ROOM), update()),
+  });
+  const status = el("p", { class: "small", role: "status" });
+  const find = el("div", { class: "stack-s", hidden: true }, search, status);
   fill(
     container,
-    el("div", { class: "stack" }, el("div", { class: "row" }, upload, button), trouble, body, trashSection()),
+    el("div", { class: "stack" }, el("div", { class: "row" }, upload, button), trouble, find, body, trashSection()),
   );
 
   const showDemo = () => {
@@ -43,9 +55,28 @@ export function mount(container) {
     if (isEditing(body)) return;
     if (!lists.isLoaded) return fill(body, el("p", { class: "quiet" }, "Loading…"));
     const focused = body.contains(document.activeElement) ? labelOf(document.activeElement) : null;
-    fill(body, lists.drives.length ? lists.drives.map(driveCard) : emptyNote());
+    const found = drivesCalled(search.value);
+    const current = getState().drive;
+    const cards = found.filter(({ id }, i) => i < room || id === current);
+    /** @type {Map<string, any[]>} */
+    const jobs = new Map(cards.map(({ id }) => [id, []]));
+    for (const job of lists.jobs) jobs.get(job.drive_id)?.push(job);
+    find.hidden = lists.drives.length <= FEW && !search.value;
+    const all = `${lists.isCut ? "the newest " : ""}${plural(lists.drives.length, "drive")}`;
+    fill(status, search.value.trim() || lists.isCut ? `${formatCount(found.length)} of ${all}` : "");
+    fill(
+      body,
+      lists.drives.length ? cards.map((drive) => driveCard(drive, jobs.get(drive.id) ?? [])) : emptyNote(),
+      found.length > room && el("button", { onClick: showMore }, `Show more (${formatCount(found.length - room)})`),
+    );
     if (focused) [...body.querySelectorAll("button")].find((each) => labelOf(each) === focused)?.focus();
     void loadReport();
+  };
+  const showMore = () => {
+    const at = room;
+    room += ROOM;
+    update();
+    /** @type {HTMLElement|null} */ (body.children[at]?.querySelector("h3 button"))?.focus();
   };
   const loadReport = async () => {
     const current = lists.drives.find((drive) => drive.id === getState().drive);
@@ -71,9 +102,18 @@ function emptyNote() {
   return el("div", { class: "empty quiet" }, el("h3", {}, "No drive yet"), el("p", {}, text));
 }
 
-/** @param {any} drive */
-function driveCard(drive) {
-  const jobs = lists.jobs.filter((job) => job.drive_id === drive.id);
+/** @param {string} words @returns {any[]} The drives that have them in their name, note or owner. */
+function drivesCalled(words) {
+  const text = words.trim().toLowerCase();
+  if (!text) return lists.drives;
+  return lists.drives.filter(
+    ({ id, name, note, owner }) =>
+      [name, note ?? "", owner].some((each) => each.toLowerCase().includes(text)) || id === text,
+  );
+}
+
+/** @param {any} drive @param {any[]} jobs Its own. */
+function driveCard(drive, jobs) {
   const current = getState().drive === drive.id;
   const report = drive.report ?? reports.get(drive.id) ?? null;
   const facts = [];

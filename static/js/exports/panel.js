@@ -129,7 +129,11 @@ function sections(result, link) {
     resultSection(
       "Link to this view",
       el("div", { class: "row" }, el("div", { class: "grow" }, link), copyButton("Copy", permalink)),
-      el("p", { class: "small" }, "Drive, job, place, keyframe and layers; for everybody who can reach this server."),
+      el(
+        "p",
+        { class: "small" },
+        "Drive, job, place, keyframe, layers and filter; for everybody who can reach this server.",
+      ),
     ),
     resultSection("The same by curl", codeBox(`curl -fOJ${token} ${whole}`)),
     !local && resultSection("In QGIS", qgis(address(`${at}/intersections`), live)),

@@ -1,7 +1,8 @@
 /**
- * Which intersections are looked at: by verdict, by figures, by words. List and map follow it alike.
+ * Which intersections are looked at: by verdict, by figures, by words. List, map and address follow it alike.
  * @module map/filter
  */
+import { getState, setState, subscribe } from "../state.js";
 import { verdictOf } from "./layers.js";
 
 /** @typedef {import("../data/results.js").Place} Place */
@@ -16,36 +17,71 @@ import { verdictOf } from "./layers.js";
 /** @type {Filter} */
 const NONE = { verdicts: null, words: "", ranges: {} };
 
-/** @type {Filter} */
-let filter = NONE;
-/** @type {Set<() => void>} */
-const listeners = new Set();
+const VERDICTS = ["right", "wrong", "unscored"];
+/** Names of the figures in the address. */
+const FIGURES = /** @type {Record<string, Figure>} */ ({
+  confidence: "confidence",
+  observations: "observations",
+  uncertainty_m: "position_std_m",
+});
 
-/** @returns {Readonly<Filter>} */
-export const getFilter = () => filter;
+/** @type {{text: string|null, filter: Filter}} */
+let last = { text: null, filter: NONE };
+
+/** @returns {Readonly<Filter>} What the address says. */
+export function getFilter() {
+  const text = getState().filter;
+  if (text !== last.text) last = { text, filter: parseFilter(text ?? "") };
+  return last.filter;
+}
 
 /** @param {Partial<Filter>} patch */
-export function setFilter(patch) {
-  filter = { ...filter, ...patch };
-  for (const call of [...listeners]) call();
-}
+export const setFilter = (patch) => setState({ filter: formatFilter({ ...getFilter(), ...patch }) });
 
 /** Look at all intersections again. */
-export const clearFilter = () => setFilter(NONE);
+export const clearFilter = () => setState({ filter: null });
 
 /** @param {() => void} call @returns {() => void} Stops it. */
-export function onFilterChange(call) {
-  listeners.add(call);
-  return () => listeners.delete(call);
-}
+export const onFilterChange = (call) => subscribe(["filter"], call);
 
 /** @param {Place} intersection @returns {boolean} */
-export const passes = (intersection) => matches(filter, intersection);
+export const passes = (intersection) => matches(getFilter(), intersection);
 
 /** @returns {boolean} Whether something may be left out. */
-export function isFiltering() {
-  const isSet = Object.values(filter.ranges).some((range) => range.some((bound) => bound !== null));
-  return filter.verdicts !== null || filter.words.trim() !== "" || isSet;
+export const isFiltering = () => getState().filter !== null && formatFilter(getFilter()) !== null;
+
+/**
+ * @param {Filter} wanted
+ * @returns {string|null} As in the address: "outcome:wrong,unscored;confidence:0.5..;find:worth a look"; null for none.
+ */
+export function formatFilter({ verdicts, words, ranges }) {
+  const parts = [];
+  if (verdicts) parts.push(`outcome:${verdicts.join(",") || "none"}`);
+  for (const [name, figure] of Object.entries(FIGURES)) {
+    const [least, most] = ranges[figure] ?? [null, null];
+    if (least !== null || most !== null) parts.push(`${name}:${least ?? ""}..${most ?? ""}`);
+  }
+  if (words.trim()) parts.push(`find:${words}`); // last, since words may hold anything
+  return parts.join(";") || null;
+}
+
+/** @param {string} text @returns {Filter} Of what it understands; the rest is left out. */
+export function parseFilter(text) {
+  const [, before, words = ""] = /^(.*?)(?:(?:^|;)find:(.*))?$/s.exec(text) ?? ["", text];
+  /** @type {Filter} */
+  const filter = { verdicts: null, words, ranges: {} };
+  for (const part of before.split(";")) {
+    const [name, value = ""] = part.split(":");
+    const bounds = /^(\d+(?:\.\d+)?)?\.\.(\d+(?:\.\d+)?)?$/.exec(value);
+    if (name === "outcome") {
+      const known = VERDICTS.filter((each) => value.split(",").includes(each));
+      filter.verdicts = known.length || value === "none" ? known : null;
+    } else if (bounds && Object.hasOwn(FIGURES, name)) {
+      const [least, most] = bounds.slice(1).map((bound) => (bound === undefined ? null : Number(bound)));
+      filter.ranges[FIGURES[name]] = [least, most];
+    }
+  }
+  return filter;
 }
 
 /** @param {Filter} wanted @param {Place} intersection @returns {boolean} */

@@ -9,11 +9,22 @@ import { View } from "./surface.js";
 import { colour, trace } from "./symbols.js";
 
 /** @typedef {import("../data/overview.js").DriveOnMap} DriveOnMap */
-/** @typedef {{drive: DriveOnMap, path: Float64Array, points: Float64Array, middle: [number, number]}} Item At zoom 0. */
+/**
+ * @typedef {object} Item Places are those at zoom 0.
+ * @property {DriveOnMap} drive
+ * @property {Float64Array} path
+ * @property {Float64Array} points
+ * @property {[number, number]} middle
+ * @property {[number, number, number, number]} box Of the path: left, top, right, bottom.
+ * @property {string} label
+ * @property {number} width Of the label, pixels; 0 until it is known.
+ */
 
 const REACH_PX = 10;
 const SMALL_PX = 16; // a track that is smaller is a disc
 const SIGNS_FROM_ZOOM = 13;
+const NAME_PX = 16;
+const STEP_PX = 2; // a thousand tracks in one town have more points than pixels
 
 /** Painted as a scene is; see `Scene`. */
 export class OverviewScene {
@@ -33,7 +44,9 @@ export class OverviewScene {
     this.items = drives.map((drive) => {
       const path = flat(drive.track);
       const half = 2 * Math.floor(path.length / 4);
-      return { drive, path, points: flat(drive.intersections), middle: [path[half], path[half + 1]] };
+      const label = drive.name.length > 28 ? `${drive.name.slice(0, 27)}…` : drive.name;
+      const middle = /** @type {[number, number]} */ ([path[half], path[half + 1]]);
+      return { drive, path, points: flat(drive.intersections), middle, box: boxOf(path), label, width: 0 };
     });
     this.map = map;
     /** @type {Item|null} Under the pointer. */
@@ -51,16 +64,17 @@ export class OverviewScene {
   paint(context, view) {
     context.lineCap = "round";
     context.lineJoin = "round";
-    const discs = this.items.filter((item) => isSmall(item, view));
-    const lines = this.items.filter((item) => !discs.includes(item) && item !== this.under);
+    const seen = this.items.filter((item) => isSeen(item, view));
+    const discs = seen.filter((item) => isSmall(item, view));
+    const lines = seen.filter((item) => !isSmall(item, view) && item !== this.under);
     strokeAll(context, view, lines, colour("--accent"), 2.5);
-    if (this.under && !discs.includes(this.under)) strokeAll(context, view, [this.under], colour("--accent"), 5);
+    if (this.under && !isSmall(this.under, view)) strokeAll(context, view, [this.under], colour("--accent"), 5);
     context.beginPath();
     for (const { middle } of discs) trace(context, "disc", view.x(middle[0]), view.y(middle[1]), 6);
     fillAndRim(context, colour("--accent"), colour("--surface"), 2);
     if (view.zoom >= SIGNS_FROM_ZOOM) {
       context.beginPath();
-      for (const { points } of this.items) {
+      for (const { points } of seen) {
         for (let i = 0; i < points.length; i += 2) {
           const [x, y] = [view.x(points[i]), view.y(points[i + 1])];
           if (view.shows(x, y)) trace(context, "plus", x, y, view.zoom > 15 ? 6 : 4);
@@ -68,30 +82,7 @@ export class OverviewScene {
       }
       fillAndRim(context, colour("--fused"), colour("--fused-edge"), 1);
     }
-    this.#paintNames(context, view);
-  }
-
-  /** As many names as have room. @param {CanvasRenderingContext2D} context @param {View} view */
-  #paintNames(context, view) {
-    context.font = `600 12px ${getComputedStyle(document.body).fontFamily}`;
-    context.textAlign = "center";
-    context.textBaseline = "bottom";
-    context.lineWidth = 3;
-    context.strokeStyle = colour("--ground");
-    context.fillStyle = colour("--ink");
-    /** @type {[number, number, number][]} Left, bottom, width. */
-    const taken = [];
-    for (const { drive, middle } of this.items) {
-      const [x, y] = [view.x(middle[0]), view.y(middle[1]) - 9];
-      if (!view.shows(x, y)) continue;
-      const text = drive.name.length > 28 ? `${drive.name.slice(0, 27)}…` : drive.name;
-      const { width } = context.measureText(text);
-      const left = x - width / 2;
-      if (taken.some(([l, b, w]) => left < l + w + 4 && l < left + width + 4 && Math.abs(y - b) < 16)) continue;
-      taken.push([left, y, width]);
-      context.strokeText(text, x, y);
-      context.fillText(text, x, y);
-    }
+    paintNames(context, view, seen);
   }
 
   /** Nothing with details: see `at`. @returns {null} */
@@ -106,11 +97,36 @@ export class OverviewScene {
     let nearest = null;
     let min = REACH_PX;
     for (const item of this.items) {
+      if (!isSeen(item, view)) continue;
       const [dx, dy] = [view.x(item.middle[0]) - x, view.y(item.middle[1]) - y];
       const away = isSmall(item, view) ? Math.hypot(dx, dy) : distance(item.path, view, x, y);
       if (away < min) [nearest, min] = [item, away];
     }
     return nearest;
+  }
+}
+
+/** As many names as have room. @param {CanvasRenderingContext2D} context @param {View} view @param {Item[]} items */
+function paintNames(context, view, items) {
+  context.font = `600 12px ${getComputedStyle(document.body).fontFamily}`;
+  context.textAlign = "center";
+  context.textBaseline = "bottom";
+  context.lineWidth = 3;
+  context.strokeStyle = colour("--ground");
+  context.fillStyle = colour("--ink");
+  /** @type {Map<number, [number, number, number][]>} Left, bottom, width; by rows of the map. */
+  const taken = new Map();
+  for (const item of items) {
+    const [x, y] = [view.x(item.middle[0]), view.y(item.middle[1]) - 9];
+    if (!view.shows(x, y)) continue;
+    item.width ||= context.measureText(item.label).width;
+    const left = x - item.width / 2;
+    const row = Math.floor(y / NAME_PX);
+    const near = [row - 1, row, row + 1].flatMap((each) => taken.get(each) ?? []);
+    if (near.some(([l, b, w]) => left < l + w + 4 && l < left + item.width + 4 && Math.abs(y - b) < NAME_PX)) continue;
+    taken.set(row, [...(taken.get(row) ?? []), [left, y, item.width]]);
+    context.strokeText(item.label, x, y);
+    context.fillText(item.label, x, y);
   }
 }
 
@@ -156,13 +172,32 @@ export function watchDrives(map, scene, redraw) {
   });
 }
 
-/** @param {Item} item @param {View} view @returns {boolean} */
-function isSmall({ path, middle }, view) {
+/** @param {Float64Array} path @returns {[number, number, number, number]} */
+function boxOf(path) {
+  let [left, top, right, bottom] = [Infinity, Infinity, -Infinity, -Infinity];
   for (let i = 0; i < path.length; i += 2) {
-    if (Math.max(Math.abs(path[i] - middle[0]), Math.abs(path[i + 1] - middle[1])) * view.scale > SMALL_PX)
-      return false;
+    left = Math.min(left, path[i]);
+    right = Math.max(right, path[i]);
+    top = Math.min(top, path[i + 1]);
+    bottom = Math.max(bottom, path[i + 1]);
   }
-  return true;
+  return [left, top, right, bottom];
+}
+
+/** @param {Item} item @param {View} view @returns {boolean} Whether something of it may be on the canvas. */
+function isSeen({ box: [left, top, right, bottom] }, view) {
+  const { x: width, y: height } = view.size;
+  return (
+    view.x(right) > -SMALL_PX &&
+    view.x(left) < width + SMALL_PX &&
+    view.y(bottom) > -SMALL_PX &&
+    view.y(top) < height + SMALL_PX
+  );
+}
+
+/** @param {Item} item @param {View} view @returns {boolean} */
+function isSmall({ box: [left, top, right, bottom] }, view) {
+  return Math.max(right - left, bottom - top) * view.scale < 2 * SMALL_PX;
 }
 
 /** @param {Float64Array} path @param {View} view @param {number} x @param {number} y @returns {number} Pixels. */
@@ -182,10 +217,14 @@ function distance(path, view, x, y) {
 function strokeAll(context, view, items, stroke, width) {
   context.beginPath();
   for (const { path } of items) {
+    let [lastX, lastY] = [0, 0];
     for (let i = 0; i < path.length; i += 2) {
       const [x, y] = [view.x(path[i]), view.y(path[i + 1])];
+      const isEnd = i === path.length - 2;
+      if (i && !isEnd && Math.abs(x - lastX) + Math.abs(y - lastY) < STEP_PX) continue;
       if (i) context.lineTo(x, y);
       else context.moveTo(x, y);
+      [lastX, lastY] = [x, y];
     }
   }
   context.strokeStyle = stroke;

@@ -50,6 +50,7 @@ export async function mountStage() {
   /** @type {any} */
   let parts = null;
   let token = 0;
+  let hasOverview = false; // or it was asked for
 
   /** @param {boolean} local */
   const build = (local) => {
@@ -132,14 +133,17 @@ export async function mountStage() {
 
   /** @param {number} mine @returns {Promise<boolean>} Whether there is a drive to show. */
   const showOverview = async (mine) => {
-    const { drives, unplaced } = await loadOverview();
+    hasOverview = true;
+    const { drives, unplaced, isCut } = await loadOverview().finally(() => (hasOverview = false));
+    hasOverview = drives.length > 0;
     if (mine !== token) return true;
     if (!drives.length) return false;
     const isNew = !(scene instanceof OverviewScene);
     if (isNew) clear();
     fill(cover);
     const more = unplaced > 0 && ` · ${plural(unplaced, "drive")} without georeference in the list`;
-    fill(note, el("strong", {}, plural(drives.length, "drive")), " to choose from", more, tileSwitch());
+    const cut = isCut && " · the newest of all";
+    fill(note, el("strong", {}, plural(drives.length, "drive")), " to choose from", more, cut, tileSwitch());
     build(false);
     scene = new OverviewScene(drives, shown.map);
     updateLayers();
@@ -161,7 +165,7 @@ export async function mountStage() {
     isPlaced = false;
     timeline.show(next);
     setResult(next);
-    if (isFiltering()) clearFilter(); // it was one of another result
+    parts.filterNote.update();
     shown.map.invalidateSize({ animate: false }); // timeline and drawer have taken their room: now the map has its size
     const { view, frame } = getState();
     if (!(view && applyView(view))) fitDrive(false);
@@ -231,13 +235,17 @@ export async function mountStage() {
     scene.progress = job.progress.fraction;
     parts.redraw();
   });
-  let drivesShown = "";
+  /** @type {string|null} */
+  let drivesShown = null;
   onListsChange(() => {
+    if (!lists.isWhole) return; // the rest comes in a moment
     const { job, drive } = getState();
     const done = lists.jobs.filter(({ state }) => state === "successful");
     const now = [...lists.drives.map(({ id, state }) => `${id} ${state}`), ...done.map(({ id }) => id)].join();
     if (now === drivesShown) return;
+    const isKnown = drivesShown === null && hasOverview; // the map of them was asked for just before
     drivesShown = now;
+    if (isKnown) return;
     if (!job && !drive) void showDrive();
   });
   onDemoChange(() => !getState().job && !getState().drive && void showDrive());

@@ -161,8 +161,10 @@ function filterFields(result) {
   const verdicts = /** @type {const} */ (["wrong", "right", "unscored"])
     .map((name) => ({ name, many: result.intersections.filter((each) => verdictOf(each) === name).length }))
     .filter(({ many }) => many > 0);
+  const filter = getFilter();
   const boxes = verdicts.map(({ name, many }) => {
-    const input = el("input", { type: "checkbox", value: name, checked: true, onChange: () => choose() });
+    const checked = !filter.verdicts || filter.verdicts.includes(name);
+    const input = el("input", { type: "checkbox", value: name, checked, onChange: () => choose() });
     return { input, element: el("label", { class: "check" }, input, signIcon(name), `${VERDICTS[name]} (${many})`) };
   });
   const choose = () => {
@@ -178,7 +180,7 @@ function filterFields(result) {
   });
   const element = el(
     "details",
-    { class: "filter" },
+    { class: "filter", open: filter.verdicts !== null || Object.keys(filter.ranges).length > 0 },
     el("summary", {}, "Filter"),
     el(
       "div",

@@ -56,6 +56,7 @@ const SMALL = [
   /^oxts\/([^/]+\/)?[^/]+\.txt(\.gz)?$/,
   /^velodyne_points\/timestamps[^/]*\.txt$/,
 ];
+const PUBLISHED_POSES = /^((poses|cam0_to_world)|oxts\/([^/]+\/)?[^/]+)\.txt$/; // of a drive of KITTI-360
 const INDEXED_LENGTHS = [13, 17]; // numbers per pose line that starts with its frame
 
 /**
@@ -190,20 +191,51 @@ function borrowBeside(drive, folder, calibration) {
       if (rest && (isNear || /^calibration\/[^/]+$/.test(rest))) wanted.push([path, rest]);
     }
     wanted.push([`${above}poses/${drive.name}.txt`, "poses.txt"]);
+    if (drive.scans?.folder === "velodyne_points/data") borrowPoses(drive, folder, above);
   }
   for (const [from, to] of wanted) {
     const file = folder.files.get(from);
     if (file && !drive.small.has(to) && !(to === "poses.txt" && drive.scans?.folder !== "velodyne")) {
       drive.small.set(to, file);
-      drive.borrowed.push(`${from} is taken as ${to}.`);
+      drive.borrowed.push(from === to ? `${from} is taken with it.` : `${from} is taken as ${to}.`);
     }
   }
+}
+
+/**
+ * Take the poses and OXTS that KITTI-360 keeps in folders of their own, beside that of the scans.
+ *
+ * @param {DriveFolder} drive
+ * @param {import("./folder.js").Folder} folder
+ * @param {string} above Path of the data set, with a slash at its end.
+ */
+function borrowPoses(drive, folder, above) {
+  const target = `data_poses/${drive.name}/`;
+  for (const source of [target, `data_poses_oxts/${drive.name}/`]) {
+    let count = 0;
+    for (const [path, file] of folder.files) {
+      const rest = path.startsWith(above + source) ? path.slice(above.length + source.length) : "";
+      if (!PUBLISHED_POSES.test(rest) || drive.small.has(target + rest)) continue;
+      drive.small.set(target + rest, file);
+      count += 1;
+    }
+    if (count) drive.borrowed.push(`${above}${source} is taken with it: ${plural(count, "file")}.`);
+  }
+}
+
+/** @param {Map<string, File>} small Files of a drive. @returns {File | null} Its poses, as KITTI or KITTI-360 names them. */
+export function posesOf(small) {
+  const paths = [...small.keys()];
+  const find = (/** @type {RegExp} */ name) => paths.find((path) => name.test(path));
+  const path =
+    find(/^poses\.txt$/) ?? find(/^cam0_to_world\.txt$/) ?? find(/^data_poses\/[^/]+\/(poses|cam0_to_world)\.txt$/);
+  return (path && small.get(path)) || null;
 }
 
 /** @param {DriveFolder} drive @returns {Promise<DriveFolder["layout"]>} */
 export async function layoutOf(drive) {
   if (isRecordedLayout(drive.layout)) return drive.layout;
-  const poses = drive.small.get("poses.txt") ?? drive.small.get("cam0_to_world.txt");
+  const poses = posesOf(drive.small);
   if (poses) {
     const [line] = (await poses.slice(0, 4096).text()).split("\n", 1);
     if (INDEXED_LENGTHS.includes(line.split(/\s+/).filter(Boolean).length)) return "kitti360";
@@ -307,9 +339,7 @@ const MAX_POSE_BYTES = 64e6;
  * @returns {Promise<number | null>} null where only the service can read the poses.
  */
 export async function estimateKeyframes({ small }, distance_m) {
-  const file = ["poses.txt", "cam0_to_world.txt", "poses.tum", "trajectory.tum"].flatMap(
-    (name) => small.get(name) ?? [],
-  )[0];
+  const file = posesOf(small) ?? small.get("poses.tum") ?? small.get("trajectory.tum");
   if (!file || file.size > MAX_POSE_BYTES) return null;
   const places = { 8: [1, 2, 3], 12: [3, 7, 11], 13: [4, 8, 12], 17: [4, 8, 12] }; // by numbers per line
   let count = 0;
@@ -446,24 +476,24 @@ const NO_POSES = /** @type {Record<"pcd" | "las", [path: string, message: string
 /** @param {DriveFolder} drive @param {boolean} hasOxts @returns {FileProblem[]} */
 function checkSmall({ small, layout }, hasOxts) {
   if (layout === "rosbag") return []; // it holds poses and fixes itself
-  const hasFolder = [...small.keys()].some((path) => path.startsWith("oxts/"));
+  const hasFolder = [...small.keys()].some((path) => /^(data_poses\/[^/]+\/)?oxts\//.test(path));
+  const isPublished = layout === "kitti360" && [...small.keys()].some((path) => path.startsWith("data_poses/"));
   const problems = [];
   if (isRecordedLayout(layout)) {
     if (![...small.keys()].some((path) => mayBePoses(path, layout))) problems.push(error(...NO_POSES[layout]));
     if (layout === "las") return problems; // its coordinate system is the georeference
   }
-  const hasPoses =
-    isRecordedLayout(layout) || small.has("poses.txt") || (layout === "kitti360" && small.has("cam0_to_world.txt"));
+  const hasPoses = isRecordedLayout(layout) || small.has("poses.txt") || (layout === "kitti360" && posesOf(small));
   if (!hasPoses && !(layout === "kitti_raw" && hasFolder)) {
     const text =
       "is missing. Expected one line of 12 numbers per scan: the pose of the camera (KITTI) or of the LiDAR (kiss-icp). " +
-      "Add the file below.";
+      `Add the file below${layout === "kitti_raw" ? "; of KITTI-360 pick its root, which has data_poses/ and calibration/" : ""}.`;
     problems.push(error("poses.txt", text));
   } else if (layout === "semantickitti" && !small.has("calib.txt")) {
     const text = "is missing. It is needed where poses.txt holds camera poses, as those of KITTI do.";
     problems.push({ severity: "warning", path: "calib.txt", message: text });
   }
-  if (!hasFolder && !small.has("geo.csv") && !hasOxts) {
+  if (!hasFolder && !isPublished && !small.has("geo.csv") && !hasOxts) {
     const text =
       "There is neither oxts/ nor geo.csv: place the drive on the map by its roads, or add a file of OXTS rows or a " +
       "geo.csv below. Otherwise the result is in local metres and cannot be scored against OpenStreetMap.";
@@ -485,6 +515,10 @@ export function noDriveReason({ name, files }) {
     [/\.(bag|db3|mcap)\.(zst|zstd|gz|lz4)$/i, "holds a bag that is compressed as a whole: unpack it first"],
     [/\.bag\.active$/, "holds a recording that was not ended properly: make a bag of it with rosbag reindex"],
     [/\.(zip|tar|tgz|tar\.\w+)$/i, "holds an archive: pick the archive itself, or unpack it first"],
+    [
+      /(^|\/)data_poses\/|^\d{4}_\d\d_\d\d_drive_\d{4}_sync\/(poses|cam0_to_world)\.txt$/,
+      `holds poses but no scans: pick the root of KITTI-360, with data_3d_raw/ in it`,
+    ],
     [/\.label$/, "holds labels but no scans: pick the folder that has velodyne/ too"],
   ]);
   const paths = [...files.keys()];

@@ -347,7 +347,7 @@ export function fingerprintOfDrive(drive) {
 
 /** @param {DriveFolder} drive */
 function hasFix({ small }) {
-  return small.has("geo.csv") || [...small.keys()].some((path) => /^(oxts|georeference)\//.test(path));
+  return small.has("geo.csv") || [...small.keys()].some((path) => /^(oxts|georeference|data_poses)\//.test(path));
 }
 
 /** @param {DriveFolder} drive @returns {boolean} Whether it has a georeference, or only the service can tell. */
@@ -385,7 +385,8 @@ function reasonOf({ scans, recorded }, model) {
 
 /** @param {DriveFolder} drive @returns {string} */
 function georeferenceOf(drive) {
-  if (hasFix(drive)) return drive.small.has("geo.csv") ? "geo.csv" : "oxts/";
+  if (drive.small.has("geo.csv")) return "geo.csv";
+  if (hasFix(drive)) return drive.layout === "kitti360" ? "its poses or OXTS" : "oxts/";
   if (drive.layout === "rosbag") return "the fixes in the bag, if it has any";
   return drive.layout === "las" ? "the coordinate system, if the files name one" : "none in the folder";
 }

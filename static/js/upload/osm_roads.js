@@ -8,6 +8,7 @@ import { toMetres } from "./track.js";
 /**
  * @typedef {object} MapLook
  * @property {Road[]} roads
+ * @property {boolean} isMadeUp By the simulator: it is not of OpenStreetMap.
  * @property {number} covered Share of the track inside the bounds of the map, 0..1.
  * @property {number | null} road_m Median distance of the track from the nearest road, metres; null: there is none.
  */
@@ -17,7 +18,8 @@ const MAX_CHARACTERS = 1e9;
 const MAX_NODES = 3e6;
 const MAX_SAMPLES = 200;
 const ON_FOOT = /^(footway|path|cycleway|steps|pedestrian|track|bridleway|corridor|platform|construction|proposed)$/;
-const ELEMENT = /<(\/?)(bounds|node|way|nd|tag)\b([^>]*)>/g; // a ">" in a value is written as &gt;
+const SIMULATOR = "interloc simulate"; // the generator of maps that were made up
+const ELEMENT = /<(\/?)(osm|bounds|node|way|nd|tag)\b([^>]*)>/g; // a ">" in a value is written as &gt;
 
 /** @param {string} name @returns {boolean} Whether the browser can read such a file: XML, plain or packed by gzip. */
 export const isReadableMap = (name) => /\.osm(\.gz)?$/i.test(name);
@@ -54,7 +56,8 @@ export async function lookIntoMap(file, track) {
   const bounds = found.bounds ?? found.extent;
   if (!(bounds.west <= bounds.east)) return null;
   const inside = track.filter(([lon, lat]) => isIn(bounds, lon, lat)).length;
-  return { roads: found.roads, covered: inside / track.length, road_m: medianDistance(track, found.roads) };
+  const { roads, isMadeUp } = found;
+  return { roads, isMadeUp, covered: inside / track.length, road_m: medianDistance(track, roads) };
 }
 
 /** Keeps the roads of a stream of elements whose nodes lie in a box. */
@@ -62,6 +65,7 @@ class Collector {
   /** @param {Box} near */
   constructor(near) {
     this.near = near;
+    this.isMadeUp = false;
     /** @type {Box | null} */
     this.bounds = null;
     this.extent = { west: Infinity, south: Infinity, east: -Infinity, north: -Infinity };
@@ -84,6 +88,7 @@ class Collector {
       this.highway = "";
     } else if (name === "nd") this.refs?.push(of("ref"));
     else if (name === "tag" && of("k") === "highway") this.highway = of("v");
+    else if (name === "osm") this.isMadeUp = of("generator") === SIMULATOR;
     else if (name === "bounds") {
       const [west, south, east, north] = ["minlon", "minlat", "maxlon", "maxlat"].map((each) =>
         Number.parseFloat(of(each)),

@@ -3,6 +3,7 @@
 import { trackAlone } from "../data/results.js";
 import { formatMetres, formatPercent, plural } from "../dom.js";
 import { setPreview, shown } from "../map/shown.js";
+import { posesOf } from "./drive_folder.js";
 import { isReadableMap } from "./osm_roads.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
@@ -98,16 +99,17 @@ function dropWorker() {
  * @returns {import("./track.js").TrackFiles}
  */
 export function trackFilesOf({ scans, small }, fix, pose_frame, posesPath) {
-  const poses = [posesPath ?? "", ...POSES].flatMap((path) => small.get(path) ?? [])[0] ?? null;
+  const poses = [posesPath ?? "", ...POSES].flatMap((path) => small.get(path) ?? [])[0] ?? posesOf(small);
+  const isPublished = [...small].some(([path, file]) => file === poses && path.startsWith("data_poses/"));
   const single = /** @type {[number, File][]} */ ([]);
   /** @type {File | null} */
   let rows = fix ?? small.get("geo.csv") ?? null;
   for (const [path, file] of rows ? [] : small) {
-    const match = /^oxts\/(?:[^/]+\/)?([^/]+)\.txt(?:\.gz)?$/.exec(path);
+    const match = /^(?:data_poses\/[^/]+\/)?oxts\/(?:[^/]+\/)?([^/]+)\.txt(?:\.gz)?$/.exec(path);
     if (match && /^\d+$/.test(match[1])) single.push([Number(match[1]), file]);
   }
   if (single.length === 1) rows = single.pop()?.[1] ?? null; // one file with a row per frame
-  return { frames: [...(scans?.files.keys() ?? [])], poses, pose_frame, fixes: rows, oxts: single };
+  return { frames: [...(scans?.files.keys() ?? [])], poses, pose_frame, isPublished, fixes: rows, oxts: single };
 }
 
 /** @param {DriveFolder} drive @param {Found} found @param {File | null} map @returns {import("../map/shown.js").Preview} */
@@ -117,6 +119,7 @@ function previewOf(drive, { track, look }, map) {
   result.keyframes = scans.map(([lng, lat]) => ({ lng, lat, properties: {} }));
   result.places = fitted ? [fitted] : [];
   result.roads = look?.roads ?? [];
+  result.isMadeUp = look?.isMadeUp ?? false;
   const parts = [plural(scans.length, "scan"), formatMetres(length_m, 0)];
   if (local) parts.push("in metres of its poses: no georeference");
   if (look?.roads.length) parts.push(`roads of ${map?.name}`);

@@ -9,6 +9,7 @@
  * @property {number[]} frames Numbers of the scans, ascending; none where only the service can tell.
  * @property {File | null} poses KITTI, KITTI-360 or TUM.
  * @property {string} pose_frame auto, camera, lidar
+ * @property {boolean} isPublished The poses are those of KITTI-360, in its world.
  * @property {File | null} fixes geo.csv, or one row of OXTS per frame.
  * @property {[number, File][]} oxts Files of one fix each, by frame.
  */
@@ -28,16 +29,29 @@ const MAX_FIX_FILES = 1000;
 const READ_AT_ONCE = 16;
 const LINE_BYTES = 400; // a fix begins with latitude and longitude
 const METRES_PER_DEGREE = 111_320;
+const WGS84_A_M = 6_378_137;
+const WORLD = { lat: 48.9843445, lon: 8.4295857, lowest_m: 50, highest_m: 400 }; // of KITTI-360
 
 /** @param {TrackFiles} files @returns {Promise<Track | null>} null: only the service can read where the drive went. */
-export async function readTrack({ frames, poses, pose_frame, fixes, oxts }) {
+export async function readTrack({ frames, poses, pose_frame, isPublished, fixes, oxts }) {
+  const world = poses && isPublished && !fixes ? readWorldPoses(await textOf(poses)) : null;
+  if (world?.size) return trackOf(world, frames, false, null);
   const fixed = oxts.length ? await readFixFiles(oxts, frames) : fixes ? readFixes(await textOf(fixes), frames) : null;
   const posed = poses ? readPoses(await textOf(poses), frames, pose_frame) : null;
   const found = fixed?.size ? fixed : posed;
-  if (!found?.size) return null;
+  return found?.size ? trackOf(found, frames, found === posed, posed) : null;
+}
+
+/**
+ * @param {Map<number, number[]>} found Positions by frame.
+ * @param {number[]} frames
+ * @param {boolean} local
+ * @param {Map<number, number[]> | null} posed To be laid over positions that are not local.
+ * @returns {Track}
+ */
+function trackOf(found, frames, local, posed) {
   const wanted = thin([...(frames.length ? frames : found.keys())].filter((frame) => found.has(frame)));
   const scans = wanted.map((frame) => /** @type {number[]} */ (found.get(frame)));
-  const local = found === posed;
   const fit = !local && posed ? fitOf(wanted, found, posed) : null;
   const metres = local ? scans : scans.map((each) => toMetres(each, scans[0]));
   return { local, scans, fitted: fit?.line ?? null, fit_m: fit?.error_m ?? null, length_m: lengthOf(metres) };
@@ -162,6 +176,27 @@ export function readPoses(text, frames, pose_frame) {
 
 /** @param {number[]} a @param {number[]} b */
 const difference = (a, b) => a.map((value, i) => value - b[i]);
+
+/**
+ * @param {string} text Poses of KITTI-360: its world is a spherical Mercator projection about a point near Karlsruhe.
+ * @returns {Map<number, number[]>} Longitude and latitude by frame; none where they were moved elsewhere.
+ */
+export function readWorldPoses(text) {
+  const radians = Math.PI / 180;
+  const scale = WGS84_A_M * Math.cos(WORLD.lat * radians);
+  const north = Math.asinh(Math.tan(WORLD.lat * radians));
+  const rows = linesOf(text).map((line) => line.trim().split(/\s+/).map(Number));
+  const posed = rows.filter((row) => (row.length === 13 || row.length === 17) && row.every(Number.isFinite));
+  const heights = posed.map((row) => row[12]).sort((a, b) => a - b);
+  const height = heights[heights.length >> 1];
+  if (!(height > WORLD.lowest_m && height < WORLD.highest_m)) return new Map();
+  return new Map(
+    posed.map((row) => [
+      row[0],
+      [WORLD.lon + row[4] / scale / radians, Math.atan(Math.sinh(north + row[8] / scale)) / radians],
+    ]),
+  );
+}
 
 /** @param {number[] | null} turn Rows of a rotation, null for none. @param {number[]} v @returns {number[]} Turned back. */
 function intoFrame(turn, [x, y, z]) {

@@ -24,6 +24,7 @@ setConfig({
   raw_first_frames: { "2011_09_30_drive_0028": 1100 },
 });
 
+const LABELLED = { model: "net", canLabel: true };
 const POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n";
 
 /** A folder of files: path -> text, or number of bytes. */
@@ -210,6 +211,39 @@ test("a KITTI raw drive takes the calibration of its day", async () => {
     "velodyne_points/timestamps.txt",
   ]);
   assert.deepEqual(texts(checkDrive(drive, ["labels"], false), "error"), []); // its poses come from OXTS
+});
+
+test("the root of KITTI-360 is its drives, each with its poses, OXTS and calibration", async () => {
+  const names = ["2013_05_28_drive_0000_sync", "2013_05_28_drive_0002_sync"];
+  const files = {
+    "calibration/calib_cam_to_velo.txt": "1",
+    [`data_poses/${names[1]}/poses.txt`]: `7 ${POSE}`,
+    [`data_poses/${names[1]}/oxts/data/0000000000.txt`]: "48.9 8.4",
+    [`data_poses_oxts/${names[1]}/oxts/timestamps.txt`]: "0",
+    [`data_poses_oxts/${names[1]}/oxts/dataformat.md`]: "no",
+  };
+  for (const name of names) {
+    const bins = "velodyne_points/data";
+    Object.assign(files, scans(`data_3d_raw/${name}/`, [7, 8], { bins, labels: null, digits: 10 }));
+  }
+  const [first, second] = await findDrives(folder(files, "KITTI-360"));
+  assert.deepEqual([first.name, second.name], names);
+  assert.equal(second.layout, "kitti360");
+  assert.deepEqual([...second.small.keys()].sort(), [
+    "calibration/calib_cam_to_velo.txt",
+    `data_poses/${names[1]}/oxts/data/0000000000.txt`,
+    `data_poses/${names[1]}/oxts/timestamps.txt`,
+    `data_poses/${names[1]}/poses.txt`,
+  ]);
+  assert.equal(await estimateKeyframes(second, 1), 1);
+  const all = checkDrive(second, [], false, LABELLED);
+  assert.deepEqual([...texts(all, "error"), ...texts(all, "note").filter((text) => text.startsWith("georef"))], []);
+  const [, missing] = texts(checkDrive(first, [], false, LABELLED), "error")
+    .join()
+    .match(/(poses.txt is missing.*)/);
+  assert.match(missing, /of KITTI-360 pick its root, which has data_poses\//);
+  const poses = folder({ [`data_poses/${names[0]}/poses.txt`]: "1" }, "KITTI-360");
+  assert.match(noDriveReason(poses), /holds poses but no scans: pick the root of KITTI-360/);
 });
 
 test("pose lines that start with the frame number are KITTI-360's", async () => {

@@ -68,6 +68,18 @@ test("a track says how the poses fit the georeference", async () => {
   assert.equal(await readTrack({ ...all, poses: null, fixes: null }), null);
 });
 
+test("poses in the world of KITTI-360 are places", async () => {
+  const line = (frame, x, y, z) => `${frame} 1 0 0 ${x} 0 -1 0 ${y} 0 0 -1 ${z}\n`;
+  const files = { frames: [4, 5], pose_frame: "auto", isPublished: true, fixes: null, oxts: [] };
+  const poses = file(line(4, 0, 0, 116) + line(5, 0, 100, 116), "poses.txt");
+  const track = await readTrack({ ...files, poses });
+  assert.equal(track.local, false);
+  near(track.scans[0], [8.4295857, 48.9843445], 1e-9);
+  near(track.scans[1], [8.4295857, 48.9843445 + 100 / 111_320], 1e-5); // north
+  const moved = await readTrack({ ...files, poses: file(line(4, 0, 0, 0) + line(5, 1, 0, 0), "poses.txt") });
+  assert.equal(moved.local, true);
+});
+
 test("the files of a track are found among those of a drive", () => {
   const drive = (...names) => ({ scans: null, small: new Map(names.map((name) => [name, file("", name)])) });
   const of = (...names) => trackFilesOf(drive(...names), null, "auto", null);
@@ -76,6 +88,8 @@ test("the files of a track are found among those of a drive", () => {
     of("oxts/data/0000000003.txt", "oxts/data/0000000004.txt", "oxts/timestamps.txt").oxts.map(([frame]) => frame),
     [3, 4],
   );
+  assert.equal(of("data_poses/drive/poses.txt").isPublished, true);
+  assert.equal(of("poses.txt").isPublished, false);
   const rows = of("oxts/07.txt.gz");
   assert.deepEqual([rows.oxts.length, rows.fixes.name], [0, "oxts/07.txt.gz"]);
 });
@@ -103,6 +117,9 @@ test("roads near a track are read from OSM XML, plain or packed, and how much of
     assert.equal(look.covered, 0.5);
     assert.ok(Math.abs(look.road_m - 2) < 0.05);
   }
+  assert.equal((await lookIntoMap(file(OSM, "map.osm"), track)).isMadeUp, false);
+  const simulated = OSM.replace("<osm>", '<osm version="0.6" generator="interloc simulate">');
+  assert.equal((await lookIntoMap(file(simulated, "map.osm"), track)).isMadeUp, true); // and no credit is due
   assert.equal(await lookIntoMap(file("no map", "map.osm"), track), null);
 });
 

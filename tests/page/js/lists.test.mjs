@@ -1,0 +1,45 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { lists, onListsChange, refreshLists } from "../../../static/js/data/lists.js";
+
+/** A server of 250 drives, the newest first, that notes what it was asked for. */
+const server = { drives: Array.from({ length: 250 }, (_, i) => ({ id: `d${i}`, name: "a" })), asked: [] };
+globalThis.fetch = async (address) => {
+  const url = new URL(address);
+  const [what] = url.pathname.split("/").slice(-1);
+  const [limit, after] = [Number(url.searchParams.get("limit")), Number(url.searchParams.get("after") ?? 0)];
+  server.asked.push(`${what} ${after}`);
+  const rows = what === "drives" ? server.drives : [];
+  const next = after + limit < rows.length ? String(after + limit) : null;
+  return Response.json({ [what === "trash" ? "items" : what]: rows.slice(after, after + limit), next });
+};
+
+/** @param {() => Promise<void>} call @returns {Promise<string[]>} What was asked for. */
+const asks = async (call) => {
+  server.asked = [];
+  await call();
+  return server.asked;
+};
+
+test("the newest drives are shown first, and a look asks for no more while nothing happens to them", async () => {
+  const seen = [];
+  onListsChange(() => seen.push([lists.drives.length, lists.isWhole]));
+  const heads = ["drives 0", "jobs 0", "trash 0"];
+  assert.deepEqual(await asks(() => refreshLists()), [...heads, "drives 100"]);
+  assert.deepEqual(seen, [
+    [100, false],
+    [250, true],
+  ]);
+  assert.deepEqual(await asks(() => refreshLists(true)), heads);
+  assert.deepEqual(await asks(() => refreshLists()), [...heads, "drives 100"]);
+  assert.equal(seen.length, 2); // nothing new, nothing drawn anew
+
+  server.drives[200] = { id: "d200", name: "renamed" };
+  await refreshLists(true);
+  assert.equal(lists.drives[200].name, "a"); // found by the next look at everything
+  server.drives.unshift({ id: "new", name: "a" });
+  assert.deepEqual(await asks(() => refreshLists(true)), [...heads, "drives 100"]);
+  assert.deepEqual([lists.drives.length, lists.drives[0].id, lists.drives[201].name], [251, "new", "renamed"]);
+  assert.equal(lists.isCut, false);
+});
