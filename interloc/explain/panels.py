@@ -254,13 +254,12 @@ def occupancy(axes: Axes, evidence: Evidence) -> list[str]:
     cells, road = is_set(evidence.steps.bev), is_set(evidence.steps.occupancy)
     paint(axes, evidence, [(road, CLOSED), (road & cells, BLUE), (cells & ~road, VERMILION)])
     swatch(axes, BLUE, "road: cell of the BEV image")
-    swatch(axes, CLOSED, "road: gap filled by closing")
+    swatch(axes, CLOSED, "road: gap filled")
     swatch(axes, VERMILION, "cell removed by opening")
     config, area_m2 = evidence.config.occupancy, evidence.roi.resolution_m**2
-    return [
-        f"{road.sum() * area_m2:,.0f} m² of road",
-        f"closing {config.closing_m:g} m, opening {config.opening_m:g} m",
-    ]
+    discs = f"closing {config.closing_m:g} m, opening {config.opening_m:g} m"
+    islands = f", islands up to {config.island_m2:g} m²" if config.island_m2 > 0 else ""
+    return [f"{road.sum() * area_m2:,.0f} m² of road", discs + islands]
 
 
 def centerline(axes: Axes, evidence: Evidence) -> list[str]:
