@@ -257,9 +257,11 @@ def occupancy(axes: Axes, evidence: Evidence) -> list[str]:
     swatch(axes, CLOSED, "road: gap filled")
     swatch(axes, VERMILION, "cell removed by opening")
     config, area_m2 = evidence.config.occupancy, evidence.roi.resolution_m**2
-    discs = f"closing {config.closing_m:g} m, opening {config.opening_m:g} m"
-    islands = f", islands up to {config.island_m2:g} m²" if config.island_m2 > 0 else ""
-    return [f"{road.sum() * area_m2:,.0f} m² of road", discs + islands]
+    facts = [
+        f"{road.sum() * area_m2:,.0f} m² of road",
+        f"closing {config.closing_m:g} m, opening {config.opening_m:g} m",
+    ]
+    return [*facts, f"islands up to {config.island_m2:g} m²"] if config.island_m2 > 0 else facts
 
 
 def centerline(axes: Axes, evidence: Evidence) -> list[str]:
