@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from app.work.features import FOOTPRINTS, INDEXED, RESULT
+from app.work.features import FOOTPRINTS, INDEXED, RESULT, collection_id
 from interloc.output.layers import Layer
 from interloc.output.properties import Attribute
 
@@ -66,7 +66,7 @@ class Collection:
         Ids of OpenStreetMap and lists are left out: GDAL would take them for integers of 32 bits and for texts, where
         it knows better by looking at features.
         """
-        described = {each.name: _described(each) for each in self.attributes}
+        described = {each.name: schema_of(each) for each in self.attributes}
         plain = {each.name for each in self.attributes if each.kind != "list"} - _LARGE
         return {
             **self._head(address),
@@ -94,7 +94,7 @@ class Collection:
 
     def _document(self, address: str, names: list[str]) -> dict[str, Any]:
         shape = {"x-ogc-role": "primary-geometry", "format": f"geometry-{_SHAPES[self.layer.geometry]}"}
-        described = {each.name: _described(each) for each in self.attributes}
+        described = {each.name: schema_of(each) for each in self.attributes}
         return {
             **self._head(address),
             "properties": {GEOMETRY: shape, **{name: described[name] for name in names}},
@@ -102,7 +102,8 @@ class Collection:
         }
 
 
-def _described(attribute: Attribute) -> dict[str, Any]:
+def schema_of(attribute: Attribute) -> dict[str, Any]:
+    """Return the JSON schema of a property."""
     described = {"title": attribute.title, "description": attribute.description, **_KINDS[attribute.kind]}
     if attribute.unit is not None:
         described["x-ogc-unit"] = attribute.unit
@@ -114,7 +115,7 @@ def _described(attribute: Attribute) -> dict[str, Any]:
 
 
 def _collection(layer: Layer) -> Collection:
-    return Collection("trajectories" if layer.name == "trajectory" else layer.name, layer)
+    return Collection(collection_id(layer), layer)
 
 
 OF_JOB = {each.id: each for each in map(_collection, INDEXED.values())}

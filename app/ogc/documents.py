@@ -16,7 +16,7 @@ from interloc.output.geojson import encode
 
 GEOJSON = "application/geo+json"
 SCHEMA = "application/schema+json"
-OPENAPI = "application/vnd.oai.openapi+json;version=3.1"
+OPENAPI = "application/vnd.oai.openapi+json;version=3.0"
 
 _PART_1 = "http://www.opengis.net/spec/ogcapi-features-1/1.0/conf"
 _PART_3 = "http://www.opengis.net/spec/ogcapi-features-3/1.0/conf"
@@ -27,7 +27,7 @@ _COMMON = "http://www.opengis.net/spec/ogcapi-common"
 CONFORMS_TO = [
     f"{_COMMON}-1/1.0/conf/core",
     f"{_COMMON}-2/1.0/conf/collections",
-    *(f"{_PART_1}/{name}" for name in ("core", "geojson", "html")),
+    *(f"{_PART_1}/{name}" for name in ("core", "oas30", "geojson", "html")),
     *(f"{_PART_3}/{name}" for name in ("queryables", "filter", "features-filter")),
     *(f"{_PART_5}/{name}" for name in ("schemas", "core-roles-features")),
     *(
@@ -75,8 +75,8 @@ class Place:
             "description": self.description,
             "links": [
                 *_both(self.address, "This document"),
-                _link("service-desc", f"{self.service}/openapi.json", OPENAPI, "The API"),
-                _link("service-doc", f"{self.service}/docs", "text/html", "The API, for people"),
+                _link("service-desc", f"{self.address}/api", OPENAPI, "The interface"),
+                _link("service-doc", f"{self.address}/api?f=html", "text/html", "The interface, for people"),
                 _link("conformance", f"{self.address}/conformance", "application/json", "What this keeps to"),
                 _link("data", f"{self.address}/collections", "application/json", "The collections"),
             ],

@@ -7,6 +7,7 @@ what is too large or too deep. `app.ogc.evaluation` decides for all features at 
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,7 +19,8 @@ from app.http.parameters import refusal
 from app.http.problems import Problem
 from app.ogc.collections import GEOMETRY, Collection
 
-Language = Literal["cql2-text", "cql2-json"]
+Language = Literal["cql2-text", "cql2-json", "cql-text"]
+"""The last one is that of the draft of the standard, which GDAL speaks."""
 
 MAX_CHARACTERS = 16_000
 MAX_DEPTH = 24
@@ -33,6 +35,7 @@ _MAX_WORDS = 2 * MAX_NODES
 _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
 _COORDINATES = re.compile(r"\([-+0-9.eE,()\s]*\)")
 _CHAIN = re.compile(rf"(?:\bnot\s+|-\s*){{{MAX_DEPTH}}}", re.IGNORECASE)
+_ILIKE = re.compile(r"\b(?P<name>\w+) +ILIKE +(?P<pattern>'(?:[^']|'')*')|'(?:[^']|'')*'", re.IGNORECASE)
 _WORD = re.compile(r"\w[\w.]*|[^\w\s,()]")
 
 CRS84 = "http://www.opengis.net/def/crs/OGC/1.3/CRS84"
@@ -101,8 +104,21 @@ class Filter:
     equal: dict[str, str] = field(default_factory=dict)
 
 
-def read_filter(content: str, language: Language, collection: Collection) -> Filter:
+def read_filter(
+    content: str | None, language: Language, collection: Collection, values: Mapping[str, str] | None = None
+) -> Filter:
     """Read a filter on the features of a collection.
+
+    Parameters
+    ----------
+    content
+        What must be true of them.
+    language
+        That it is written in.
+    collection
+        Theirs.
+    values
+        Queryables with the values that they must have, too, as they stand in addresses.
 
     Raises
     ------
@@ -110,7 +126,12 @@ def read_filter(content: str, language: Language, collection: Collection) -> Fil
         400: it is not CQL2, is too large, or names what there is not.
     """
     try:
-        tree = _parse(content, language)
+        parts = [] if content is None else [_parse(content, language)]
+        if language == "cql-text":
+            parts = [_with_truth_values(part, collection) for part in parts]
+        for name, text in (values or {}).items():
+            parts.append({"op": "=", "args": [{"property": name}, _value(name, text, collection)]})
+        tree = parts[0] if len(parts) == 1 else {"op": "and", "args": parts}
         _Check(collection).predicate(tree)
     except BadFilterError as error:
         raise bad_filter(str(error)) from None
@@ -126,9 +147,11 @@ def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
     """Return the tree of a filter."""
     if len(content) > MAX_CHARACTERS:
         raise BadFilterError(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
+    if language == "cql-text":
+        content = _ILIKE.sub(_without_ilike, content)
     if _nesting(content) > MAX_DEPTH or _CHAIN.search(content):  # before any parser sees it: theirs are recursive
         raise BadFilterError(f"It is nested deeper than {MAX_DEPTH} levels.")
-    if language == "cql2-text" and _words(content) > _MAX_WORDS:  # likewise
+    if language != "cql2-json" and _words(content) > _MAX_WORDS:  # likewise
         raise BadFilterError(f"It is larger than {MAX_NODES} parts.")
     try:
         if language == "cql2-json":
@@ -138,6 +161,46 @@ def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
         return json.loads(json.dumps(expression.to_json()), parse_constant=_no_number)
     except (cql2.ParseError, cql2.ValidationError, ValueError, RecursionError) as error:
         raise BadFilterError(f"It is not {language}: {_short(error)}") from None
+
+
+def _without_ilike(match: re.Match[str]) -> str:
+    """Return texts as they are, and ILIKE, which CQL2 does not have, as LIKE of folded cases."""
+    if match["name"] is None:
+        return match[0]
+    return f"CASEI({match['name']}) LIKE CASEI({match['pattern']})"
+
+
+def _with_truth_values(tree: Any, collection: Collection) -> Any:  # noqa: ANN401 - JSON
+    """Return a tree with true and false where a property that is one of them is compared with 1 or 0."""
+    if not isinstance(tree, dict) or "args" not in tree:
+        return tree
+    arguments = [_with_truth_values(each, collection) for each in tree["args"]]
+    names = [each["property"] for each in arguments if isinstance(each, dict) and "property" in each]
+    if any(collection.queryables.get(name) == "bool" for name in names) and tree["op"] in {"=", "<>"}:
+        arguments = [bool(each) if each in (0, 1) else each for each in arguments]
+    return {**tree, "args": arguments}
+
+
+def _value(name: str, text: str, collection: Collection) -> str | float | bool:
+    """Return the value that a queryable must have, as its kind has it.
+
+    Raises
+    ------
+    BadFilterError
+        It has no such values.
+    """
+    kind = collection.queryables[name]
+    if kind in {"text", "time"}:
+        return text
+    try:
+        value = json.loads(text, parse_constant=_no_number)
+        if isinstance(value, bool) == (kind == "bool") and isinstance(value, int | float) and math.isfinite(value):
+            return value
+    except (ValueError, OverflowError, RecursionError):
+        pass
+    raise BadFilterError(
+        f"{name}={_shown(text)} is not valid. Expected {'true or false' if kind == 'bool' else 'a number'}."
+    )
 
 
 def _short(error: Exception) -> str:

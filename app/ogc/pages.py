@@ -49,6 +49,10 @@ def page_of(document: dict[str, Any], title: str) -> str:
         content.append(_list(_anchor(_own(each), each["title"]) for each in document["collections"]))
     elif "conformsTo" in document:
         content.append(_list(escape(each) for each in document["conformsTo"]))
+    elif "paths" in document:
+        content.append(
+            _list(f"{escape(path)}: {escape(each['get']['summary'])}" for path, each in document["paths"].items())
+        )
     elif "properties" in document:
         content.append(_schema(document["properties"]))
     if "links" in document:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated, Literal, cast, get_args
@@ -63,8 +64,15 @@ class Asked:
     filter_crs: str | None
     after: str | None
 
-    def query(self, collection: Collection) -> index.Query:
+    def query(self, collection: Collection, values: Mapping[str, str]) -> index.Query:
         """Return what is asked for.
+
+        Parameters
+        ----------
+        collection
+            Whose features.
+        values
+            Queryables with the values that they must have.
 
         Raises
         ------
@@ -74,11 +82,12 @@ class Asked:
         for name, crs in (("bbox-crs", self.bbox_crs), ("filter-crs", self.filter_crs)):
             if crs not in {None, CRS84, _CRS84H}:
                 raise _wrong(name, str(crs), CRS84)
+        is_filtered = self.filter is not None or values
         language: Language = _language(self.filter_lang, self.filter)
         return index.Query(
             area=None if self.bbox is None else _area(self.bbox),
             interval=None if self.datetime is None else _interval(self.datetime),
-            filter=None if self.filter is None else read_filter(self.filter, language, collection),
+            filter=read_filter(self.filter, language, collection, values) if is_filtered else None,
             after=None if self.after is None else _key(self.after),
             limit=_limit(self.limit),
         )
@@ -114,7 +123,8 @@ async def _asked(
         str | None,
         Query(
             alias="filter",
-            description="Only features for which this CQL2 expression is true, over the queryables of the collection.",
+            description="Only features for which this CQL2 expression is true, over the queryables of the collection. "
+            "A queryable that must have one value can also be a parameter itself: outcome=wrong.",
             examples=["outcome = 'wrong' AND score > 0.9"],
         ),
     ] = None,
@@ -122,7 +132,7 @@ async def _asked(
         str | None,
         Query(
             alias="filter-lang",
-            description="cql2-text or cql2-json; by default by its first character.",
+            description="cql2-text or cql2-json; by default by its first character. cql-text is what GDAL sends.",
             json_schema_extra={"enum": list(get_args(Language))},
         ),
     ] = None,
@@ -198,7 +208,7 @@ def _language(asked: str | None, text: str | None) -> Language:
     if asked is None:
         return "cql2-json" if (text or "").lstrip().startswith("{") else "cql2-text"
     if asked not in get_args(Language):
-        raise _wrong("filter-lang", asked, "cql2-text or cql2-json")
+        raise _wrong("filter-lang", asked, ", ".join(get_args(Language)))
     return cast("Language", asked)
 
 

@@ -14,7 +14,7 @@ from app.http.problems import Problem, ProblemDocument
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
 from app.routes.results import PROBLEMS, JobId, answers
-from app.work.on_demand import LIVE
+from app.work.on_demand import LIVE, export_path
 from interloc.output.geoparquet import has_parquet
 from interloc.output.layers import DERIVED
 from interloc.output.vector_files import FORMATS
@@ -160,12 +160,12 @@ for _suffix in _EXPORTS:
     responses={**answers(MEDIA_TYPES[".qgs"], {"type": "string"}, "The file."), **_PROBLEMS},
 )
 async def export_live_project(job_id: JobId, request: Request, results: ResultsDep, on_demand: OnDemandDep) -> Response:
-    """Give the project of `export.qgz` without the data: QGIS reads the layers from the addresses of this service.
+    """Give the project of `export.qgz` without the data: QGIS reads the layers from the service (OGC API - Features).
 
-    For a service without a token, which QGIS does not send for such layers.
+    Where the service needs a token, QGIS asks for a user name, which may be any, and a password, which is the token.
     """
     result = await run_in_threadpool(results.open, job_id)
-    path = result.cache / "exports" / "all.qgs"
+    path = export_path(result.cache, "all.qgs")
     if not path.exists():
         result.require_georeference(f"Its files are in {result.address}/files")
         await on_demand.export(result, path, None, request.state.holder.name)
@@ -184,7 +184,7 @@ async def _deliver(
         detail = 'GeoParquet needs pyarrow, which the operator installs: pip install "interloc[parquet]".'
         raise Problem(501, "Format not installed", detail)
     name = layer or "all"
-    path = result.cache / "exports" / f"{name}{suffix}"
+    path = export_path(result.cache, f"{name}{suffix}")
     if not path.exists():
         if layer is None:
             result.require_georeference(f"Its files are in {result.address}/files")

@@ -14,10 +14,12 @@ from pydantic import BaseModel
 from app.context import ContextDep
 from app.http.delivery import DOCUMENT_POLICY, answer_tagged
 from app.http.openapi import TAGGED, get_and_head
+from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.problems import Problem, ProblemDocument
 from app.jobs.features import index_job, is_indexed
 from app.ogc.collections import Collection
-from app.ogc.documents import GEOJSON, SCHEMA, Place
+from app.ogc.description import describe_interface
+from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
 from app.ogc.index import Extent, Source, extents, find_feature, find_page
 from app.ogc.pages import page_of
 from app.ogc.parameters import AskedDep, Format, FormatDep
@@ -29,6 +31,7 @@ from app.schemas.ogc import (
     OgcConformance,
     OgcFeature,
     OgcFeatures,
+    OgcInterface,
     OgcLandingPage,
     OgcSchema,
 )
@@ -45,10 +48,11 @@ _FeatureId = Annotated[str, Path(description="Id of the feature.", max_length=40
 
 
 class _Served:
-    """A source of features, where it is shown, and its database."""
+    """A source of features, where it is shown, by which path in the description of the service, and its database."""
 
-    def __init__(self, request: Request, context: ContextDep, source: Source, place: Place) -> None:
+    def __init__(self, request: Request, context: ContextDep, source: Source, place: Place, path: str) -> None:
         self.request = request
+        self.path = path
         self.database = context.database
         self.source = source
         self.place = place
@@ -98,7 +102,7 @@ def _newest(request: Request, context: ContextDep) -> _Served:
         "InterLoc",
         "Road intersections found in LiDAR drives: the newest successful job of every drive.",
     )
-    return _Served(request, context, Source(), place)
+    return _Served(request, context, Source(), place, "/ogc")
 
 
 def _one_job(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> _Served:
@@ -111,7 +115,7 @@ def _one_job(job_id: JobId, request: Request, context: ContextDep, results: Resu
     service = _address_of(request)
     description = f"Road intersections found by job {job_id} in drive {result.drive_name}."
     place = Place(service, f"{service}{result.address}/ogc", f"InterLoc: {result.drive_name}", description)
-    return _Served(request, context, Source(job_id), place)
+    return _Served(request, context, Source(job_id), place, f"{result.address}/ogc".replace(job_id, "{job_id}"))
 
 
 _HTML = {"text/html": {"schema": {"type": "string"}}}
@@ -129,6 +133,13 @@ def _landing(served: _Served, form: FormatDep) -> Response:
 def _conformance(served: _Served, form: FormatDep) -> Response:
     """List the classes of OGC API - Features and CQL2 that the interface keeps to."""
     return served.answer(served.place.conformance(), form)
+
+
+def _interface(request: Request, served: _Served, form: FormatDep) -> Response:
+    """Describe the addresses below this one by OpenAPI 3.0, for GDAL and QGIS."""
+    known = {name: served.source.collections[name] for name in served.extents()}
+    document = describe_interface(request.app.openapi(), served.path, known, served.place.address)
+    return served.answer(document, form, OPENAPI)
 
 
 def _collections(served: _Served, form: FormatDep) -> Response:
@@ -168,7 +179,9 @@ def _items(
     All conditions must hold. A filter that is too large, too deep or takes too long is refused.
     """
     found = served.collection(collection_id)
-    query = asked.query(found)
+    refuse_others(request, found.queryables)
+    values = {name: value for name, value in request.query_params.items() if name in found.queryables}
+    query = asked.query(found, values)
     with served.database.reading() as session:
         page = find_page(session, served.source, found, query)
     content = served.place.items(found, page, request.query_params.multi_items())
@@ -188,6 +201,7 @@ def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Serv
 _ONE = "/collections/{collection_id}"
 _ADDRESSES: tuple[tuple[str, Callable[..., Response], type[BaseModel], str], ...] = (
     ("", _landing, OgcLandingPage, "Where a GIS begins"),
+    ("/api", _interface, OgcInterface, "Describe the interface"),
     ("/conformance", _conformance, OgcConformance, "What the interface keeps to"),
     ("/collections", _collections, OgcCollections, "List the layers"),
     (_ONE, _collection, OgcCollection, "Describe a layer"),
@@ -206,11 +220,13 @@ def _add(
     """Register all addresses of a source of features."""
     for path, endpoint, model, summary in _ADDRESSES:
         missing = _MISSING if "{" in path else {}
+        extra = OF_ITS_DATA if endpoint is _items else None
         get_and_head(
             router,
             f"{prefix}{path}",
             summary=summary,
             operation_id=f"read_{name}{endpoint.__name__}",
+            openapi_extra=extra,
             response_class=Response,
             responses={**_answers(model, f"{summary}."), **missing, **problems},
         )(_bound(endpoint, source))

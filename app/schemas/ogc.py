@@ -26,6 +26,18 @@ class OgcLandingPage(BaseModel):
     links: list[OgcLink]
 
 
+class OgcInterface(BaseModel):
+    """The interface as a document of OpenAPI 3.0."""
+
+    model_config = ConfigDict(json_schema_extra={"x-media-type": "application/vnd.oai.openapi+json;version=3.0"})
+
+    openapi: Literal["3.0.3"]
+    info: dict[str, Any]
+    servers: list[dict[str, Any]]
+    paths: dict[str, Any]
+    components: dict[str, Any]
+
+
 class OgcConformance(BaseModel):
     """What the interface keeps to."""
 

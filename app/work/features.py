@@ -17,6 +17,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,9 @@ from pydantic import Field
 from app.store.columns import pack_blobs, pack_numbers, pack_texts
 from interloc.arrays import FloatArray
 from interloc.output.credits import OWN_CREDIT
-from interloc.output.geojson import DEGREE_DECIMALS, damaged, encode, read_json
-from interloc.output.layers import LAYERS, Layer
+from interloc.output.derived import derived_features
+from interloc.output.geojson import DEGREE_DECIMALS, cut, damaged, encode, read_json
+from interloc.output.layers import DERIVED, LAYERS, Layer
 from interloc.output.layout import RUN_FILE, file_names
 from interloc.output.properties import Properties, Time
 
@@ -72,7 +74,7 @@ RESULT = Layer("result", "Result", "Point", ResultProperties, "").attributes
 FOOTPRINTS = Layer("drives", "Areas that were driven through", "Polygon", FootprintProperties, "Drive")
 """The layer that is made here of the others."""
 
-INDEXED = {**LAYERS, FOOTPRINTS.name: FOOTPRINTS}
+INDEXED = {**LAYERS, **DERIVED, FOOTPRINTS.name: FOOTPRINTS}
 """The layers that are indexed, as far as a result has them."""
 
 
@@ -109,6 +111,11 @@ class Chunk:
     columns: dict[str, bytes]
 
 
+def collection_id(layer: Layer) -> str:
+    """Return the name of a layer in the addresses of OGC API - Features, which are those of several tracks."""
+    return "trajectories" if layer.name == "trajectory" else layer.name
+
+
 def is_on_earth(folder: Path) -> bool:
     """Return whether a result has longitude and latitude, without which it has nothing to index."""
     return (folder / file_names(georeferenced=True)["trajectory"]).is_file()
@@ -130,12 +137,15 @@ def chunks_of(folder: Path) -> Iterator[Chunk]:
     if not is_on_earth(folder):
         return
     run = read_json(folder / RUN_FILE)
-    collections = {
-        layer.name: read_json(path) for layer in LAYERS.values() if (path := folder / f"{layer.name}.geojson").is_file()
-    }
+    files = {name: path for name in LAYERS if (path := folder / f"{name}.geojson").is_file()}
+    collections = {name: read_json(path) for name, path in files.items()}
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
     try:
+        intersections = LAYERS["intersections"].read(files["intersections"])
+        for name in DERIVED:
+            features = derived_features(name, intersections)
+            collections[name] = {"features": [{**each, "geometry": cut(each["geometry"])} for each in features]}
         collections[FOOTPRINTS.name] = _footprint(collections, run)
         for name, collection in collections.items():
             yield from _cut(INDEXED[name], collection, run)
@@ -150,11 +160,13 @@ def seconds_of(time: str | None) -> float | None:
 
 def _cut(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -> Iterator[Chunk]:
     features = collection["features"]
+    order = _typed_first(layer, features)
     credit = OWN_CREDIT if "attribution" in collection else layer.credit(features)
     labels = run.get("labels")
     for number, start in enumerate(range(0, max(len(features), 1), CHUNK)):
-        some = features[start : start + CHUNK]
-        box, times, columns = _columns(layer, some, start, run) if some else (None, None, {})
+        places = order[start : start + CHUNK]
+        some = [features[place] for place in places]
+        box, times, columns = _columns(layer, some, places, run) if some else (None, None, {})
         yield Chunk(
             layer=layer.name,
             number=number,
@@ -168,8 +180,22 @@ def _cut(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -> Itera
         )
 
 
+def _typed_first(layer: Layer, features: list[dict[str, Any]]) -> list[int]:
+    """Return the places of features in the order of the index: first those that have a value where others have none.
+
+    QGIS 3.22 takes the types of properties from the first ten features that a service gives.
+    """
+    first: set[int] = set()
+    for each in layer.attributes:
+        with_value = (
+            place for place, feature in enumerate(features) if feature["properties"].get(each.name) is not None
+        )
+        first.update(islice(with_value, 1))
+    return sorted(range(len(features)), key=lambda place: (place not in first, place))
+
+
 def _columns(
-    layer: Layer, features: list[dict[str, Any]], start: int, run: dict[str, Any]
+    layer: Layer, features: list[dict[str, Any]], places: list[int], run: dict[str, Any]
 ) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None, dict[str, bytes]]:
     own = [each for each in layer.attributes if each.name != "drive"]  # its name now, not as it was: see `RESULT`
     rows = [{each.name: feature["properties"].get(each.name) for each in own} for feature in features]
@@ -189,7 +215,7 @@ def _columns(
     times = _times(rows, run)
     if np.isfinite(times).any():
         columns[TIMES] = times.astype("<f8").tobytes()
-    columns[IDS] = pack_texts(_ids(layer, features, rows, start))
+    columns[IDS] = pack_texts(_ids(layer, features, rows, places))
     lines = [
         f'"geometry":{encode(feature["geometry"])},"properties":{encode(row)}'
         for feature, row in zip(features, rows, strict=True)
@@ -198,11 +224,11 @@ def _columns(
     return _around(boxes), _span(times), columns
 
 
-def _ids(layer: Layer, features: list[dict[str, Any]], rows: list[dict[str, Any]], start: int) -> list[str]:
+def _ids(layer: Layer, features: list[dict[str, Any]], rows: list[dict[str, Any]], places: list[int]) -> list[str]:
     """Return the ids of features; those of older versions had none."""
     return [
-        str(feature["id"]) if "id" in feature else str(start + number + 1 if layer.key is None else row[layer.key])
-        for number, (feature, row) in enumerate(zip(features, rows, strict=True))
+        str(feature["id"]) if "id" in feature else str(place + 1 if layer.key is None else row[layer.key])
+        for place, feature, row in zip(places, features, rows, strict=True)
     ]
 
 

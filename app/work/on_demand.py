@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import interloc.output
+from app.work.features import collection_id
 from app.work.intersections import config_of, open_input
 from app.work.task import Task
 from interloc.drives.findings import Finding
@@ -19,6 +23,7 @@ from interloc.drives.labels import LabelJudgement
 from interloc.drives.options import LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced_format import ReducedLabels
 from interloc.files import atomic_folder, atomic_write
+from interloc.output.qgis_project import Source
 from interloc.output.vector_files import write_live_project, write_vector_file
 from interloc.reduction.plan import ReductionPlan, judge_counts, plan_reduction
 
@@ -83,13 +88,40 @@ def _forget_oldest(views: Path) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
+def export_path(cache: Path, name: str) -> Path:
+    """Return where an export is kept in the cache of a job: those that other code has written are not taken for it."""
+    return cache / "exports" / _writer() / name
+
+
+@cache
+def _writer() -> str:
+    """Return a fingerprint of the code that writes exports."""
+    modules = [*sorted(Path(interloc.output.__file__).parent.glob("*.py")), Path(__file__)]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in modules)).hexdigest()[:12]
+
+
 def write_export(folder: Path, path: Path, layer: str | None) -> None:
-    """Write a layer of a result, or all of them, as a file for other programs; its suffix says which format."""
+    """Write a layer of a result, or all of them, as a file for other programs; its suffix says which format.
+
+    What other code has written goes (see `export_path`).
+    """
+    _forget_others(path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".qgs":
-        write_live_project(folder, path, LIVE)
+        write_live_project(
+            folder, path, lambda layer: Source("OAPIF", f"typename='{collection_id(layer)}' url='{LIVE}/ogc'")
+        )
     else:
         write_vector_file(folder, path, layer=layer)
+
+
+def _forget_others(folder: Path) -> None:
+    with suppress(OSError):
+        for other in folder.parent.iterdir():
+            if other.is_file():
+                other.unlink()
+            elif other != folder:
+                shutil.rmtree(other, ignore_errors=True)
 
 
 def draw_road_picture(result: Path, folder: Path) -> None:

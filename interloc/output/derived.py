@@ -31,7 +31,12 @@ def derive(name: str, intersections: Rows) -> Rows:
     intersections
         The layer `intersections` of a result with longitude and latitude.
     """
-    return DERIVED[name].rows(_MAKERS[name](intersections), OWN_CREDIT, intersections.path)
+    return DERIVED[name].rows(derived_features(name, intersections), OWN_CREDIT, intersections.path)
+
+
+def derived_features(name: str, intersections: Rows) -> list[dict[str, Any]]:
+    """Return a layer of `DERIVED` as GeoJSON features; those at the antimeridian are not cut."""
+    return _MAKERS[name](intersections)
 
 
 def _branches(intersections: Rows) -> list[dict[str, Any]]:

@@ -30,7 +30,8 @@ def parquet_bytes(table: Any, description: str, credit: Credit) -> bytes:  # noq
     from pyarrow import parquet  # noqa: PLC0415 - an extra
 
     buffer = io.BytesIO()
-    table.to_parquet(buffer, schema_version="1.1.0", write_covering_bbox=True)
+    texts = dict.fromkeys(table.select_dtypes("object"), "string")  # they would have no type where all are null
+    table.astype(texts).to_parquet(buffer, schema_version="1.1.0", write_covering_bbox=True)
     columns = parquet.read_table(io.BytesIO(buffer.getvalue()))
     told = {"description": description, **credit.members}
     made = io.BytesIO()

@@ -7,6 +7,7 @@ one file, that opens by a double click and can be moved and renamed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -30,6 +31,22 @@ _OSM_CREDIT = "© OpenStreetMap contributors, ODbL 1.0"
 Layers = Sequence[tuple[Layer, Rows]]
 
 
+@dataclass(frozen=True)
+class Source:
+    """Where the data of a layer is.
+
+    Attributes
+    ----------
+    provider : str
+        The part of QGIS that reads it: ``ogr`` for files, ``OAPIF`` for OGC API - Features.
+    place : str
+        In the words of the provider.
+    """
+
+    provider: str
+    place: str
+
+
 def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bool) -> None:
     """Write a project with its data.
 
@@ -46,13 +63,17 @@ def write_qgz(out: Path, database: Path, layers: Layers, name: str, *, local: bo
     local
         Whether the layers are in metres of their own frame.
     """
-    text = project(layers, name, lambda layer: f"attachment:{_DATA}|layername={layer.name}", local=local)
+
+    def source_of(layer: Layer) -> Source:
+        return Source("ogr", f"attachment:{_DATA}|layername={layer.name}")
+
+    text = project(layers, name, source_of, local=local)
     with ZipFile(out, "w", ZIP_DEFLATED) as archive:
         archive.writestr(ZipInfo("project.qgs"), text, ZIP_DEFLATED)
         archive.write(database, _DATA)
 
 
-def project(layers: Layers, name: str, source_of: Callable[[Layer], str], *, local: bool = False) -> str:
+def project(layers: Layers, name: str, source_of: Callable[[Layer], Source], *, local: bool = False) -> str:
     """Return a project as a document of QGIS (``.qgs``).
 
     Parameters
@@ -62,7 +83,7 @@ def project(layers: Layers, name: str, source_of: Callable[[Layer], str], *, loc
     name
         Title of the project.
     source_of
-        Tells where the data of a layer is, in the words of GDAL.
+        Tells where the data of a layer is.
     local
         Whether the layers are in metres of their own frame.
     """
@@ -88,22 +109,22 @@ def project(layers: Layers, name: str, source_of: Callable[[Layer], str], *, loc
     return document(root)
 
 
-def _tree(groups: Mapping[str, Sequence[str]], source_of: Callable[[str], str]) -> ET.Element:
+def _tree(groups: Mapping[str, Sequence[str]], source_of: Callable[[str], Source]) -> ET.Element:
     root = ET.Element("layer-tree-group")
     for title, names in groups.items():
         if not names:
             continue
         group = ET.SubElement(root, "layer-tree-group", {"name": title, "checked": "Qt::Checked", "expanded": "1"})
         for name in names:
-            style = STYLES[name]
+            style, source = STYLES[name], source_of(name)
             ET.SubElement(
                 group,
                 "layer-tree-layer",
                 {
                     "id": _id(name),
                     "name": style.title,
-                    "source": source_of(name),
-                    "providerKey": "ogr",
+                    "source": source.place,
+                    "providerKey": source.provider,
                     "checked": "Qt::Checked" if style.is_shown else "Qt::Unchecked",
                     "expanded": "1" if len(style.rules) > 1 else "0",
                 },
@@ -111,14 +132,14 @@ def _tree(groups: Mapping[str, Sequence[str]], source_of: Callable[[str], str]) 
     return root
 
 
-def _layer(layer: Layer, rows: Rows, source: str, epsg: int | None) -> ET.Element:
+def _layer(layer: Layer, rows: Rows, source: Source, epsg: int | None) -> ET.Element:
     root = ET.Element("maplayer", {"type": "vector", "geometry": layer.geometry, **attributes(layer)})
-    for tag, text in (("id", _id(layer.name)), ("datasource", source), ("layername", STYLES[layer.name].title)):
+    for tag, text in (("id", _id(layer.name)), ("datasource", source.place), ("layername", STYLES[layer.name].title)):
         ET.SubElement(root, tag).text = text
     _add_crs(ET.SubElement(root, "srs"), epsg)
     about = ET.SubElement(root, "resourceMetadata")
     about.extend(metadata_elements(layer, rows.credit))
-    ET.SubElement(root, "provider", {"encoding": "UTF-8"}).text = "ogr"
+    ET.SubElement(root, "provider", {"encoding": "UTF-8"}).text = source.provider
     has_times = any(True for _ in _times([(layer, rows)]))
     root.extend(each for each in elements(layer) if has_times or each.tag != "temporal")
     return root

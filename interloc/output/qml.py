@@ -112,7 +112,8 @@ def _renderer(layer: Layer) -> ET.Element:
     kind = "singleSymbol" if style.field is None else "categorizedSymbol"
     root = ET.Element("renderer-v2", {"type": kind, "symbollevels": "0", "enableorderby": "0", "forceraster": "0"})
     if style.field is not None:
-        root.set("attr", style.field)
+        is_bool = isinstance(style.rules[0].value, bool)  # QGIS 3.22 knows categories of texts only
+        root.set("attr", f"if({style.field}, 'true', 'false')" if is_bool else style.field)
         categories = ET.SubElement(root, "categories")
         for number, rule in enumerate(style.rules):
             categories.append(_category(rule, number))
@@ -123,10 +124,9 @@ def _renderer(layer: Layer) -> ET.Element:
 
 
 def _category(rule: Rule, number: int) -> ET.Element:
-    is_bool = isinstance(rule.value, bool)
-    value = str(rule.value).lower() if is_bool else str(rule.value)
+    value = str(rule.value).lower() if isinstance(rule.value, bool) else str(rule.value)
     names = {"symbol": str(number), "label": rule.title, "render": "true"}
-    return ET.Element("category", {"value": value, "type": "bool" if is_bool else "string", **names})
+    return ET.Element("category", {"value": value, "type": "string", **names})
 
 
 def _symbol(symbol: Symbol, layer: Layer, name: str) -> ET.Element:

@@ -13,7 +13,7 @@ import os
 import re
 import sqlite3
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,7 +29,7 @@ from interloc.output.gpx import GPX_LAYERS, write_gpx
 from interloc.output.kml import NAMES, pack_kmz, style_kml
 from interloc.output.layers import DERIVED, LAYERS, PLACES, Layer, Rows
 from interloc.output.layout import RUN_FILE, file_names
-from interloc.output.qgis_project import project, write_qgz
+from interloc.output.qgis_project import Source, project, write_qgz
 from interloc.output.vector_tiles import TiledLayer, write_tiles
 
 DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
@@ -159,7 +159,7 @@ def suffixes_here() -> list[str]:
     return [suffix for suffix in FORMATS if suffix != ".parquet" or has_parquet()]
 
 
-def write_live_project(result: Path, out: Path, address: str) -> None:
+def write_live_project(result: Path, out: Path, source_of: Callable[[Layer], Source]) -> None:
     """Write a project of QGIS (``.qgs``) whose layers are read from the service that has the result.
 
     Parameters
@@ -168,8 +168,8 @@ def write_live_project(result: Path, out: Path, address: str) -> None:
         Result folder with georeference.
     out
         File to write.
-    address
-        Of the job, such as ``http://127.0.0.1:8000/api/v1/jobs/ID``.
+    source_of
+        Tells where the service has a layer.
 
     Raises
     ------
@@ -177,11 +177,6 @@ def write_live_project(result: Path, out: Path, address: str) -> None:
         `result` is not a result folder, or `out` could not be written.
     """
     layers = [(EXPORTS[name], _read(result, name)) for name in _choose(result, None, ".qgz")]
-
-    def source_of(layer: Layer) -> str:
-        path = f"export.geojson?layer={layer.address}" if layer.name in DERIVED else layer.address
-        return f"/vsicurl/{address}/{path}"
-
     with atomic_write(out) as file:
         file.write(project(layers, _name_of(result), source_of).encode())
 

@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote_plus
 
 import httpx
 import pytest
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 import app.jobs.processes
 from app.main import create_app
@@ -25,8 +27,8 @@ app.jobs.processes._context = forks.context
 
 
 @contextmanager
-def running_server(data_dir: Path, **settings: Any) -> Iterator[str]:
-    """Serve from a thread of this process; yields the address."""
+def running_server(data_dir: Path, *, asked: list[str] | None = None, **settings: Any) -> Iterator[str]:
+    """Serve from a thread of this process; yields the address. What is asked for goes to `asked`: path and query."""
     forks.ready()
     options: dict[str, Any] = {
         "min_free_bytes": 0,
@@ -36,7 +38,10 @@ def running_server(data_dir: Path, **settings: Any) -> Iterator[str]:
         **settings,
     }
     settings_ = Settings(data_dir=data_dir, port=0, **options)
-    server = Server(create_app(settings_), settings_)
+    app = create_app(settings_)
+    if asked is not None:
+        app.add_middleware(Notes, asked=asked)
+    server = Server(app, settings_)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     while not server.started:
@@ -48,6 +53,19 @@ def running_server(data_dir: Path, **settings: Any) -> Iterator[str]:
         server.should_exit = True
         thread.join(30)
         assert not thread.is_alive(), "the server did not stop"
+
+
+class Notes:
+    """Notes path and query of each request."""
+
+    def __init__(self, app: ASGIApp, asked: list[str]) -> None:
+        self._app = app
+        self._asked = asked
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            self._asked.append(unquote_plus(f"{scope['path']}?{scope['query_string'].decode()}"))
+        await self._app(scope, receive, send)
 
 
 @pytest.fixture

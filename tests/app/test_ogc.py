@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import base64
 import json
+import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import cql2
 import httpx
 import numpy as np
 import pytest
+from openapi_spec_validator import OpenAPIV30SpecValidator
 from sqlalchemy import update
 
 from app.context import Context
 from app.drives import trash
 from app.jobs.features import index_job, index_missing
 from app.ogc.collections import OF_ALL
-from app.ogc.filters import MAX_CHARACTERS, read_filter
+from app.ogc.filters import MAX_CHARACTERS, Language, read_filter
 from app.ogc.index import Area, Query, Source, extents, find_page
 from app.settings import Settings
 from app.store.models import Drive, FeatureChunk, FeatureColumn, Job
@@ -32,8 +34,10 @@ from interloc.arrays import FloatArray
 from interloc.output.credits import ODBL, map_credit
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS
+from interloc.output.styles import RIGHT, ROAD, STYLES
 from tests.app.conftest import running_server
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+from tests.qgis import ask_qgis, pixels_of, require_qgis
 
 TOKEN = "a-token-for-a-gis"  # noqa: S105 - of no service
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -92,10 +96,27 @@ def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, 
         time=times,
         **here,
     )
+    few = slice(None, None, 100)
+    seen = rows[few] + 1
+    intersections = LAYERS["intersections"].features(
+        lonlat[few].tolist(),
+        id=seen,
+        uid=[f"u{i}" for i in seen],
+        observations=seen,
+        position_std_m=zeros[few] + 0.5,
+        position_cov_m2=[[0.25, 0.0, 0.25]] * len(seen),
+        first_frame=rows[few],
+        last_frame=rows[few],
+        confidence=zeros[few],
+        first_time=times[few],
+        last_time=times[few],
+        drive=[folder.parent.name] * len(seen),
+        **{name: values[few] for name, values in {**here, **found, **scores}.items()},
+    )
     track = LAYERS["trajectory"].features([lonlat.tolist()], scans=[n], thinned_to_m=[0.5])
     write_collection(folder / "detections.geojson", detections, local=False)
     write_collection(folder / "keyframes.geojson", keyframes, local=False)
-    write_collection(folder / "intersections.geojson", [], local=False)
+    write_collection(folder / "intersections.geojson", intersections, local=False)
     write_collection(folder / "trajectory.geojson", track, local=False)
     if scored:
         links = [[[lon, lat], [lon, lat + 1e-4]] for lon, lat in lonlat[:9].tolist()]
@@ -109,7 +130,10 @@ def write_result(folder: Path, lonlat: FloatArray, *, with_times: bool = False, 
             intersection=[None] * len(links),
         )
         write_collection(folder / "matches.geojson", matches, local=False, credit=map_credit(is_made_up=False))
-    spans = {"first_time": times[0], "last_time": times[-1]}
+        across = [[[lon, lat - 5e-4], [lon, lat + 5e-4]] for lon, lat in lonlat[:1].tolist()]
+        road = LAYERS["osm_roads"].features(across, osm_id=[7], highway=["service"], name=[None], is_drivable=[True])
+        write_collection(folder / "osm_roads.geojson", road, local=False, credit=map_credit(is_made_up=False))
+    spans = {"georeferenced": True, "first_time": times[0], "last_time": times[-1]}
     (folder / "run.json").write_text(json.dumps({"labels": "predictions", **spans}))
 
 
@@ -148,6 +172,7 @@ class Gis:
 
     client: httpx.Client
     address: str
+    asked: list[str]
 
     def get(self, path: str, **query: Any) -> httpx.Response:
         return self.client.get(path, params=query or None, headers={"Accept": "application/json"})
@@ -177,11 +202,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def gis(data: Path) -> Iterator[Gis]:
+    asked: list[str] = []
     with (
-        running_server(data, token=TOKEN) as address,
+        running_server(data, asked=asked, token=TOKEN) as address,
         httpx.Client(base_url=address, headers=BEARER, timeout=60) as client,
     ):
-        yield Gis(client, address)
+        yield Gis(client, address, asked)
 
 
 def see_landing(gis: Gis) -> None:
@@ -193,20 +219,39 @@ def see_landing(gis: Gis) -> None:
 
 
 def see_api(gis: Gis) -> None:
-    links = gis.links(gis.json("/ogc"))
-    paths = gis.json(links["service-desc"])["paths"]
-    assert "/ogc/collections/{collection_id}/items" in paths
-    limit = next(
-        p for p in paths["/ogc/collections/{collection_id}/items"]["get"]["parameters"] if p["name"] == "limit"
-    )
-    assert limit["schema"]["type"] == "integer"
-    assert limit["schema"]["maximum"] == 10_000
+    for root in ("/ogc", "/api/v1/jobs/timed-new/ogc"):
+        answer = gis.get(gis.links(gis.json(root))["service-desc"])
+        assert answer.headers["content-type"] == "application/vnd.oai.openapi+json;version=3.0"
+        api = answer.json()
+        OpenAPIV30SpecValidator(api).validate()
+        assert api["servers"] == [{"url": f"{gis.address}{root}"}]
+        assert {"/", "/api", "/conformance", "/collections", "/collections/{collection_id}"} <= api["paths"].keys()
+        listed = [each["id"] for each in gis.json(f"{root}/collections")["collections"]]
+        items = [each.split("/")[2] for each in api["paths"] if each.endswith("/items")]
+        assert items == listed
+        operation = api["paths"]["/collections/detections/items"]["get"]
+        assert {"200", "400", "401", "404"} <= operation["responses"].keys()
+        assert operation["security"] == [{"token": []}, {"password": []}]
+        own = {each["name"]: each["schema"] for each in operation["parameters"] if "name" in each}
+        queryables = gis.json(f"{root}/collections/detections/queryables")["properties"]
+        assert own.keys() == queryables.keys() - {"geometry"}
+        assert own["frame"] == {"type": "integer"}
+        limit = api["components"]["parameters"]["limit"]["schema"]
+        assert (limit["type"], limit["maximum"]) == ("integer", 10_000)
+    page = gis.get("/ogc/api", f="html").text
+    assert "/collections/detections/items" in page
 
 
 def see_conformance(gis: Gis) -> None:
     classes = gis.json("/ogc/conformance")["conformsTo"]
-    for part, name in (("1", "core"), ("1", "geojson"), ("1", "html"), ("3", "filter"), ("3", "queryables")):
-        assert f"http://www.opengis.net/spec/ogcapi-features-{part}/1.0/conf/{name}" in classes
+    for name in (
+        "1/1.0/conf/core",
+        "1/1.0/conf/oas30",
+        "1/1.0/conf/html",
+        "3/1.0/conf/filter",
+        "3/1.0/conf/queryables",
+    ):
+        assert f"http://www.opengis.net/spec/ogcapi-features-{name}" in classes
     assert "http://www.opengis.net/spec/cql2/1.0/conf/basic-cql2" in classes
 
 
@@ -221,7 +266,8 @@ def see_collections(gis: Gis) -> None:
     assert gis.links(listed["matches"])["license"] == ODBL
     assert "license" not in gis.links(listed["keyframes"])
     of_job = [each["id"] for each in gis.json("/api/v1/jobs/timed-new/ogc/collections")["collections"]]
-    assert of_job == ["intersections", "detections", "trajectories", "keyframes", "drives"], "no map, no layers of one"
+    own = ["intersections", "detections", "trajectories", "keyframes", "branches", "uncertainty", "drives"]
+    assert of_job == own, "no map, no layers of one"
 
 
 def see_collection(gis: Gis) -> None:
@@ -310,6 +356,21 @@ def see_unknown_parameters(gis: Gis) -> None:
         assert gis.get("/ogc/collections/detections/items", **{name: value}).status_code == 400
 
 
+def see_properties(gis: Gis) -> None:
+    assert gis.matched(outcome="wrong") == gis.matched(filter="outcome = 'wrong'") == 306
+    assert gis.matched(outcome="wrong", frame="3", filter="score < 1") == 2
+    assert gis.matched("osm_nodes", found="true") == 0
+    assert gis.matched(time=f"{HOUR}00:05Z") == 1
+    next_ = gis.links(gis.items(outcome="wrong", limit=5))["next"]
+    assert {each["properties"]["outcome"] for each in gis.json(next_)["features"]} == {"wrong"}
+    for name, value in (("frame", "x"), ("frame", "true"), ("score", "NaN"), ("frame", "9" * 400), ("geometry", "1")):
+        assert gis.get("/ogc/collections/detections/items", **{name: value}).status_code == 400, name
+    assert gis.get("/ogc/collections/osm_nodes/items", found="1").status_code == 400
+    for language, status in (("cql-text", 200), ("cql2-text", 400)):  # GDAL writes 1 for true
+        query = {"filter": "found = 1 AND in_zone <> 0", "filter-lang": language}
+        assert gis.get("/ogc/collections/osm_nodes/items", **query).status_code == status
+
+
 def see_html(gis: Gis) -> None:
     for path in ("", "/conformance", "/collections", "/collections/detections/items", "/collections/drives/schema"):
         answer = gis.get(f"/ogc{path}", f="html")
@@ -349,7 +410,7 @@ def see_tokens(gis: Gis) -> None:
 
 REQUIREMENTS: dict[str, Callable[[Gis], None]] = {
     "/req/core/root-op root-success": see_landing,
-    "/req/core/api-definition-op api-definition-success": see_api,
+    "/req/core/api-definition-op api-definition-success /req/oas30/oas-definition completeness security": see_api,
     "/req/core/conformance-op conformance-success": see_conformance,
     "/req/core/fc-md-op fc-md-success fc-md-links fc-md-items fc-md-extent": see_collections,
     "/req/core/sfc-md-op sfc-md-success": see_collection,
@@ -359,6 +420,7 @@ REQUIREMENTS: dict[str, Callable[[Gis], None]] = {
     "/req/core/fc-time-definition fc-time-response": see_datetime,
     "/req/core/fc-links fc-rel-type fc-numberMatched": see_pages,
     "/req/core/query-param-unknown query-param-invalid http": see_unknown_parameters,
+    "/rec/core/fc-filters": see_properties,
     "/req/html/definition content": see_html,
     "/req/queryables/queryables-link queryables-document /req/schemas/properties type": see_schema,
     "the token by header and as a password": see_tokens,
@@ -455,6 +517,8 @@ HOSTILE = [
     "branch_bearings_deg = 1",
     "time > 'tomorrow'",
     "outcome LIKE outcome",
+    "outcome ILIKE 'a",
+    "x" * 15_000 + " ILIKE",
     "score > 1e999",
     "1; DROP TABLE jobs",
     "(" * 5000 + "TRUE" + ")" * 5000,
@@ -485,7 +549,7 @@ HOSTILE = [
 def test_hostile_filters_are_refused_soon(gis: Gis) -> None:
     collection = OF_ALL["detections"]
     for text in HOSTILE:
-        for language in ("cql2-text", "cql2-json"):
+        for language in get_args(Language):
             began = time.process_time()
             answer = gis.get("/ogc/collections/detections/items", filter=text[:20_000], **{"filter-lang": language})
             assert answer.status_code == 400, (text[:80], language, answer.text[:200])
@@ -498,7 +562,7 @@ READ_BY_GDAL = """
 import json, sys
 import pyogrio
 
-address, token = sys.argv[1:]
+address, token, sql = sys.argv[1:]
 of_all, of_job = f"OAPIF:{address}/ogc", f"OAPIF:{address}/api/v1/jobs/fiji-new/ogc"
 found = {"drives": pyogrio.read_info(of_all, layer="drives", USERPWD=f"qgis:{token}")["features"]}
 pyogrio.set_gdal_config_options({"GDAL_HTTP_AUTH": "BEARER", "GDAL_HTTP_BEARER": token})
@@ -509,14 +573,19 @@ found["count"] = info["features"]
 every = pyogrio.read_dataframe(of_all, layer="detections")
 found["every"] = [len(every), str(every.crs), every[every.job == "town-new"].geometry.iloc[0].coords[0]]
 found["box"] = len(pyogrio.read_dataframe(of_all, layer="detections", bbox=(8.3999, 48.9, 8.400095, 49.1)))
-found["where"] = len(pyogrio.read_dataframe(of_all, layer="detections", where="outcome = 'wrong' AND frame < 100"))
+found["where"] = len(pyogrio.read_dataframe(of_all, layer="detections", where=sql))
 found["matches"] = len(pyogrio.read_dataframe(of_job, layer="matches"))
 print(json.dumps(found))
 """
 
+IN_SQL = "outcome = 'wrong' AND frame < 100 AND (reason ILIKE 'm%' OR time IS NOT NULL)"
+IN_CQL = "((outcome = 'wrong') AND (frame < 100)) AND ((reason ILIKE 'm%') OR (NOT ((time IS NULL))))"
+
 
 def test_gdal_reads_all_layers_by_a_password_and_by_a_header(gis: Gis) -> None:
-    command = [sys.executable, "-c", READ_BY_GDAL, gis.address, TOKEN]  # GDAL would stop the threads of this process
+    gis.asked.clear()
+    # In a process of its own: GDAL would stop the threads of this one.
+    command = [sys.executable, "-c", READ_BY_GDAL, gis.address, TOKEN, IN_SQL]
     found = json.loads(subprocess.run(command, check=True, capture_output=True, timeout=120).stdout)
     types = found.pop("types")
     assert types["time"].startswith("datetime64"), "though the first page has none"
@@ -530,6 +599,72 @@ def test_gdal_reads_all_layers_by_a_password_and_by_a_header(gis: Gis) -> None:
         "where": 50,
         "matches": 9,
     }
+    items = "/ogc/collections/detections/items?limit="
+    assert f"{items}10000&filter={IN_CQL}&filter-lang=cql-text" in gis.asked
+    assert any("bbox=8.3999" in each for each in gis.asked)
+    ogrinfo = shutil.which("ogrinfo")
+    if ogrinfo is not None:  # another version: that of the system
+        gis.asked.clear()
+        source = [f"OAPIF:{gis.address}/ogc", "-oo", f"USERPWD=me:{TOKEN}", "-oo", "PAGE_SIZE=2000"]
+        command = [ogrinfo, "-ro", "-so", *source, "detections", "-where", IN_SQL]
+        told = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120).stdout
+        assert "Feature Count: 50\n" in told
+        assert f"{items}2000&filter={IN_CQL}&filter-lang=cql-text" in gis.asked
+
+
+READ_BY_QGIS = """
+address, token, folder, *names = sys.argv[1:]
+
+def layer_of(root, name, options=""):
+    return QgsVectorLayer(f"url='{address}{root}' typename='{name}' {options}", name, "OAPIF")
+
+def count(layer, *request):
+    return sum(1 for _ in layer.getFeatures(*request))
+
+password = f"username='anybody' password='{token}'"
+told["closed"] = layer_of("/ogc", "detections").isValid()
+log.clear()
+told["layers"] = {name: describe(layer_of("/ogc", name, password)) for name in names}
+pages = layer_of("/ogc", "detections", f"{password} pagingEnabled='true' pageSize='400'")
+told["pages"] = [count(pages), len({each["job"] + each["id"] for each in pages.getFeatures()})]
+near = layer_of("/ogc", "detections", f"{password} restrictToRequestBBOX='1'")
+told["box"] = count(near, QgsFeatureRequest(QgsRectangle(8.3999, 48.9, 8.400095, 49.1)))
+timed = layer_of("/api/v1/jobs/timed-new/ogc", "detections", password)
+timed.setSubsetString("time >= '2026-03-01T12:01:50Z'")
+told["since"] = [count(timed), types_of(timed)["time"]]
+told["project"] = read_project(f"{folder}/live.qgs")
+draw_project(f"{folder}/live.png")
+"""
+
+
+def test_qgis_reads_all_layers_and_the_live_project(gis: Gis, tmp_path: Path) -> None:
+    require_qgis()
+    project = gis.get("/api/v1/jobs/town-new/export.qgs").text
+    (tmp_path / "live.qgs").write_text(project.replace("typename=", f"username='me' password='{TOKEN}' typename="))
+    gis.asked.clear()
+    told = ask_qgis(READ_BY_QGIS, gis.address, TOKEN, tmp_path, *OF_ALL, home=tmp_path)
+    assert told["log"] == []
+    assert told["closed"] is False
+    layers = told["layers"]
+    assert {name: layer["features"] for name, layer in layers.items()} == {name: gis.matched(name) for name in OF_ALL}
+    types = layers["detections"]["types"]
+    expected = {"frame": "Integer", "osm_id": "Integer64", "error_m": "Real", "reason": "String"}
+    assert {name: types[name] for name in expected} == expected, "though the first features have no reason"
+    assert told["pages"] == [COUNT + 220] * 2
+    assert sum("limit=400" in each for each in gis.asked) >= 4
+    assert told["box"] == 10
+    assert any("&bbox=8.3999" in each for each in gis.asked)
+    assert told["since"] == [10, "DateTime"]
+    assert any("datetime=2026-03-01T12:01:50" in each for each in gis.asked)
+    live = told["project"]
+    assert [*live["groups"]] == ["Verdict", "Evidence", "Map of OpenStreetMap"]
+    assert {layer["provider"] for layer in live["layers"].values()} == {"OAPIF"}
+    assert all(layer["valid"] for layer in live["layers"].values())
+    assert {"Branches", "Uncertainty, 95 %"} < live["layers"].keys()
+    detections = live["layers"]["Detections"]
+    assert detections["legend"] == [each.title for each in STYLES["detections"].rules]
+    assert (detections["aliases"]["error_m"], detections["types"]["error_m"]) == ("Error", "Real")
+    assert min(pixels_of(tmp_path / "live.png", colour) for colour in (RIGHT, ROAD)) > 20
 
 
 def test_the_index_follows_trash_purge_and_repair(tmp_path: Path) -> None:

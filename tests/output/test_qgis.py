@@ -2,53 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from interloc.output.credits import ODBL, OSM_ATTRIBUTION
 from interloc.output.qml import qml
 from interloc.output.styles import FOUND, FUSED, RIGHT, ROAD, STYLES
 from interloc.output.vector_files import EXPORTS, write_vector_file
 from tests.output.small import TIME_S, small_result, write_folder
+from tests.qgis import ask_qgis, pixels_of, require_qgis
 
-PYTHON = "/usr/bin/python3"
 NAMES = [name for name in EXPORTS if name not in {"places", "osm_buildings"}]
 
 IN_QGIS = """
-import json, os, pathlib, sys
-from qgis.PyQt.QtCore import QSize
-from qgis.core import *
-from qgis.gui import QgsMapCanvas
-app = QgsApplication([], True)
-app.initQgis()
-folder = pathlib.Path(sys.argv[1])
-log = []
-app.messageLog().messageReceived.connect(lambda text, topic, level: level and log.append(f"{topic}: {text}"))
-
-def legend_of(layer):
-    return [item.label() for item in layer.renderer().legendSymbolItems()]
-
-def describe(layer):
-    about, times = layer.metadata(), layer.temporalProperties()
-    return {
-        "valid": layer.isValid(), "features": layer.featureCount(), "crs": layer.crs().authid(),
-        "title": about.title(), "abstract": about.abstract(), "rights": about.rights(), "licenses": about.licenses(),
-        "types": {field.name(): field.typeName() for field in layer.fields()},
-        "aliases": {field.name(): field.alias() for field in layer.fields()},
-        "legend": legend_of(layer), "labels": layer.labelsEnabled(),
-        "times": [times.startField(), times.accumulateFeatures()] if times.isActive() else None,
-    }
-
-told = {"layers": {}, "qml": {}, "sld": {}}
-for name in sys.argv[2:]:
+folder, *names = sys.argv[1:]
+told |= {"layers": {}, "qml": {}, "sld": {}}
+for name in names:
     told["layers"][name] = describe(QgsVectorLayer(f"{folder}/a.gpkg|layername={name}", name, "ogr"))
     layer = QgsVectorLayer(f"{folder}/{name}.geojson", name, "ogr")
     told["qml"][name] = describe(layer)
@@ -58,41 +31,16 @@ for name in sys.argv[2:]:
         told["tip"] = QgsExpression.replaceExpressionText(layer.mapTipTemplate(), context)
     message, is_read = layer.loadSldStyle(f"{folder}/{name}.sld")
     told["sld"][name] = [is_read, message, legend_of(layer)]
-project, canvas = QgsProject.instance(), QgsMapCanvas()
 for name in ("local", "project"):
-    was_read = project.read(f"{folder}/{name}.qgz")
-    tree = project.layerTreeRoot()
-    order = tree.layerOrder()
-    span = project.timeSettings().temporalRange()
-    told[name] = {
-        "read": was_read, "title": project.title(), "crs": project.crs().authid(),
-        "layers": {layer.name(): describe(layer) for layer in order},
-        "groups": {group.name(): [each.name() for each in group.children()] for group in tree.children()},
-        "hidden": [layer.name() for layer in order if not tree.findLayer(layer.id()).isVisible()],
-        "times": [span.begin().toString("hh:mm:ss"), span.end().toString("hh:mm:ss")],
-        "credit": project.readEntry("CopyrightLabel", "/Label")[0],
-        "extent": project.viewSettings().defaultViewExtent().toString(0), "shown": canvas.extent().toString(0),
-    }
-settings = QgsMapSettings()
-settings.setLayers([layer for layer in order if tree.findLayer(layer.id()).isVisible()])
-settings.setDestinationCrs(project.crs())
-settings.setExtent(project.viewSettings().defaultViewExtent())
-settings.setOutputSize(QSize(600, 600))
-job = QgsMapRendererSequentialJob(settings)
-job.start()
-job.waitForFinished()
-job.renderedImage().save(f"{folder}/map.png")
-told["log"] = log + [each.message for each in job.errors()]
-print(json.dumps(told), flush=True)
-os._exit(0)  # without a word to the layers, which would outlive what they are part of
+    told[name] = read_project(f"{folder}/{name}.qgz")
+draw_project(f"{folder}/map.png")
 """
 
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The exports of a scored result, and a picture of its project."""
-    if subprocess.run([PYTHON, "-c", "import qgis.core"], check=False, capture_output=True).returncode:
-        pytest.skip("QGIS for Python (Debian: python3-qgis) is not installed")
+    require_qgis()
     folder = tmp_path_factory.mktemp("qgis")
     result = replace(small_result(), drive="straße & <b>Co</b>")
     result = replace(result, keyframes=replace(result.keyframes, time_s=TIME_S))
@@ -115,11 +63,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def told(exported: Path) -> dict[str, Any]:
     """What QGIS says of them."""
-    environment = {"PATH": "/usr/bin:/bin", "HOME": str(exported), "QT_QPA_PLATFORM": "offscreen"}
-    command = [PYTHON, "-c", IN_QGIS, exported, *NAMES]
-    outcome = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
-    assert outcome.returncode == 0, outcome.stderr
-    return json.loads(outcome.stdout.splitlines()[-1])
+    return ask_qgis(IN_QGIS, exported, *NAMES, home=exported)
 
 
 def titles_of(layer: str) -> list[str]:
@@ -191,7 +135,5 @@ def test_it_opens_the_project_of_a_drive_in_metres(told: dict[str, Any]) -> None
 
 
 def test_the_map_shows_each_outcome_in_its_colour(told: dict[str, Any], exported: Path) -> None:
-    picture = np.asarray(Image.open(exported / "map.png").convert("RGB")).reshape(-1, 3)
     for colour in (RIGHT, FOUND, FUSED, ROAD):
-        rgb = [int(colour[index : index + 2], 16) for index in (1, 3, 5)]
-        assert (picture == rgb).all(axis=1).sum() > 20, colour
+        assert pixels_of(exported / "map.png", colour) > 20, colour

@@ -106,18 +106,26 @@ def test_all_layers_for_google_earth_and_as_projects_of_qgis(finished: Finished,
     live = finished.get("/jobs/default/export.qgs")
     sources = [each.text for each in ET.fromstring(live.text).iter("datasource")]  # noqa: S314 - our own
     assert len(sources) == len(SCORED) + len(DERIVED)
-    address = f"/vsicurl/{finished.client.base_url}/api/v1/jobs/default"
-    assert f"{address}/osm-nodes" in sources
-    assert f"{address}/export.geojson?layer=branches" in sources
+    address = f"{finished.client.base_url}/api/v1/jobs/default/ogc"
+    assert f"typename='trajectories' url='{address}'" in sources
+    collections = finished.get("/jobs/default/ogc/collections").json()["collections"]
+    named = {str(each).split("'")[1] for each in sources}
+    assert {each["id"] for each in collections} == {*named, "drives"}
     assert finished.get("/jobs/default/export.qgs", headers={"if-none-match": live.headers["etag"]}).status_code == 304
 
 
 def test_it_is_built_once_and_leaves_nothing_else(finished: Finished) -> None:
+    kept = finished.data_dir / "jobs/paper/cache/exports"
+    (kept / "of-other-code").mkdir(parents=True)
+    for old in (kept / "all.gpkg", kept / "of-other-code/all.gpkg"):
+        old.write_bytes(b"old")
     with ThreadPoolExecutor(8) as threads:
         answers = list(threads.map(finished.get, ["/jobs/paper/export.gpkg"] * 8))
     assert {answer.status_code for answer in answers} == {200}
     assert len({answer.headers["etag"] for answer in answers}) == 1
-    assert [path.name for path in (finished.data_dir / "jobs/paper/cache/exports").iterdir()] == ["all.gpkg"]
+    assert len(answers[0].content) > 10_000
+    (folder,) = kept.iterdir()
+    assert [path.name for path in folder.iterdir()] == ["all.gpkg"]
     head = finished.client.head("/api/v1/jobs/paper/export.gpkg")
     assert head.headers["content-length"] == str(len(answers[0].content))
 
