@@ -97,6 +97,12 @@ class OccupancyConfig(_Config):
     opening_m: float = Field(
         2.4, ge=0, le=20, description="Diameter of the disc that removes what is too small to be road."
     )
+    island_m2: float = Field(
+        0.0,
+        ge=0,
+        le=10000,
+        description="Gaps enclosed by road count as road up to this area: traffic islands, lay-bys; 0 keeps all gaps.",
+    )
 
 
 class CenterlineConfig(_Config):
@@ -178,6 +184,14 @@ class BranchConfig(_Config):
         ge=0,
         le=200,
         description="Distance from its candidate that a branch must reach, unless it ends at another candidate.",
+    )
+    min_surface_m2: float = Field(
+        0.0,
+        ge=0,
+        le=10000,
+        description="Road surface outside of the inner circle that a branch must show, unless it ends at another "
+        "candidate: what is short must be wide. In proportion less where fewer keyframes than a full window lie in the "
+        "region of interest.",
     )
     stop_m: float = Field(1.0, gt=0, le=50, description="A branch ends this far before another candidate.")
     end_at_rejected: bool = Field(
@@ -362,28 +376,28 @@ class CalibrationConfig(_Config):
         description="Standard deviation of the georeference along each axis, where it states none of its own.",
     )
     line_std_m: float = Field(
-        0.73, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
+        0.56, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
     )
     unclear_line_std_m: float = Field(
-        31.8,
+        47.2,
         ge=0,
         le=1000,
         description="Standard deviation that comes to it at a score of 0; in proportion less at higher scores.",
     )
     shape_limit_m: float = Field(
-        3.6, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
+        3.0, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
     )
     log_odds: float = Field(
-        1.24,
+        -0.22,
         ge=-50,
         le=50,
         description="Log odds of a road junction that no keyframe saw and whose lines leave an uncertainty of 1 m.",
     )
     log_odds_seen: float = Field(
-        3.69, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
+        5.12, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
     )
     log_odds_per_doubling: float = Field(
-        0.87, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+        0.51, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
     )
 
 
@@ -442,13 +456,14 @@ PAPER = DetectorConfig(
 DEFAULT = DetectorConfig(
     preset="default",
     bev=BevConfig(min_points=2, vote=True, pool_votes=True),
-    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4),
+    occupancy=OccupancyConfig(closing_m=4.0, opening_m=2.4, island_m2=80.0),
     centerline=CenterlineConfig(spur_widths=1.0),
     candidates=CrossingCandidates(merge_widths=1.6, merge_max_m=24.0),
     branches=BranchConfig(
         inner_radius_m=15.0,
         inner_widths=0.85,
         min_reach_m=14.0,
+        min_surface_m2=24.0,
         stop_m=2.0,
         end_at_rejected=False,
         line="least_squares",

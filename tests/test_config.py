@@ -41,6 +41,8 @@ def test_paper_adds_nothing_to_the_method() -> None:
     assert PAPER.branches.inner_widths is None
     assert PAPER.branches.line == "start_and_mean"
     assert PAPER.branches.margin_m == 0
+    assert PAPER.branches.min_surface_m2 == 0
+    assert PAPER.occupancy.island_m2 == 0
     assert PAPER.compound is None
 
 

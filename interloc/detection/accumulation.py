@@ -75,11 +75,14 @@ class BevImage:
         Where it lies in W.
     min_points : int
         How many are enough.
+    share : float
+        Keyframes that lie in it, as a share of a full window.
     """
 
     image: BinaryImage
     roi: Roi
     min_points: int
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,7 @@ class RoadAccumulator:
         min_points = max(1, round(m * share)) if self._config.adaptive else m
         weight = self._neighbour_weight(share, table, roi) if self._config.vote and self._config.pool_votes else 0.0
         grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, weight, image.words)
-        return BevImage(image, roi, min_points)
+        return BevImage(image, roi, min_points, share)
 
     def _neighbour_weight(self, share: float, table: Int32Array, roi: Roi) -> float:
         """Return how much the votes of the cells around a cell count beside its own, 0..1.

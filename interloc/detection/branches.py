@@ -15,6 +15,8 @@ from interloc.detection.centerline import Centerline
 from interloc.detection.lines import least_squares, through_start_and_mean
 from interloc.kernels.skeleton import trace_branches
 
+SAMPLE_PX = 4  # from one place of a branch at which its width is measured to the next
+NARROWEST_M = 2.0  # no road is narrower
 CORE_PX = 3.0  # from the junctions of the centerline in a candidate to its inner circle
 
 
@@ -135,16 +137,16 @@ class Segmentation:
 
 
 def segment_all(
-    candidates: Candidates, centerline: Centerline, resolution_m: float, config: BranchConfig
+    candidates: Candidates, centerline: Centerline, resolution_m: float, config: BranchConfig, share: float = 1.0
 ) -> Segmentation:
     """Segment the branches of all candidates and keep the intersections among them (paper, section III-C)."""
     every = blockers = np.arange(len(candidates.positions))
-    found = [segment_branches(candidates, i, every, centerline, resolution_m, config) for i in every.tolist()]
+    found = [segment_branches(candidates, i, every, centerline, resolution_m, config, share) for i in every.tolist()]
     if not config.end_at_rejected:
         blockers = _with_enough_branches(found, every, config)
         if len(blockers) < len(every):
             for i in blockers.tolist():
-                found[i] = segment_branches(candidates, i, blockers, centerline, resolution_m, config)
+                found[i] = segment_branches(candidates, i, blockers, centerline, resolution_m, config, share)
     inside = set(candidates.inside(centerline.image.height, config.margin_m / resolution_m).tolist())
     kept = [i for i in _with_enough_branches(found, blockers, config).tolist() if i in inside]
     return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], blockers, kept)
@@ -161,6 +163,7 @@ def segment_branches(
     centerline: Centerline,
     resolution_m: float,
     config: BranchConfig,
+    share: float = 1.0,
 ) -> tuple[Branches, Pieces]:
     """Follow the centerline from the inner circle outwards and lay a line through each branch.
 
@@ -177,6 +180,8 @@ def segment_branches(
         Side of a pixel.
     config
         Radii and the kind of line.
+    share
+        Keyframes that saw this road, as a share of a full window: fewer of them show less surface.
 
     Notes
     -----
@@ -195,7 +200,10 @@ def segment_branches(
         config.stop_m / resolution_m,
     )
     # A short piece is a spur; but one that another candidate cuts short is a road between two intersections.
-    is_branch = (pieces["reach"] * resolution_m >= config.min_reach_m) | pieces["at_candidate"]
+    is_branch = pieces["reach"] * resolution_m >= config.min_reach_m
+    if config.min_surface_m2 > 0:
+        is_branch &= _have_surface(centerline, traced, pieces, resolution_m, share * config.min_surface_m2)
+    is_branch |= pieces["at_candidate"]
     if config.line == "start_and_mean":
         lines = through_start_and_mean(pieces)
     else:
@@ -213,6 +221,18 @@ def segment_branches(
         core=candidates.core(index),
     )
     return branches, Pieces(traced, pieces, is_branch)
+
+
+def _have_surface(
+    centerline: Centerline, traced: Int32Array, pieces: StructuredArray, resolution_m: float, least_m2: float
+) -> BoolArray:
+    """Return which pieces of centerline have enough road around them, (P,) bool."""
+    lengths_m = (pieces["end"] - pieces["begin"]) * resolution_m
+    enough: BoolArray = lengths_m * NARROWEST_M >= least_m2
+    for i in np.flatnonzero(~enough).tolist():
+        some = traced[pieces["begin"][i] : pieces["end"][i] : SAMPLE_PX]
+        enough[i] = lengths_m[i] * centerline.widths(some).mean() * resolution_m >= least_m2
+    return enough
 
 
 def inner_radius(

@@ -28,18 +28,19 @@ from interloc.detection.centerline import Centerline
 from interloc.kernels import compiled
 from interloc.kernels.bits import nearest_clear
 
-RING_PX = 4.0  # a line grows by this much at a time
+RING_M = 0.64  # a line grows by this much at a time
+LEAST_RING_PX = 4.0  # and by no less, however coarse the grid is
 GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
 PIXEL_PX = 0.1  # how well the line of an ideal road is known
 INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the inner circle
 
 PARALLEL_SLACK = 0.08  # share of its half width that a branch may differ from it by between parallel sides
-SLACK_PX = 1.5  # at least; and what an edge may leave the place by where it belongs
+SLACK_M, LEAST_SLACK_PX = 0.24, 1.5  # at least; and what an edge may leave the place by where it belongs
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
-MIN_PARALLEL, MIN_PARALLEL_PX = 0.5, 24.0  # a branch with less of it between parallel sides is taken as it is
+MIN_PARALLEL, MIN_PARALLEL_RINGS = 0.5, 6  # a branch with less of it between parallel sides is taken as it is
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
 MAX_MISSES = 4  # rings without an edge that it crosses straight on
-MAX_SHIFT_PX = 1.5  # what it may move sideways in a ring
+MAX_SHIFT = 0.375  # what it may move sideways in a ring, as a share of the ring
 LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
 MAX_TURN_COS = 0.5  # it does not turn by more than 60 degrees
 
@@ -101,7 +102,9 @@ def least_squares(
     """
     limits_m = config.fit_length_m, config.fit_least_m, config.full_fit_m, config.straight_m, config.trim_m
     lengths = (limit_m / resolution_m for limit_m in limits_m)
-    limits = np.array((width, inner, *lengths, centerline.max_width // 2), LIMITS)
+    ring = max(RING_M / resolution_m, LEAST_RING_PX)
+    slack = max(SLACK_M / resolution_m, LEAST_SLACK_PX)
+    limits = np.array((width, inner, *lengths, centerline.max_width // 2, ring, slack), LIMITS)
     lines = fit_lines(
         centerline.occupancy.words,
         centerline.rows,
@@ -140,9 +143,9 @@ _MOMENTS = np.dtype([(name, np.float64) for name in ("n", "r", "c", "rr", "rc", 
 
 
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
-_LIMITS = ("width", "inner", "length", "shortest", "full", "straight", "trim", "half_width")
+_LIMITS = ("width", "inner", "length", "shortest", "full", "straight", "trim", "half_width", "ring", "slack")
 LIMITS = np.dtype([(name, np.float64) for name in _LIMITS])
-"""Road width and inner radius at the candidate, and the settings of the fit from `BranchConfig`; pixels."""
+"""Width and inner radius at the candidate, the settings of the fit from `BranchConfig`, and lengths above; pixels."""
 
 
 @compiled
@@ -160,7 +163,7 @@ def fit_lines(
     """Fit and weigh a line for each piece; (P,) LINE. For the arrays see `Centerline` and `trace_branches`."""
     size = words.shape[0] - 2
     lines = np.zeros(pieces.size, LINE)
-    n_rings = max(1, int(limits.length / RING_PX))
+    n_rings = max(1, int(limits.length / limits.ring))
     samples = np.zeros((pieces.size, INNER_RINGS + n_rings), _MOMENTS)
     firsts = np.zeros(pieces.size, np.int64)
     halves = np.zeros(pieces.size)
@@ -169,12 +172,12 @@ def fit_lines(
         piece = traced[pieces[i].begin : pieces[i].end]
         some = _sum_rings(rings, rows, cols, border_distance, is_tip, piece, candidate, limits)
         halves[i] = _keep_parallel(rings, some, words, rows, cols, pieces[i].at_candidate, size, limits)
-        begin = int(max(_parting(pieces, i, candidate, limits.width) - limits.inner, 0.0) / RING_PX)
+        begin = int(max(_parting(pieces, i, candidate, limits.width) - limits.inner, 0.0) / limits.ring)
         firsts[i] = _fit_straight_part(lines[i], samples[i], INNER_RINGS + min(begin, n_rings - 1), candidate, limits)
     straight = lines.copy()
     for i in range(pieces.size):
         if lines[i].length > 0.0 and halves[i] > 0.0:
-            first = _follow_edge(samples[i], firsts[i], straight, i, halves, words, candidate)
+            first = _follow_edge(samples[i], firsts[i], straight, i, halves, words, candidate, limits)
             _fit_straight_part(lines[i], samples[i], first, candidate, limits)
     _weigh(lines, candidate, limits.full)
     return lines
@@ -196,7 +199,7 @@ def _sum_rings(
     tips = piece[is_tip[piece]]
     for p in piece:
         dr, dc = rows[p] - candidate[0], cols[p] - candidate[1]
-        ring = int((np.sqrt(dr * dr + dc * dc) - limits.inner) / RING_PX)
+        ring = int((np.sqrt(dr * dr + dc * dc) - limits.inner) / limits.ring)
         usable = ring < rings.size and border_distance[p] >= limits.trim
         for t in tips:
             tr, tc = rows[p] - rows[t], cols[p] - cols[t]
@@ -244,12 +247,12 @@ def _keep_parallel(
         return 0.0
     # Both ends of a road between two junctions open into mouths.
     half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (known.size - 1))]
-    slack = max(SLACK_PX, PARALLEL_SLACK * half)
+    slack = max(limits.slack, PARALLEL_SLACK * half)
     parallel = 0
     for i in range(rings.size):
         if some[i] >= 0 and abs(halves[i] - half) <= slack:
             parallel += 1
-    if parallel < max(MIN_PARALLEL * count, MIN_PARALLEL_PX / RING_PX):
+    if parallel < max(MIN_PARALLEL * count, MIN_PARALLEL_RINGS):
         return 0.0  # its edges are too ragged to tell
     for i in range(rings.size):
         if some[i] >= 0 and abs(halves[i] - half) > slack:
@@ -266,23 +269,24 @@ def _follow_edge(
     halves: FloatArray,
     words: UInt64Array,
     candidate: FloatArray,
+    limits: Record,
 ) -> int:
     """Follow the axis of a branch inwards along the edge that stays half a width from it; return the new first ring.
 
     It ends where both edges have turned away, or where the axis comes upon the surface of another branch.
     """
     line, half = lines[which], halves[which]
-    slack = SLACK_PX
+    slack, step, max_shift = limits.slack, limits.ring, MAX_SHIFT * limits.ring
     toward = _lasting_side(lines, which)
     ring = samples[first]
     along = (candidate[0] + ring.r / ring.n - line.point[0]) * line.direction[0]
     along += (candidate[1] + ring.c / ring.n - line.point[1]) * line.direction[1]
     trail = np.empty((first + LAG + 1, 2))
     for k in range(LAG + 1):
-        ahead = along + (LAG - k) * RING_PX
+        ahead = along + (LAG - k) * step
         trail[k, 0] = line.point[0] + ahead * line.direction[0]
         trail[k, 1] = line.point[1] + ahead * line.direction[1]
-    half = _half_width_along(words, line, trail[: LAG + 1], half)
+    half = _half_width_along(words, line, trail[: LAG + 1], half, slack)
     at, misses, shift = LAG, 0, 0.0
     for i in range(first - 1, -1, -1):
         u_row, u_col = trail[at, 0] - trail[at - LAG, 0], trail[at, 1] - trail[at - LAG, 1]
@@ -290,7 +294,7 @@ def _follow_edge(
         u_row, u_col = u_row / norm, u_col / norm
         if -(u_row * line.direction[0] + u_col * line.direction[1]) < MAX_TURN_COS:
             break
-        r, c = trail[at, 0] + RING_PX * u_row, trail[at, 1] + RING_PX * u_col
+        r, c = trail[at, 0] + step * u_row, trail[at, 1] + step * u_col
         if _is_on_other(r, c, lines, which, halves, candidate):
             break
         reach = half + slack + 1.0
@@ -306,7 +310,7 @@ def _follow_edge(
                 misses = 0
         if misses > MAX_MISSES:
             break
-        shift = 0.0 if misses else min(max(shift, -MAX_SHIFT_PX), MAX_SHIFT_PX)
+        shift = 0.0 if misses else min(max(shift, -max_shift), max_shift)
         r, c = r - shift * u_col, c + shift * u_row
         at += 1
         trail[at, 0], trail[at, 1] = r, c
@@ -314,15 +318,15 @@ def _follow_edge(
         if misses:
             continue
         samples[i].r = samples[i].c = samples[i].rr = samples[i].rc = samples[i].cc = 0.0
-        _add(samples[i], r - candidate[0], c - candidate[1], RING_PX)
+        _add(samples[i], r - candidate[0], c - candidate[1], step)
         first = i
     return first
 
 
 @compiled
-def _half_width_along(words: UInt64Array, line: Record, places: FloatArray, half: float) -> float:
+def _half_width_along(words: UInt64Array, line: Record, places: FloatArray, half: float, slack: float) -> float:
     """Return the half width between the edges at some places of a line; ``half`` where they are ragged."""
-    slack = max(2.0 * SLACK_PX, PARALLEL_SLACK * half)
+    slack = max(2.0 * slack, PARALLEL_SLACK * half)
     reach = half + slack + 1.0
     total, count = 0.0, 0
     for r, c in places:
@@ -427,7 +431,7 @@ def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candida
         angle = 0.5 * np.arctan2(2.0 * vrc, vrr - vcc)
         d_row, d_col = np.cos(angle), np.sin(angle)
         rms = np.sqrt(max(vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row, 0.0))
-        length = (i + 1 - first) * RING_PX
+        length = (i + 1 - first) * limits.ring
         if rms > limits.straight and length > limits.shortest:
             break
         # Away from where the branch begins: the candidate may lie beyond the place that it comes from.
@@ -438,7 +442,7 @@ def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candida
             d_row, d_col = -d_row, -d_col
         line.point[0], line.point[1] = candidate[0] + ur, candidate[1] + uc
         line.direction[0], line.direction[1] = d_row, d_col
-        line.start, line.length, line.rms = limits.inner + (first - INNER_RINGS) * RING_PX, length, rms
+        line.start, line.length, line.rms = limits.inner + (first - INNER_RINGS) * limits.ring, length, rms
     return max(first, begin)
 
 

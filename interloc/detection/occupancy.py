@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from interloc.config import OccupancyConfig
 from interloc.detection.image import BinaryImage
+from interloc.kernels.islands import fill_islands
 from interloc.kernels.morphology import dilate, disc_half_widths, erode
 
 
 def infer_occupancy(bev: BinaryImage, resolution_m: float, config: OccupancyConfig) -> BinaryImage:
-    """Close the gaps between road cells, then remove what is too small to be road.
+    """Close the gaps between road cells, remove what is too small to be road, then fill small islands, if asked to.
 
     Parameters
     ----------
@@ -17,7 +18,7 @@ def infer_occupancy(bev: BinaryImage, resolution_m: float, config: OccupancyConf
     resolution_m
         Side of a cell.
     config
-        Disc diameters in metres.
+        Disc diameters in metres, largest island in square metres.
 
     Returns
     -------
@@ -26,13 +27,16 @@ def infer_occupancy(bev: BinaryImage, resolution_m: float, config: OccupancyConf
 
     Notes
     -----
-    Paper, eq. 4: closing by a disc, then opening by a disc.
+    Paper, eq. 4: closing by a disc, then opening by a disc. Islands are beyond it: the centerline runs round each, so a
+    lay-by makes two intersections with a road that leads from one to the other, where no block of houses has room.
     """
     words, width = bev.words, bev.width
     closing = disc_half_widths(odd_pixels(config.closing_m, resolution_m))
     opening = disc_half_widths(odd_pixels(config.opening_m, resolution_m))
     words = erode(dilate(words, closing, width), closing, width)
     words = dilate(erode(words, opening, width), opening, width)
+    if config.island_m2 > 0:
+        fill_islands(words, bev.height, width, config.island_m2 / resolution_m**2)
     return BinaryImage(words, bev.height, width)
 
 

@@ -90,9 +90,12 @@ def _why_not(branches: Branches, pieces: list[Piece], roi: Roi, config: BranchCo
         gap_m = float(min(position.min(), roi.size - 1 - position.max())) * roi.resolution_m
         return f"{gap_m:.1f} m from the border, {config.margin_m:g} m needed"
     why = f"{branches.count} {'branch' if branches.count == 1 else 'branches'}, {config.min_branches} needed"
-    short = [f"{piece.reach * roi.resolution_m:.1f}" for piece in pieces if not piece.is_branch]
+    lost_m = [piece.reach * roi.resolution_m for piece in pieces if not piece.is_branch]
+    short = [f"{reach_m:.1f}" for reach_m in lost_m if reach_m < config.min_reach_m]
     if short:
         why += f"; {len(short)} too short ({', '.join(short)} of {config.min_reach_m:g} m)"
+    if len(short) < len(lost_m):
+        why += f"; {len(lost_m) - len(short)} too short and narrow (less than {config.min_surface_m2:g} m2 of road)"
     return why
 
 

@@ -104,6 +104,20 @@ def test_arm_that_ends_soon_is_no_branch() -> None:
     assert branches_at_the_middle(short, BranchConfig(min_reach_m=12)).count == 3
 
 
+def test_short_arm_must_be_wide_unless_few_scans_saw_it() -> None:
+    image = arms(0, 120).image.to_array()
+    image[150:171, 150] = 1  # 20 pixels downwards, ten of them outside of the inner circle
+    line = BinaryImage.from_array(image)
+    narrow = Centerline.of(line, line)
+    wide = Centerline.of(line, BinaryImage.from_array(cv2.dilate(image, np.ones((5, 5), np.uint8))))
+    config = BranchConfig(min_surface_m2=40)
+    assert branches_at_the_middle(narrow, config).count == 2
+    assert branches_at_the_middle(wide, config).count == 3
+    few, _ = segment_branches(candidates(MIDDLE), 0, np.array([0]), narrow, 1.0, config, 0.25)
+    assert few.count == 3
+    assert branches_at_the_middle(narrow, config, (170.0, 150.0)).count == 3  # it leads to another
+
+
 def test_arm_that_ends_at_another_candidate_is_a_branch_however_short() -> None:
     found = branches_at_the_middle(arms(0, 120, 240), PAPER, (150.0, 163.0))
     assert found.count == 3

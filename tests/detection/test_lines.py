@@ -11,9 +11,11 @@ import pytest
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import LIMITS, RING_PX, fit_lines
+from interloc.detection.lines import LIMITS, fit_lines
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import DELETABLE, thin
+
+RING_PX = 4.0
 
 
 def fit(
@@ -30,7 +32,7 @@ def fit(
     """Fit a line to each branch of a candidate, from its inner circle 60 pixels far; all lengths are pixels."""
     line, place = Centerline.of(image, image), np.array(candidate, np.float64)
     traced, pieces = trace_branches(line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0)
-    limits = np.array((width, inner, length, shortest, 20.0, straight, trim, 99.0), LIMITS)[()]
+    limits = np.array((width, inner, length, shortest, 20.0, straight, trim, 99.0, RING_PX, 1.5), LIMITS)[()]
     no_surface = BinaryImage.empty(image.height, image.width)  # so there are no edges to follow
     pixels = no_surface.words, line.rows, line.cols, line.border_distance, line.is_tip
     return fit_lines(*pixels, traced, pieces, place, limits)

@@ -49,6 +49,28 @@ def test_road_reaches_the_border_of_the_window() -> None:
     np.testing.assert_array_equal(infer(road, closing_m=1.5, opening_m=1.5), road)
 
 
+def test_gap_that_road_encloses_is_filled_up_to_its_area() -> None:
+    road = np.ones((100, 130), np.uint8)
+    road[20:24, 60:70] = 0  # 0.4 m2
+    road[24, 70] = 0  # joined with it by a corner only
+    road[50:60, 60:70] = 0  # 1 m2
+    road[80:82, 125:] = 0  # open to the border
+    filled = infer(road, closing_m=0, opening_m=0, island_m2=0.5)
+    assert filled[:30].all()
+    np.testing.assert_array_equal(filled[30:], road[30:])
+
+
+def test_islands_of_any_shape_are_what_labelling_says() -> None:
+    rng = np.random.default_rng(1)
+    for size in ((64, 128), (130, 63)):
+        road = (rng.random(size) < 0.6).astype(np.uint8)
+        _, labels, facts, _ = cv2.connectedComponentsWithStats(1 - road, connectivity=4)
+        border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        small = (facts[:, cv2.CC_STAT_AREA] <= 10) & ~np.isin(np.arange(len(facts)), border)
+        expected = road | (small[labels] & (road == 0))
+        np.testing.assert_array_equal(infer(road, closing_m=0, opening_m=0, island_m2=0.105), expected)
+
+
 def test_discs_of_no_size_change_nothing() -> None:
     road = np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8)
     np.testing.assert_array_equal(infer(road, closing_m=0, opening_m=0), road)
