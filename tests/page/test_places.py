@@ -70,7 +70,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     search.press("Enter")
     popup_of(page, f"Intersection {right[0]['id']}: right")
     assert len(signs(page)) == 1
-    page.locator(".leaflet-popup-close-button").click()
+    page.locator(".leaflet-popup-close-button").last.click()  # the popup before may still fade
     assert "intersection=" not in page.url
 
     page.goto("about:blank")
