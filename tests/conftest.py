@@ -15,8 +15,10 @@ settings.load_profile("interloc")
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
+def pytest_xdist_auto_num_workers() -> int | None:
     """Take two processes per core, up to eight: tests of servers and browsers mostly wait. Each needs up to 1 GB."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None  # as many as it says
     cores = os.cpu_count() or 1
     return max(cores, min(2 * cores, 8))
 
