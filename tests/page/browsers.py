@@ -107,14 +107,28 @@ class Common:
         watch.follow(self._context)
         self._first = self._context.new_page()  # which keeps the session
         self._session = self._context.new_cdp_session(self._first)
+        self._kept: dict[tuple[str, int], Any] = {}
 
     def new_page(self) -> Any:
         return self._context.new_page()
 
+    def kept_page(self, script: str, viewport: dict[str, int]) -> Any:
+        """A tab with this script that stays, with the page in it, for the tests to come."""
+        key = script, viewport["width"]
+        if key not in self._kept:
+            self._kept[key] = self.new_page()
+            self._kept[key].add_init_script(script)
+            self._kept[key].set_viewport_size(viewport)
+        return self._kept[key]
+
+    def drop_kept_pages(self) -> None:
+        """Begin anew after a test that failed: nobody knows in what state it left its tab."""
+        self._kept.clear()
+
     def clear(self) -> None:
         """Take away what a test left."""
         for page in self._context.pages:
-            if page != self._first:
+            if page != self._first and page not in self._kept.values():
                 page.close()
         self._context.unroute_all()
         self._context.clear_permissions()
@@ -145,7 +159,19 @@ class Browser:
         page.set_viewport_size(viewport)
         return page
 
-    def close(self) -> None:
+    def kept_page(self, script: str = "", viewport: dict[str, int] = SIZE) -> Any:
+        """A tab of the common context for tests that only look: one that has loaded the page for the tests before.
+
+        To load the page anew takes most of the time of such a test. Use it with `results.show`, which leads it from
+        result to result by the address.
+        """
+        page = self._common.kept_page(script, viewport)
+        page.bring_to_front()
+        return page
+
+    def close(self, *, failed: bool = False) -> None:
+        if failed:
+            self._common.drop_kept_pages()
         self._common.clear()
         for context in self._contexts:
             context.close()

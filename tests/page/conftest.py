@@ -36,11 +36,23 @@ def watch(common: tuple[Common, Watch]) -> Iterator[Watch]:
     watch.check()
 
 
+FAILED = pytest.StashKey[bool]()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    report = yield
+    item.stash[FAILED] = report.failed or item.stash.get(FAILED, False)
+    return report
+
+
 @pytest.fixture
-def browser(launched: Any, common: tuple[Common, Watch], watch: Watch) -> Iterator[Browser]:
+def browser(
+    request: pytest.FixtureRequest, launched: Any, common: tuple[Common, Watch], watch: Watch
+) -> Iterator[Browser]:
     browser = Browser(launched, common[0], watch)
     yield browser
-    browser.close()
+    browser.close(failed=request.node.stash.get(FAILED, False))
 
 
 @pytest.fixture(scope="package")

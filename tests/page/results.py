@@ -101,7 +101,11 @@ def run_street(server: ServerProcess, folder: Path, **request: Any) -> str:
 
 
 def show(page: Any, done: Done | Scored, fields: str, job: str | None = None) -> None:
-    """Open a link to a result, and wait for its map."""
-    page.goto("about:blank")
-    page.goto(f"{done.server.address}/#job={job or done.job}&{fields}")
+    """Open a link to a result, and wait for its map; a tab that has the page already does not load it again."""
+    if page.url.startswith(f"{done.server.address}/#"):
+        page.evaluate("location.hash = 'panel=drives'")
+        page.wait_for_selector(".legend", state="hidden")
+        page.evaluate("(hash) => (location.hash = hash)", f"job={job or done.job}&{fields}")
+    else:
+        page.goto(f"{done.server.address}/#job={job or done.job}&{fields}")
     page.wait_for_selector(".legend:visible")

@@ -22,7 +22,7 @@ from tests.app.street import LAT_DEG, LON_DEG
 from tests.page.browsers import Browser, needs_page
 from tests.page.canvas import NOTE_PATHS, Part, painted, pixels_per_metre, screen_of
 from tests.page.canvas import Path as Painted
-from tests.page.results import SCANS, Done, Scored
+from tests.page.results import SCANS, Done, Scored, show
 
 pytestmark = needs_page
 
@@ -49,14 +49,11 @@ class Sheet:
 @pytest.fixture
 def sheet(browser: Browser, scored: Scored) -> Any:
     """Open the map with these layers only, and take down what is drawn."""
-    page = browser.new_page(viewport=WIDE)
-    page.add_init_script(NOTE_PATHS)
+    page = browser.kept_page(NOTE_PATHS, WIDE)
 
     def draw(layers: str, *, zoom: float = 20.5, job: Scored = scored) -> Sheet:
         lon, lat = lonlat_from_enu(LAT_DEG, LON_DEG, np.array([[SCANS * 1.05, 0.0]]))[0]
-        page.goto("about:blank")
-        page.goto(f"{job.server.address}/#job={job.job}&layers={layers}&view={zoom}/{lat:.6f}/{lon:.6f}")
-        page.wait_for_selector(".legend:visible")
+        show(page, job, f"layers={layers}&view={zoom}/{lat:.6f}/{lon:.6f}")
         return Sheet(page, painted(page))
 
     return draw

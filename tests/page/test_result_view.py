@@ -18,6 +18,12 @@ from tests.page.results import SCANS, TOKEN, Done, show
 pytestmark = needs_page
 
 
+@pytest.fixture
+def page(browser: Browser) -> Any:
+    """A tab that the tests share."""
+    return browser.kept_page(NOTE_DISCS)
+
+
 def on_screen(page: Any, lon: float, lat: float) -> tuple[float, float]:
     """Where a place must be on the screen, from the address of the page alone: spherical Mercator of 256 px tiles."""
     zoom, at_lat, at_lon = (float(each) for each in re.search(r"view=([^&]+)", page.url)[1].split("/"))
@@ -88,7 +94,6 @@ READ_DISCS = """() => [...document.querySelectorAll(".leaflet-pane canvas")].fla
 
 @pytest.mark.parametrize(("layer", "file"), [("tp", "detections"), ("keyframes", "keyframes")])
 def test_each_place_of_a_file_is_drawn_and_nothing_else(page: Any, done: Done, layer: str, file: str) -> None:
-    page.add_init_script(NOTE_DISCS)
     features = done.features(file)
     if layer == "tp":
         outcomes = [feature["properties"]["outcome"] for feature in done.features("matches")]
@@ -161,7 +166,8 @@ def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
     assert "Scan 1" in page.inner_text(".timeline-label")
 
 
-def test_a_link_shows_the_same_again(page: Any, done: Done) -> None:
+def test_a_link_shows_the_same_again(browser: Browser, done: Done) -> None:
+    page = browser.new_page()
     show(page, done, "panel=export&frame=12")
     page.locator("#layer-tp").uncheck()
     link = page.get_by_label("Link to this view").input_value()
@@ -265,7 +271,8 @@ def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> Non
         page.locator(".leaflet-tooltip", has_text=f"Intersection {feature['properties']['id']}").wait_for()
 
 
-def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -> None:
+def test_a_job_can_be_watched_from_its_start_to_the_map(browser: Browser, done: Done) -> None:
+    page = browser.new_page()
     page.goto(f"{done.server.address}/")
     cards = page.locator("article.drive", has=page.get_by_role("button", name="street", exact=True))
     card = cards.last  # the newest are first, and other tests may have sent a drive of this name
@@ -281,7 +288,8 @@ def test_a_job_can_be_watched_from_its_start_to_the_map(page: Any, done: Done) -
     assert "paper" in page.inner_text("#panel-job")
 
 
-def test_the_start_shows_all_drives_on_one_map(page: Any, done: Done) -> None:
+def test_the_start_shows_all_drives_on_one_map(browser: Browser, done: Done) -> None:
+    page = browser.new_page()
     page.goto(done.server.address)
     note = page.locator(".stage-note")
     note.get_by_text(re.compile("to choose from")).wait_for()
@@ -297,7 +305,8 @@ def test_the_start_shows_all_drives_on_one_map(page: Any, done: Done) -> None:
     assert not note.is_visible()
 
 
-def test_errors_are_told_in_the_words_of_the_server(page: Any, done: Done, watch: Watch) -> None:
+def test_errors_are_told_in_the_words_of_the_server(browser: Browser, done: Done, watch: Watch) -> None:
+    page = browser.new_page()
     watch.expect("404 .*jobs/0123456789abcdef")
     page.goto(f"{done.server.address}/#panel=job&job=0123456789abcdef")
     detail = done.server.client.get(f"{API}/jobs/0123456789abcdef").json()["detail"]
