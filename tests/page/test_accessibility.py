@@ -23,7 +23,7 @@ WIDTHS = (1280, 400)  # a desk, a telephone
 # so others that are seen, which have to have names of their own).
 RULES = {
     1280: {"light": None, "dark": ["color-contrast"]},
-    400: {"light": [*"color-contrast target-size scrollable-region-focusable aria-hidden-focus".split(), *NAMES]},
+    400: {"light": [*["color-contrast", "target-size", "scrollable-region-focusable", "aria-hidden-focus"], *NAMES]},
 }
 LOOK = """async (rules) => {
   const { violations } = await axe.run(document, { resultTypes: ["violations"], ...(rules && { runOnly: rules }) });
