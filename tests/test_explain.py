@@ -237,8 +237,11 @@ def test_an_empty_drive_is_refused(tmp_path: Path) -> None:
 
 
 def test_an_earlier_explanation_is_replaced_and_other_folders_stay(tmp_path: Path) -> None:
-    explain(RoadDrive(scans=3), 100, small(), tmp_path / "out")
+    (tmp_path / "out").mkdir()
+    for name in ("explain.json", "overview.png"):
+        (tmp_path / "out" / name).write_text("{}")
     explain(RoadDrive(scans=3), 104, small(), tmp_path / "out")
+    assert (tmp_path / "out" / "overview.png").stat().st_size > 100
     assert json.loads((tmp_path / "out" / "explain.json").read_text())["frame"] == 104
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("")
