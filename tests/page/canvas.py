@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from tests.page.results import address_of
+
 # Keeps, for each canvas, the paths that were stroked or filled since it was last cleared.
 NOTE_PATHS = """(() => {
   const own = CanvasRenderingContext2D.prototype;
@@ -109,8 +111,8 @@ def painted(page: Any) -> list[Path]:
 
 def screen_of(page: Any, lonlat: Any) -> np.ndarray:
     """Where places must be on the screen, from the address of the page alone: spherical Mercator of 256 px tiles."""
-    found = re.search(r"view=([^&]+)", page.url)
-    assert found, page.url
+    found = re.search(r"view=([^&]+)", address_of(page))
+    assert found, address_of(page)
     zoom, lat, lon = (float(each) for each in found[1].split("/"))
     box = page.locator("#map").bounding_box()
     middle = np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
@@ -125,5 +127,5 @@ def mercator(lonlat: np.ndarray, zoom: float) -> np.ndarray:
 
 def pixels_per_metre(page: Any) -> float:
     """The scale in the middle of the map."""
-    zoom, lat, _ = (float(each) for each in re.search(r"view=([^&]+)", page.url)[1].split("/"))  # type: ignore[index]
+    zoom, lat, _ = (float(each) for each in re.search(r"view=([^&]+)", address_of(page))[1].split("/"))  # type: ignore[index]
     return float(256 * 2**zoom / (2 * math.pi * 6378137 * math.cos(math.radians(lat))))

@@ -109,3 +109,8 @@ def show(page: Any, done: Done | Scored, fields: str, job: str | None = None) ->
     else:
         page.goto(f"{done.server.address}/#job={job or done.job}&{fields}")
     page.wait_for_selector(".legend:visible")
+
+
+def address_of(page: Any) -> str:
+    """The address that a tab shows now: `page.url` comes a moment after the page has changed it."""
+    return str(page.evaluate("location.href"))

@@ -39,6 +39,13 @@ BESIDE = """() => [...document.querySelectorAll("#header *, #tabs *, #panel > :n
   })
   .map((each) => each.outerHTML.slice(0, 120))"""
 
+UNCOVERED = """(selector) => {
+  const part = document.querySelector(selector);
+  const { left, right, top, bottom } = part.getBoundingClientRect();
+  const corners = [[left + 1, top + 1], [right - 1, top + 1], [left + 1, bottom - 1], [right - 1, bottom - 1]];
+  return corners.every(([x, y]) => part.contains(document.elementFromPoint(x, y)));
+}"""
+
 
 @pytest.fixture
 def tab(browser: Browser) -> Any:
@@ -105,6 +112,7 @@ def see_popup(page: Any, done: Done) -> None:
     page.locator("#panel-report tbody tr").first.focus()
     page.keyboard.press("Enter")
     page.wait_for_selector(".leaflet-popup-content")
+    page.wait_for_function(UNCOVERED, arg=".leaflet-popup-close-button")  # the map moves until the popup is clear
 
 
 def see_export(page: Any, done: Done) -> None:

@@ -13,7 +13,7 @@ import pytest
 from tests.app.processes import API, Gate, ended, half_way, started, submit, upload, wait_until
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, needs_page
-from tests.page.results import SCANS, Done, show
+from tests.page.results import SCANS, Done, address_of, show
 
 pytestmark = needs_page
 
@@ -145,7 +145,7 @@ def test_what_the_server_refuses_is_told_by_file(page: Any, done: Done, watch: W
     told = page.locator("#panel-upload .is-error, #panel-upload .note.error", has_text="velodyne/000010.bin").first
     told.wait_for()
     assert "not finite" in told.inner_text()
-    assert "job=" not in page.url
+    assert "job=" not in address_of(page)
 
 
 def test_a_job_that_fails_says_why(page: Any, done: Done) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 from tests.app.processes import API, ended, submit
 from tests.page.browsers import needs_page
-from tests.page.results import Done, show
+from tests.page.results import Done, address_of, show
 
 pytestmark = needs_page
 
@@ -25,7 +25,7 @@ def test_a_job_is_run_again_with_a_map_named_and_compared(page: Any, done: Done)
     page.set_input_files("dialog input[name=osm-file]", done.street / "map.osm")
     page.get_by_role("button", name="Run", exact=True).click()
     page.wait_for_selector("#panel-job .badge.good")
-    again = page.url.partition("&job=")[2].partition("&")[0]
+    again = address_of(page).partition("&job=")[2].partition("&")[0]
     before, after = (client.get(f"{API}/jobs/{each}").json()["request"] for each in (first, again))
     assert after == before | {"osm": {"file": "map-2.osm"}, "labels": "labels"}
 
@@ -42,11 +42,12 @@ def test_a_job_is_run_again_with_a_map_named_and_compared(page: Any, done: Done)
     page.locator("#tab-report").click()
     page.locator(f"#compare-{done.job}").check()
     page.get_by_role("heading", name="Intersections of the map").wait_for()
-    assert page.url.endswith(f"&compare={done.job}")
+    assert address_of(page).endswith(f"&compare={done.job}")
     heads = page.locator("#panel-report .wide-table").first.locator("th").all_inner_texts()
     assert [head.split("\n")[0] for head in heads] == ["Figure", "coarse", "default"]
     count = len(done.features("intersections"))
     assert f"{count} found by both" in page.inner_text("#panel-report")
+    page.wait_for_selector(f"#map .sign.beside >> nth={count - 1}")
     assert page.locator("#map .sign.beside").count() == count
     page.reload()
     page.wait_for_selector("#map .sign.beside")

@@ -11,7 +11,7 @@ import pytest
 
 from tests.page.browsers import needs_page
 from tests.page.canvas import NOTE_PATHS, painted, pixels_per_metre, screen_of
-from tests.page.results import Done, Scored, show
+from tests.page.results import Done, Scored, address_of, show
 
 pytestmark = needs_page
 
@@ -47,12 +47,12 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     page.keyboard.press("n")
     popup = popup_of(page, f"Intersection {wrong[0]['id']}: wrong")
     assert wrong[0]["reason"].lower() in popup.inner_text().lower()
-    assert f"intersection={wrong[0]['id']}" in page.url
+    assert f"intersection={wrong[0]['id']}" in address_of(page)
     page.locator(".intersections tr.is", has_text=wrong[0]["reason"]).wait_for()
     page.keyboard.press("p")
     last = right[-1]["id"]
     popup_of(page, f"Intersection {last}: right")
-    link = page.url
+    link = address_of(page)
 
     page.locator(".filter summary").click()
     page.get_by_label("Observations, at least").fill(str(max(each["observations"] for each in right)))
@@ -60,7 +60,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     assert rows.count() == len(best) < len(wrong) + len(right)
     note = page.locator(".filter-note", has_text=f"{len(best)} of {len(wrong) + len(right)}")
     note.wait_for()
-    filtered = page.url
+    filtered = address_of(page)
     page.keyboard.press("n")  # the field has the focus: it goes nowhere
     page.locator(".filter-note button").click()
     popup_of(page, f"Intersection {last}: right")
@@ -71,7 +71,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     popup_of(page, f"Intersection {right[0]['id']}: right")
     assert len(signs(page)) == 1
     page.locator(".leaflet-popup-close-button").last.click()  # the popup before may still fade
-    assert "intersection=" not in page.url
+    assert "intersection=" not in address_of(page)
 
     page.goto("about:blank")
     page.goto(link)
@@ -81,11 +81,12 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     note.wait_for()
     least = page.get_by_label("Observations, at least").input_value()
     assert f"observations:{least}.." in filtered
+    rows.first.wait_for()
     assert rows.count() == len(best)
     page.get_by_role("tab", name="Export").click()
     page.locator(".filter-note button").click()
     note.wait_for(state="hidden")
-    assert "filter=" not in page.url
+    assert "filter=" not in address_of(page)
     page.go_back()
     note.wait_for()
     page.goto("about:blank")
@@ -93,7 +94,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     show(page, scored, f"node={node['osm_id']}")
     popup = popup_of(page, "OSM intersection: missed")
     assert node["reason"].lower() in popup.inner_text().lower()
-    assert f"node={node['osm_id']}" in page.url
+    assert f"node={node['osm_id']}" in address_of(page)
 
 
 def test_a_place_leads_out_without_a_request(page: Any, scored: Scored) -> None:
@@ -146,4 +147,4 @@ def test_without_a_score_the_list_is_there_too(page: Any, done: Done) -> None:
     popup = popup_of(page, "Intersection 2")
     assert "x, y in W" in popup.inner_text()
     assert popup.get_by_role("link").count() == 0
-    assert "intersection=2" in page.url
+    assert "intersection=2" in address_of(page)

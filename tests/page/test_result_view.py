@@ -13,7 +13,7 @@ import pytest
 from interloc.config import DetectorConfig
 from tests.app.processes import API, ServerProcess
 from tests.page.browsers import Browser, Watch, needs_page
-from tests.page.results import SCANS, TOKEN, Done, show
+from tests.page.results import SCANS, TOKEN, Done, address_of, show
 
 pytestmark = needs_page
 
@@ -26,7 +26,7 @@ def page(browser: Browser) -> Any:
 
 def on_screen(page: Any, lon: float, lat: float) -> tuple[float, float]:
     """Where a place must be on the screen, from the address of the page alone: spherical Mercator of 256 px tiles."""
-    zoom, at_lat, at_lon = (float(each) for each in re.search(r"view=([^&]+)", page.url)[1].split("/"))
+    zoom, at_lat, at_lon = (float(each) for each in re.search(r"view=([^&]+)", address_of(page))[1].split("/"))
     box = page.locator("#map").bounding_box()
     dx, dy = (a - b for a, b in zip(mercator(lon, lat, zoom), mercator(at_lon, at_lat, zoom), strict=True))
     return box["x"] + box["width"] / 2 + dx, box["y"] + box["height"] / 2 + dy
@@ -100,7 +100,7 @@ def test_each_place_of_a_file_is_drawn_and_nothing_else(page: Any, done: Done, l
         assert outcomes == ["TP"] * len(features)  # no crosses to be looked for
     lon, lat = np.mean([feature["geometry"]["coordinates"] for feature in features], axis=0)
     show(page, done, f"layers={layer}&view=18/{lat}/{lon}")
-    page.wait_for_timeout(300)
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     discs = np.array(page.evaluate(READ_DISCS))
     places = np.array([on_screen(page, *feature["geometry"]["coordinates"]) for feature in features])
     away = np.hypot(*(discs[:, None] - places[None]).transpose(2, 0, 1))
@@ -123,7 +123,7 @@ def test_seen_area_and_picture_lie_where_the_server_says(page: Any, done: Done) 
     sides = [math.dist(corners[0], corners[1]), math.dist(corners[1], corners[2])]
     metre = 256 * 2**18 / (2 * math.pi * 6378137 * math.cos(math.radians(lat)))
     assert sides == pytest.approx([DetectorConfig().bev.size_m * metre] * 2, rel=0.01)
-    assert page.locator("#drawer figure img:not(.waiting)").count() == 6
+    page.wait_for_selector("#drawer figure img:not(.waiting) >> nth=5")
 
 
 def test_the_report_tells_the_figures_and_leads_to_the_map(page: Any, done: Done) -> None:
@@ -162,7 +162,7 @@ def test_keys_choose_tabs_and_keyframes(page: Any, done: Done) -> None:
     page.keyboard.press(".")
     page.keyboard.press(",")
     page.keyboard.press(",")
-    assert re.search(r"frame=1(&|$)", page.url)
+    assert re.search(r"frame=1(&|$)", address_of(page))
     assert "Scan 1" in page.inner_text(".timeline-label")
 
 
@@ -171,11 +171,11 @@ def test_a_link_shows_the_same_again(browser: Browser, done: Done) -> None:
     show(page, done, "panel=export&frame=12")
     page.locator("#layer-tp").uncheck()
     link = page.get_by_label("Link to this view").input_value()
-    assert link == page.url
+    assert link == address_of(page)
     page.goto("about:blank")
     page.goto(link)
     page.wait_for_selector(".legend:visible")
-    assert page.url == link
+    assert address_of(page) == link
     assert not page.locator("#layer-tp").is_checked()
     assert page.locator("#layer-fp, #layer-roads").first.is_checked()
     assert "Scan 12" in page.inner_text(".timeline-label")
@@ -192,7 +192,7 @@ def test_the_pictures_of_a_drive_without_georeference_lie_in_its_frame(page: Any
     zoom, y, x = 1.5, 10.0, 90.0
     show(page, done, f"frame={frame}&drawer=1&view={zoom}/{y}/{x}", done.local_job)
     page.wait_for_selector(".turned-image >> nth=1")
-    zoom, y, x = (float(each) for each in re.search(r"view=([^&]+)", page.url)[1].split("/"))
+    zoom, y, x = (float(each) for each in re.search(r"view=([^&]+)", address_of(page))[1].split("/"))
     box = page.locator("#map").bounding_box()
     picture = page.locator(".turned-image").first.bounding_box()
     left, top = view["corners_world_m"][0]
@@ -215,7 +215,7 @@ def test_the_road_seen_by_lidar_lies_where_the_server_says(page: Any, done: Done
     assert found == pytest.approx((left, top, right, bottom), abs=1.5)
     page.locator("#layer-surface").uncheck()
     picture.wait_for(state="detached")
-    assert "surface" not in page.url.split("layers=")[1]
+    assert "surface" not in address_of(page).split("layers=")[1]
     show(page, done, "view=1.5/0/80", done.local_job)
     picture.wait_for()
 
@@ -260,7 +260,7 @@ def test_without_georeference_the_map_is_in_metres(page: Any, done: Done) -> Non
     assert page.locator("#layer-tiles").count() == 0
     files = done.server.client.get(f"{API}/jobs/{done.local_job}/files/intersections.local.json").json()["features"]
     assert re.search(rf"Intersections\s+{len(files)}\b", page.inner_text(".legend"))
-    zoom, y, x = (float(each) for each in re.search(r"view=([^&]+)", page.url)[1].split("/"))
+    zoom, y, x = (float(each) for each in re.search(r"view=([^&]+)", address_of(page))[1].split("/"))
     box = page.locator("#map").bounding_box()
     for feature in files:
         east, north = feature["geometry"]["coordinates"]
@@ -281,7 +281,7 @@ def test_a_job_can_be_watched_from_its_start_to_the_map(browser: Browser, done: 
     page.get_by_role("button", name="Run", exact=True).click()
     page.wait_for_selector("#panel-job .badge.good")
     page.wait_for_selector(".legend:visible")
-    job = re.search(r"job=(\w+)", page.url)[1]
+    job = re.search(r"job=(\w+)", address_of(page))[1]
     assert job not in {done.job, done.local_job}
     summary = done.server.client.get(f"{API}/jobs/{job}").json()["summary"]
     assert re.search(rf"{summary['detections']}\s+detections", page.inner_text("#panel-job"))

@@ -75,12 +75,12 @@ def test_pcd_files_are_sent_as_they_are(upload: Upload, server: ServerProcess, s
     root = as_pcd(street, tmp_path / "cloudy")
     shutil.copy(street / "map.osm", root)
     upload.pick(root)
+    upload.page.get_by_text("The network torn cannot be used").wait_for()
     text = upload.text()
     assert "PCD files" in text
     assert re.search(rf"Scans\s+{SCANS} scans, \d.*MB", text)
     assert "The browser cannot reduce these files: all" in text
     assert upload.page.get_by_label("Labels of the points themselves").is_checked()
-    assert "The network torn cannot be used" in text
     assert "arch_cfg.yaml" in text
     upload.press("Upload and run")
     job = ended(server.client, upload.job())
