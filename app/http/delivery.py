@@ -176,7 +176,7 @@ def answer_tagged(request: Request, content: bytes, media_type: str = "applicati
         headers["vary"] = f"{headers['vary']}, Accept-Encoding" if "vary" in headers else "Accept-Encoding"
         is_packed = accepts_gzip(request.headers)
     if is_packed:
-        headers |= {"etag": f'{headers["etag"][:-1]}{_GZIP_MARK}', "content-encoding": "gzip"}
+        headers |= {"etag": f"{headers['etag'][:-1]}{_GZIP_MARK}", "content-encoding": "gzip"}
     known = not_modified(request, headers)
     if known is not None:
         return known
