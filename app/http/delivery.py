@@ -57,6 +57,8 @@ DOCUMENT_POLICY = (
 
 _COMPRESSIBLE = frozenset({".css", ".csv", ".geojson", ".html", ".js", ".json", ".kml", ".map", ".mjs", ".svg"})
 _MIN_BYTES = 1400  # what fits into one packet does not travel faster when it is smaller
+_LEVEL_AT_ONCE = 1  # of gzip: the client waits for it
+_GZIP_MARK = '-gzip"'  # end of the ETag of what is compressed: another representation has another tag
 _MAX_BYTES_AT_ONCE = 4 * 1024 * 1024  # read where the answer is made, without further trips to the thread pool
 
 _STATIC_FILES = StaticFiles(check_dir=False)
@@ -145,7 +147,7 @@ def deliver(
         if "range" not in request.headers and accepts_gzip(request.headers):
             copy = _gzip_copy(path, gzip_copies, f"{stat.st_mtime_ns:x}.gz")
             if copy is not None:
-                path, stat, etag = copy, copy.stat(), f"{etag}-gzip"
+                path, stat, etag = copy, copy.stat(), f"{etag}{_GZIP_MARK[:-1]}"
                 headers["content-encoding"] = "gzip"
     headers["etag"] = f'"{etag}"'
     if vary:
@@ -164,9 +166,23 @@ def deliver(
 
 
 def answer_tagged(request: Request, content: bytes, media_type: str = "application/json", **headers: str) -> Response:
-    """Answer a GET or HEAD with what was made for it, and its ETag: 200, or 304 where the client has the same."""
+    """Answer a GET or HEAD with what was made for it, and its ETag: 200, or 304 where the client has the same.
+
+    It is compressed where that pays and the client takes gzip.
+    """
     headers = {"etag": tag_of(content), "cache-control": REVALIDATE, **headers}
-    return not_modified(request, headers) or Response(content, headers=headers, media_type=media_type)
+    is_packed = False
+    if len(content) >= _MIN_BYTES:
+        headers["vary"] = f"{headers['vary']}, Accept-Encoding" if "vary" in headers else "Accept-Encoding"
+        is_packed = accepts_gzip(request.headers)
+    if is_packed:
+        headers |= {"etag": f"{headers['etag'][:-1]}{_GZIP_MARK}", "content-encoding": "gzip"}
+    known = not_modified(request, headers)
+    if known is not None:
+        return known
+    if is_packed:
+        content = gzip.compress(content, _LEVEL_AT_ONCE, mtime=0)
+    return Response(content, headers=headers, media_type=media_type)
 
 
 def tag_of(content: bytes) -> str:
@@ -182,14 +198,15 @@ def require_unchanged(if_match: str | None, content: bytes) -> None:
     if_match
         Header If-Match: ETags, or ``*`` for any version; None: the client does not mind.
     content
-        What GET would answer now.
+        What GET would answer now, compressed or not.
 
     Raises
     ------
     Problem
         412.
     """
-    if if_match is None or {tag.strip() for tag in if_match.split(",")} & {"*", tag_of(content)}:
+    given = {tag.strip().replace(_GZIP_MARK, '"') for tag in (if_match or "").split(",")}
+    if if_match is None or given & {"*", tag_of(content)}:
         return
     raise Problem(
         412,

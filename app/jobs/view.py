@@ -57,15 +57,15 @@ def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str
     told = (
         outlook(session, now, context.settings.jobs_at_once) if any(_waits_for_its_turn(job) for job, _ in rows) else {}
     )
-    root_path = context.settings.root_path
-    return [_job_model(job, name, root_path, now, job.message or told.get(job.id)) for job, name in rows]
+    links = _Links(context.settings.root_path)
+    return [_job_model(job, name, links, now, job.message or told.get(job.id)) for job, name in rows]
 
 
 def _waits_for_its_turn(job: Job) -> bool:
     return job.state == JobState.ACCEPTED and job.message is None
 
 
-def _job_model(job: Job, drive_name: str, root_path: str, now: float, message: str | None) -> JobModel:
+def _job_model(job: Job, drive_name: str, links: _Links, now: float, message: str | None) -> JobModel:
     return JobModel(
         id=job.id,
         kind=job.kind,
@@ -87,7 +87,7 @@ def _job_model(job: Job, drive_name: str, root_path: str, now: float, message: s
         attempts=job.attempts,
         error=None if job.error is None else _error_of(job.error),
         summary=job.summary,
-        links=_links(job, f"{root_path}/api/v1/jobs/{job.id}"),
+        links=links.of(job),
         version=job.version,
     )
 
@@ -106,19 +106,33 @@ def _progress(job: Job, now: float) -> Progress:
     return Progress(done=job.done, total=job.total, fraction=round(fraction, 4), seconds_left=left)
 
 
-def _links(job: Job, address: str) -> dict[str, str]:
-    """Return the addresses of the job and of the parts of its result."""
-    links = {"self": address, "events": f"{address}/events"}
-    summary = job.summary
-    if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
-        return links
-    names = ["run", "files", "archive.zip"]
-    if summary["georeferenced"]:
-        names += [*_LAYERS, *(f"export{suffix}" for suffix in (*suffixes_here(), ".qgs"))]
-    else:
-        links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
-    if summary["report"] is not None:
-        names += ["report", *_MAP_LAYERS]
-    if summary.get("location") is not None:
-        names += [PLACES]
-    return links | {name: f"{address}/{name}" for name in names}
+class _Links:
+    """Addresses of jobs and of the parts of their results.
+
+    Parameters
+    ----------
+    root_path
+        Path under which the service is shown.
+    """
+
+    def __init__(self, root_path: str) -> None:
+        self._jobs = f"{root_path}/api/v1/jobs"
+        self._georeferenced = [*_LAYERS, *(f"export{suffix}" for suffix in (*suffixes_here(), ".qgs"))]
+
+    def of(self, job: Job) -> dict[str, str]:
+        """Return the addresses of a job by name."""
+        address = f"{self._jobs}/{job.id}"
+        links = {"self": address, "events": f"{address}/events"}
+        summary = job.summary
+        if job.state != JobState.SUCCESSFUL or job.kind != JobKind.INTERSECTIONS or summary is None:
+            return links
+        names = ["run", "files", "archive.zip"]
+        if summary["georeferenced"]:
+            names += self._georeferenced
+        else:
+            links |= {layer: f"{address}/files/{layer}.local.json" for layer in _LAYERS}
+        if summary["report"] is not None:
+            names += ["report", *_MAP_LAYERS]
+        if summary.get("location") is not None:
+            names += [PLACES]
+        return links | {name: f"{address}/{name}" for name in names}

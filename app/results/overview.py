@@ -94,7 +94,7 @@ def _read_geometry(path: Path, _mtime_ns: int, _size: int) -> dict[str, Any] | N
 
 
 def simplified(lonlat: FloatArray) -> FloatArray:
-    """Return a line with at most `MAX_TRACK_POINTS` points, to within a metre where that is enough.
+    """Return a line to within a metre, or more where that would leave more than `MAX_TRACK_POINTS` points.
 
     Parameters
     ----------
@@ -109,9 +109,11 @@ def simplified(lonlat: FloatArray) -> FloatArray:
 
     scale = _METRES_PER_DEGREE * np.array([math.cos(math.radians(lonlat[0, 1])), 1.0])
     tolerance_m = _TOLERANCE_M
-    while len(lonlat) > MAX_TRACK_POINTS:
+    while len(lonlat) > 2:
         line = shapely.linestrings(lonlat * scale)
         lonlat = shapely.get_coordinates(shapely.simplify(line, tolerance_m, preserve_topology=False)) / scale
+        if len(lonlat) <= MAX_TRACK_POINTS:
+            break
         tolerance_m *= 2
     return lonlat
 

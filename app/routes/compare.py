@@ -16,10 +16,10 @@ from app.jobs.titles import distinct_titles, own_settings
 from app.jobs.view import find_job
 from app.results.folder import ResultsDep
 from app.routes.results import PROBLEMS
+from app.schemas.jobs import MAX_COMPARED_JOBS
 from interloc.output.layout import settings_of
 
-_MAX_JOBS = 8
-_JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{_MAX_JOBS - 1}}}$"
+_JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_JOBS - 1}}}$"
 
 router = APIRouter(tags=["Results"])
 
@@ -83,7 +83,7 @@ def compare_jobs(
     jobs: Annotated[
         str,
         Query(
-            description="Ids of two to eight jobs, with commas between.",
+            description=f"Ids of 2 to {MAX_COMPARED_JOBS} jobs, with commas between.",
             max_length=1000,
             examples=["9b1e,44f0"],
             json_schema_extra={"pattern": _JOBS},
@@ -95,7 +95,9 @@ def compare_jobs(
 
     ids = [each.strip() for each in jobs.split(",")]
     if re.fullmatch(_JOBS, jobs) is None or len(set(ids)) < len(ids):
-        raise Problem(422, "Request not valid", f"jobs: {jobs!r}. Expected two to {_MAX_JOBS} different job ids: a,b")
+        raise Problem(
+            422, "Request not valid", f"jobs: {jobs!r}. Expected two to {MAX_COMPARED_JOBS} different job ids: a,b"
+        )
     opened = [results.open(job_id) for job_id in ids]
     drives = dict.fromkeys(result.drive_id for result in opened)
     if len(drives) > 1:

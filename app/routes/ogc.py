@@ -194,7 +194,12 @@ def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Serv
     with served.database.reading() as session:
         content = find_feature(session, served.source, found, feature_id)
     if content is None:
-        raise Problem(404, "No such feature", f"{found.id} has no feature {feature_id[:80]!r}.")
+        hint = (
+            ""
+            if served.source.job or "." in feature_id
+            else " Ids of features of all drives begin with the job: JOB.ID."
+        )
+        raise Problem(404, "No such feature", f"{found.id} has no feature {feature_id[:80]!r}.{hint}")
     return served.answer(served.place.feature(found, feature_id, content), form, GEOJSON)
 
 

@@ -15,6 +15,8 @@ from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
 from interloc.osm.policies import POLICY_HELP, TOLERANCE_HELP, Policy
 
+MAX_COMPARED_JOBS = 8
+
 
 class OsmFile(BaseModel):
     """A map among the files of the drive."""

@@ -7,11 +7,15 @@ from typing import get_args
 from pydantic import BaseModel, Field
 
 from app.paths import ARCHIVE_ENDINGS, MAP_ENDINGS, RECORDING_ENDINGS
+from app.schemas.jobs import MAX_COMPARED_JOBS, Near
 from app.settings import Settings
+from interloc.drives.georeference import kitti360
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
 from interloc.drives.options import LabelFolder
+from interloc.osm.container import SIMULATOR
+from interloc.osm.intersections import DRIVABLE_OR_SERVICE
 from interloc.osm.policies import POLICIES
 from interloc.output.layers import LAYERS
 from interloc.output.vector_files import suffixes_here
@@ -83,6 +87,23 @@ class FileKinds(BaseModel):
     label_folders: list[str] = Field(description="Folders of labels.", examples=[["labels", "predictions"]])
 
 
+class RangeModel(BaseModel):
+    """Bounds of a number that a user may choose."""
+
+    default: float
+    minimum: float
+    maximum: float
+
+
+class WorldModel(BaseModel):
+    """The world of the poses of KITTI-360: a spherical Mercator projection."""
+
+    lat_deg: float = Field(description="Where x and y are 0, and the scale is 1.")
+    lon_deg: float
+    min_alt_m: float = Field(description="A drive whose median height is lower is not in that world.")
+    max_alt_m: float
+
+
 class PageConfig(BaseModel):
     """What the page needs to know of the service."""
 
@@ -104,6 +125,12 @@ class PageConfig(BaseModel):
     raw_first_frames: dict[str, int] = Field(
         description="Raw frame at which an odometry sequence begins, where it is not 0, by KITTI raw drive."
     )
+    raw_sequences: dict[str, str] = Field(description="Odometry sequence by KITTI raw drive.")
+    kitti360_world: WorldModel
+    simulator: str = Field(description="`generator` of OSM files that are made up.", examples=["interloc simulate"])
+    drivable: list[str] = Field(description="Values of `highway` that are drawn as roads for cars.")
+    search_radius_km: RangeModel = Field(description="How far around a place a drive is searched for on the map.")
+    max_compared_jobs: int = Field(description="How many jobs can be compared at once.")
 
     @classmethod
     def of(cls, settings: Settings, *, version: str, needs_token: bool) -> PageConfig:
@@ -121,9 +148,22 @@ class PageConfig(BaseModel):
             label_schemes=_LABEL_SCHEMES,
             file_kinds=_FILE_KINDS,
             raw_first_frames={raw: first for raw, (_, first, _) in ODOMETRY_OF_RAW.items() if first},
+            raw_sequences={raw: sequence for raw, (sequence, _, _) in ODOMETRY_OF_RAW.items()},
+            kitti360_world=_KITTI360_WORLD,
+            simulator=SIMULATOR,
+            drivable=sorted(DRIVABLE_OR_SERVICE),
+            search_radius_km=_SEARCH_RADIUS_KM,
+            max_compared_jobs=MAX_COMPARED_JOBS,
         )
 
 
+_KITTI360_WORLD = WorldModel(
+    lat_deg=kitti360.ORIGIN_LAT_DEG,
+    lon_deg=kitti360.ORIGIN_LON_DEG,
+    min_alt_m=kitti360.MIN_ALT_M,
+    max_alt_m=kitti360.MAX_ALT_M,
+)
+_SEARCH_RADIUS_KM = RangeModel.model_validate(Near.model_json_schema()["properties"]["radius_km"])
 _POLICIES = [
     PolicyModel(name=name, title=wording.title, description=wording.meaning) for name, wording in POLICIES.items()
 ]

@@ -39,7 +39,7 @@ KITTI360_POSES = "data_poses"
 
 _KITTI360_POSES = ("poses.txt", "cam0_to_world.txt")
 _PCD_FOLDERS = ("pcd", "clouds", "velodyne", "velodyne_points/data", ".")
-_POSE_FILES = ("poses.txt", "poses.tum", "trajectory.tum", "trajectory.txt")
+POSE_FILES = ("poses.txt", "poses.tum", "trajectory.tum", "trajectory.txt")
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _pcd(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts |
         root=root,
         scans=scans,
         labels=root / labels,
-        poses=_existing(*(root / name for name in _POSE_FILES)) or root / _POSE_FILES[0],
+        poses=_existing(*(root / name for name in POSE_FILES)) or root / POSE_FILES[0],
         times=_existing(root / "times.txt"),
         calibration=(root,),
         oxts=_existing(root / "oxts"),

@@ -20,6 +20,9 @@ DRIVABLE = frozenset(
 )
 """Values of `highway` that policy `drive` takes as roads."""
 
+DRIVABLE_OR_SERVICE = DRIVABLE | {"service"}
+"""The same of policy `drive+service`."""
+
 
 @dataclass(frozen=True)
 class IntersectionNodes:
@@ -52,7 +55,7 @@ def road_ways(graph: RoadGraph, policy: Policy) -> BoolArray:
     """Return the ways, (W,) bool, that are roads under a policy."""
     if policy == "all":
         return np.ones(len(graph.ways), dtype=np.bool_)
-    classes = DRIVABLE | {"service"} if policy == "drive+service" else DRIVABLE
+    classes = DRIVABLE_OR_SERVICE if policy == "drive+service" else DRIVABLE
     drivable = np.array([highway in classes for highway in graph.ways.highway], dtype=np.bool_)
     road: BoolArray = drivable & ~graph.ways.is_area
     return road

@@ -345,6 +345,13 @@ function save(url, name) {
  * @property {{name: string, title: string, road: number[]}[]} label_schemes
  * @property {{maps: string[], archives: string[], recordings: string[], scans: string[]}} file_kinds Endings of names.
  * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.
+ * @property {Record<string, string>} raw_sequences Odometry sequences by KITTI raw drive.
+ * @property {{lat_deg: number, lon_deg: number, min_alt_m: number, max_alt_m: number} | null} kitti360_world Origin of
+ *   its poses, and the heights of its drives.
+ * @property {string} simulator The generator of maps that are made up.
+ * @property {string[]} drivable Values of `highway`.
+ * @property {{default: number, minimum: number, maximum: number}} search_radius_km
+ * @property {number} max_compared_jobs
  */
 
 /** @type {PageConfig} */
@@ -361,6 +368,12 @@ let config = {
   label_schemes: [],
   file_kinds: { maps: [], archives: [], recordings: [], scans: [] },
   raw_first_frames: {},
+  raw_sequences: {},
+  kitti360_world: null,
+  simulator: "",
+  drivable: [],
+  search_radius_km: { default: 1, minimum: 0, maximum: 1 },
+  max_compared_jobs: 2,
 };
 
 /** @returns {PageConfig} As loaded at the start. */

@@ -152,6 +152,21 @@ def test_what_has_not_changed_is_not_sent_again(client: httpx.Client) -> None:
     assert client.get(f"/drives/{drive}", headers=known).json()["files"] == 1
 
 
+def test_what_is_large_is_compressed_for_those_who_take_it(client: httpx.Client) -> None:
+    client.patch("/jobs/j1", json={"note": "large " * 300}).raise_for_status()
+    packed = client.get("/jobs/j1", headers={"Accept-Encoding": "gzip"})
+    plain = client.get("/jobs/j1", headers={"Accept-Encoding": "identity"})
+    assert [each.headers.get("content-encoding") for each in (packed, plain)] == ["gzip", None]
+    assert packed.content == plain.content
+    assert packed.headers["etag"] != plain.headers["etag"]
+    for first in (packed, plain):
+        assert "Accept-Encoding" in first.headers["vary"]
+        etag = first.headers["etag"]
+        again = {"Accept-Encoding": first.request.headers["accept-encoding"], "If-None-Match": etag}
+        assert client.get("/jobs/j1", headers=again).status_code == 304
+        assert client.patch("/jobs/j1", json={}, headers={"If-Match": etag}).status_code == 200
+
+
 def test_drives_and_jobs_are_renamed(client: httpx.Client) -> None:
     for address in ("/drives/d4", "/jobs/j2"):
         before = client.get(address)

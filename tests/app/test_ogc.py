@@ -286,6 +286,9 @@ def see_items(gis: Gis) -> None:
     assert first["geometry"] == {"type": "Point", "coordinates": [8.4, 49.0]}
     assert gis.json(f"/ogc/collections/detections/items/{first['id']}")["properties"] == first["properties"]
     assert gis.get("/ogc/collections/detections/items/town-new.nothing").status_code == 404
+    assert "JOB.ID" in gis.get("/ogc/collections/detections/items/0-1").json()["detail"]
+    like = gis.json("/ogc/collections/detections/items", filter="id LIKE '0-1'", **{"filter-lang": "cql-text"})
+    assert [each["properties"]["id"] for each in like["features"]] == ["0-1"] * 3, "as docs/gis.md tells users of GDAL"
     assert gis.get("/ogc/collections/detections/items/town-old.0-1").status_code == 404, "not the newest"
     own = gis.json("/api/v1/jobs/town-old/ogc/collections/detections/items")
     assert [each["id"] for each in own["features"]] == ["0-1", "1-1"]

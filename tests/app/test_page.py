@@ -13,6 +13,9 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
+from interloc.drives.georeference import kitti360
+from interloc.evaluation.map_level import GATE_M
+from interloc.osm.container import SIMULATOR
 from interloc.osm.policies import POLICIES
 
 PAGE = """<!doctype html><title>InterLoc</title><script type="module" src="static/js/main.js"></script>"""
@@ -203,6 +206,17 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
     assert ".tar.zst" in told["file_kinds"]["archives"]
     assert told["file_kinds"]["label_folders"] == ["labels", "predictions"]
     assert told["raw_first_frames"] == {"2011_09_30_drive_0028": 1100}
+    assert told["raw_sequences"]["2011_09_30_drive_0018"] == "05"
+    assert told["kitti360_world"]["lat_deg"] == kitti360.ORIGIN_LAT_DEG
+    assert told["simulator"] == SIMULATOR
+    assert "service" in told["drivable"]
+    assert told["search_radius_km"] == {"default": 3.0, "minimum": 0.1, "maximum": 20.0}
+    assert told["max_compared_jobs"] == 8
+
+
+def test_the_page_takes_intersections_for_the_same_where_the_score_does() -> None:
+    script = Path(__file__).resolve().parents[2] / "static" / "js" / "data" / "compared.js"
+    assert f"const GATE_M = {GATE_M:g};" in script.read_text()  # not in config.json: its module needs half of SciPy
 
 
 def test_the_page_is_open_to_all_and_says_that_a_token_is_needed(

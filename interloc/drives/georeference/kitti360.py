@@ -11,6 +11,9 @@ from interloc.geometry import WGS84_A_M
 ORIGIN_LAT_DEG, ORIGIN_LON_DEG = 48.9843445, 8.4295857
 """Where the x and y of its poses are 0, and the projection has scale 1 (devkit of KITTI-360)."""
 
+MIN_ALT_M, MAX_ALT_M = 50.0, 400.0
+"""Bounds of the median height of a drive in that world, generous: it was driven at 100 to 250 m."""
+
 
 def georeference_of_kitti360(T_file_lidar: FloatArray, source: str) -> Georeference:
     """Place poses of the LiDAR in the world of KITTI-360 on the ellipsoid.
@@ -41,5 +44,5 @@ def georeference_of_kitti360(T_file_lidar: FloatArray, source: str) -> Georefere
 
 
 def is_karlsruhe(fixes: Georeference) -> bool:
-    """Return whether fixes lie at heights where KITTI-360 was driven, 100 to 250 m: poses from the identity do not."""
-    return bool(50 < np.median(fixes.alt_m) < 400)
+    """Return whether fixes lie at heights where KITTI-360 was driven: poses from the identity do not."""
+    return bool(MIN_ALT_M < np.median(fixes.alt_m) < MAX_ALT_M)

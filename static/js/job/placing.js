@@ -2,13 +2,12 @@
  * The choice of where longitude and latitude come from: the GNSS of the drive, or the roads of the map.
  * @module job/placing
  */
+import { getConfig } from "../api.js";
 import { field } from "../controls.js";
 import { el } from "../dom.js";
 
 /** @typedef {{lat_deg: number, lon_deg: number, radius_km: number}} Near Where to search. */
 /** @typedef {{georeference: "drive"|"map", near: Near | null}} Placing As a job has it. */
-
-const RADIUS_KM = 3;
 
 /**
  * @param {Placing | null} before What was chosen before.
@@ -31,13 +30,14 @@ export function placingField(before, onChange) {
   );
   const at = before?.near ? `${before.near.lat_deg}, ${before.near.lon_deg}` : "";
   const near = el("input", { type: "text", placeholder: "anywhere on the map", value: at, onInput: onChange });
+  const range = getConfig().search_radius_km;
   const radius = el("input", {
     type: "number",
-    min: 0.1,
-    max: 20,
+    min: range.minimum,
+    max: range.maximum,
     step: "any",
     required: true,
-    value: before?.near?.radius_km ?? RADIUS_KM,
+    value: before?.near?.radius_km ?? range.default,
     onInput: onChange,
   });
   const more = el(

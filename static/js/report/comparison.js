@@ -2,7 +2,7 @@
  * Jobs of one drive side by side.
  * @module report/comparison
  */
-import { getJson } from "../api.js";
+import { getConfig, getJson } from "../api.js";
 import { resultSection, select, table } from "../controls.js";
 import { kindOfCompared } from "../data/compared.js";
 import { lists, onListsChange } from "../data/lists.js";
@@ -19,7 +19,6 @@ import { at, curve } from "./scores.js";
 
 /** @typedef {import("../map/compared.js").Comparison} Comparison */
 
-const MAX_OTHERS = 7; // the service compares eight
 const COLOURS = ["--tp", "--fp", "--found", "--missed", "--warn", "--accent", "--ink", "--outside"];
 const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2", "12 4", "2 2", "6 2 2 2"];
 const MEASURES = { f1: "F1", precision: "Precision", recall: "Recall" };
@@ -47,12 +46,13 @@ export function comparison({ job, report }) {
     const others = lists.jobs.filter((each) => isComparable(each, job));
     section.hidden = !others.length;
     const chosen = comparedJobs();
+    const maxOthers = getConfig().max_compared_jobs - 1;
     const focused = choice.contains(document.activeElement) ? document.activeElement?.id : null;
     const row = (/** @type {any} */ each) => {
       const isChosen = chosen.includes(each.id);
       const onChange = () =>
-        setState({ compare: isChosen ? but(chosen, each.id) : chosen.concat(each.id).slice(0, MAX_OTHERS) });
-      const disabled = !isChosen && chosen.length >= MAX_OTHERS;
+        setState({ compare: isChosen ? but(chosen, each.id) : chosen.concat(each.id).slice(0, maxOthers) });
+      const disabled = !isChosen && chosen.length >= maxOthers;
       const box = el("input", { type: "checkbox", id: `compare-${each.id}`, checked: isChosen, disabled, onChange });
       return el("label", { class: "check" }, box, el("span", {}, jobName(each)));
     };

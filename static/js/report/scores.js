@@ -2,6 +2,7 @@
  * Figures of a report at distances D, and what the paper has beside them.
  * @module report/scores
  */
+import { getConfig } from "../api.js";
 
 /**
  * @param {any} report
@@ -31,25 +32,12 @@ export function at(report, d) {
   };
 }
 
-const RAW_DRIVES = /** @type {Record<string, string>} */ ({
-  "2011_10_03_drive_0027": "00",
-  "2011_10_03_drive_0042": "01",
-  "2011_10_03_drive_0034": "02",
-  "2011_09_30_drive_0016": "04",
-  "2011_09_30_drive_0018": "05",
-  "2011_09_30_drive_0020": "06",
-  "2011_09_30_drive_0027": "07",
-  "2011_09_30_drive_0028": "08",
-  "2011_09_30_drive_0033": "09",
-  "2011_09_30_drive_0034": "10",
-});
-
 /**
  * @param {string} name Of a drive.
  * @returns {string|null} The KITTI odometry sequence that it seems to be, "00" to "10".
  */
 export function sequenceOf(name) {
-  for (const [raw, sequence] of Object.entries(RAW_DRIVES)) if (name.includes(raw)) return sequence;
+  for (const [raw, sequence] of Object.entries(getConfig().raw_sequences)) if (name.includes(raw)) return sequence;
   const found = /(?:^|sequences?[ _/-]?|kitti[ _/-]?|seq[ _/-]?)(0\d|10)(?!\d)/i.exec(name.trim());
   return found ? found[1] : null;
 }

@@ -2,6 +2,7 @@
 
 import { toMetres } from "./track.js";
 
+/** @typedef {{simulator: string, drivable: string[]}} Words Of OSM files, as the service reads them. */
 /** @typedef {{west: number, south: number, east: number, north: number}} Box Degrees. */
 /** @typedef {{line: number[][], properties: {highway: string, is_drivable: boolean}}} Road As results have them. */
 
@@ -17,8 +18,6 @@ const MARGIN_DEG = 0.01; // about a kilometre
 const MAX_CHARACTERS = 1e9;
 const MAX_NODES = 3e6;
 const MAX_SAMPLES = 200;
-const ON_FOOT = /^(footway|path|cycleway|steps|pedestrian|track|bridleway|corridor|platform|construction|proposed)$/;
-const SIMULATOR = "interloc simulate"; // the generator of maps that were made up
 const ELEMENT = /<(\/?)(osm|bounds|node|way|nd|tag)\b([^>]*)>/g; // a ">" in a value is written as &gt;
 
 /** @param {string} name @returns {boolean} Whether the browser can read such a file: XML, plain or packed by gzip. */
@@ -27,14 +26,15 @@ export const isReadableMap = (name) => /\.osm(\.gz)?$/i.test(name);
 /**
  * @param {File} file
  * @param {number[][]} track Longitude, latitude.
+ * @param {Words} words
  * @returns {Promise<MapLook | null>} null: it is too large to look into, or no OSM XML.
  */
-export async function lookIntoMap(file, track) {
+export async function lookIntoMap(file, track, words) {
   const isPacked = /\.gz$/i.test(file.name);
   const stream = isPacked ? file.stream().pipeThrough(new DecompressionStream("gzip")) : file.stream();
   const reader = stream.pipeThrough(/** @type {any} */ (new TextDecoderStream())).getReader();
   const near = grown(boxOf(track));
-  const found = new Collector(near);
+  const found = new Collector(near, words);
   let rest = "";
   let read = 0;
   for (;;) {
@@ -62,9 +62,11 @@ export async function lookIntoMap(file, track) {
 
 /** Keeps the roads of a stream of elements whose nodes lie in a box. */
 class Collector {
-  /** @param {Box} near */
-  constructor(near) {
+  /** @param {Box} near @param {Words} words */
+  constructor(near, { simulator, drivable }) {
     this.near = near;
+    this.simulator = simulator;
+    this.drivable = new Set(drivable);
     this.isMadeUp = false;
     /** @type {Box | null} */
     this.bounds = null;
@@ -88,7 +90,7 @@ class Collector {
       this.highway = "";
     } else if (name === "nd") this.refs?.push(of("ref"));
     else if (name === "tag" && of("k") === "highway") this.highway = of("v");
-    else if (name === "osm") this.isMadeUp = of("generator") === SIMULATOR;
+    else if (name === "osm") this.isMadeUp = of("generator") === this.simulator;
     else if (name === "bounds") {
       const [west, south, east, north] = ["minlon", "minlat", "maxlon", "maxlat"].map((each) =>
         Number.parseFloat(of(each)),
@@ -117,7 +119,7 @@ class Collector {
 
   /** @param {string[]} refs @param {string} highway A way that leaves the box becomes several. */
   #addRoads(refs, highway) {
-    const properties = { highway, is_drivable: !ON_FOOT.test(highway) };
+    const properties = { highway, is_drivable: this.drivable.has(highway) };
     /** @type {number[][]} */
     let line = [];
     for (const ref of [...refs, ""]) {

@@ -1,5 +1,6 @@
 /** What is to be sent, on the map before and while it is sent: its track, its scans, the roads of its map. */
 
+import { getConfig } from "../api.js";
 import { trackAlone } from "../data/results.js";
 import { formatMetres, formatPercent, plural } from "../dom.js";
 import { setPreview, shown } from "../map/shown.js";
@@ -68,7 +69,8 @@ export function showPreview({ drive, map, fix, pose_frame, poses }, onFound) {
     event.preventDefault(); // there is no picture then, and that is all
     show({ track: null, look: null, isDone: true });
   });
-  worker.postMessage({ files, map });
+  const { simulator, drivable } = getConfig();
+  worker.postMessage({ files, map, words: { simulator, drivable } });
 }
 
 /** Show it no more. */
@@ -101,6 +103,7 @@ function dropWorker() {
 export function trackFilesOf({ scans, small }, fix, pose_frame, posesPath) {
   const poses = [posesPath ?? "", ...POSES].flatMap((path) => small.get(path) ?? [])[0] ?? posesOf(small);
   const isPublished = [...small].some(([path, file]) => file === poses && path.startsWith("data_poses/"));
+  const world = isPublished ? getConfig().kitti360_world : null;
   const single = /** @type {[number, File][]} */ ([]);
   /** @type {File | null} */
   let rows = fix ?? small.get("geo.csv") ?? null;
@@ -109,7 +112,7 @@ export function trackFilesOf({ scans, small }, fix, pose_frame, posesPath) {
     if (match && /^\d+$/.test(match[1])) single.push([Number(match[1]), file]);
   }
   if (single.length === 1) rows = single.pop()?.[1] ?? null; // one file with a row per frame
-  return { frames: [...(scans?.files.keys() ?? [])], poses, pose_frame, isPublished, fixes: rows, oxts: single };
+  return { frames: [...(scans?.files.keys() ?? [])], poses, pose_frame, world, fixes: rows, oxts: single };
 }
 
 /** @param {DriveFolder} drive @param {Found} found @param {File | null} map @returns {import("../map/shown.js").Preview} */

@@ -4,12 +4,13 @@
  * For a look before anything is sent; the service reads the same files with more care.
  */
 
+/** @typedef {NonNullable<import("../api.js").PageConfig["kitti360_world"]>} World Of KITTI-360. */
 /**
  * @typedef {object} TrackFiles
  * @property {number[]} frames Numbers of the scans, ascending; none where only the service can tell.
  * @property {File | null} poses KITTI, KITTI-360 or TUM.
  * @property {string} pose_frame auto, camera, lidar
- * @property {boolean} isPublished The poses are those of KITTI-360, in its world.
+ * @property {World | null} world In which the poses are, where they are those of KITTI-360.
  * @property {File | null} fixes geo.csv, or one row of OXTS per frame.
  * @property {[number, File][]} oxts Files of one fix each, by frame.
  */
@@ -30,12 +31,11 @@ const READ_AT_ONCE = 16;
 const LINE_BYTES = 400; // a fix begins with latitude and longitude
 const METRES_PER_DEGREE = 111_320;
 const WGS84_A_M = 6_378_137;
-const WORLD = { lat: 48.9843445, lon: 8.4295857, lowest_m: 50, highest_m: 400 }; // of KITTI-360
 
 /** @param {TrackFiles} files @returns {Promise<Track | null>} null: only the service can read where the drive went. */
-export async function readTrack({ frames, poses, pose_frame, isPublished, fixes, oxts }) {
-  const world = poses && isPublished && !fixes ? readWorldPoses(await textOf(poses)) : null;
-  if (world?.size) return trackOf(world, frames, false, null);
+export async function readTrack({ frames, poses, pose_frame, world, fixes, oxts }) {
+  const placed = poses && world && !fixes ? readWorldPoses(await textOf(poses), world) : null;
+  if (placed?.size) return trackOf(placed, frames, false, null);
   const fixed = oxts.length ? await readFixFiles(oxts, frames) : fixes ? readFixes(await textOf(fixes), frames) : null;
   const posed = poses ? readPoses(await textOf(poses), frames, pose_frame) : null;
   const found = fixed?.size ? fixed : posed;
@@ -178,22 +178,23 @@ export function readPoses(text, frames, pose_frame) {
 const difference = (a, b) => a.map((value, i) => value - b[i]);
 
 /**
- * @param {string} text Poses of KITTI-360: its world is a spherical Mercator projection about a point near Karlsruhe.
+ * @param {string} text Poses of KITTI-360: its world is a spherical Mercator projection.
+ * @param {World} world
  * @returns {Map<number, number[]>} Longitude and latitude by frame; none where they were moved elsewhere.
  */
-export function readWorldPoses(text) {
+export function readWorldPoses(text, world) {
   const radians = Math.PI / 180;
-  const scale = WGS84_A_M * Math.cos(WORLD.lat * radians);
-  const north = Math.asinh(Math.tan(WORLD.lat * radians));
+  const scale = WGS84_A_M * Math.cos(world.lat_deg * radians);
+  const north = Math.asinh(Math.tan(world.lat_deg * radians));
   const rows = linesOf(text).map((line) => line.trim().split(/\s+/).map(Number));
   const posed = rows.filter((row) => (row.length === 13 || row.length === 17) && row.every(Number.isFinite));
   const heights = posed.map((row) => row[12]).sort((a, b) => a - b);
   const height = heights[heights.length >> 1];
-  if (!(height > WORLD.lowest_m && height < WORLD.highest_m)) return new Map();
+  if (!(height > world.min_alt_m && height < world.max_alt_m)) return new Map();
   return new Map(
     posed.map((row) => [
       row[0],
-      [WORLD.lon + row[4] / scale / radians, Math.atan(Math.sinh(north + row[8] / scale)) / radians],
+      [world.lon_deg + row[4] / scale / radians, Math.atan(Math.sinh(north + row[8] / scale)) / radians],
     ]),
   );
 }

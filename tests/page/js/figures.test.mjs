@@ -1,10 +1,12 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { setConfig } from "../../../static/js/api.js";
 import { formatBytes, formatDuration, formatMetres, plural } from "../../../static/js/dom.js";
 import { at, curve, histogram, sequenceOf } from "../../../static/js/report/scores.js";
 
 test("a drive is taken for a KITTI sequence by its name alone", () => {
+  setConfig({ raw_sequences: { "2011_09_30_drive_0018": "05", "2011_10_03_drive_0027": "00" } });
   const named = {
     "2011_09_30_drive_0018": "05",
     "2011_09_30_drive_0018_sync": "05",

@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { gzipSync } from "node:zlib";
 
+import { setConfig } from "../../../static/js/api.js";
 import { lookIntoMap } from "../../../static/js/upload/osm_roads.js";
 import { fitVerdict, mapVerdict, trackFilesOf } from "../../../static/js/upload/preview.js";
 import { readFixes, readPoses, readTrack } from "../../../static/js/upload/track.js";
@@ -10,6 +11,8 @@ const LAT = 49;
 const LON = 8.4;
 const METRE = 1 / 111320;
 const EAST = METRE / Math.cos((LAT * Math.PI) / 180);
+
+const WORLD = { lat_deg: 48.9843445, lon_deg: 8.4295857, min_alt_m: 50, max_alt_m: 400 };
 
 const file = (text, name) => new File([text], name);
 const near = (found, expected, within = 0.01) =>
@@ -70,7 +73,7 @@ test("a track says how the poses fit the georeference", async () => {
 
 test("poses in the world of KITTI-360 are places", async () => {
   const line = (frame, x, y, z) => `${frame} 1 0 0 ${x} 0 -1 0 ${y} 0 0 -1 ${z}\n`;
-  const files = { frames: [4, 5], pose_frame: "auto", isPublished: true, fixes: null, oxts: [] };
+  const files = { frames: [4, 5], pose_frame: "auto", world: WORLD, fixes: null, oxts: [] };
   const poses = file(line(4, 0, 0, 116) + line(5, 0, 100, 116), "poses.txt");
   const track = await readTrack({ ...files, poses });
   assert.equal(track.local, false);
@@ -88,12 +91,14 @@ test("the files of a track are found among those of a drive", () => {
     of("oxts/data/0000000003.txt", "oxts/data/0000000004.txt", "oxts/timestamps.txt").oxts.map(([frame]) => frame),
     [3, 4],
   );
-  assert.equal(of("data_poses/drive/poses.txt").isPublished, true);
-  assert.equal(of("poses.txt").isPublished, false);
+  setConfig({ kitti360_world: WORLD });
+  assert.equal(of("data_poses/drive/poses.txt").world, WORLD);
+  assert.equal(of("poses.txt").world, null);
   const rows = of("oxts/07.txt.gz");
   assert.deepEqual([rows.oxts.length, rows.fixes.name], [0, "oxts/07.txt.gz"]);
 });
 
+const WORDS = { simulator: "interloc simulate", drivable: ["residential"] };
 const node = (id, x, y) => `<node id="${id}" lat="${LAT + y * METRE}" lon='${LON + x * EAST}' version="1"/>`;
 const way = (refs, kind) =>
   `<way id="9"><nd ref="${refs.join('"/><nd ref="')}"/><tag k="name" v="a &gt; b"/><tag k="highway" v="${kind}"/></way>`;
@@ -106,7 +111,7 @@ ${way([1, 2, 3, 4], "residential")}${way([1, 3], "footway")}
 test("roads near a track are read from OSM XML, plain or packed, and how much of it the map covers", async () => {
   const track = [0, 10, 20, 30].map((x) => [LON + x * EAST, LAT]);
   for (const map of [file(OSM, "map.osm"), new File([gzipSync(OSM)], "map.osm.gz")]) {
-    const look = await lookIntoMap(map, track);
+    const look = await lookIntoMap(map, track, WORDS);
     assert.deepEqual(
       look.roads.map(({ line, properties }) => [line.length, properties.highway, properties.is_drivable]),
       [
@@ -117,10 +122,10 @@ test("roads near a track are read from OSM XML, plain or packed, and how much of
     assert.equal(look.covered, 0.5);
     assert.ok(Math.abs(look.road_m - 2) < 0.05);
   }
-  assert.equal((await lookIntoMap(file(OSM, "map.osm"), track)).isMadeUp, false);
+  assert.equal((await lookIntoMap(file(OSM, "map.osm"), track, WORDS)).isMadeUp, false);
   const simulated = OSM.replace("<osm>", '<osm version="0.6" generator="interloc simulate">');
-  assert.equal((await lookIntoMap(file(simulated, "map.osm"), track)).isMadeUp, true); // and no credit is due
-  assert.equal(await lookIntoMap(file("no map", "map.osm"), track), null);
+  assert.equal((await lookIntoMap(file(simulated, "map.osm"), track, WORDS)).isMadeUp, true); // and no credit is due
+  assert.equal(await lookIntoMap(file("no map", "map.osm"), track, WORDS), null);
 });
 
 test("a verdict says what the map is worth for the drive", () => {

@@ -9,7 +9,7 @@ import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.drives.findings import Findings
-from interloc.drives.layouts import DriveParts
+from interloc.drives.layouts import POSE_FILES, DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.poses.tum import looks_like_tum
 from interloc.drives.scans.las.clouds import ROAD_SURFACE, CloudFile, Field, all_of
@@ -22,7 +22,6 @@ from interloc.drives.trajectory import Trajectory, read_trajectory
 SENSOR_RANGE_M = 1000.0
 """No LiDAR of a vehicle sees further; coordinates beyond are those of a map."""
 
-_POSE_FILES = ("poses.txt", "poses.tum", "trajectory.tum", "trajectory.txt")
 _FIELDS: frozenset[Field] = frozenset({"xyz", "labels", "intensity"})
 _SAMPLED = 5
 
@@ -156,6 +155,6 @@ def _pose_file(parts: DriveParts, options: DriveOptions) -> Path:
     if options.poses is not None:
         given = Path(options.poses)
         return given if given.is_absolute() or given.exists() else parts.root / given
-    beside = [folder / name for folder in (parts.root, parts.scans) for name in _POSE_FILES]
+    beside = [folder / name for folder in (parts.root, parts.scans) for name in POSE_FILES]
     found = [path for path in beside if path.is_file()]
     return next((path for path in found if looks_like_tum(path)), found[0]) if found else beside[0]
