@@ -376,28 +376,28 @@ class CalibrationConfig(_Config):
         description="Standard deviation of the georeference along each axis, where it states none of its own.",
     )
     line_std_m: float = Field(
-        0.56, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
+        0.48, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
     )
     unclear_line_std_m: float = Field(
-        47.2,
+        49.87,
         ge=0,
         le=1000,
         description="Standard deviation that comes to it at a score of 0; in proportion less at higher scores.",
     )
     shape_limit_m: float = Field(
-        3.0, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
+        3.08, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
     )
     log_odds: float = Field(
-        -0.22,
+        -0.25,
         ge=-50,
         le=50,
         description="Log odds of a road junction that no keyframe saw and whose lines leave an uncertainty of 1 m.",
     )
     log_odds_seen: float = Field(
-        5.12, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
+        5.52, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
     )
     log_odds_per_doubling: float = Field(
-        0.51, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+        0.54, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
     )
 
 

@@ -149,12 +149,13 @@ def _crossings(
         if met:
             axis, place = min(met, key=lambda pair: math.dist(pair[1], stem.point))
             found.append((place, {*axis.branches, *stem.branches}))
-    link = _link(branches)
+    lone = [axis for axis in axes if not any(set(axis.branches) <= members for _, members in found)]
+    link = _link(branches) if lone else None
     if link is not None:
         # Two carriageways joined by a road that is no longer than the blob is wide.
-        for axis in axes:
+        for axis in lone:
             place = axis.meets(link, least)
-            if place is not None and not any(set(axis.branches) <= members for _, members in found):
+            if place is not None:
                 found.append((place, set(axis.branches)))
     return found
 

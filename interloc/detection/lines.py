@@ -10,7 +10,9 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    an acute mouth or a rounded corner one edge turns away long before the other (`_follow_edge`). A branch whose edges
    are too ragged to tell stays as it is.
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight
-   (`straight_m`, `fit_length_m`).
+   (`straight_m`, `fit_length_m`); of these parts that one counts whose line is known best where the roads meet: a
+   longer part would lean towards a bend. A line that nearer road of the same branch lies off has no weight: it is what
+   follows a bend (`_is_beyond_bend`).
 4. It weighs the inverse of its variance where the roads meet, which grows with the distance from what it was fitted to
    (`_weigh`, and `interloc.detection.refinement`).
 """
@@ -173,7 +175,10 @@ def fit_lines(
         some = _sum_rings(rings, rows, cols, border_distance, is_tip, piece, candidate, limits)
         halves[i] = _keep_parallel(rings, some, words, rows, cols, pieces[i].at_candidate, size, limits)
         begin = int(max(_parting(pieces, i, candidate, limits.width) - limits.inner, 0.0) / limits.ring)
-        firsts[i] = _fit_straight_part(lines[i], samples[i], INNER_RINGS + min(begin, n_rings - 1), candidate, limits)
+        begin = min(begin, n_rings - 1)
+        firsts[i] = _fit_straight_part(lines[i], samples[i], INNER_RINGS + begin, candidate, limits)
+        if lines[i].length > 0.0 and _is_beyond_bend(lines[i], some[begin:], rows, cols, halves[i]):
+            lines[i].length = 0.0
     straight = lines.copy()
     for i in range(pieces.size):
         if lines[i].length > 0.0 and halves[i] > 0.0:
@@ -232,7 +237,7 @@ def _keep_parallel(
     size: int,
     limits: Record,
 ) -> float:
-    """Empty the rings where the road is wider or narrower than the branch is.
+    """Empty the rings where the road is wider or narrower than the branch is, the wider ones in ``some`` too.
 
     Returns its half width, pixels; 0 where too little of it is between parallel sides, and nothing was emptied.
     """
@@ -257,7 +262,21 @@ def _keep_parallel(
     for i in range(rings.size):
         if some[i] >= 0 and abs(halves[i] - half) > slack:
             rings[i].n = 0.0
+            if halves[i] > half:
+                some[i] = -1  # a mouth, in which the centerline is bent
     return half
+
+
+@compiled
+def _is_beyond_bend(line: Record, some: Int32Array, rows: Int32Array, cols: Int32Array, half: float) -> bool:
+    """Return whether the nearest road of a branch that is no mouth lies beside its line, off by over half a width."""
+    if half == 0.0:
+        return False
+    for p in some:
+        if p >= 0:
+            across = (rows[p] - line.point[0]) * line.direction[1] - (cols[p] - line.point[1]) * line.direction[0]
+            return bool(abs(across) > half)
+    return False
 
 
 @compiled
@@ -408,9 +427,10 @@ def _parting(pieces: StructuredArray, which: int, candidate: FloatArray, width: 
 def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candidate: FloatArray, limits: Record) -> int:
     """Fit a line by total least squares to the rings from ``begin`` on, as far as the branch is straight.
 
-    Returns the first ring that was used.
+    Of the parts that are long enough it takes the one whose line is known best at the candidate. Returns the first ring
+    that was used.
     """
-    first = -1
+    first, least = -1, np.inf
     m, sr, sc, srr, src, scc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(begin, rings.size):
         ring = rings[i]
@@ -434,6 +454,10 @@ def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candida
         length = (i + 1 - first) * limits.ring
         if rms > limits.straight and length > limits.shortest:
             break
+        variance = _variance(max(rms - GRID_PX, 0.0) ** 2, ur * d_row + uc * d_col, length) / min(length, limits.full)
+        if length > limits.shortest and variance > least:
+            continue
+        least = variance
         # Away from where the branch begins: the candidate may lie beyond the place that it comes from.
         sense = d_row * (ur - rings[first].r / rings[first].n) + d_col * (uc - rings[first].c / rings[first].n)
         if i == first:
@@ -461,11 +485,19 @@ def _weigh(lines: StructuredArray, candidate: FloatArray, full: float) -> None:
         line = lines[i]
         if line.length > 0.0:
             scatter = max(line.rms - GRID_PX, 0.0)
-            variance = 0.5 * (scatter * scatter + common / total) + PIXEL_PX * PIXEL_PX
-            # A line that is prolonged back to the candidate is known there the worse the farther off it was fitted.
             off = (candidate[0] - line.point[0]) * line.direction[0] + (candidate[1] - line.point[1]) * line.direction[
                 1
             ]
-            far = off / line.length
-            variance *= 1.0 + 12.0 * far * far
+            variance = _variance(0.5 * (scatter * scatter + common / total), off, line.length)
             line.weight = min(line.length, full) / full / variance
+
+
+@compiled
+def _variance(scatter: float, off: float, length: float) -> float:
+    """Return the variance of a line so far from the middle of what it was fitted to, pixels^2.
+
+    A line that is prolonged back to the candidate is known there the worse the farther off it was fitted.
+    """
+    far = off / length
+    variance: float = (scatter + PIXEL_PX * PIXEL_PX) * (1.0 + 12.0 * far * far)
+    return variance

@@ -17,6 +17,8 @@ from interloc.kernels import compiled
 # less than this share of their number: a fan of lines within about 10 degrees.
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
+FORK_COS = -0.8  # of the angles between the one road of a fork and the two others
+FORK_WIDTH = 0.85  # of the one road, as a share of the width at the candidate, at most
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
@@ -47,7 +49,8 @@ class Junction:
 def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage | None = None) -> Junction:
     """Move the candidate to the point of least squared distances to the lines of its branches, within the inner disc.
 
-    Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite.
+    Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite. With the road
+    it moves to where a fork begins, if they are those of one.
 
     Parameters
     ----------
@@ -91,7 +94,10 @@ def _meet(
 ) -> tuple[float, float, float]:
     """Return by how many rows and columns the candidate moves, and the residual."""
     if not _fix_a_point(directions, weights):
-        return 0.0, 0.0, np.inf
+        if words is None:
+            return 0.0, 0.0, np.inf
+        row, col = _to_fork(directions, points, weights, spans, candidate, MAX_SHIFTS * inner, words)
+        return row, col, np.inf
     row, col = 0.0, 0.0
     current = weights.copy()
     if words is None:
@@ -129,6 +135,38 @@ def _fix_a_point(directions: FloatArray, weights: FloatArray) -> bool:
             count += 1
     smaller_eigenvalue: float = (a + d) / 2 - math.hypot((a - d) / 2, b)
     return count >= 2 and smaller_eigenvalue >= PARALLEL * count
+
+
+@compiled
+def _to_fork(
+    directions: FloatArray,
+    points: FloatArray,
+    weights: FloatArray,
+    spans: FloatArray,
+    candidate: FloatArray,
+    limit: float,
+    words: UInt64Array,
+) -> tuple[float, float]:
+    """Return rows and columns from the candidate to where the road of one branch begins to part into two others.
+
+    That is where its parallel sides end. No shift where the lines are not those of a fork, or the road is as wide there
+    as at the candidate.
+    """
+    if weights.size != 3:
+        return 0.0, 0.0
+    for i in range(3):
+        a, b = directions[(i + 1) % 3], directions[(i + 2) % 3]
+        d_row, d_col = directions[i]
+        opposed = max(d_row * a[0] + d_col * a[1], d_row * b[0] + d_col * b[1])
+        if weights[i] > 0.0 and np.isfinite(spans[i]) and opposed < FORK_COS and a[0] * b[0] + a[1] * b[1] > -FORK_COS:
+            row, col = points[i, 0] - 0.5 * spans[i] * d_row, points[i, 1] - 0.5 * spans[i] * d_col
+            width, widest = 0.0, 0.0
+            for sign in (-1.0, 1.0):
+                width += to_edge(words, row, col, -sign * d_col, sign * d_row, limit)
+                widest += to_edge(words, candidate[0], candidate[1], -sign * d_col, sign * d_row, limit)
+            if width < FORK_WIDTH * widest:
+                return _within(row - candidate[0], col - candidate[1], limit)
+    return 0.0, 0.0
 
 
 @compiled

@@ -77,7 +77,7 @@ def test_narrow_road_meets_wide_one_on_its_axis(
 @pytest.mark.parametrize(
     "bend_m",
     [
-        pytest.param(25, marks=pytest.mark.xfail(strict=True, reason="a line fitted across the bend leans towards it")),
+        25,
         35,
         40,
         45,

@@ -147,6 +147,17 @@ def test_parallel_lines_fix_nothing_however_heavy_the_candidate() -> None:
     assert found.residual == math.inf
 
 
+@pytest.mark.parametrize(("stem_half", "expected"), [(10, [200, 140]), (60, [200, 220])])
+def test_fork_begins_where_the_sides_of_the_one_road_cease_to_be_parallel(stem_half: int, expected: list[int]) -> None:
+    road = np.zeros((400, 400), np.uint8)
+    road[200 - stem_half : 201 + stem_half, :145] = 1
+    road[140:261, 145:] = 1  # the mouth
+    fan = branches([(200.0, 100.0), (170.0, 320.0), (230.0, 320.0)], [270, 94, 86], candidate=(200, 220), inner=80)
+    found = refine(replace(fan, spans=np.array([80.0, 60.0, 60.0])), 0.25, BinaryImage.from_array(road))
+    np.testing.assert_allclose(found.position, expected, atol=1e-6)
+    assert found.residual == math.inf
+
+
 @pytest.mark.parametrize("weights", [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
 def test_fewer_than_two_lines_leave_the_candidate_where_it_is(weights: list[float]) -> None:
     found = refine(branches([(0.0, 1.0), (1.0, 0.0), (2.0, 2.0)], [0, 90, 45], candidate=(7, 7), weights=weights))
