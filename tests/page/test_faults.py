@@ -188,4 +188,16 @@ def test_a_job_is_watched_through_a_restart_of_the_server(browser: Browser, watc
             assert not told.is_visible()
             summary = ended(second.client, job)["summary"]
             assert re.search(rf"{summary['detections']}\s+detections", page.inner_text("#panel-job"))
+
+            page.route("**/events", lambda route: route.abort())  # the end is heard of by the list of jobs alone
+            gate = Gate(tmp_path / "data", drive, SCANS // 2)
+            job = submit(second.client, drive)
+            half_way(second.client, job)
+            page.goto("about:blank")
+            page.goto(f"{second.address}/#panel=job&job={job}")
+            page.get_by_role("progressbar", name="Progress").wait_for()
+            gate.open()
+            ended(second.client, job)
+            page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+            page.wait_for_selector(".legend:visible")
             page.close()

@@ -17,6 +17,9 @@ export const LABEL_FOLDERS = /** @type {Record<string, string>} */ ({
   predictions: "predictions (of a network)",
 });
 
+/** States of a job that has ended. */
+export const FINAL = new Set(["successful", "failed", "dismissed"]);
+
 const MAX_ROWS = 2000;
 const HEAD_ROWS = 100; // what a look asks for: all there is on most servers
 const PAGE_ROWS = 1000;
@@ -111,9 +114,11 @@ function newer(job) {
   return known && known.version > job.version ? known : job;
 }
 
-/** @param {any} job A job as just received: takes the place of the older one. */
+/** @param {any} job A job as just received. @returns {any} The newest that is known of it, which is kept. */
 export function rememberJob(job) {
-  remember(lists.jobs, job);
+  const newest = newer(job);
+  remember(lists.jobs, newest);
+  return newest;
 }
 
 /** @param {any} drive */

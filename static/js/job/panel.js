@@ -4,7 +4,7 @@
  */
 import { follow, getJson, sendJson } from "../api.js";
 import { factRows, figure } from "../controls.js";
-import { lists, refreshLists, rememberJob } from "../data/lists.js";
+import { FINAL, lists, refreshLists, rememberJob } from "../data/lists.js";
 import {
   announce,
   el,
@@ -32,7 +32,6 @@ const STAGES = [
   ["evaluating", "Scoring against OpenStreetMap"],
 ];
 const POLL_MS = 15000; // a proxy may hold events back: ask now and then, too
-const FINAL = new Set(["successful", "failed", "dismissed"]);
 
 /** @param {HTMLElement} container */
 export function mount(container) {
@@ -80,25 +79,16 @@ export function mount(container) {
     }
   };
 
-  /** @param {any} job */
-  const update = (job) => {
-    const before = lists.jobs.find((each) => each.id === job.id);
-    if (before && before.version > job.version) return;
-    const finished = FINAL.has(job.state) && before && !FINAL.has(before.state);
-    rememberJob(job);
-    show(job);
-    if (finished) {
-      announce(`The job is ${job.state}.`);
-      document.dispatchEvent(new CustomEvent("job-finished"));
-    }
-  };
+  const update = (/** @type {any} */ job) => show(rememberJob(job));
 
-  /** @type {string|null} */
-  let shownId = null;
+  /** The job as it was shown last: its end may come by the list before it comes by its events. @type {any} */
+  let last = null;
   /** @param {any} job */
   const show = (job) => {
-    if (isEditing(container) && shownId === job.id) return;
-    shownId = job.id;
+    const isSame = last?.id === job.id;
+    if (isSame && FINAL.has(job.state) && !FINAL.has(last.state)) announce(`The job is ${job.state}.`);
+    last = job;
+    if (isEditing(container) && isSame) return;
     const focused = container.contains(document.activeElement) ? document.activeElement?.textContent : null;
     const title = el("h2", { class: "cut", title: job.drive_name }, job.drive_name);
     const owner = job.owner === ANYONE ? "" : ` by ${job.owner}`;

@@ -5,7 +5,7 @@
 
 import { getJson } from "../api.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
-import { lists, onListsChange, rememberJob } from "../data/lists.js";
+import { FINAL, lists, onListsChange, rememberJob } from "../data/lists.js";
 import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory } from "../data/results.js";
 import { el, fill, icon, plural } from "../dom.js";
@@ -50,6 +50,8 @@ export async function mountStage() {
   /** @type {any} */
   let parts = null;
   let token = 0;
+  /** Id of the job whose end is awaited: the list knows of it, from whomever it heard. @type {string|null} */
+  let awaited = null;
   let hasOverview = false; // or it was asked for
 
   /** @param {boolean} local */
@@ -78,15 +80,16 @@ export async function mountStage() {
         }
         return;
       }
-      const job =
+      let job =
         lists.jobs.find((each) => each.id === id && each.state === "successful") ?? (await getJson(`jobs/${id}`));
       if (mine !== token) return;
-      if (job.kind === "intersections") rememberJob(job);
+      if (job.kind === "intersections") job = rememberJob(job);
+      awaited = FINAL.has(job.state) ? null : id;
       if (getState().drive !== job.drive_id) setState({ drive: job.drive_id });
       if (job.state !== "successful") {
         clear();
         fill(cover, el("p", {}, waiting(job)));
-        if (!isOver(job)) await showTrajectory(job, mine);
+        if (awaited) await showTrajectory(job, mine);
         return;
       }
       if (shown.result?.job.id === id) return;
@@ -222,7 +225,6 @@ export async function mountStage() {
   });
   onTilesChange(() => (parts?.setTiles(false), updateLayers()));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => parts?.redraw());
-  document.addEventListener("job-finished", () => void showDrive());
   followCompared();
   onCompared(() => {
     if (!parts || !shown.result) return;
@@ -231,6 +233,10 @@ export async function mountStage() {
   });
   onListsChange(() => {
     const job = lists.jobs.find((each) => each.id === getState().job);
+    if (job?.id === awaited && FINAL.has(job.state)) {
+      awaited = null;
+      void showDrive();
+    }
     if (!job || !scene || shown.result || scene.progress === job.progress.fraction) return;
     scene.progress = job.progress.fraction;
     parts.redraw();
@@ -425,11 +431,6 @@ function applyView(text) {
   if (![zoom, lat, lng].every(Number.isFinite)) return false;
   shown.map.setView([lat, lng], zoom, { animate: false });
   return true;
-}
-
-/** @param {any} job @returns {boolean} */
-function isOver(job) {
-  return job.state === "failed" || job.state === "dismissed";
 }
 
 /** @param {any} job @returns {string} */
