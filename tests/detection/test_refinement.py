@@ -32,8 +32,8 @@ def branches(
     weight = np.ones(len(points)) if weights is None else np.array(weights)
     return Branches(
         index=0,
-        candidate=np.array(candidate),
-        inner=inner,
+        candidate=np.array(candidate, float),
+        inner=float(inner),  # kernels are compiled for these alone
         directions=directions.reshape(-1, 2),
         points=np.array(points).reshape(-1, 2),
         weights=weight,

@@ -253,7 +253,7 @@ def main() -> None:
                 asked[kind] += good is not None
                 right[kind] += bool(good)
                 stated[kind] += good is None
-                if good is False:
+                if good is not None and not good:
                     click.echo(f"not so: {words}")
     for kind in asked | stated:
         note = f", {stated[kind]} more say what was found: nothing to compare with" if stated[kind] else ""
