@@ -180,9 +180,10 @@ def fit_lines(
         if lines[i].length > 0.0 and _is_beyond_bend(lines[i], some[begin:], rows, cols, halves[i]):
             lines[i].length = 0.0
     straight = lines.copy()
+    surfaces = np.where(halves > 0.0, halves, 0.5 * limits.width)  # a ragged one as wide as the road at the candidate
     for i in range(pieces.size):
         if lines[i].length > 0.0 and halves[i] > 0.0:
-            first = _follow_edge(samples[i], firsts[i], straight, i, halves, words, candidate, limits)
+            first = _follow_edge(samples[i], firsts[i], straight, i, surfaces, words, candidate, limits)
             _fit_straight_part(lines[i], samples[i], first, candidate, limits)
     _weigh(lines, candidate, limits.full)
     return lines
@@ -285,16 +286,17 @@ def _follow_edge(
     first: int,
     lines: StructuredArray,
     which: int,
-    halves: FloatArray,
+    surfaces: FloatArray,
     words: UInt64Array,
     candidate: FloatArray,
     limits: Record,
 ) -> int:
     """Follow the axis of a branch inwards along the edge that stays half a width from it; return the new first ring.
 
-    It ends where both edges have turned away, or where the axis comes upon the surface of another branch.
+    It ends where both edges have turned away, or where the axis comes upon the surface of another branch, whose half
+    width is in ``surfaces``.
     """
-    line, half = lines[which], halves[which]
+    line, half = lines[which], surfaces[which]
     slack, step, max_shift = limits.slack, limits.ring, MAX_SHIFT * limits.ring
     toward = _lasting_side(lines, which)
     ring = samples[first]
@@ -314,7 +316,7 @@ def _follow_edge(
         if -(u_row * line.direction[0] + u_col * line.direction[1]) < MAX_TURN_COS:
             break
         r, c = trail[at, 0] + step * u_row, trail[at, 1] + step * u_col
-        if _is_on_other(r, c, lines, which, halves, candidate):
+        if _is_on_other(r, c, lines, which, surfaces, candidate):
             break
         reach = half + slack + 1.0
         left = to_edge(words, r, c, -u_col, u_row, reach)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -92,6 +93,16 @@ def test_bends_beyond_the_junction_do_not_move_it(draw_roads: Draw, detect: Dete
         assert len(found.world_xy) == 1
         errors_m.append(math.hypot(*found.world_xy[0]))
     assert max(errors_m) < 0.3
+
+
+def test_axis_ends_where_a_branch_with_ragged_edges_begins(draw_roads: Draw, detect: Detect) -> None:
+    smooth = draw_roads((O, arm(120)), (O, arm(0)), (O, arm(-60, 5)), width_m=8)
+    places = [arm(-60, along_m) for along_m in range(5, 42, 6)]
+    widths_m = itertools.cycle((6.6, 8.0, 9.4))
+    pieces = zip(itertools.pairwise(places), widths_m, strict=False)
+    ragged = [draw_roads(piece, width_m=width_m) for piece, width_m in pieces]
+    found = detect(np.concatenate([smooth, *ragged]))
+    assert np.hypot(*found.world_xy.T) == pytest.approx([0], abs=0.3)
 
 
 def test_junctions_a_block_apart_are_found_each(draw_roads: Draw, detect: Detect) -> None:
