@@ -13,8 +13,10 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    (`straight_m`, `fit_length_m`); of these parts that one counts whose line is known best where the roads meet: a
    longer part would lean towards a bend. A line that nearer road of the same branch lies off has no weight: it is what
    follows a bend (`_is_beyond_bend`).
-4. It weighs the inverse of its variance where the roads meet, which grows with the distance from what it was fitted to
-   (`_weigh`, and `interloc.detection.refinement`).
+4. Two branches that together lie on one circle, and much better so than each on its line, are one road that bends
+   through the intersection (the arms of a roundabout): their lines are its tangent there (`_join_bends`).
+5. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
+   fitted to (`_weigh`, and `interloc.detection.refinement`).
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, Int32Array, Record, StructuredArray, UInt64Array
+from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray, Record, StructuredArray, UInt64Array
 from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline
 from interloc.kernels import compiled
@@ -45,6 +47,9 @@ MAX_MISSES = 4  # rings without an edge that it crosses straight on
 MAX_SHIFT = 0.375  # what it may move sideways in a ring, as a share of the ring
 LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
 MAX_TURN_COS = 0.5  # it does not turn by more than 60 degrees
+
+BEND_SHARE = 0.6  # of the distances of two branches from their lines: what those from one circle must be below
+BEND_RINGS = 6  # that each of the two must have
 
 
 class Lines(NamedTuple):
@@ -183,9 +188,10 @@ def fit_lines(
     surfaces = np.where(halves > 0.0, halves, 0.5 * limits.width)  # a ragged one as wide as the road at the candidate
     for i in range(pieces.size):
         if lines[i].length > 0.0 and halves[i] > 0.0:
-            first = _follow_edge(samples[i], firsts[i], straight, i, surfaces, words, candidate, limits)
-            _fit_straight_part(lines[i], samples[i], first, candidate, limits)
+            firsts[i] = _follow_edge(samples[i], firsts[i], straight, i, surfaces, words, candidate, limits)
+            _fit_straight_part(lines[i], samples[i], firsts[i], candidate, limits)
     _weigh(lines, candidate, limits.full)
+    _join_bends(lines, samples, firsts, candidate, limits)
     return lines
 
 
@@ -492,6 +498,93 @@ def _weigh(lines: StructuredArray, candidate: FloatArray, full: float) -> None:
             ]
             variance = _variance(0.5 * (scatter * scatter + common / total), off, line.length)
             line.weight = min(line.length, full) / full / variance
+
+
+@compiled
+def _join_bends(
+    lines: StructuredArray, samples: StructuredArray, firsts: IntArray, candidate: FloatArray, limits: Record
+) -> None:
+    """Replace the lines of two branches that are one bend by its tangent where it comes nearest to the candidate.
+
+    A line says of a bend what its road is like farther out: prolonged to the intersection it leaves the road.
+    """
+    joined = np.zeros(lines.size, np.bool_)
+    for i in range(lines.size):
+        for j in range(i):
+            if joined[i] or joined[j] or lines[i].length == 0.0 or lines[j].length == 0.0:
+                continue
+            one = _places(samples[i], firsts[i], limits)
+            other = _places(samples[j], firsts[j], limits)
+            if min(len(one), len(other)) < BEND_RINGS or _meet_in_corner(one, other):
+                continue
+            both = np.concatenate((one, other))
+            row, col, radius, rms = _fit_circle(both)
+            from_lines = np.sqrt((_squares_off_line(one) + _squares_off_line(other)) / len(both))
+            away = np.hypot(row, col)
+            if not rms < BEND_SHARE * from_lines or away == 0.0:
+                continue
+            d_row, d_col = col / away, -row / away
+            p_row, p_col = row - radius * row / away, col - radius * col / away
+            ahead = (one[:, 0].mean() - p_row) * d_row + (one[:, 1].mean() - p_col) * d_col
+            behind = (other[:, 0].mean() - p_row) * d_row + (other[:, 1].mean() - p_col) * d_col
+            if ahead * behind >= 0.0:
+                continue
+            joined[i] = joined[j] = True
+            for k, sense in ((i, np.sign(ahead)), (j, np.sign(behind))):
+                line = lines[k]
+                line.point[0], line.point[1] = candidate[0] + p_row, candidate[1] + p_col
+                line.direction[0], line.direction[1] = sense * d_row, sense * d_col
+                line.length, line.rms = len(both) * limits.ring, rms
+                line.weight = min(line.length, limits.full) / limits.full
+                line.weight /= _variance(max(rms - GRID_PX, 0.0) ** 2, 0.0, line.length)
+
+
+@compiled
+def _places(rings: StructuredArray, first: int, limits: Record) -> FloatArray:
+    """Return where a branch passes its rings, from the first on as far as length counts; rows and columns from here."""
+    places = np.empty((int(limits.full / limits.ring) + 1, 2))
+    count = 0
+    for ring in rings[first : first + len(places)]:
+        if ring.n > 0.0:
+            places[count, 0], places[count, 1] = ring.r / ring.n, ring.c / ring.n
+            count += 1
+    return places[:count]
+
+
+@compiled
+def _meet_in_corner(one: FloatArray, other: FloatArray) -> bool:
+    """Return whether two branches are too near to each other in direction to be one road."""
+    a, b, c, d = one[:, 0].mean(), one[:, 1].mean(), other[:, 0].mean(), other[:, 1].mean()
+    return bool(a * c + b * d > math.cos(LASTING_RAD) * np.hypot(a, b) * np.hypot(c, d))
+
+
+@compiled
+def _squares_off_line(places: FloatArray) -> float:
+    """Return the sum of squared distances of places from the line that fits them best."""
+    y, x = places[:, 0] - places[:, 0].mean(), places[:, 1] - places[:, 1].mean()
+    yy, yx, xx = (y * y).sum(), (y * x).sum(), (x * x).sum()
+    smallest: float = 0.5 * (yy + xx) - np.hypot(0.5 * (yy - xx), yx)
+    return max(smallest, 0.0)
+
+
+@compiled
+def _fit_circle(places: FloatArray) -> tuple[float, float, float, float]:
+    """Fit a circle by the least squares of Kasa; return row and column of its centre, its radius, and what is left.
+
+    I. Kasa, "A circle fitting procedure and its error analysis", 1976. What is left is the root mean square distance;
+    infinite for places on one line.
+    """
+    mean_row, mean_col = places[:, 0].mean(), places[:, 1].mean()
+    y, x = places[:, 0] - mean_row, places[:, 1] - mean_col
+    z = y * y + x * x
+    yy, yx, xx, yz, xz = (y * y).mean(), (y * x).mean(), (x * x).mean(), (y * z).mean(), (x * z).mean()
+    determinant = yy * xx - yx * yx
+    if determinant <= 0.0:
+        return 0.0, 0.0, 0.0, np.inf
+    row, col = 0.5 * (xx * yz - yx * xz) / determinant, 0.5 * (yy * xz - yx * yz) / determinant
+    radius = np.sqrt(row * row + col * col + z.mean())
+    off = np.sqrt((y - row) ** 2 + (x - col) ** 2) - radius
+    return row + mean_row, col + mean_col, radius, np.sqrt((off * off).mean())
 
 
 @compiled

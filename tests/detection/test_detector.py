@@ -95,6 +95,32 @@ def test_bends_beyond_the_junction_do_not_move_it(draw_roads: Draw, detect: Dete
     assert max(errors_m) < 0.3
 
 
+def bend(radius_m: float, from_deg: float, to_deg: float) -> Polyline:
+    """Return an arc through the origin, at 180 degrees, around a centre east of it."""
+    angles = np.radians(np.linspace(from_deg, to_deg, 65))
+    x, y = radius_m * (1 + np.cos(angles)), radius_m * np.sin(angles)
+    return tuple(zip(x.tolist(), y.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("width_m", [5, 7])
+def test_arms_of_a_roundabout_meet_its_ring(draw_roads: Draw, detect: Detect, width_m: float) -> None:
+    centre = np.array([16.0, 0.0])
+    ring = bend(16, 0, 360)
+    nodes = [centre + arm(angle_deg, 16) for angle_deg in (0, 90, 180, 270)]
+    arms = [(tuple(node), tuple(centre + 6 * (node - centre))) for node in nodes]
+    found = detect(draw_roads(ring, *arms, width_m=width_m))
+    off_m = np.hypot(*(found.world_xy[:, None] - np.array(nodes)).transpose(2, 0, 1))
+    assert sorted(off_m.argmin(axis=1)) == [0, 1, 2, 3]
+    assert off_m.min(axis=1).max() < 0.8
+
+
+@pytest.mark.parametrize("radius_m", [20, 30])
+@pytest.mark.parametrize("side_deg", [180, 0])
+def test_side_road_of_a_bend_meets_the_bend(draw_roads: Draw, detect: Detect, radius_m: float, side_deg: float) -> None:
+    found = detect(draw_roads(bend(radius_m, 100, 260), (O, arm(side_deg)), width_m=7))
+    assert np.hypot(*found.world_xy.T).min() < 0.5
+
+
 def test_axis_ends_where_a_branch_with_ragged_edges_begins(draw_roads: Draw, detect: Detect) -> None:
     smooth = draw_roads((O, arm(120)), (O, arm(0)), (O, arm(-60, 5)), width_m=8)
     places = [arm(-60, along_m) for along_m in range(5, 42, 6)]
