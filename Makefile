@@ -31,9 +31,9 @@ $(READY): pyproject.toml constraints.txt static/package-lock.json
 	@if command -v npm >/dev/null; then npm ci --silent --omit=dev --prefix static; fi
 	@touch $(READY)
 
-# What linters, types and tests need besides.
+# What linters, types and tests need besides; what they import of it is compiled then.
 $(READY_TO_TEST): $(READY)
-	$(PIP_INSTALL) -e ".[service,dask,label,ros,las,parquet,dev]"
+	$(PIP_INSTALL) --no-compile -e ".[service,dask,label,ros,las,parquet,dev]"
 	@touch $(READY_TO_TEST)
 
 # The web service and its page, for this machine only: drives and results in ./interloc-data. `make serve PORT=8001` has
@@ -69,7 +69,7 @@ test: page-tools
 
 # What needs neither a server nor a browser: within a minute.
 test-quick: compiled
-	$(PYTEST) $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
+	$(PYTEST) -n logical $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
 
 # The kernels are compiled once, and not by all processes of the tests at the same time.
 compiled: $(READY_TO_TEST)

@@ -15,9 +15,12 @@ settings.load_profile("interloc")
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int | None:
-    """Take two processes per core, up to eight: tests of servers and browsers mostly wait. Each needs up to 1 GB."""
-    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """Take two processes per core, up to eight: tests of servers and browsers mostly wait. Each needs up to 1 GB.
+
+    `-n logical` takes one per core, for tests that do not wait.
+    """
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ or config.option.numprocesses == "logical":
         return None  # as many as it says
     cores = os.cpu_count() or 1
     return max(cores, min(2 * cores, 8))

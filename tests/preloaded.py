@@ -9,6 +9,8 @@ from pkgutil import iter_modules
 
 import numpy as np
 
+from app.main import create_app
+from app.settings import Settings
 from interloc import cli
 from interloc.config import preset
 from interloc.drives.open import open_drive
@@ -25,6 +27,8 @@ from tests.networks import write_model
 commands = iter_modules(cli.__path__)
 for name in ("app.server", "app.work.intersections", *(f"interloc.cli.{each.name}" for each in commands)):
     import_module(name)
+
+create_app(Settings()).openapi()  # FastAPI makes the routes when they are asked for
 
 with tempfile.TemporaryDirectory() as folder:
     root = Path(folder)

@@ -30,6 +30,7 @@ URGENT_AT_ONCE = 4
 """Number of jobs that a server works on beside the others because somebody waits for them."""
 
 _WAITS_FOR_CHECK = "Waiting for the check of its drive."
+_ANY_ACTIVE = select(Job.id).where(Job.state.in_(ACTIVE)).limit(1)
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,10 @@ class JobQueue:
         another attempt.
         """
         with self._database.reading() as session:  # an idle server must not take the write lock twice per second
-            if (
-                session.execute(self._claimable(self._database.clock(session), enough_urgent, enough_long)).first()
-                is None
-            ):
+            if session.execute(_ANY_ACTIVE).first() is None:
+                return None
+            query = self._claimable(self._database.clock(session), enough_urgent, enough_long)
+            if session.execute(query).first() is None:
                 return None
         with self._database.writing(patient=True) as session:
             now = self._database.clock(session)

@@ -11,7 +11,7 @@ from interloc.arrays import BoolArray, FloatArray, Int32Array
 from interloc.config import CenterlineConfig
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton
-from interloc.kernels.thinning import DELETABLE, thin
+from interloc.kernels.thinning import thin
 
 BORDER_PX = 12  # a line that ends this near to the border of the window was cut by it
 
@@ -95,7 +95,7 @@ def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Cent
     Paper, eq. 5.
     """
     image = BinaryImage(occupancy.words.copy(), occupancy.height, occupancy.width)
-    thin(image.words, DELETABLE)
+    thin(image.words)
     centerline = Centerline.of(image, occupancy, int(config.max_width_share * occupancy.height))
     if config.spur_widths > 0:
         centerline = _without_spurs(centerline, config.spur_widths)

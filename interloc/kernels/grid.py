@@ -94,10 +94,14 @@ def add_cells(
     """
     flat = pool.reshape(-1)
     where = np.empty(cells.shape[0], np.int32)
+    tile_x, tile_y = np.int64(first_x) - 1, np.int64(first_y) - 1  # none yet
+    start = np.int64(0)
     for i in range(cells.shape[0]):
         ix, iy = np.int64(cells[i, 0]), np.int64(cells[i, 1])
-        slot = np.int64(table[(iy >> _SHIFT) - first_y, (ix >> _SHIFT) - first_x])
-        k = slot * TILE * TILE + ((iy & _MASK) << _SHIFT) + (ix & _MASK)
+        if ix >> _SHIFT != tile_x or iy >> _SHIFT != tile_y:  # seldom: neighbouring points lie in one tile
+            tile_x, tile_y = ix >> _SHIFT, iy >> _SHIFT
+            start = np.int64(table[tile_y - first_y, tile_x - first_x]) * TILE * TILE
+        k = start + ((iy & _MASK) << _SHIFT) + (ix & _MASK)
         flat[k] += vote
         where[i] = k
     return where

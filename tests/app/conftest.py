@@ -19,6 +19,7 @@ from app.main import create_app
 from app.server import Server
 from app.settings import Settings
 from tests import forks
+from tests.app.processes import NO_TLS
 
 API = "/api/v1"
 
@@ -75,7 +76,7 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., httpx.Client]]:
 
         def start(data_dir: Path | None = None, **settings: Any) -> httpx.Client:
             address = stack.enter_context(running_server(data_dir or tmp_path / "data", **settings))
-            return stack.enter_context(httpx.Client(base_url=address, timeout=120))
+            return stack.enter_context(httpx.Client(base_url=address, timeout=120, verify=NO_TLS))
 
         yield start
 
@@ -88,7 +89,7 @@ def serve_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[...
         def start(**settings: Any) -> httpx.Client:
             data_dir = settings.pop("data_dir", None) or tmp_path_factory.mktemp("shared")
             address = stack.enter_context(running_server(data_dir, **settings))
-            return stack.enter_context(httpx.Client(base_url=address, timeout=120))
+            return stack.enter_context(httpx.Client(base_url=address, timeout=120, verify=NO_TLS))
 
         yield start
 
@@ -102,5 +103,8 @@ def shared_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def client(shared_data: Path) -> Iterator[httpx.Client]:
     """A client of a server with default settings, for all tests that do not mind what others left there."""
-    with running_server(shared_data) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with (
+        running_server(shared_data) as address,
+        httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
+    ):
         yield client

@@ -15,7 +15,7 @@ from interloc.detection.centerline import Centerline
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import LIMITS, _fit_circle, fit_lines
 from interloc.kernels.skeleton import trace_branches
-from interloc.kernels.thinning import DELETABLE, thin
+from interloc.kernels.thinning import thin
 
 RING_PX = 4.0
 
@@ -87,7 +87,7 @@ def test_line_is_fitted_to_the_least_length_however_bent() -> None:
     angles = np.linspace(0, 1.5, 500)  # an arc of 40 pixels' radius
     image[np.round(60 + 40 * np.cos(angles)).astype(int), np.round(100 + 40 * np.sin(angles)).astype(int)] = 1
     packed = BinaryImage.from_array(image)
-    thin(packed.words, DELETABLE)
+    thin(packed.words)
     (row,) = fit(packed, (100, 100), shortest=24.0, straight=0.1)
     assert row["rms"] > 0.1
     assert row["length"] == pytest.approx(24, abs=RING_PX)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from interloc.arrays import Int32Array, StructuredArray, UInt8Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton as sk
-from interloc.kernels.thinning import DELETABLE, thin
+from interloc.kernels.thinning import thin
 
 Pixel = tuple[int, int]
 
@@ -57,7 +57,7 @@ def thinned_blobs(seed: int, size: int = 130) -> tuple[BinaryImage, BinaryImage]
     noise = np.random.default_rng(seed).normal(size=(size, size)).astype(np.float32)
     shape = BinaryImage.from_array((cv2.GaussianBlur(noise, (0, 0), 4) > 0).astype(np.uint8))
     line = BinaryImage(shape.words.copy(), size, size)
-    thin(line.words, DELETABLE)
+    thin(line.words)
     return line, shape
 
 

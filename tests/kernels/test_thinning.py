@@ -12,14 +12,14 @@ from skimage.morphology import skeletonize
 
 from interloc.arrays import BoolArray, UInt8Array
 from interloc.detection.image import BinaryImage
-from interloc.kernels.thinning import DELETABLE, thin
+from interloc.kernels.thinning import thin
 
 WIDTHS = [1, 2, 3, 63, 64, 65, 128]
 
 
 def our_thin(image: UInt8Array) -> UInt8Array:
     packed = BinaryImage.from_array(image)
-    thin(packed.words, DELETABLE)
+    thin(packed.words)
     return packed.to_array()
 
 

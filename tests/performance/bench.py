@@ -37,7 +37,7 @@ from interloc.detection.occupancy import infer_occupancy
 from interloc.drive import Drive, scans_of
 from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
-from interloc.kernels.thinning import DELETABLE, thin
+from interloc.kernels.thinning import thin
 from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.simulate.config import SimulationOptions
@@ -109,7 +109,7 @@ def kernels(root: Path) -> dict[str, float]:
         "closing and opening, OpenCV": best_ms(
             lambda: cv2.morphologyEx(cv2.morphologyEx(bev, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
         ),
-        "thinning, ours": best_ms(lambda: thin(words.copy(), DELETABLE)),
+        "thinning, ours": best_ms(lambda: thin(words.copy())),
         "thinning, scikit-image": best_ms(lambda: skeletonize(occupancy)),
         "Harris, ours": best_ms(lambda: harris_corners(steps.centerline, PAPER.candidates)),
         "Harris, OpenCV": best_ms(lambda: cv2.cornerHarris(line.astype(np.float32), 9, 3, 0.04)),
