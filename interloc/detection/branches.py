@@ -32,7 +32,7 @@ class Branches:
         Row and column, pixels.
     inner : float
         Radius of the inner circle, pixels.
-    directions, points, weights, spans : (B, 2), (B, 2), (B,), (B,) float64
+    directions, points, weights, spans, bends : (B, 2), (B, 2), (B,), (B,), (B, 2) float64
         The line of each branch, see `interloc.detection.lines.Lines`; weights in 1 / m^2.
     lengths : (B,) float64
         Pixels of centerline in each branch.
@@ -49,6 +49,7 @@ class Branches:
     points: FloatArray
     weights: FloatArray
     spans: FloatArray
+    bends: FloatArray
     lengths: FloatArray
     reaches: FloatArray
     core: FloatArray
@@ -67,6 +68,7 @@ class Branches:
             points=self.points[indices],
             weights=self.weights[indices],
             spans=self.spans[indices],
+            bends=self.bends[indices],
             lengths=self.lengths[indices],
             reaches=self.reaches[indices],
         )
@@ -216,6 +218,7 @@ def segment_branches(
         points=lines.points[is_branch],
         weights=lines.weights[is_branch],
         spans=lines.spans[is_branch],
+        bends=lines.bends[is_branch],
         lengths=(pieces["end"] - pieces["begin"])[is_branch].astype(np.float64),
         reaches=pieces["reach"][is_branch],
         core=candidates.core(index),

@@ -83,6 +83,7 @@ def _connected(part: Branches, places: list[FloatArray]) -> Branches:
         points=np.vstack([part.points, part.candidate]),
         weights=np.append(part.weights, 0.0),
         spans=np.append(part.spans, np.inf),
+        bends=np.vstack([part.bends, np.zeros(2)]),
         lengths=np.append(part.lengths, length),
         reaches=np.append(part.reaches, length),
     )

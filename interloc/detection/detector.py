@@ -226,7 +226,9 @@ def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDet
     T = keyframe.T_world_lidar
     lidar_xy = rotate_2d(world_xy - T[:2, 3], -yaw_of(T[:3, :3]))
     angles = [np.arctan2(-j.directions[:, 0], j.directions[:, 1]) for j in junctions]  # rows go against +y
-    widths = [branch_widths(j.position, j.directions, steps.occupancy, roi.resolution_m) for j in junctions]
+    widths = [
+        branch_widths(j.position, j.directions, j.branches.bends, steps.occupancy, roi.resolution_m) for j in junctions
+    ]
     score = np.array([_score(j, roi.resolution_m, config) for j in junctions], np.float64)
     return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths)
 

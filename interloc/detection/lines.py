@@ -67,19 +67,23 @@ class Lines(NamedTuple):
     spans : (B,) float64
         Length of the part that each line was fitted to, pixels, around its point; infinite in the paper, where lines
         are as well known everywhere.
+    bends : (B, 2) float64
+        From where each line touches its road towards the centre of the circle that the road bends on: unit direction
+        (row, column) over the radius, 1 / pixels; 0 for a straight one.
     """
 
     points: FloatArray
     directions: FloatArray
     weights: FloatArray
     spans: FloatArray
+    bends: FloatArray
 
 
 def through_start_and_mean(pieces: StructuredArray) -> Lines:
     """Lay a line through the start and the mean of each piece (paper, eq. 9); all count alike."""
-    return Lines(
-        pieces["start"], _unit(pieces["mean"] - pieces["start"]), np.ones(len(pieces)), np.full(len(pieces), np.inf)
-    )
+    n = len(pieces)
+    directions = _unit(pieces["mean"] - pieces["start"])
+    return Lines(pieces["start"], directions, np.ones(n), np.full(n, np.inf), np.zeros((n, 2)))
 
 
 def least_squares(
@@ -126,7 +130,7 @@ def least_squares(
     has_line = lines["length"] * resolution_m >= config.min_fit_m
     directions = np.where(has_line[:, None], lines["direction"], _unit(pieces["mean"] - candidate))
     weights = np.where(has_line, lines["weight"] / resolution_m**2, 0.0)
-    return Lines(lines["point"], directions, weights, np.where(has_line, lines["length"], np.inf))
+    return Lines(lines["point"], directions, weights, np.where(has_line, lines["length"], np.inf), lines["bend"])
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -141,6 +145,7 @@ LINE = np.dtype(
         ("length", np.float64),  # of the fitted part; 0 where there is too little to fit
         ("rms", np.float64),  # root mean square distance of its pixels from the line
         ("weight", np.float64),  # inverse of the variance at the candidate, 1 / pixels^2
+        ("bend", np.float64, (2,)),  # of the circle that it is a tangent of, see `Lines`
     ]
 )
 """What `fit_lines` returns for each piece; pixels."""
@@ -534,6 +539,7 @@ def _join_bends(
                 line = lines[k]
                 line.point[0], line.point[1] = candidate[0] + p_row, candidate[1] + p_col
                 line.direction[0], line.direction[1] = sense * d_row, sense * d_col
+                line.bend[0], line.bend[1] = row / away / radius, col / away / radius
                 line.length, line.rms = len(both) * limits.ring, rms
                 line.weight = min(line.length, limits.full) / limits.full
                 line.weight /= _variance(max(rms - GRID_PX, 0.0) ** 2, 0.0, line.length)

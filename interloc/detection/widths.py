@@ -19,16 +19,16 @@ MIN_STEPS = 3
 
 
 def branch_widths(
-    position: FloatArray, directions: FloatArray, occupancy: BinaryImage, resolution_m: float
+    position: FloatArray, directions: FloatArray, bends: FloatArray, occupancy: BinaryImage, resolution_m: float
 ) -> FloatArray:
-    """Measure the road across each branch, at right angles to its line.
+    """Measure the road across each branch, at right angles to its line or, where the road bends, its circle.
 
     Parameters
     ----------
     position : (2,) float64
         Row and column of the intersection.
-    directions : (B, 2) float64
-        Unit direction (row, column) of each branch.
+    directions, bends : (B, 2) float64
+        Direction and bend of each branch, see `interloc.detection.lines.Lines`.
     occupancy
         Set where the ground is road.
     resolution_m : float
@@ -45,6 +45,7 @@ def branch_widths(
         occupancy.width,
         position,
         directions,
+        bends,
         _DISTANCES_M / resolution_m,
         MAX_WIDTH_M / resolution_m,
         MIN_STEPS,

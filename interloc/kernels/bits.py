@@ -182,22 +182,23 @@ def median_runs_across(
     width: int,
     start: FloatArray,
     directions: FloatArray,
+    bends: FloatArray,
     distances: FloatArray,
     limit: float,
     least: int,
 ) -> FloatArray:
-    """Measure how far the set pixels run at right angles to some rays: the median along each.
+    """Measure how far the set pixels run at right angles to some rays or arcs: the median along each.
 
     Parameters
     ----------
     words, height, width
         A packed image.
     start : (2,) float64
-        Row and column where the rays start.
-    directions : (B, 2) float64
-        Unit direction (row, column) of each ray.
+        Row and column where they start.
+    directions, bends : (B, 2) float64
+        Unit direction (row, column) of each there, and towards the centre of its circle, over the radius; 0 for a ray.
     distances : (S,) float64
-        Where along each ray, pixels.
+        Where along each, pixels.
     limit : float
         Longest run that counts, pixels.
     least : int
@@ -211,10 +212,20 @@ def median_runs_across(
     medians = np.full(directions.shape[0], np.nan)
     runs = np.empty(distances.size)
     for b in range(directions.shape[0]):
-        dr, dc = directions[b, 0], directions[b, 1]
+        curvature = math.hypot(bends[b, 0], bends[b, 1])
         count = 0
         for distance in distances:
-            row, col = start[0] + distance * dr, start[1] + distance * dc
+            dr, dc = directions[b, 0], directions[b, 1]
+            row, col = start[0], start[1]
+            if curvature > 0.0:
+                turn = distance * curvature
+                sine, cosine = math.sin(turn), math.cos(turn)
+                nr, nc = bends[b, 0] / curvature, bends[b, 1] / curvature
+                row += (sine * dr + (1.0 - cosine) * nr) / curvature
+                col += (sine * dc + (1.0 - cosine) * nc) / curvature
+                dr, dc = cosine * dr + sine * nr, cosine * dc + sine * nc
+            else:
+                row, col = row + distance * dr, col + distance * dc
             run = run_through(words, height, width, row, col, -dc, dr, limit)
             if run > 0.0:
                 runs[count] = run

@@ -176,7 +176,7 @@ def test_branches_of_one_bend_have_its_tangent() -> None:
     cv2.circle(image, (160, 100), 60, 1)  # through the candidate, around a centre to the right of it
     image[100, :100] = 1
     thinned = BinaryImage.from_array(image)
-    thin(thinned.words, DELETABLE)
+    thin(thinned.words)
     table = fit(thinned, (100, 100), shortest=20.0)
     up, left, down = table[np.argsort(table["direction"][:, 0])]
     np.testing.assert_allclose(up["direction"], [-1, 0], atol=0.02)

@@ -38,6 +38,7 @@ def branches(
         points=np.array(points).reshape(-1, 2),
         weights=weight,
         spans=np.full(len(points), np.inf),
+        bends=np.zeros((len(points), 2)),
         lengths=np.full(len(points), 50.0),
         reaches=np.full(len(points), 60.0),
         core=np.empty((0, 2)),
