@@ -471,7 +471,7 @@ DEFAULT = DetectorConfig(
         straight_m=0.2,
         trim_m=2.0,
         margin_m=15.0,
-        candidate_std_m=2.0,
+        candidate_std_m=0.7,
     ),
     compound=CompoundConfig(),
     calibration=CalibrationConfig(),

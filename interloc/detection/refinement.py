@@ -21,6 +21,7 @@ FORK_COS = -0.8  # of the angles between the one road of a fork and the two othe
 FORK_WIDTH = 0.85  # of the one road, as a share of the width at the candidate, at most
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
+SIDE_BY_SIDE_COS = math.cos(math.radians(10.0))  # of two roads that do not meet there: two carriageways
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
 
 
@@ -56,7 +57,8 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     ----------
     branches
     prior_weight : float
-        Weight of the candidate itself beside the lines; 0 as in the paper.
+        Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
+        halves an acute angle.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc, but not the road.
@@ -100,11 +102,12 @@ def _meet(
         return row, col, np.inf
     row, col = 0.0, 0.0
     current = weights.copy()
+    prior = prior_weight, 0.0, prior_weight
     if words is None:
-        row, col = _solve(directions, points, current, candidate, prior_weight)
+        row, col = _solve(directions, points, current, candidate, prior)
         row, col = _within(row, col, inner)
     else:
-        prior_weight /= _spread(directions, weights) ** 2
+        prior = _prior(directions, weights, prior_weight)
         for _ in range(ROUNDS):
             for i in range(weights.size):
                 off = _distance(directions[i], points[i], candidate, row, col) / (TOLERANCE * inner)
@@ -113,7 +116,7 @@ def _meet(
                 # A line is known best in the middle of what it was fitted to (the variance of a prediction).
                 at_point = weights[i] * (1.0 + 12.0 * here * here) / (1.0 + 12.0 * there * there)
                 current[i] = at_point / (1.0 + off * off) ** 2
-            row, col = _solve(directions, points, current, candidate, prior_weight)
+            row, col = _solve(directions, points, current, candidate, prior)
             row, col = _within(row, col, MAX_SHIFTS * inner)
             row, col = _on_road(words, candidate, row, col, inner)
     total = 0.0
@@ -185,10 +188,14 @@ def _along(direction: FloatArray, point: FloatArray, candidate: FloatArray, row:
 
 @compiled
 def _solve(
-    directions: FloatArray, points: FloatArray, weights: FloatArray, candidate: FloatArray, prior_weight: float
+    directions: FloatArray,
+    points: FloatArray,
+    weights: FloatArray,
+    candidate: FloatArray,
+    prior: tuple[float, float, float],
 ) -> tuple[float, float]:
     """Return rows and columns from the candidate to the point of least squared distances."""
-    a, b, d = prior_weight, 0.0, prior_weight
+    a, b, d = prior
     u, v = 0.0, 0.0
     for i in range(weights.size):
         d_row, d_col = directions[i]
@@ -210,18 +217,26 @@ def _within(row: float, col: float, limit: float) -> tuple[float, float]:
 
 
 @compiled
-def _spread(directions: FloatArray, weights: FloatArray) -> float:
-    """Return how much farther off its intersection a centerline branches than at a right angle; 1 at the least.
+def _prior(directions: FloatArray, weights: FloatArray, weight: float) -> tuple[float, float, float]:
+    """Return the normal matrix of the candidate: the weights of its row, of row with column, and of its column.
 
-    The surfaces of roads at an angle t part at 1 / sin(t / 2) half widths. Lines without weight do not count.
+    The surfaces of roads at an angle t part at 1 / sin(t / 2) half widths, where their centerline branches. So along
+    the line that halves an acute angle the candidate lies off by more than at a right one, and its standard deviation
+    grows by the square of that; across it the candidate is known as well as any. Lines without weight do not count.
     """
-    cosine = -1.0  # of the smallest angle
+    cosine = -1.0  # of the smallest angle, but for roads side by side
+    row, col = 0.0, 0.0
     for i in range(weights.size):
         for j in range(i):
             if weights[i] > 0.0 and weights[j] > 0.0:
-                cosine = max(cosine, directions[i, 0] * directions[j, 0] + directions[i, 1] * directions[j, 1])
+                alike = directions[i, 0] * directions[j, 0] + directions[i, 1] * directions[j, 1]
+                if cosine < alike < SIDE_BY_SIDE_COS:
+                    cosine = alike
+                    row, col = directions[i, 0] + directions[j, 0], directions[i, 1] + directions[j, 1]
     half = 0.5 * math.acos(min(cosine, 1.0))
-    return max(1.0, math.sin(math.pi / 4) / max(math.sin(half), 0.1))
+    spread = max(1.0, math.sin(math.pi / 4) / max(math.sin(half), 0.1))
+    lost = weight * (1.0 - spread**-4) / max(row * row + col * col, 1e-9)
+    return weight - lost * row * row, -lost * row * col, weight - lost * col * col
 
 
 @compiled

@@ -14,7 +14,7 @@ from interloc.pipeline import detect
 BRANCHES = {"X": 4, "T": 3, "Y": 3}
 BOUND_M = 0.3
 
-NOT_YET = {("Y", "straight", 45)}
+NOT_YET = {("Y", "straight", 45), ("Y", "straight", 60)}
 """Far out on an arm that is only seen in passing one edge is seen better than the other, so that its line leans by a
 degree; where arms meet at a sharp angle that moves the intersection along their bisector by half a metre."""
 

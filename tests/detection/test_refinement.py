@@ -15,7 +15,7 @@ from scipy.optimize import least_squares, minimize
 from interloc.arrays import FloatArray
 from interloc.detection.branches import Branches
 from interloc.detection.image import BinaryImage
-from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, TOLERANCE, refine
+from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, SIDE_BY_SIDE_COS, TOLERANCE, refine
 
 
 def branches(
@@ -203,9 +203,11 @@ def plain_reweighted(given_branches: Branches, prior_weight: float) -> FloatArra
     b, inner = given_branches, given_branches.inner
     normals = np.column_stack([b.directions[:, 1], -b.directions[:, 0]])
     offsets = np.sum(normals * (b.points - b.candidate), axis=1)
-    cosines = [u @ v for u, v in combinations(b.directions[b.weights > 0], 2)]
-    half_rad = 0.5 * math.acos(min(max(cosines), 1.0))
-    prior_weight /= max(1.0, math.sin(math.pi / 4) / max(math.sin(half_rad), 0.1)) ** 2
+    pairs = [(u @ v, u + v) for u, v in combinations(b.directions[b.weights > 0], 2) if u @ v < SIDE_BY_SIDE_COS]
+    cosine, middle = max(pairs, key=lambda pair: pair[0])
+    farther = max(1.0, math.sin(math.pi / 4) / math.sin(0.5 * math.acos(cosine)))
+    along = np.outer(middle, middle) / (middle @ middle)
+    prior = prior_weight * (np.eye(2) - along + along / farther**4)
 
     def variance(p: FloatArray) -> FloatArray:
         return 1.0 + 12.0 * (np.sum((p - b.points) * b.directions, axis=1) / b.spans) ** 2
@@ -214,7 +216,7 @@ def plain_reweighted(given_branches: Branches, prior_weight: float) -> FloatArra
     for _ in range(ROUNDS):
         off = (normals @ shift - offsets) / (TOLERANCE * inner)
         weights = b.weights * variance(b.candidate) / variance(b.candidate + shift) / (1.0 + off**2) ** 2
-        normal_matrix = (normals.T * weights) @ normals + prior_weight * np.eye(2)
+        normal_matrix = (normals.T * weights) @ normals + prior
         shift = np.linalg.solve(normal_matrix, normals.T @ (weights * offsets))
         shift *= min(1.0, MAX_SHIFTS * inner / math.hypot(*shift))
     return b.candidate + shift
@@ -234,6 +236,28 @@ def test_point_on_the_road_is_that_of_reweighted_least_squares(seed: int, inner:
     found = refine(lines, 0.25, road)
     assume(math.isfinite(found.residual))  # not near-parallel
     np.testing.assert_allclose(found.position, plain_reweighted(lines, 0.25), atol=1e-9)
+
+
+def on_open_road(lines: Branches, prior_weight: float) -> FloatArray:
+    """Return the point on road that ends nowhere."""
+    road = BinaryImage.from_array(np.ones((400, 400), np.uint8))
+    return refine(replace(lines, spans=np.full(lines.count, 60.0)), prior_weight, road).position
+
+
+def test_candidate_of_an_acute_pair_holds_the_point_across_it_but_hardly_along_it() -> None:
+    """The surfaces of roads at 40 degrees part, and the centerline branches, far from where their axes meet."""
+    points = [(200.0, 140.0), (200.0, 200.0), (200.0, 200.0)]
+    acute = branches(points, [90, 20, -20], candidate=(240, 200), inner=60, weights=[0.1, 9, 9])
+    row, col = on_open_road(acute, 4.0)
+    assert col == pytest.approx(200.0, abs=0.1)
+    assert row < 206.0  # as heavy along the road as across it, it would hold the point at 226
+
+
+def test_candidate_between_two_carriageways_is_as_well_known_as_that_of_a_crossing() -> None:
+    """Roads side by side meet nowhere, so they do not say that the centerline branches far off."""
+    points = [(140.0, 212.0), (200.0, 260.0), (230.0, 260.0)]  # the stem runs beside the candidate
+    dual = branches(points, [180, 90, 89], candidate=(200, 200), inner=60, weights=[0.1, 9, 0.1])
+    assert on_open_road(dual, 4.0)[1] == pytest.approx(200.0, abs=1.0)
 
 
 def test_point_does_not_leave_the_road() -> None:
