@@ -384,6 +384,13 @@ class CalibrationConfig(_Config):
         le=1000,
         description="Standard deviation that comes to it at a score of 0; in proportion less at higher scores.",
     )
+    coarse_line_std_m: float = Field(
+        0.0,
+        ge=0,
+        le=1000,
+        description="Standard deviation that comes to it where the median score of all detections of the drive is 0 "
+        "since its labels are coarse; in proportion less at higher ones.",
+    )
     shape_limit_m: float = Field(
         3.08, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
     )
@@ -474,7 +481,15 @@ DEFAULT = DetectorConfig(
         candidate_std_m=0.7,
     ),
     compound=CompoundConfig(),
-    calibration=CalibrationConfig(),
+    calibration=CalibrationConfig(
+        line_std_m=0.41,
+        unclear_line_std_m=15.72,
+        coarse_line_std_m=5.44,
+        shape_limit_m=4.08,
+        log_odds=-1.04,
+        log_odds_seen=5.57,
+        log_odds_per_doubling=0.41,
+    ),
 )
 
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}

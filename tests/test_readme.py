@@ -22,7 +22,7 @@ STEPS = {
     "test": [
         "-m venv .venv",
         'pip install .* -c constraints.txt -e "',
-        'pip install .* -c constraints.txt -e ".*,dev.*"',
+        'pip install .* -c constraints.txt .*-e ".*,dev.*"',
         "ruff check",
         "lint-imports",
         "mypy",

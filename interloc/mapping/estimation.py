@@ -96,6 +96,8 @@ class Sightings:
         Weighted mean of their scores, 0..1.
     fix_var_m2 : (M,) float64
         Weighted mean variance of the fixes that placed them along each axis, NaN where any is unknown.
+    usual_score : float
+        Median score of all detections of the drive: it is low where its labels are coarse. 1 without any.
 
     Notes
     -----
@@ -109,6 +111,7 @@ class Sightings:
     scatter_m2: FloatArray
     score: FloatArray
     fix_var_m2: FloatArray
+    usual_score: float
 
 
 def summarize_sightings(
@@ -140,7 +143,7 @@ def summarize_sightings(
         scatter[label] = 0.5 * float(w @ squared)
         mean_score[label] = float(w @ score[order])
         fix_var[label] = float(w @ fix_std_m[order] ** 2)
-    return Sightings(independent, scatter, mean_score, fix_var)
+    return Sightings(independent, scatter, mean_score, fix_var, float(np.median(score)) if len(score) else 1.0)
 
 
 def position_std(sightings: Sightings, *, prior_std_m: float) -> FloatArray:
@@ -200,19 +203,21 @@ def position_covariance(
     The shape: an intersection is where the lines of its branches meet. With a standard deviation sigma of each line
     across itself, weighted least squares give the covariance (sum n n^T / sigma^2)^-1 over the normals n of the
     branches (Foerstner and Wrobel, Photogrammetric Computer Vision, 4.1.2): along the bisector of an acute pair it is
-    largest. Where the score is low the lines pass the point widely, so sigma^2 = line_std_m^2 +
-    (unclear_line_std_m (1 - score))^2. The candidate bounds it: + I / shape_limit_m^2 in the inverse. All sightings
-    share it, since all see the same kerbs: their number does not make it smaller.
+    largest. Where the score is low the lines pass the point widely, and where those of most detections are, the labels
+    are coarse, so that lines lean together even where they meet: sigma^2 = line_std_m^2 + (unclear_line_std_m (1 -
+    score))^2 + (coarse_line_std_m (1 - usual score))^2. The candidate bounds it: + I / shape_limit_m^2 in the inverse.
+    All sightings share it, since all see the same kerbs: their number does not make it smaller.
 
     The scatter between sightings: s^2 / n_eff.
     """
     limit_m = limit_m or calibration.shape_limit_m
     covariance = np.zeros((len(bearings_deg), 2, 2))
+    coarse_m = calibration.coarse_line_std_m * (1.0 - sightings.usual_score)
     for row, bearings in enumerate(bearings_deg):
         angle = np.radians(bearings)
         normals = np.stack([np.cos(angle), -np.sin(angle)], axis=-1)
         unclear_m = calibration.unclear_line_std_m * (1.0 - sightings.score[row])
-        line_var = calibration.line_std_m**2 + unclear_m**2
+        line_var = calibration.line_std_m**2 + unclear_m**2 + coarse_m**2
         shape = np.linalg.inv(normals.T @ normals / line_var + np.eye(2) / limit_m**2)
         scatter = sightings.scatter_m2[row] / max(sightings.independent[row], 1.0)
         covariance[row] = shape + scatter * np.eye(2)

@@ -59,6 +59,7 @@ CALIBRATION = CalibrationConfig(
     fix_std_m=0.3,
     line_std_m=0.5,
     unclear_line_std_m=10,
+    coarse_line_std_m=5,
     shape_limit_m=100,
     log_odds=1,
     log_odds_seen=2,
@@ -66,8 +67,10 @@ CALIBRATION = CalibrationConfig(
 )
 
 
-def covariance_of(bearings_deg: list[float], *, scatter_m2: float = 0.0, score: float = 1.0) -> FloatArray:
-    sightings = Sightings(np.array([2.0]), np.array([scatter_m2]), np.array([score]), np.array([np.nan]))
+def covariance_of(
+    bearings_deg: list[float], *, scatter_m2: float = 0.0, score: float = 1.0, usual_score: float = 1.0
+) -> FloatArray:
+    sightings = Sightings(np.array([2.0]), np.array([scatter_m2]), np.array([score]), np.array([np.nan]), usual_score)
     covariance: FloatArray = position_covariance(sightings, [np.array(bearings_deg)], CALIBRATION)[0]
     return covariance
 
@@ -83,18 +86,20 @@ def test_a_right_angle_is_uncertain_in_all_directions_alike_an_acute_one_along_i
     assert_allclose(np.abs(axes[:, 1]), [np.sin(np.radians(30)), np.cos(np.radians(30))], atol=1e-6)
     unclear = covariance_of([0, 90, 180], score=0.9)
     assert_allclose(unclear, [[(0.25 + 1) / 2, 0], [0, 0.25 + 1]], atol=1e-3)
+    among_unclear_ones = covariance_of([0, 90, 180], usual_score=0.8)
+    assert_allclose(among_unclear_ones, [[(0.25 + 1) / 2, 0], [0, 0.25 + 1]], atol=1e-3)
     assert np.all(np.linalg.eigvalsh(covariance_of([])) < 1.001e4)  # no branch at all: the limit
 
 
 def test_the_fix_is_as_uncertain_as_it_states_and_else_as_the_calibration_has_it() -> None:
-    sightings = Sightings(np.ones(2), np.zeros(2), np.ones(2), np.array([0.04, np.nan]))
+    sightings = Sightings(np.ones(2), np.zeros(2), np.ones(2), np.array([0.04, np.nan]), 1.0)
     assert_allclose(fix_variance(sightings, CALIBRATION), [0.04, 0.09])
 
 
 def test_more_sightings_and_lines_that_meet_in_a_point_make_a_junction_more_probable() -> None:
     """The lines leave a variance of 1/8 m2; a scatter makes it 1, 1 and 4."""
     crossing, bearings = np.array([0.0, 90.0, 180.0, 270.0]), 3
-    sightings = Sightings(np.ones(3), np.array([0.875, 0.875, 3.875]), np.ones(3), np.full(3, np.nan))
+    sightings = Sightings(np.ones(3), np.array([0.875, 0.875, 3.875]), np.ones(3), np.full(3, np.nan), 1.0)
     probability = junction_probability(np.array([1.0, 0.5, 1.0]), sightings, [crossing] * bearings, CALIBRATION)
     assert_allclose(probability, 1 / (1 + np.exp([-3.0, -2.0, 0.0])), atol=1e-4)
     parallel = junction_probability(np.ones(3), sightings, [crossing[::2]] * bearings, CALIBRATION)

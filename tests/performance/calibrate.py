@@ -50,9 +50,9 @@ from interloc.results import DriveResult
 
 Case = FolderCase | TwinCase
 
-FITTED = ("line_std_m", "unclear_line_std_m", "shape_limit_m")
+FITTED = ("line_std_m", "unclear_line_std_m", "coarse_line_std_m", "shape_limit_m")
 WEIGHTS = ("log_odds", "log_odds_seen", "log_odds_per_doubling")
-START = CalibrationConfig()
+START = PRESETS["default"].calibration or CalibrationConfig()
 _LOG_SPREAD = 1.0
 """Of the prior of each standard deviation, about its start: weak, for sets that say nothing of one of them."""
 _WEIGHTS, _WEIGHT_SPREADS = np.array([0.0, 6.0, 0.0]), np.array([10.0, 1.0, 10.0])
