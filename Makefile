@@ -67,7 +67,7 @@ test: page-tools
 	@$(MAKE) --no-print-directory -j 2 lint types compiled
 	$(PYTEST) $(COVER) $(AGAIN)
 
-# What needs neither a server nor a browser: within a minute.
+# What needs neither a server nor a browser: one or two minutes.
 test-quick: compiled
 	$(PYTEST) -n logical $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
 

@@ -16,7 +16,7 @@ BOUND_M = 0.3
 
 NOT_YET = {("Y", "straight", 45), ("Y", "straight", 60)}
 """Far out on an arm that is only seen in passing one edge is seen better than the other, so that its line leans by a
-degree; where arms meet at a sharp angle that moves the intersection along their bisector by half a metre."""
+degree; where arms meet at a sharp angle that moves the intersection along their bisector by a third of a metre."""
 
 
 @pytest.mark.parametrize("angle_deg", [45, 60, 90, 120])
