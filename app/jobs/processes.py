@@ -59,7 +59,7 @@ class ProcessExecutor:
         self.count_loss = count_loss
         self.memory_bytes = memory_bytes or memory_share(slots + EXTRA_SLOTS)
         if _context.get_start_method() == "forkserver":
-            _context.set_forkserver_preload(list(WARM))
+            _context.set_forkserver_preload([WARM])
         self._lock = threading.Lock()
         self._hand_out = HandOut(slots)
         self._stopping = False
@@ -305,9 +305,8 @@ def _failure(error: BaseException) -> bytes:
 
 def _warm_up() -> None:
     """Import what nearly all work needs, unless the process that this one was forked from has done it."""
-    for name in WARM:
-        with suppress(ImportError):
-            import_module(name)
+    with suppress(ImportError):
+        import_module(WARM)
 
 
 def _die_first() -> None:

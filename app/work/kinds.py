@@ -58,17 +58,8 @@ KINDS: dict[str, Kind] = {
     JobKind.DEMO: Kind("app.work.demo", ("preparing", "simulating", "storing")),
 }
 
-WARM = (
-    "app.work.intersections",
-    "interloc.evaluation.evaluate",
-    "interloc.evaluation.figures",
-    "interloc.evaluation.report",
-    "interloc.osm.reader",
-    "interloc.output.osm_roads",
-    "osmium",
-    "shapely",
-)
-"""What is imported ahead of the first work, so that it need not wait for it: some seconds where cores are busy."""
+WARM = "app.work.warm"
+"""What workers import ahead of their first work."""
 
 URGENT = tuple(name for name, kind in KINDS.items() if kind.urgent)
 DRIVE_CHANGING = tuple(name for name, kind in KINDS.items() if kind.changes_drive)

@@ -21,11 +21,11 @@ from interloc.benchmark.row import Row
 from interloc.benchmark.run import NO_NOISE
 from interloc.benchmark.tables import ALL, Measured, Table, ours, performance_table, tables, text
 from interloc.config import DetectorConfig
-from interloc.drawing import image, metres, percent, write_image
+from interloc.drawing import image, write_image
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
 from interloc.evaluation.reasons import KINDS
 from interloc.evaluation.reliability import bins_of
-from interloc.evaluation.report import data_address, make_folder
+from interloc.evaluation.report import data_address, make_folder, template
 from interloc.files import atomic_write
 from interloc.output.credits import Credit, joint_credit, map_credit
 from interloc.output.geojson import encode, rounded
@@ -156,7 +156,7 @@ def write_benchmark(
             handle.write(encode(record, indent=1).encode() + b"\n")
     record = benchmark_record(title, measured, configs, policy)
     *results, reliability = tables(measured)
-    page = _template().render(
+    page = template("benchmark.html", "interloc.benchmark").render(
         title=title,
         about=about,
         policy=policy,
@@ -269,17 +269,3 @@ def _write_figures(measured: Measured, folder: Path) -> tuple[dict[str, str], li
             shown.append({"preset": ours(preset), "picture": data_address(png, "image/png")})
         maps.append({"name": drive, "maps": shown})
     return pictures, maps
-
-
-def _template() -> Any:  # noqa: ANN401 - jinja2 is imported late
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
-
-    environment = Environment(
-        loader=ChoiceLoader([PackageLoader("interloc.benchmark"), PackageLoader("interloc.evaluation")]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"percent": percent, "metres": metres}
-    return environment.get_template("benchmark.html")

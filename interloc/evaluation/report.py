@@ -7,6 +7,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -116,12 +117,13 @@ def _kind_rows(counts: Mapping[str, Mapping[str, int]]) -> list[tuple[str, dict[
     return [(meaning, row) for meaning, row in rows if any(row.values())]
 
 
-def template(name: str) -> Any:  # noqa: ANN401 - jinja2 is imported late
-    """Return a page template of this package, with the filters `percent` and `metres`."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
+@cache
+def template(name: str, package: str = "interloc.evaluation") -> Any:  # noqa: ANN401 - jinja2 is imported late
+    """Return a page template of a package, which may build on those of this one; with `percent` and `metres`."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - slow to import
 
     environment = Environment(
-        loader=PackageLoader("interloc.evaluation"),
+        loader=ChoiceLoader([PackageLoader(each) for each in dict.fromkeys((package, "interloc.evaluation"))]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

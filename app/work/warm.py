@@ -1,0 +1,23 @@
+"""What nearly all work needs, imported ahead of the first, which need not wait for it then: seconds on busy cores.
+
+Worker processes are forks of one that has imported this module. None of them gives any of it back, so no collection of
+garbage may look through it: that takes each process half a second, and a copy of all of it.
+"""
+
+import gc
+from importlib import import_module
+
+for name in (
+    "app.work.intersections",
+    "interloc.evaluation.evaluate",
+    "interloc.evaluation.figures",
+    "interloc.evaluation.report",
+    "interloc.osm.reader",
+    "interloc.output.osm_roads",
+    "osmium",
+    "shapely",
+):
+    import_module(name)
+
+gc.collect()
+gc.freeze()
