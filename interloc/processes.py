@@ -11,7 +11,8 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context, parent_process
+from functools import partial
+from multiprocessing import active_children, get_all_start_methods, get_context, parent_process
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
@@ -67,7 +68,7 @@ def run_in_processes(
     InterLocError
         A worker process was ended from outside; or whatever a task raises. The other tasks are stopped.
     """
-    context = get_context("spawn")
+    context = _context(work)
     messages = context.Queue()
     others = set(active_children())
     pool = ProcessPoolExecutor(
@@ -106,6 +107,15 @@ def run_in_processes(
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         messages.close()
+
+
+def _context(work: Callable[..., Any]) -> Any:  # noqa: ANN401 - contexts have no common type
+    """Return how processes for some work are started: forked, where the system can, from one that has imported it."""
+    if "forkserver" not in get_all_start_methods():
+        return get_context("spawn")
+    context = get_context("forkserver")
+    context.set_forkserver_preload([(work.func if isinstance(work, partial) else work).__module__])
+    return context
 
 
 def _stop(processes: Collection[BaseProcess]) -> None:

@@ -26,7 +26,8 @@ from tests.app.street import write_street
 from tests.networks import write_model
 
 commands = iter_modules(cli.__path__)
-for name in ("app.server", "app.work.intersections", *(f"interloc.cli.{each.name}" for each in commands)):
+late = ("app.server", "app.work.intersections", "interloc.client.connection", "interloc.client.answers", "rich.console")
+for name in (*late, *(f"interloc.cli.{each.name}" for each in commands)):
     import_module(name)
 
 create_app(Settings()).openapi()  # FastAPI makes the routes when they are asked for

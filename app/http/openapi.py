@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from copy import deepcopy
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
@@ -140,12 +140,16 @@ def get_and_head(
 
 
 class Description:
-    """Makes the OpenAPI document of an application, once for a service with tokens and once for one without."""
+    """Makes the OpenAPI document of an application, once for a service with tokens and once for one without.
+
+    All applications of a process have the same: their routes are the same, see `app.main`.
+    """
+
+    _documents: ClassVar[dict[bool, dict[str, Any]]] = {}
 
     def __init__(self, app: FastAPI, needs_token: Callable[[], bool]) -> None:
         self._generate = app.openapi
         self._needs_token = needs_token
-        self._documents: dict[bool, dict[str, Any]] = {}
 
     def __call__(self) -> dict[str, Any]:
         """Return the document."""

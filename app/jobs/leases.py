@@ -8,13 +8,11 @@ lies farther ahead than any server writes it is of a dead one.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
-from sqlalchemy import ColumnElement, false, or_
-
 from app.store.clock import ClockWatch
-from app.store.models import Job
 
 
 class LeaseClock:
@@ -32,9 +30,11 @@ class LeaseClock:
         self._lease_s = lease_s
         self._watch = ClockWatch(lease_s / 3, monotonic)
 
-    def have_run_out(self, now: float) -> ColumnElement[bool]:
-        """Return the condition that the lease of a job has run out, at a time by the clock of the database."""
+    def bounds(self, now: float) -> tuple[float, float]:
+        """Return two times by the clock of the database, which it shows as `now`: leases that end between them hold.
+
+        Those that end by the first or after the second have run out.
+        """
         is_settled = self._watch.look(now) >= self._lease_s
-        past = Job.lease_until <= now if is_settled or not self._watch.has_jumped else false()
-        void = Job.lease_until > now + 2 * self._lease_s if is_settled else false()
-        return or_(past, void)
+        first = now if is_settled or not self._watch.has_jumped else -math.inf
+        return first, now + 2 * self._lease_s if is_settled else math.inf

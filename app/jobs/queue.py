@@ -12,9 +12,10 @@ import secrets
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
-from sqlalchemy import CursorResult, case, func, or_, select, update
+from sqlalchemy import CursorResult, Float, bindparam, case, func, or_, select, update
 from sqlalchemy.orm import Session, aliased
 
 from app.http.problems import Problem
@@ -52,6 +53,39 @@ class Claim:
     lease: str
 
 
+@cache
+def _claimable(enough_urgent: bool, enough_long: bool) -> Any:  # noqa: ANN401 - a Select
+    """Return the query for the job that is next; see `JobQueue.claim`. Made once: it takes longer than its answer."""
+    now, run_out_by, void_after = (bindparam(name, type_=Float) for name in ("now", "run_out_by", "void_after"))
+    has_run_out = or_(Job.lease_until <= run_out_by, Job.lease_until > void_after)
+    other = aliased(Job)
+    is_urgent = Job.kind.in_(URGENT)
+    running = (  # jobs of the same client and class
+        select(func.count())
+        .select_from(other)
+        .where(
+            other.owner == Job.owner,
+            other.state == JobState.RUNNING,
+            other.lease_until > now,
+            other.kind.in_(URGENT) == is_urgent,
+        )
+        .correlate(Job)
+        .scalar_subquery()
+    )
+    full = [is_class for is_class, enough in ((is_urgent, enough_urgent), (~is_urgent, enough_long)) if enough]
+    return (
+        select(Job, Drive.name, Drive.state)
+        .join(Drive, Drive.id == Job.drive_id)
+        .where(
+            or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & has_run_out),
+            or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != DriveState.CHECKING),
+            *(or_(~is_class, running == 0) for is_class in full),
+        )
+        .order_by(case((is_urgent, 0), else_=1), running, Job.created_at, Job.id)
+        .limit(1)
+    )
+
+
 class JobQueue:
     """What servers do with jobs.
 
@@ -85,15 +119,14 @@ class JobQueue:
         with self._database.reading() as session:  # an idle server must not take the write lock twice per second
             if session.execute(_ANY_ACTIVE).first() is None:
                 return None
-            query = self._claimable(self._database.clock(session), enough_urgent, enough_long)
-            if session.execute(query).first() is None:
+            query = _claimable(enough_urgent, enough_long)
+            if session.execute(query, self._times(session)).first() is None:
                 return None
         with self._database.writing(patient=True) as session:
-            now = self._database.clock(session)
-            query = self._claimable(now, enough_urgent, enough_long)
+            times = self._times(session)
             if not self._database.is_sqlite:
                 query = query.with_for_update(skip_locked=True, of=Job)
-            found = session.execute(query).first()
+            found = session.execute(query, times).first()
             if found is None:
                 return None
             job, drive_name, drive_state = found
@@ -101,39 +134,17 @@ class JobQueue:
             job.stage = "preparing"
             job.message = None
             job.attempts += 1
-            job.started_at = job.started_at or now
+            job.started_at = job.started_at or times["now"]
             job.lease_owner = f"{self._server}-{secrets.token_hex(8)}"
-            job.lease_until = now + self._lease_s
+            job.lease_until = times["now"] + self._lease_s
             job.version += 1
             return Claim(job, drive_name, drive_state, job.lease_owner)
 
-    def _claimable(self, now: float, enough_urgent: bool, enough_long: bool) -> Any:  # noqa: ANN401 - a Select
-        other = aliased(Job)
-        is_urgent = Job.kind.in_(URGENT)
-        running = (  # jobs of the same client and class
-            select(func.count())
-            .select_from(other)
-            .where(
-                other.owner == Job.owner,
-                other.state == JobState.RUNNING,
-                other.lease_until > now,
-                other.kind.in_(URGENT) == is_urgent,
-            )
-            .correlate(Job)
-            .scalar_subquery()
-        )
-        full = [is_class for is_class, enough in ((is_urgent, enough_urgent), (~is_urgent, enough_long)) if enough]
-        return (
-            select(Job, Drive.name, Drive.state)
-            .join(Drive, Drive.id == Job.drive_id)
-            .where(
-                or_(Job.state == JobState.ACCEPTED, (Job.state == JobState.RUNNING) & self._clock.have_run_out(now)),
-                or_(Job.kind.in_(DRIVE_CHANGING), Drive.state != DriveState.CHECKING),
-                *(or_(~is_class, running == 0) for is_class in full),
-            )
-            .order_by(case((is_urgent, 0), else_=1), running, Job.created_at, Job.id)
-            .limit(1)
-        )
+    def _times(self, session: Session) -> dict[str, float]:
+        """Return what `_claimable` asks for."""
+        now = self._database.clock(session)
+        run_out_by, void_after = self._clock.bounds(now)
+        return {"now": now, "run_out_by": run_out_by, "void_after": void_after}
 
     def heartbeat(self, leases: Iterable[str]) -> dict[str, Held]:
         """Renew leases; return which of them are lost and which jobs were cancelled."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from app.store import database as module
 from app.store.database import Database
 from app.store.models import Base, Drive, DriveFile, Job, Token
 from interloc.errors import ConfigError, InterLocError
+from tests import forks
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 TABLES = {"alembic_version", "drives", "drive_files", "jobs", "tokens"}
@@ -81,7 +81,7 @@ def test_an_empty_database_gets_all_tables_and_keeps_them(url: str) -> None:
 
 
 def test_processes_that_start_together_agree(url: str) -> None:
-    with ProcessPoolExecutor(3, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(3, mp_context=forks.context) as pool:
         for tables in pool.map(upgrade, [url] * 6):
             assert tables >= TABLES
 

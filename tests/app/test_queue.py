@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from app.jobs.leases import LeaseClock
 from app.jobs.queue import Claim, JobQueue, cancel, submit
 from app.store.database import Database
 from app.store.models import Drive, Job
+from tests import forks
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 
@@ -55,6 +55,7 @@ def add_job(database: Database, drive_id: str, owner: str = "ann", kind: str = "
         request = {"name": owner}
         job, is_new = submit(session, database, kind=kind, drive_id=drive_id, owner=owner, request=request, **more)
         assert is_new
+        time.sleep(0.002)  # SQLite's clock counts milliseconds: no two are of the same age
         return job.id
 
 
@@ -149,7 +150,7 @@ def test_threads_never_get_the_same_job(url: str, database: Database, drive: str
 
 def test_processes_never_get_the_same_job(url: str, database: Database, drive: str) -> None:
     jobs = [add_job(database, drive) for _ in range(40)]
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(2, mp_context=forks.context) as pool:
         found = [job_id for some in pool.map(claim_all, [url] * 2) for job_id in some]
     assert Counter(found) == Counter(jobs)
 
