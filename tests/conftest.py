@@ -27,10 +27,15 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     return max(cores, min(2 * cores, 8))
 
 
+def pytest_configure() -> None:
+    """Collect no garbage while the tests are imported: there is none."""
+    gc.disable()
+
+
 def pytest_collection_finish() -> None:
     """Keep what all tests imported out of every later collection of garbage: it is never given back."""
-    gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(trylast=True)

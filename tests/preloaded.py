@@ -25,6 +25,7 @@ from interloc.reduction.reduce import reduce_drive
 from tests.app.street import write_street
 from tests.networks import write_model
 
+gc.disable()  # so much is imported that looking for garbage takes a quarter of the time
 commands = iter_modules(cli.__path__)
 late = ("app.server", "app.work.intersections", "interloc.client.connection", "interloc.client.answers", "rich.console")
 for name in (*late, *(f"interloc.cli.{each.name}" for each in commands)):
@@ -47,3 +48,4 @@ with tempfile.TemporaryDirectory() as folder:
 # No collection of a fork looks at all this again, which would copy it.
 gc.collect()
 gc.freeze()
+gc.enable()
