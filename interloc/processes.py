@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import queue
 import signal
@@ -134,6 +135,7 @@ def _start_worker(messages: Any) -> None:  # noqa: ANN401 - a queue of the spawn
     global _messages  # noqa: PLW0603 - queues reach a worker only when it starts
     _messages = messages
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.freeze()  # else the first look for garbage makes a copy of all that was imported
     end_with_parent()
 
 
