@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from interloc.processes import GARBAGE_THRESHOLD
+
 # No test measures time. CI draws the same examples each time; everyone else helps to find new ones.
 settings.register_profile("interloc", deadline=None, max_examples=50, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("interloc")
@@ -35,6 +37,7 @@ def pytest_configure() -> None:
 def pytest_collection_finish() -> None:
     """Keep what all tests imported out of every later collection of garbage: it is never given back."""
     gc.freeze()
+    gc.set_threshold(GARBAGE_THRESHOLD)
     gc.enable()
 
 

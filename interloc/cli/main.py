@@ -13,6 +13,7 @@ import click
 
 from interloc.cli.console import Interruption
 from interloc.errors import InterLocError, is_interruption
+from interloc.processes import GARBAGE_THRESHOLD
 
 COMMANDS = {
     "info": "info",
@@ -72,7 +73,7 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line."""
-    gc.set_threshold(20_000)  # what a command imports and makes mostly lives to its end: garbage is sought less often
+    gc.set_threshold(GARBAGE_THRESHOLD)
     for stop in (signal.SIGINT, signal.SIGTERM):  # SIGTERM is treated as Ctrl-C: half-written results are removed
         signal.signal(stop, Interruption.ask)
     sys.exit(run())
