@@ -40,6 +40,8 @@ class Branches:
         Distance from the candidate at which each branch ends, pixels.
     core : (C, 2) float64
         Junction pixels of the centerline that the candidate stands for; empty for Harris corners.
+    is_part : bool
+        Whether the candidate stands for one of several intersections in one blob of road.
     """
 
     index: int
@@ -53,6 +55,7 @@ class Branches:
     lengths: FloatArray
     reaches: FloatArray
     core: FloatArray
+    is_part: bool = False
 
     @property
     def count(self) -> int:

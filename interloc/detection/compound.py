@@ -1,7 +1,9 @@
 """Several intersections in one blob of road: what the paper's method merges into one point (its section V-E).
 
-Branches that continue each other across the candidate form a through axis. Axes that run side by side (a dual
-carriageway) or branches that meet an axis at distinct places (a staggered junction) are intersections of their own.
+Branches that continue each other across the candidate form a through axis, and so does a single branch beside one: a
+carriageway of which the other half is not seen. Axes that run side by side (a dual carriageway) or branches that meet
+an axis at distinct places (a staggered junction) are intersections of their own. The short road that joins two of them
+is a branch of both: in a wide blob the junctions of the centerline say on which line it lies, but not where on it.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from interloc.config import CompoundConfig
 from interloc.detection.branches import Branches
 
 SAME_ROAD_RAD = math.radians(30.0)  # two branches nearer than this in direction are one road
+LINK_STD_M = 1.0  # how well the line through the junctions of two intersections is known
 
 
 @dataclass(frozen=True)
@@ -63,10 +66,16 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
     reach = branches.inner + config.separation_m / resolution_m
     nodes = [(place, members) for place, members in crossing if math.dist(place, branches.candidate) < reach]
     groups = _group(nodes, config.separation_m / resolution_m)
-    if len(groups) < 2 or not _have_junctions_each(branches.core, [place for place, _ in groups]):
+    if len(groups) < 2 or not len(branches.core):
         return [branches]
-    places = [place for place, _ in groups]
-    return [_connected(branches.select(sorted(members), place), places) for place, members in groups]
+    nearest = np.array([[math.dist(place, junction) for place, _ in groups] for junction in branches.core]).argmin(
+        axis=1
+    )
+    if len(np.unique(nearest)) < len(groups):
+        return [branches]  # without a junction of the centerline for itself a place was made up by a bent branch
+    places = [branches.core[nearest == number].mean(axis=0) for number in range(len(groups))]
+    parts = [branches.select(sorted(members), place) for place, (_, members) in zip(places, groups, strict=True)]
+    return [replace(_connected(part, places), is_part=True) for part in parts]
 
 
 def _connected(part: Branches, places: list[FloatArray]) -> Branches:
@@ -81,7 +90,7 @@ def _connected(part: Branches, places: list[FloatArray]) -> Branches:
         part,
         directions=np.vstack([part.directions, toward]),
         points=np.vstack([part.points, part.candidate]),
-        weights=np.append(part.weights, 0.0),
+        weights=np.append(part.weights, LINK_STD_M**-2),
         spans=np.append(part.spans, np.inf),
         bends=np.vstack([part.bends, np.zeros(2)]),
         lengths=np.append(part.lengths, length),
@@ -90,7 +99,7 @@ def _connected(part: Branches, places: list[FloatArray]) -> Branches:
 
 
 def _axes(branches: Branches, resolution_m: float, config: CompoundConfig) -> tuple[list[_Axis], list[_Axis]]:
-    """Pair the branches that continue each other; return the axes and the branches left over."""
+    """Pair the branches that continue each other; return axes, with what runs beside them, and all other branches."""
     tolerance_rad = math.radians(config.straight_deg)
     offset_limit = config.offset_m / resolution_m
     usable = [i for i in range(branches.count) if branches.weights[i] > 0]
@@ -113,8 +122,22 @@ def _axes(branches: Branches, resolution_m: float, config: CompoundConfig) -> tu
         weights = branches.weights[[i, j]]
         point = (weights[:, None] * branches.points[[i, j]]).sum(axis=0) / weights.sum()
         axes.append(_Axis(point, span / max(math.hypot(*span), 1e-9), [i, j]))
-    stems = [_Axis(branches.points[i], branches.directions[i], [i]) for i in usable if i not in paired]
-    return axes, stems
+    halves: list[_Axis] = []
+    stems: list[_Axis] = []
+    for i in usable:
+        if i not in paired:
+            alone = _Axis(branches.points[i], branches.directions[i], [i])
+            is_half = any(_is_beside(branches, i, axis, resolution_m, config) for axis in axes)
+            (halves if is_half else stems).append(alone)
+    return [*axes, *halves], stems
+
+
+def _is_beside(branches: Branches, i: int, axis: _Axis, resolution_m: float, config: CompoundConfig) -> bool:
+    """Return whether a branch runs beside an axis, farther off than roads that are told apart."""
+    along = abs(float(branches.directions[i] @ axis.direction))
+    gap = _nearest(branches, i) - axis.point
+    off = abs(float(axis.direction[0] * gap[1] - axis.direction[1] * gap[0])) * resolution_m
+    return along > math.cos(math.radians(config.crossing_deg)) and off > config.separation_m
 
 
 def _offset(branches: Branches, i: int, j: int) -> float:
@@ -170,14 +193,6 @@ def _link(branches: Branches) -> _Axis | None:
     if spread[0] < 1e-9:
         return None
     return _Axis(middle, rows[0], [])
-
-
-def _have_junctions_each(core: FloatArray, places: list[FloatArray]) -> bool:
-    """Tell whether each place has a junction of the centerline for itself: else a bent branch made it up."""
-    if not len(core):
-        return False
-    distance = np.hypot(*(core[:, None, :] - np.array(places)[None, :, :]).transpose(2, 0, 1))
-    return len(np.unique(distance.argmin(axis=1))) == len(places)
 
 
 def _group(nodes: list[tuple[FloatArray, set[int]]], separation: float) -> list[tuple[FloatArray, set[int]]]:

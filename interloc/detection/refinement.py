@@ -58,7 +58,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     branches
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
-        halves an acute angle.
+        halves an acute angle, and none where the blob holds several intersections: centerlines branch anywhere in it.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc, but not the road.
@@ -77,7 +77,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
         branches.spans,
         branches.candidate,
         branches.inner,
-        prior_weight,
+        0.0 if branches.is_part else prior_weight,
         None if occupancy is None else occupancy.words,
     )
     return Junction(branches.candidate + np.array([row, col]), branches.directions, residual, branches)

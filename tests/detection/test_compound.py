@@ -9,7 +9,9 @@ import pytest
 
 from interloc.config import CompoundConfig
 from interloc.detection.branches import Branches
-from interloc.detection.compound import split_compound
+from interloc.detection.compound import LINK_STD_M, split_compound
+from interloc.detection.image import BinaryImage
+from interloc.detection.refinement import refine
 
 Branch = tuple[tuple[float, float], float]
 
@@ -87,10 +89,38 @@ def test_two_carriageways_joined_across_are_two_intersections() -> None:
     joined = blob(north(-6), south(-6), north(6), south(6), core=[(0, -6), (0, 6)])
     parts = split_compound(joined, 1.0, CONFIG)
     assert places(parts) == [[0, -6], [0, 6]]
-    for part in parts:  # both ways along the carriageway, and the road to the other one, which is no line of its own
+    for part in parts:  # both ways along the carriageway, and the road to the other one, known to a metre
         assert part.count == 3
-        assert part.weights.tolist() == [1, 1, 0]
+        assert part.weights.tolist() == [1, 1, LINK_STD_M**-2]
         np.testing.assert_allclose(part.directions[2], [0, -np.sign(part.candidate[1])], atol=1e-9)
+
+
+FAR_EAST: Branch = ((-12.0, 20.0), 0)
+
+
+def test_carriageway_of_which_one_half_is_not_seen_crosses_too() -> None:
+    arms = north(3), south(-3)
+    seen_from_the_east = blob(EAST, WEST, FAR_EAST, *arms, core=[(0, -3), (-12, 3)])
+    far, near = sorted(split_compound(seen_from_the_east, 1.0, CONFIG), key=lambda part: part.candidate[0])
+    assert places([far, near]) == [[-12, 3], [0, -3]]
+    assert far.points.tolist()[:2] == [[-12, 20], [-20, 3]]  # itself, and the arm that meets it first
+    assert near.points.tolist()[:3] == [[0, 20], [0, -20], [20, -3]]
+    beside = ((-6.0, 20.0), 0)  # nearer than roads that are told apart
+    assert len(split_compound(blob(EAST, WEST, beside, *arms, core=[(0, -3), (-6, 3)]), 1.0, CONFIG)) == 1
+
+
+def test_centerline_of_a_wide_blob_says_where_the_link_lies_not_where_on_it_the_roads_meet() -> None:
+    core = [(-3.0, 0.0), (-9.0, 0.0)]  # both branch within the blob, off the lines of the carriageways
+    bulging = blob(EAST, WEST, FAR_EAST, north(4), south(-4), core=core)
+    road = BinaryImage.from_array(np.ones((9, 9), np.uint8))
+    rows = {}
+    for part in split_compound(bulging, 1.0, CONFIG):
+        assert part.is_part
+        row, col = refine(part, prior_weight=4.0, occupancy=road).position
+        rows[round(float(part.candidate[0]))] = row
+        assert 0 < abs(col) < 4  # between the link and the arm
+    assert rows[-3] == pytest.approx(0, abs=0.01)
+    assert rows[-9] == pytest.approx(-12, abs=0.01)
 
 
 def test_place_without_a_junction_of_the_centerline_does_not_split() -> None:
