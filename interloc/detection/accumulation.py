@@ -77,12 +77,15 @@ class BevImage:
         How many are enough.
     share : float
         Keyframes that lie in it, as a share of a full window.
+    against : BinaryImage or None
+        Set where votes against road outnumber those for it: there other ground was seen. None where nobody votes.
     """
 
     image: BinaryImage
     roi: Roi
     min_points: int
     share: float = 1.0
+    against: BinaryImage | None = None
 
 
 @dataclass(frozen=True)
@@ -173,8 +176,21 @@ class RoadAccumulator:
         m = self._config.min_points
         min_points = max(1, round(m * share)) if self._config.adaptive else m
         weight = self._neighbour_weight(share, table, roi) if self._config.vote and self._config.pool_votes else 0.0
-        grid.threshold_window(self._grid.pool, table, roi.left, roi.top, roi.size, min_points, weight, image.words)
-        return BevImage(image, roi, min_points, share)
+        against = BinaryImage.empty(roi.size, roi.size) if self._config.vote else None
+        grid.threshold_window(
+            self._grid.pool,
+            table,
+            roi.left,
+            roi.top,
+            roi.size,
+            min_points,
+            weight,
+            image.words,
+            np.zeros((0, 0), np.uint64) if against is None else against.words,
+        )
+        if against is not None and not against.words.any():
+            against = None
+        return BevImage(image, roi, min_points, share, against)
 
     def _neighbour_weight(self, share: float, table: Int32Array, roi: Roi) -> float:
         """Return how much the votes of the cells around a cell count beside its own, 0..1.

@@ -12,6 +12,7 @@ from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray, Structu
 from interloc.config import BranchConfig
 from interloc.detection.candidates import Candidates
 from interloc.detection.centerline import Centerline
+from interloc.detection.image import BinaryImage
 from interloc.detection.lines import least_squares, through_start_and_mean
 from interloc.kernels.skeleton import trace_branches
 
@@ -142,16 +143,22 @@ class Segmentation:
 
 
 def segment_all(
-    candidates: Candidates, centerline: Centerline, resolution_m: float, config: BranchConfig, share: float = 1.0
+    candidates: Candidates,
+    centerline: Centerline,
+    resolution_m: float,
+    config: BranchConfig,
+    share: float = 1.0,
+    against: BinaryImage | None = None,
 ) -> Segmentation:
     """Segment the branches of all candidates and keep the intersections among them (paper, section III-C)."""
     every = blockers = np.arange(len(candidates.positions))
-    found = [segment_branches(candidates, i, every, centerline, resolution_m, config, share) for i in every.tolist()]
+    given = centerline, resolution_m, config, share, against
+    found = [segment_branches(candidates, i, every, *given) for i in every.tolist()]
     if not config.end_at_rejected:
         blockers = _with_enough_branches(found, every, config)
         if len(blockers) < len(every):
             for i in blockers.tolist():
-                found[i] = segment_branches(candidates, i, blockers, centerline, resolution_m, config, share)
+                found[i] = segment_branches(candidates, i, blockers, *given)
     inside = set(candidates.inside(centerline.image.height, config.margin_m / resolution_m).tolist())
     kept = [i for i in _with_enough_branches(found, blockers, config).tolist() if i in inside]
     return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], blockers, kept)
@@ -169,6 +176,7 @@ def segment_branches(
     resolution_m: float,
     config: BranchConfig,
     share: float = 1.0,
+    against: BinaryImage | None = None,
 ) -> tuple[Branches, Pieces]:
     """Follow the centerline from the inner circle outwards and lay a line through each branch.
 
@@ -187,6 +195,8 @@ def segment_branches(
         Radii and the kind of line.
     share
         Keyframes that saw this road, as a share of a full window: fewer of them show less surface.
+    against
+        Set where other ground was seen; None where that is not known.
 
     Notes
     -----
@@ -212,7 +222,7 @@ def segment_branches(
     if config.line == "start_and_mean":
         lines = through_start_and_mean(pieces)
     else:
-        lines = least_squares(centerline, traced, pieces, position, width, inner, resolution_m, config)
+        lines = least_squares(centerline, traced, pieces, position, width, inner, resolution_m, config, against)
     branches = Branches(
         index=index,
         candidate=position,

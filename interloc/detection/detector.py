@@ -120,7 +120,9 @@ class Window:
         lap("centerline")
         candidates = find_candidates(centerline, resolution_m, config.candidates)  # III-B.6
         lap("candidates")
-        segmentation = segment_all(candidates, centerline, resolution_m, config.branches, self.bev.share)  # III-C.1
+        segmentation = segment_all(  # III-C.1
+            candidates, centerline, resolution_m, config.branches, self.bev.share, self.bev.against
+        )
         branches = [segmentation.branches[i] for i in segmentation.kept]
         if config.compound is not None:
             branches = [part for b in branches for part in split_compound(b, resolution_m, config.compound)]

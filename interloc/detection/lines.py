@@ -6,6 +6,9 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
 
 1. Pixels near a dead end of the branch or near the border of the image are left out (`trim_m`), and so are those where
    the road is wider or narrower than the branch is: there a mouth opens, or an edge was not seen (`_keep_parallel`).
+   Where other ground begins at one edge only, the other one was not seen: a parked car or the kerb of a median hid the
+   road. There the axis lies half a width inside the edge that was seen, with the width between edges that both were
+   (`_move_from_unseen_edges`). Of the two lines, with and without that, the one counts that is known better.
 2. From where its sides are parallel the axis is followed inwards along the edge that goes on, half a width from it: at
    an acute mouth or a rounded corner one edge turns away long before the other (`_follow_edge`). A branch whose edges
    are too ragged to tell stays as it is.
@@ -29,6 +32,7 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray, Record, StructuredArray, UInt64Array
 from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline
+from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
 from interloc.kernels.bits import nearest_clear
 
@@ -42,6 +46,10 @@ PARALLEL_SLACK = 0.08  # share of its half width that a branch may differ from i
 SLACK_M, LEAST_SLACK_PX = 0.24, 1.5  # at least; and what an edge may leave the place by where it belongs
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
 MIN_PARALLEL, MIN_PARALLEL_RINGS = 0.5, 6  # a branch with less of it between parallel sides is taken as it is
+REACH = 4  # rings before and behind one that show the direction of its road
+AT_EDGE_PX = 1.0  # an edge was seen if other ground begins so near to it: rounding moves it by as much
+MIN_SEEN_RINGS = 6  # of which both edges were seen: fewer do not tell how wide a branch is
+MAX_UNSEEN = 0.6  # of a half width may not be seen: where more is missing, it may be another road
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
 MAX_MISSES = 4  # rings without an edge that it crosses straight on
 MAX_SHIFT = 0.375  # what it may move sideways in a ring, as a share of the ring
@@ -95,6 +103,7 @@ def least_squares(
     inner: float,
     resolution_m: float,
     config: BranchConfig,
+    against: BinaryImage | None = None,
 ) -> Lines:
     """Fit a line to the part of each piece that can be trusted, and weigh it by its variance.
 
@@ -110,6 +119,8 @@ def least_squares(
     resolution_m : float
         Side of a pixel.
     config
+    against
+        Set where other ground was seen; None where that is not known: then every edge counts as seen.
     """
     limits_m = config.fit_length_m, config.fit_least_m, config.full_fit_m, config.straight_m, config.trim_m
     lengths = (limit_m / resolution_m for limit_m in limits_m)
@@ -118,6 +129,7 @@ def least_squares(
     limits = np.array((width, inner, *lengths, centerline.max_width // 2, ring, slack), LIMITS)
     lines = fit_lines(
         centerline.occupancy.words,
+        NOWHERE if against is None else against.words,
         centerline.rows,
         centerline.cols,
         centerline.border_distance,
@@ -160,9 +172,14 @@ LIMITS = np.dtype([(name, np.float64) for name in _LIMITS])
 """Width and inner radius at the candidate, the settings of the fit from `BranchConfig`, and lengths above; pixels."""
 
 
+NOWHERE = np.zeros((0, 0), np.uint64)
+"""For `fit_lines`, where it is not known where other ground was seen."""
+
+
 @compiled
 def fit_lines(
     words: UInt64Array,
+    against: UInt64Array,
     rows: Int32Array,
     cols: Int32Array,
     border_distance: Int32Array,
@@ -172,28 +189,40 @@ def fit_lines(
     candidate: FloatArray,
     limits: Record,
 ) -> StructuredArray:
-    """Fit and weigh a line for each piece; (P,) LINE. For the arrays see `Centerline` and `trace_branches`."""
-    size = words.shape[0] - 2
+    """Fit and weigh a line for each piece; (P,) LINE.
+
+    ``words`` are those of the road, ``against`` those of the other ground that was seen, or `NOWHERE`; for the other
+    arrays see `Centerline` and `trace_branches`.
+    """
     lines = np.zeros(pieces.size, LINE)
     n_rings = max(1, int(limits.length / limits.ring))
     samples = np.zeros((pieces.size, INNER_RINGS + n_rings), _MOMENTS)
     firsts = np.zeros(pieces.size, np.int64)
     halves = np.zeros(pieces.size)
+    trial = np.zeros(1, LINE)
     for i in range(pieces.size):
-        rings = samples[i, INNER_RINGS:]
-        piece = traced[pieces[i].begin : pieces[i].end]
-        some = _sum_rings(rings, rows, cols, border_distance, is_tip, piece, candidate, limits)
-        halves[i] = _keep_parallel(rings, some, words, rows, cols, pieces[i].at_candidate, size, limits)
+        piece, is_link = traced[pieces[i].begin : pieces[i].end], pieces[i].at_candidate
+        some = _sum_rings(samples[i, INNER_RINGS:], rows, cols, border_distance, is_tip, piece, candidate, limits)
+        widths = _half_widths(some, words, rows, cols, limits)
         begin = int(max(_parting(pieces, i, candidate, limits.width) - limits.inner, 0.0) / limits.ring)
         begin = min(begin, n_rings - 1)
-        firsts[i] = _fit_straight_part(lines[i], samples[i], INNER_RINGS + begin, candidate, limits)
+        moved, moved_some = samples[i].copy(), some.copy()
+        halves[i] = _keep_parallel(samples[i, INNER_RINGS:], some, widths, is_link, limits)
+        firsts[i], variance = _fit_straight_part(lines[i], samples[i], INNER_RINGS + begin, candidate, limits)
+        if _move_from_unseen_edges(moved[INNER_RINGS:], widths, words, against, candidate, limits):
+            half = _keep_parallel(moved[INNER_RINGS:], moved_some, widths, is_link, limits)
+            trial[0].length = 0.0
+            first, moved_variance = _fit_straight_part(trial[0], moved, INNER_RINGS + begin, candidate, limits)
+            if half > 0.0 and moved_variance <= variance:
+                lines[i], samples[i], some = trial[0], moved, moved_some
+                halves[i], firsts[i] = half, first
         if lines[i].length > 0.0 and _is_beyond_bend(lines[i], some[begin:], rows, cols, halves[i]):
             lines[i].length = 0.0
     straight = lines.copy()
     surfaces = np.where(halves > 0.0, halves, 0.5 * limits.width)  # a ragged one as wide as the road at the candidate
     for i in range(pieces.size):
         if lines[i].length > 0.0 and halves[i] > 0.0:
-            firsts[i] = _follow_edge(samples[i], firsts[i], straight, i, surfaces, words, candidate, limits)
+            firsts[i] = _follow_edge(samples[i], firsts[i], straight, i, surfaces, words, against, candidate, limits)
             _fit_straight_part(lines[i], samples[i], firsts[i], candidate, limits)
     _weigh(lines, candidate, limits.full)
     _join_bends(lines, samples, firsts, candidate, limits)
@@ -239,26 +268,122 @@ def _add(sums: Record, r: float, c: float, n: float) -> None:
 
 
 @compiled
-def _keep_parallel(
+def _half_widths(
+    some: Int32Array, words: UInt64Array, rows: Int32Array, cols: Int32Array, limits: Record
+) -> FloatArray:
+    """Return the half width of the road at a pixel of each ring, pixels; 0 where there is none."""
+    size = words.shape[0] - 2
+    halves = np.zeros(some.size)
+    for i in range(some.size):
+        if some[i] >= 0:
+            halves[i] = nearest_clear(words, rows[some[i]], cols[some[i]], size, size, int(limits.half_width))
+    return halves
+
+
+@compiled
+def _move_from_unseen_edges(
     rings: StructuredArray,
-    some: Int32Array,
+    halves: FloatArray,
     words: UInt64Array,
-    rows: Int32Array,
-    cols: Int32Array,
-    is_link: bool,
-    size: int,
+    against: UInt64Array,
+    candidate: FloatArray,
     limits: Record,
+) -> bool:
+    """Lay the rings of which one edge was not seen half a width inside the other, and enter that into ``halves``.
+
+    Returns whether there are any, and so many of which both edges were seen that the width is known.
+    """
+    if against.size == 0:
+        return False
+    edges = np.zeros((rings.size, 2))  # distances to the edge on the left and on the right, seen outwards
+    lefts = np.zeros((rings.size, 2))  # unit vectors
+    seen = np.zeros((rings.size, 2), np.bool_)
+    between, count = np.empty(rings.size), 0
+    for i in range(rings.size):
+        u_row, u_col = _direction_at(rings, i)
+        if u_row == 0.0 and u_col == 0.0:
+            continue
+        lefts[i, 0], lefts[i, 1] = -u_col, u_row
+        r, c = candidate[0] + rings[i].r / rings[i].n, candidate[1] + rings[i].c / rings[i].n
+        clear = max(halves[i] - limits.ring, 0.0)  # no edge is nearer: a pixel of the ring lies in its middle
+        for side in range(2):
+            d_row, d_col = (-u_col, u_row) if side == 0 else (u_col, -u_row)
+            edge = clear + to_edge(words, r + clear * d_row, c + clear * d_col, d_row, d_col, limits.half_width)
+            edges[i, side] = edge
+            seen[i, side] = _is_seen(against, r, c, d_row, d_col, edge)
+        if seen[i, 0] and seen[i, 1]:
+            between[count] = 0.5 * (edges[i, 0] + edges[i, 1])
+            count += 1
+    if count < MIN_SEEN_RINGS:
+        return False
+    half = np.median(between[:count])
+    is_any = False
+    for i in range(rings.size):
+        unseen = 2.0 * half - edges[i, 0] - edges[i, 1]
+        if seen[i, 0] != seen[i, 1] and limits.slack < unseen < MAX_UNSEEN * half:
+            shift = edges[i, 0] - half if seen[i, 0] else half - edges[i, 1]
+            _move(rings[i], shift * lefts[i, 0], shift * lefts[i, 1])
+            halves[i] = half
+            is_any = True
+    return is_any
+
+
+@compiled
+def _direction_at(rings: StructuredArray, i: int) -> tuple[float, float]:
+    """Return the unit direction of a branch at one of its rings, outwards; 0 where it is not known."""
+    if rings[i].n == 0.0:
+        return 0.0, 0.0
+    before, behind = i, i
+    for k in range(max(i - REACH, 0), i):
+        if rings[k].n > 0.0:
+            before = k
+            break
+    for k in range(min(i + REACH, rings.size - 1), i, -1):
+        if rings[k].n > 0.0:
+            behind = k
+            break
+    row = rings[behind].r / rings[behind].n - rings[before].r / rings[before].n
+    col = rings[behind].c / rings[behind].n - rings[before].c / rings[before].n
+    length = np.sqrt(row * row + col * col)
+    if length == 0.0:
+        return 0.0, 0.0
+    return row / length, col / length
+
+
+@compiled
+def _is_seen(against: UInt64Array, r: float, c: float, d_row: float, d_col: float, edge: float) -> bool:
+    """Return whether other ground begins at the edge that lies so far from a place in a direction."""
+    size = against.shape[0] - 2
+    distance = edge - AT_EDGE_PX
+    while distance <= edge + AT_EDGE_PX:
+        row, col = round(r + distance * d_row), round(c + distance * d_col)
+        if row < 0 or col < 0 or row >= size or col >= size:
+            return False
+        if (against[row + 1, col >> 6] >> np.uint64(col & 63)) & np.uint64(1) != 0:
+            return True
+        distance += 0.5
+    return False
+
+
+@compiled
+def _move(sums: Record, row: float, col: float) -> None:
+    """Move the pixels that were summed up by so many rows and columns."""
+    sums.rr += 2.0 * row * sums.r + sums.n * row * row
+    sums.rc += row * sums.c + col * sums.r + sums.n * row * col
+    sums.cc += 2.0 * col * sums.c + sums.n * col * col
+    sums.r += sums.n * row
+    sums.c += sums.n * col
+
+
+@compiled
+def _keep_parallel(
+    rings: StructuredArray, some: Int32Array, halves: FloatArray, is_link: bool, limits: Record
 ) -> float:
     """Empty the rings where the road is wider or narrower than the branch is, the wider ones in ``some`` too.
 
     Returns its half width, pixels; 0 where too little of it is between parallel sides, and nothing was emptied.
     """
-    halves = np.zeros(rings.size)
-    count = 0
-    for i in range(rings.size):
-        if some[i] >= 0:
-            halves[i] = nearest_clear(words, rows[some[i]], cols[some[i]], size, size, int(limits.half_width))
-            count += 1
+    count = np.count_nonzero(some >= 0)
     known = np.sort(halves[halves > 0.0])
     if known.size == 0:
         return 0.0
@@ -299,6 +424,7 @@ def _follow_edge(
     which: int,
     surfaces: FloatArray,
     words: UInt64Array,
+    against: UInt64Array,
     candidate: FloatArray,
     limits: Record,
 ) -> int:
@@ -318,7 +444,7 @@ def _follow_edge(
         ahead = along + (LAG - k) * step
         trail[k, 0] = line.point[0] + ahead * line.direction[0]
         trail[k, 1] = line.point[1] + ahead * line.direction[1]
-    half = _half_width_along(words, line, trail[: LAG + 1], half, slack)
+    half = _half_width_along(words, against, line, trail[: LAG + 1], half, slack)
     at, misses, shift = LAG, 0, 0.0
     for i in range(first - 1, -1, -1):
         u_row, u_col = trail[at, 0] - trail[at - LAG, 0], trail[at, 1] - trail[at - LAG, 1]
@@ -356,17 +482,24 @@ def _follow_edge(
 
 
 @compiled
-def _half_width_along(words: UInt64Array, line: Record, places: FloatArray, half: float, slack: float) -> float:
-    """Return the half width between the edges at some places of a line; ``half`` where they are ragged."""
+def _half_width_along(
+    words: UInt64Array, against: UInt64Array, line: Record, places: FloatArray, half: float, slack: float
+) -> float:
+    """Return the half width between the edges at some places of a line; ``half`` where they are ragged or not seen."""
     slack = max(2.0 * slack, PARALLEL_SLACK * half)
     reach = half + slack + 1.0
+    d_row, d_col = line.direction[1], -line.direction[0]
     total, count = 0.0, 0
     for r, c in places:
-        left = to_edge(words, r, c, line.direction[1], -line.direction[0], reach)
-        right = to_edge(words, r, c, -line.direction[1], line.direction[0], reach)
-        if abs(left + right - 2.0 * half) <= slack:
-            total += 0.5 * (left + right)
-            count += 1
+        left, right = to_edge(words, r, c, d_row, d_col, reach), to_edge(words, r, c, -d_row, -d_col, reach)
+        if abs(left + right - 2.0 * half) > slack:
+            continue
+        if against.size > 0 and not (
+            _is_seen(against, r, c, d_row, d_col, left) and _is_seen(against, r, c, -d_row, -d_col, right)
+        ):
+            continue
+        total += 0.5 * (left + right)
+        count += 1
     return total / count if count >= LAG // 2 else half
 
 
@@ -437,11 +570,13 @@ def _parting(pieces: StructuredArray, which: int, candidate: FloatArray, width: 
 
 
 @compiled
-def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candidate: FloatArray, limits: Record) -> int:
+def _fit_straight_part(
+    line: Record, rings: StructuredArray, begin: int, candidate: FloatArray, limits: Record
+) -> tuple[int, float]:
     """Fit a line by total least squares to the rings from ``begin`` on, as far as the branch is straight.
 
     Of the parts that are long enough it takes the one whose line is known best at the candidate. Returns the first ring
-    that was used.
+    that was used, and the variance there by which lines compare; infinite where there is too little to fit.
     """
     first, least = -1, np.inf
     m, sr, sc, srr, src, scc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -480,7 +615,7 @@ def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, candida
         line.point[0], line.point[1] = candidate[0] + ur, candidate[1] + uc
         line.direction[0], line.direction[1] = d_row, d_col
         line.start, line.length, line.rms = limits.inner + (first - INNER_RINGS) * limits.ring, length, rms
-    return max(first, begin)
+    return max(first, begin), least
 
 
 @compiled

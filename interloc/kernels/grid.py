@@ -187,8 +187,9 @@ def threshold_window(
     min_points: int,
     neighbour_weight: float,
     words: UInt64Array,
+    against: UInt64Array,
 ) -> None:
-    """Write a square of the grid as a packed image: set where a cell has at least ``min_points``.
+    """Write a square of the grid as packed images: where a cell has at least ``min_points``, and where less than none.
 
     Parameters
     ----------
@@ -201,13 +202,14 @@ def threshold_window(
         decides.
     words : (size + 2, W) uint64
         Empty packed image.
+    against : (size + 2, W) uint64
+        Empty packed image, set where votes against road outnumber those for it; without rows it is left out.
     """
     tile_x0 = left >> _SHIFT
     tile_y0 = (top - size + 1) >> _SHIFT
     line = np.empty(words.shape[1] * 64, np.uint8)
     octets = line.view(np.uint64)
     least = np.int32(min_points)
-    gather = np.uint64(0x0102040810204080)  # brings the lowest bits of eight bytes together in the highest one
     for r in range(size):
         iy = top - r
         row = (iy >> _SHIFT) - tile_y0
@@ -223,14 +225,24 @@ def threshold_window(
             counts = pool[slot, inside + first - start : inside + last - start]
             target = line[first - left : last - left]
             for k in range(target.size):
-                target[k] = counts[k] >= least
+                target[k] = (counts[k] >= least) + 2 * (counts[k] < 0)  # two bits, for the two images
             if neighbour_weight > 0.0:
                 for k in range(target.size):
-                    if target[k] != 0:
+                    if target[k] == 1:
                         around = _sum_of_nine(pool, table, tile_x0, tile_y0, first + k, iy) - counts[k]
                         target[k] = counts[k] + neighbour_weight * around > 0.0
         for w in range(words.shape[1]):
-            word = np.uint64(0)
-            for k in range(8):
-                word |= ((octets[8 * w + k] * gather) >> np.uint64(56)) << np.uint64(8 * k)
-            words[r + 1, w] = word
+            words[r + 1, w] = _gather(octets[8 * w : 8 * w + 8], 0)
+            if against.shape[0] > 0:
+                against[r + 1, w] = _gather(octets[8 * w : 8 * w + 8], 1)
+
+
+@compiled
+def _gather(octets: UInt64Array, bit: int) -> np.uint64:
+    """Return one bit of each of 64 bytes as a word."""
+    word = np.uint64(0)
+    for k in range(8):
+        # The product brings the lowest bits of eight bytes together in the highest byte.
+        bits = (octets[k] >> np.uint64(bit)) & np.uint64(0x0101010101010101)
+        word |= ((bits * np.uint64(0x0102040810204080)) >> np.uint64(56)) << np.uint64(8 * k)
+    return word

@@ -38,6 +38,7 @@ EXACT_LIDAR = LidarConfig(
 )
 BARE_SCENE = SceneConfig(
     flat=True,
+    cell_m=0.0625,  # every cell that a road touches is painted: with cells twice as large its axis is up to 7 cm off
     track_half_width_m=0,
     streets=StreetConfig(corner_radius_factor=0, parking_bay_share=0),
     roadside=RoadsideConfig(parked_car_density=0, hedge_share=0, buildings="none"),

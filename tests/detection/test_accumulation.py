@@ -53,6 +53,12 @@ def literal_bev(scans: Scans, k: int, before: int, after: int, bev: BevConfig, m
     return counts[::-1] >= min_points  # rows go down
 
 
+def bev_of_one_scan(config: BevConfig, road: Float32Array, other: Float32Array | None = None) -> BevImage:
+    accumulator = RoadAccumulator(KeyframeConfig(window=0, lookahead=0), config)
+    accumulator.add(Keyframe(0, np.eye(4), None), road, other)
+    return accumulator.bev()
+
+
 def run(accumulator: RoadAccumulator, scans: Scans) -> Iterator[tuple[Keyframe, BevImage]]:
     for keyframe, points in scans:
         completed = accumulator.add(keyframe, points)
@@ -201,6 +207,23 @@ def test_votes_against_road_leave_with_their_keyframe() -> None:
     accumulator.add(Keyframe(0, np.eye(4), None), point, np.repeat(point, 5, axis=0))
     accumulator.add(Keyframe(1, np.eye(4), None), point)
     assert accumulator.bev().image.pixels()[0].size == 1
+
+
+def test_other_ground_is_known_where_it_outvotes_road() -> None:
+    bev = BevConfig(size_m=20, resolution_m=0.2, min_points=2, adaptive=False, vote=True)
+    road_points = np.array([[0.1, 0.1, -1.7]] * 3 + [[3.1, 0.1, -1.7]] * 3, np.float32)
+    other_points = np.array([[3.1, 0.1, -1.7]] * 3 + [[9.1, 9.1, -1.7]], np.float32)
+    against = bev_of_one_scan(bev, road_points, other_points).against
+    assert against is not None
+    rows, cols = against.pixels()
+    np.testing.assert_allclose(bev_of_one_scan(bev, road_points).roi.world(rows, cols), [[9.1, 9.1]])
+
+
+def test_nothing_is_known_of_other_ground_where_nobody_votes() -> None:
+    bev = BevConfig(size_m=20, resolution_m=0.2, min_points=1, adaptive=False, vote=True)
+    point = np.array([[0.1, 0.1, -1.7]], np.float32)
+    assert bev_of_one_scan(bev, point).against is None
+    assert bev_of_one_scan(bev.model_copy(update={"vote": False}), point, point + 1).against is None
 
 
 @pytest.mark.parametrize(

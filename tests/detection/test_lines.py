@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import LIMITS, _fit_circle, fit_lines
+from interloc.detection.lines import LIMITS, NOWHERE, _fit_circle, fit_lines
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
 
@@ -36,8 +36,8 @@ def fit(
     traced, pieces = trace_branches(line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0)
     limits = np.array((width, inner, length, shortest, 20.0, straight, trim, 99.0, RING_PX, 1.5), LIMITS)[()]
     no_surface = BinaryImage.empty(image.height, image.width)  # so there are no edges to follow
-    pixels = no_surface.words, line.rows, line.cols, line.border_distance, line.is_tip
-    return fit_lines(*pixels, traced, pieces, place, limits)
+    pixels = line.rows, line.cols, line.border_distance, line.is_tip
+    return fit_lines(no_surface.words, NOWHERE, *pixels, traced, pieces, place, limits)
 
 
 def cross(size: int = 201) -> UInt8Array:
@@ -183,3 +183,72 @@ def test_branches_of_one_bend_have_its_tangent() -> None:
     np.testing.assert_allclose(down["direction"], [1, 0], atol=0.02)
     np.testing.assert_allclose(left["direction"], [0, -1], atol=0.02)
     np.testing.assert_allclose([up["point"], down["point"]], [[100, 100], [100, 100]], atol=1.0)
+
+
+# --- edges that were not seen ----------------------------------------------------------------------------------------
+
+AXIS = 100.0  # row of the axis of a road from left to right, between rows 90 and 110
+AT_EDGES = (80, 90), (111, 121)  # rows in which a sidewalk lies
+
+
+def road_hidden_from(column: int, rows: int) -> UInt8Array:
+    """Draw the road without its uppermost rows from a column on."""
+    road = np.zeros((201, 201), np.uint8)
+    road[90:111, 5:] = 1
+    road[90 : 90 + rows, column:] = 0
+    return road
+
+
+def other_ground(*strips: tuple[int, int]) -> UInt8Array:
+    ground = np.zeros((201, 201), np.uint8)
+    for first, end in strips:
+        ground[first:end] = 1
+    return ground
+
+
+def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
+    """Fit the line of a road that leaves a candidate to the right."""
+    surface = BinaryImage.from_array(road)
+    thinned = BinaryImage(surface.words.copy(), surface.height, surface.width)
+    thin(thinned.words)
+    line, place = Centerline.of(thinned, surface), np.array((AXIS, 20.0))
+    traced, pieces = trace_branches(line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0)
+    limits = np.array((21.0, 10.0, 140.0, 75.0, 75.0, 1.25, 0.0, 99.0, RING_PX, 1.5), LIMITS)[()]
+    against = NOWHERE if other is None else BinaryImage.from_array(other).words
+    pixels = line.rows, line.cols, line.border_distance, line.is_tip
+    (row,) = fit_lines(surface.words, against, *pixels, traced, pieces, place, limits)
+    return row
+
+
+def rows_of(line: StructuredArray) -> list[float]:
+    """Return the rows of a line at the candidate and where its road leaves the image."""
+    slope = line["direction"][0] / line["direction"][1]
+    return [float(line["point"][0] + slope * (column - line["point"][1])) for column in (20, 200)]
+
+
+def test_axis_lies_half_a_width_inside_the_edge_that_was_seen() -> None:
+    road = road_hidden_from(70, rows=6)  # by a parked car; the sidewalk behind it was seen
+    assert max(abs(row - AXIS) for row in rows_of(line_of_road(road, None))) > 2.0
+    np.testing.assert_allclose(rows_of(line_of_road(road, other_ground(*AT_EDGES))), AXIS, atol=0.5)
+
+
+def test_side_of_the_hidden_edge_makes_no_difference() -> None:
+    road, other = road_hidden_from(70, rows=6)[::-1].copy(), other_ground(*AT_EDGES)[::-1].copy()
+    np.testing.assert_allclose(rows_of(line_of_road(road, other)), 200 - AXIS, atol=0.5)
+
+
+def test_road_that_becomes_narrower_is_not_taken_for_hidden() -> None:
+    road = road_hidden_from(110, rows=6)
+    seen = other_ground(*AT_EDGES)
+    seen[90:96, 110:] = 1
+    np.testing.assert_array_equal(line_of_road(road, seen), line_of_road(road, None))
+
+
+def test_edges_say_nothing_where_few_places_show_both() -> None:
+    road = road_hidden_from(45, rows=6)
+    np.testing.assert_array_equal(line_of_road(road, other_ground(*AT_EDGES)), line_of_road(road, None))
+
+
+def test_half_a_road_that_is_missing_is_not_made_up() -> None:
+    road = road_hidden_from(70, rows=14)
+    np.testing.assert_array_equal(line_of_road(road, other_ground(*AT_EDGES)), line_of_road(road, None))
