@@ -50,6 +50,7 @@ REACH = 4  # rings before and behind one that show the direction of its road
 AT_EDGE_PX = 1.0  # an edge was seen if other ground begins so near to it: rounding moves it by as much
 MIN_SEEN_RINGS = 6  # of which both edges were seen: fewer do not tell how wide a branch is
 MAX_UNSEEN = 0.6  # of a half width may not be seen: where more is missing, it may be another road
+SIDE_BY_SIDE_COS = math.cos(math.radians(10.0))  # of two roads that do not meet there: two carriageways
 LAG = 6  # rings behind that an axis followed inwards takes its direction from
 MAX_MISSES = 4  # rings without an edge that it crosses straight on
 MAX_SHIFT = 0.375  # what it may move sideways in a ring, as a share of the ring
@@ -557,16 +558,25 @@ def to_edge(words: UInt64Array, r: float, c: float, d_row: float, d_col: float, 
 def _parting(pieces: StructuredArray, which: int, candidate: FloatArray, width: float) -> float:
     """Return how far from the candidate the surface of a branch parts from that of its nearest neighbour, pixels.
 
-    Two roads of width w at an angle t part at (w / 2) / sin(t / 2); the centerline is bent until there.
+    Two roads of width w at an angle t part at (w / 2) / sin(t / 2); the centerline is bent until there. Roads side by
+    side are apart from where they begin.
     """
     least = np.pi
     r, c = pieces[which].mean[0] - candidate[0], pieces[which].mean[1] - candidate[1]
     for i in range(pieces.size):
-        if i != which:
+        if i != which and not _are_side_by_side(pieces[i], pieces[which]):
             ri, ci = pieces[i].mean[0] - candidate[0], pieces[i].mean[1] - candidate[1]
             least = min(least, abs(np.arctan2(r * ci - c * ri, r * ri + c * ci)))
     distance: float = 0.5 * width / max(np.sin(0.5 * least), 0.25)
     return distance
+
+
+@compiled
+def _are_side_by_side(piece: Record, other: Record) -> bool:
+    """Return whether two branches lead the same way."""
+    r, c = piece.mean[0] - piece.start[0], piece.mean[1] - piece.start[1]
+    other_r, other_c = other.mean[0] - other.start[0], other.mean[1] - other.start[1]
+    return bool(r * other_r + c * other_c > SIDE_BY_SIDE_COS * np.hypot(r, c) * np.hypot(other_r, other_c))
 
 
 @compiled

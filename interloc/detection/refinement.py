@@ -10,7 +10,7 @@ import numpy as np
 from interloc.arrays import FloatArray, UInt64Array
 from interloc.detection.branches import Branches
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import to_edge
+from interloc.detection.lines import SIDE_BY_SIDE_COS, to_edge
 from interloc.kernels import compiled
 
 # Lines are near-parallel, and their meeting point means nothing, when the smaller eigenvalue of the normal matrix is
@@ -21,7 +21,6 @@ FORK_COS = -0.8  # of the angles between the one road of a fork and the two othe
 FORK_WIDTH = 0.85  # of the one road, as a share of the width at the candidate, at most
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
-SIDE_BY_SIDE_COS = math.cos(math.radians(10.0))  # of two roads that do not meet there: two carriageways
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
 
 
