@@ -5,12 +5,13 @@ intersection: it is bent as far as the surfaces of its roads overlap, it leans w
 was seen in passing, and roads bend further out. So the preset `default` fits a line to the part that can be trusted:
 
 1. Pixels near a dead end of the branch or near the border of the image are left out (`trim_m`), and so are those where
-   the road is wider or narrower than the branch is: there a mouth opens, or an edge was not seen (`_keep_parallel`).
+   the road is wider or narrower than the branch is: there a mouth opens, or an edge was not seen (`keep_parallel`;
+   for edges see `interloc.detection.edges`).
    Where other ground begins at one edge only, the other one was not seen: a parked car or the kerb of a median hid the
    road. There the axis lies half a width inside the edge that was seen, with the width between edges that both were
-   (`_move_from_unseen_edges`). Of the two lines, with and without that, the one counts that is known better.
+   (`move_from_unseen_edges`). Of the two lines, with and without that, the one counts that is known better.
 2. From where its sides are parallel the axis is followed inwards along the edge that goes on, half a width from it: at
-   an acute mouth or a rounded corner one edge turns away long before the other (`_follow_edge`). A branch whose edges
+   an acute mouth or a rounded corner one edge turns away long before the other (`follow_edge`). A branch whose edges
    are too ragged to tell stays as it is.
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight
    (`straight_m`, `fit_length_m`); of these parts that one counts whose line is known best where the roads meet: a
@@ -32,9 +33,17 @@ import numpy as np
 from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray, Record, StructuredArray, UInt64Array
 from interloc.config import BranchConfig
 from interloc.detection.centerline import Centerline
+from interloc.detection.edges import (
+    LASTING_RAD,
+    MOMENTS,
+    add,
+    follow_edge,
+    half_widths,
+    keep_parallel,
+    move_from_unseen_edges,
+)
 from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
-from interloc.kernels.bits import nearest_clear
 
 RING_M = 0.64  # a line grows by this much at a time
 LEAST_RING_PX = 4.0  # and by no less, however coarse the grid is
@@ -42,20 +51,8 @@ GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
 PIXEL_PX = 0.1  # how well the line of an ideal road is known
 INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the inner circle
 
-PARALLEL_SLACK = 0.08  # share of its half width that a branch may differ from it by between parallel sides
-SLACK_M, LEAST_SLACK_PX = 0.24, 1.5  # at least; and what an edge may leave the place by where it belongs
-ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
-MIN_PARALLEL, MIN_PARALLEL_RINGS = 0.5, 6  # a branch with less of it between parallel sides is taken as it is
-REACH = 4  # rings before and behind one that show the direction of its road
-AT_EDGE_PX = 1.0  # an edge was seen if other ground begins so near to it: rounding moves it by as much
-MIN_SEEN_RINGS = 6  # of which both edges were seen: fewer do not tell how wide a branch is
-MAX_UNSEEN = 0.6  # of a half width may not be seen: where more is missing, it may be another road
+SLACK_M, LEAST_SLACK_PX = 0.24, 1.5  # what an edge may leave the place by where it belongs
 SIDE_BY_SIDE_COS = math.cos(math.radians(10.0))  # of two roads that do not meet there: two carriageways
-LAG = 6  # rings behind that an axis followed inwards takes its direction from
-MAX_MISSES = 4  # rings without an edge that it crosses straight on
-MAX_SHIFT = 0.375  # what it may move sideways in a ring, as a share of the ring
-LASTING_RAD = math.radians(110.0)  # a corner between two roads at this angle is short
-MAX_TURN_COS = 0.5  # it does not turn by more than 60 degrees
 
 BEND_SHARE = 0.6  # of the distances of two branches from their lines: what those from one circle must be below
 BEND_RINGS = 6  # that each of the two must have
@@ -163,10 +160,6 @@ LINE = np.dtype(
 )
 """What `fit_lines` returns for each piece; pixels."""
 
-_MOMENTS = np.dtype([(name, np.float64) for name in ("n", "r", "c", "rr", "rc", "cc")])
-"""Sums over pixels: their number, rows, columns, and the products of these."""
-
-
 # Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
 _LIMITS = ("width", "inner", "length", "shortest", "full", "straight", "trim", "half_width", "ring", "slack")
 LIMITS = np.dtype([(name, np.float64) for name in _LIMITS])
@@ -197,21 +190,21 @@ def fit_lines(
     """
     lines = np.zeros(pieces.size, LINE)
     n_rings = max(1, int(limits.length / limits.ring))
-    samples = np.zeros((pieces.size, INNER_RINGS + n_rings), _MOMENTS)
+    samples = np.zeros((pieces.size, INNER_RINGS + n_rings), MOMENTS)
     firsts = np.zeros(pieces.size, np.int64)
     halves = np.zeros(pieces.size)
     trial = np.zeros(1, LINE)
     for i in range(pieces.size):
         piece, is_link = traced[pieces[i].begin : pieces[i].end], pieces[i].at_candidate
         some = _sum_rings(samples[i, INNER_RINGS:], rows, cols, border_distance, is_tip, piece, candidate, limits)
-        widths = _half_widths(some, words, rows, cols, limits)
+        widths = half_widths(some, words, rows, cols, limits)
         begin = int(max(_parting(pieces, i, candidate, limits.width) - limits.inner, 0.0) / limits.ring)
         begin = min(begin, n_rings - 1)
         moved, moved_some = samples[i].copy(), some.copy()
-        halves[i] = _keep_parallel(samples[i, INNER_RINGS:], some, widths, is_link, limits)
+        halves[i] = keep_parallel(samples[i, INNER_RINGS:], some, widths, is_link, limits)
         firsts[i], variance = _fit_straight_part(lines[i], samples[i], INNER_RINGS + begin, candidate, limits)
-        if _move_from_unseen_edges(moved[INNER_RINGS:], widths, words, against, candidate, limits):
-            half = _keep_parallel(moved[INNER_RINGS:], moved_some, widths, is_link, limits)
+        if move_from_unseen_edges(moved[INNER_RINGS:], widths, words, against, candidate, limits):
+            half = keep_parallel(moved[INNER_RINGS:], moved_some, widths, is_link, limits)
             trial[0].length = 0.0
             first, moved_variance = _fit_straight_part(trial[0], moved, INNER_RINGS + begin, candidate, limits)
             if half > 0.0 and moved_variance <= variance:
@@ -223,7 +216,7 @@ def fit_lines(
     surfaces = np.where(halves > 0.0, halves, 0.5 * limits.width)  # a ragged one as wide as the road at the candidate
     for i in range(pieces.size):
         if lines[i].length > 0.0 and halves[i] > 0.0:
-            firsts[i] = _follow_edge(samples[i], firsts[i], straight, i, surfaces, words, against, candidate, limits)
+            firsts[i] = follow_edge(samples[i], firsts[i], straight, i, surfaces, words, against, candidate, limits)
             _fit_straight_part(lines[i], samples[i], firsts[i], candidate, limits)
     _weigh(lines, candidate, limits.full)
     _join_bends(lines, samples, firsts, candidate, limits)
@@ -253,156 +246,9 @@ def _sum_rings(
             if tr * tr + tc * tc < limits.trim * limits.trim:
                 usable = False
         if usable:
-            _add(rings[ring], dr, dc, 1.0)
+            add(rings[ring], dr, dc, 1.0)
             some[ring] = p
     return some
-
-
-@compiled
-def _add(sums: Record, r: float, c: float, n: float) -> None:
-    sums.n += n
-    sums.r += n * r
-    sums.c += n * c
-    sums.rr += n * r * r
-    sums.rc += n * r * c
-    sums.cc += n * c * c
-
-
-@compiled
-def _half_widths(
-    some: Int32Array, words: UInt64Array, rows: Int32Array, cols: Int32Array, limits: Record
-) -> FloatArray:
-    """Return the half width of the road at a pixel of each ring, pixels; 0 where there is none."""
-    size = words.shape[0] - 2
-    halves = np.zeros(some.size)
-    for i in range(some.size):
-        if some[i] >= 0:
-            halves[i] = nearest_clear(words, rows[some[i]], cols[some[i]], size, size, int(limits.half_width))
-    return halves
-
-
-@compiled
-def _move_from_unseen_edges(
-    rings: StructuredArray,
-    halves: FloatArray,
-    words: UInt64Array,
-    against: UInt64Array,
-    candidate: FloatArray,
-    limits: Record,
-) -> bool:
-    """Lay the rings of which one edge was not seen half a width inside the other, and enter that into ``halves``.
-
-    Returns whether there are any, and so many of which both edges were seen that the width is known.
-    """
-    if against.size == 0:
-        return False
-    edges = np.zeros((rings.size, 2))  # distances to the edge on the left and on the right, seen outwards
-    lefts = np.zeros((rings.size, 2))  # unit vectors
-    seen = np.zeros((rings.size, 2), np.bool_)
-    between, count = np.empty(rings.size), 0
-    for i in range(rings.size):
-        u_row, u_col = _direction_at(rings, i)
-        if u_row == 0.0 and u_col == 0.0:
-            continue
-        lefts[i, 0], lefts[i, 1] = -u_col, u_row
-        r, c = candidate[0] + rings[i].r / rings[i].n, candidate[1] + rings[i].c / rings[i].n
-        clear = max(halves[i] - limits.ring, 0.0)  # no edge is nearer: a pixel of the ring lies in its middle
-        for side in range(2):
-            d_row, d_col = (-u_col, u_row) if side == 0 else (u_col, -u_row)
-            edge = clear + to_edge(words, r + clear * d_row, c + clear * d_col, d_row, d_col, limits.half_width)
-            edges[i, side] = edge
-            seen[i, side] = _is_seen(against, r, c, d_row, d_col, edge)
-        if seen[i, 0] and seen[i, 1]:
-            between[count] = 0.5 * (edges[i, 0] + edges[i, 1])
-            count += 1
-    if count < MIN_SEEN_RINGS:
-        return False
-    half = np.median(between[:count])
-    is_any = False
-    for i in range(rings.size):
-        unseen = 2.0 * half - edges[i, 0] - edges[i, 1]
-        if seen[i, 0] != seen[i, 1] and limits.slack < unseen < MAX_UNSEEN * half:
-            shift = edges[i, 0] - half if seen[i, 0] else half - edges[i, 1]
-            _move(rings[i], shift * lefts[i, 0], shift * lefts[i, 1])
-            halves[i] = half
-            is_any = True
-    return is_any
-
-
-@compiled
-def _direction_at(rings: StructuredArray, i: int) -> tuple[float, float]:
-    """Return the unit direction of a branch at one of its rings, outwards; 0 where it is not known."""
-    if rings[i].n == 0.0:
-        return 0.0, 0.0
-    before, behind = i, i
-    for k in range(max(i - REACH, 0), i):
-        if rings[k].n > 0.0:
-            before = k
-            break
-    for k in range(min(i + REACH, rings.size - 1), i, -1):
-        if rings[k].n > 0.0:
-            behind = k
-            break
-    row = rings[behind].r / rings[behind].n - rings[before].r / rings[before].n
-    col = rings[behind].c / rings[behind].n - rings[before].c / rings[before].n
-    length = np.sqrt(row * row + col * col)
-    if length == 0.0:
-        return 0.0, 0.0
-    return row / length, col / length
-
-
-@compiled
-def _is_seen(against: UInt64Array, r: float, c: float, d_row: float, d_col: float, edge: float) -> bool:
-    """Return whether other ground begins at the edge that lies so far from a place in a direction."""
-    size = against.shape[0] - 2
-    distance = edge - AT_EDGE_PX
-    while distance <= edge + AT_EDGE_PX:
-        row, col = round(r + distance * d_row), round(c + distance * d_col)
-        if row < 0 or col < 0 or row >= size or col >= size:
-            return False
-        if (against[row + 1, col >> 6] >> np.uint64(col & 63)) & np.uint64(1) != 0:
-            return True
-        distance += 0.5
-    return False
-
-
-@compiled
-def _move(sums: Record, row: float, col: float) -> None:
-    """Move the pixels that were summed up by so many rows and columns."""
-    sums.rr += 2.0 * row * sums.r + sums.n * row * row
-    sums.rc += row * sums.c + col * sums.r + sums.n * row * col
-    sums.cc += 2.0 * col * sums.c + sums.n * col * col
-    sums.r += sums.n * row
-    sums.c += sums.n * col
-
-
-@compiled
-def _keep_parallel(
-    rings: StructuredArray, some: Int32Array, halves: FloatArray, is_link: bool, limits: Record
-) -> float:
-    """Empty the rings where the road is wider or narrower than the branch is, the wider ones in ``some`` too.
-
-    Returns its half width, pixels; 0 where too little of it is between parallel sides, and nothing was emptied.
-    """
-    count = np.count_nonzero(some >= 0)
-    known = np.sort(halves[halves > 0.0])
-    if known.size == 0:
-        return 0.0
-    # Both ends of a road between two junctions open into mouths.
-    half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (known.size - 1))]
-    slack = max(limits.slack, PARALLEL_SLACK * half)
-    parallel = 0
-    for i in range(rings.size):
-        if some[i] >= 0 and abs(halves[i] - half) <= slack:
-            parallel += 1
-    if parallel < max(MIN_PARALLEL * count, MIN_PARALLEL_RINGS):
-        return 0.0  # its edges are too ragged to tell
-    for i in range(rings.size):
-        if some[i] >= 0 and abs(halves[i] - half) > slack:
-            rings[i].n = 0.0
-            if halves[i] > half:
-                some[i] = -1  # a mouth, in which the centerline is bent
-    return half
 
 
 @compiled
@@ -415,143 +261,6 @@ def _is_beyond_bend(line: Record, some: Int32Array, rows: Int32Array, cols: Int3
             across = (rows[p] - line.point[0]) * line.direction[1] - (cols[p] - line.point[1]) * line.direction[0]
             return bool(abs(across) > half)
     return False
-
-
-@compiled
-def _follow_edge(
-    samples: StructuredArray,
-    first: int,
-    lines: StructuredArray,
-    which: int,
-    surfaces: FloatArray,
-    words: UInt64Array,
-    against: UInt64Array,
-    candidate: FloatArray,
-    limits: Record,
-) -> int:
-    """Follow the axis of a branch inwards along the edge that stays half a width from it; return the new first ring.
-
-    It ends where both edges have turned away, or where the axis comes upon the surface of another branch, whose half
-    width is in ``surfaces``.
-    """
-    line, half = lines[which], surfaces[which]
-    slack, step, max_shift = limits.slack, limits.ring, MAX_SHIFT * limits.ring
-    toward = _lasting_side(lines, which)
-    ring = samples[first]
-    along = (candidate[0] + ring.r / ring.n - line.point[0]) * line.direction[0]
-    along += (candidate[1] + ring.c / ring.n - line.point[1]) * line.direction[1]
-    trail = np.empty((first + LAG + 1, 2))
-    for k in range(LAG + 1):
-        ahead = along + (LAG - k) * step
-        trail[k, 0] = line.point[0] + ahead * line.direction[0]
-        trail[k, 1] = line.point[1] + ahead * line.direction[1]
-    half = _half_width_along(words, against, line, trail[: LAG + 1], half, slack)
-    at, misses, shift = LAG, 0, 0.0
-    for i in range(first - 1, -1, -1):
-        u_row, u_col = trail[at, 0] - trail[at - LAG, 0], trail[at, 1] - trail[at - LAG, 1]
-        norm = np.sqrt(u_row * u_row + u_col * u_col)
-        u_row, u_col = u_row / norm, u_col / norm
-        if -(u_row * line.direction[0] + u_col * line.direction[1]) < MAX_TURN_COS:
-            break
-        r, c = trail[at, 0] + step * u_row, trail[at, 1] + step * u_col
-        if _is_on_other(r, c, lines, which, surfaces, candidate):
-            break
-        reach = half + slack + 1.0
-        left = to_edge(words, r, c, -u_col, u_row, reach)
-        right = to_edge(words, r, c, u_col, -u_row, reach)
-        misses += 1
-        if left + right <= 2.0 * half + slack:
-            shift, misses = 0.5 * (left - right), 0
-        elif toward != 0.0:
-            # An edge that comes nearer bends with its road; one that draws away opens into a mouth, or has a gap.
-            shift = toward * ((left if toward > 0.0 else right) - half)
-            if toward * shift <= slack:
-                misses = 0
-        if misses > MAX_MISSES:
-            break
-        shift = 0.0 if misses else min(max(shift, -max_shift), max_shift)
-        r, c = r - shift * u_col, c + shift * u_row
-        at += 1
-        trail[at, 0], trail[at, 1] = r, c
-        samples[i].n = 0.0
-        if misses:
-            continue
-        samples[i].r = samples[i].c = samples[i].rr = samples[i].rc = samples[i].cc = 0.0
-        _add(samples[i], r - candidate[0], c - candidate[1], step)
-        first = i
-    return first
-
-
-@compiled
-def _half_width_along(
-    words: UInt64Array, against: UInt64Array, line: Record, places: FloatArray, half: float, slack: float
-) -> float:
-    """Return the half width between the edges at some places of a line; ``half`` where they are ragged or not seen."""
-    slack = max(2.0 * slack, PARALLEL_SLACK * half)
-    reach = half + slack + 1.0
-    d_row, d_col = line.direction[1], -line.direction[0]
-    total, count = 0.0, 0
-    for r, c in places:
-        left, right = to_edge(words, r, c, d_row, d_col, reach), to_edge(words, r, c, -d_row, -d_col, reach)
-        if abs(left + right - 2.0 * half) > slack:
-            continue
-        if against.size > 0 and not (
-            _is_seen(against, r, c, d_row, d_col, left) and _is_seen(against, r, c, -d_row, -d_col, right)
-        ):
-            continue
-        total += 0.5 * (left + right)
-        count += 1
-    return total / count if count >= LAG // 2 else half
-
-
-@compiled
-def _lasting_side(lines: StructuredArray, which: int) -> float:
-    """Return on which side of a branch, seen inwards, its edge lasts the longest: 1 left, -1 right, 0 on neither.
-
-    A corner between two roads is rounded over r / tan(t / 2), with the angle t between them: the edge lasts on the side
-    where the next branch is far round.
-    """
-    d_row, d_col = lines[which].direction
-    left, right = 2.0 * np.pi, 2.0 * np.pi
-    for j in range(lines.size):
-        if j != which and lines[j].length > 0.0:
-            o_row, o_col = lines[j].direction
-            angle = np.arctan2(d_col * o_row - d_row * o_col, d_row * o_row + d_col * o_col) % (2.0 * np.pi)
-            left, right = min(left, angle), min(right, 2.0 * np.pi - angle)
-    if max(left, right) < LASTING_RAD:
-        return 0.0
-    return 1.0 if left > right else -1.0
-
-
-@compiled
-def _is_on_other(
-    r: float, c: float, lines: StructuredArray, which: int, halves: FloatArray, candidate: FloatArray
-) -> bool:
-    """Return whether a place lies on the surface of another branch, prolonged to the candidate."""
-    for j in range(lines.size):
-        if j == which or lines[j].length == 0.0:
-            continue
-        d_row, d_col = lines[j].direction
-        across = (r - lines[j].point[0]) * d_col - (c - lines[j].point[1]) * d_row
-        along = (r - candidate[0]) * d_row + (c - candidate[1]) * d_col
-        if abs(across) < halves[j] and along > 0.0:
-            return True
-    return False
-
-
-@compiled
-def to_edge(words: UInt64Array, r: float, c: float, d_row: float, d_col: float, reach: float) -> float:
-    """Return the distance from a place to the edge of the road in a direction, pixels; ``reach`` at most."""
-    size = words.shape[0] - 2
-    distance = 0.0
-    while distance < reach:
-        row, col = round(r + distance * d_row), round(c + distance * d_col)
-        if row < 0 or col < 0 or row >= size or col >= size:
-            return reach
-        if (words[row + 1, col >> 6] >> np.uint64(col & 63)) & np.uint64(1) == 0:
-            return distance
-        distance += 0.5
-    return reach
 
 
 @compiled

@@ -9,8 +9,9 @@ import numpy as np
 
 from interloc.arrays import FloatArray, UInt64Array
 from interloc.detection.branches import Branches
+from interloc.detection.edges import to_edge
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import SIDE_BY_SIDE_COS, to_edge
+from interloc.detection.lines import SIDE_BY_SIDE_COS
 from interloc.kernels import compiled
 
 # Lines are near-parallel, and their meeting point means nothing, when the smaller eigenvalue of the normal matrix is
