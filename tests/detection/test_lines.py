@@ -107,6 +107,21 @@ def test_line_begins_where_the_road_parts_from_its_neighbours() -> None:
     assert late[-1]["length"] == pytest.approx(30, abs=2 * RING_PX)
 
 
+def test_roads_side_by_side_begin_at_the_inner_circle() -> None:
+    image = np.zeros((201, 201), np.uint8)
+    diagonal = np.arange(16)
+    for row, sense in ((85, -1), (115, 1)):
+        image[100 + sense * diagonal, 100 + diagonal] = 1
+        image[row, 115:190] = 1
+    carriageways = fit(BinaryImage.from_array(image), (100, 100), inner=25.0, width=40.0)
+    np.testing.assert_allclose(carriageways["start"], 25.0, atol=RING_PX)
+    for row in range(115, 190):  # the lower one turns away by 20 degrees, so that they come from one place
+        image[115, row] = 0
+        image[115 + round(0.36 * (row - 115)), row] = 1
+    fork = fit(BinaryImage.from_array(image), (100, 100), inner=25.0, width=40.0)
+    assert fork["start"].min() > 25.0 + 2 * RING_PX
+
+
 def test_longer_line_weighs_more() -> None:
     image = BinaryImage.from_array(cross())
     weights = [fit(image, (100, 100), length=length)[0]["weight"] for length in (12.0, 24.0, 48.0)]
