@@ -482,13 +482,13 @@ DEFAULT = DetectorConfig(
     ),
     compound=CompoundConfig(),
     calibration=CalibrationConfig(
-        line_std_m=0.41,
-        unclear_line_std_m=15.72,
-        coarse_line_std_m=5.44,
-        shape_limit_m=4.08,
-        log_odds=-1.04,
-        log_odds_seen=5.57,
-        log_odds_per_doubling=0.41,
+        line_std_m=0.26,
+        unclear_line_std_m=18.32,
+        coarse_line_std_m=6.21,
+        shape_limit_m=3.4,
+        log_odds=0.02,
+        log_odds_seen=4.62,
+        log_odds_per_doubling=0.73,
     ),
 )
 
