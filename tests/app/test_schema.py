@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +26,7 @@ CHECKS: list[Any] = [
     checks.response_schema_conformance,
     checks.response_headers_conformance,
 ]
-DESCRIPTION = create_app(Settings()).openapi()
+DESCRIPTION = deepcopy(create_app(Settings()).openapi())  # all applications of a process share it
 # To find strings that fit the pattern of a path takes ten seconds; most strings are good paths anyway.
 del DESCRIPTION["components"]["schemas"]["DriveOptionsModel"]["properties"]["oxts"]["pattern"]
 for operation in DESCRIPTION["paths"]["/api/v1/drives/{drive_id}/files/{path}"].values():
