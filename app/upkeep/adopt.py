@@ -19,6 +19,7 @@ from sqlalchemy import select
 from app.context import Context
 from app.drives.cleanup import unknown_folders
 from app.drives.reconcile import reconcile
+from app.drives.records import note_extent
 from app.paths import is_map
 from app.schemas.drives import DriveOptionsModel, NewDrive
 from app.schemas.jobs import NewJob
@@ -158,6 +159,7 @@ def _adopt_drive(context: Context, place: str, id_: str, *, dry_run: bool) -> tu
             now = context.database.clock(session)
             drive.touched_at = now
             drive.created_at = min(drive.created_at or now, now)
+            note_extent(drive, context)
             session.add(drive)
         reconcile(context, id_, is_news=False)
         with context.database.reading() as session:
