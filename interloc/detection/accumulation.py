@@ -13,6 +13,7 @@ from interloc.config import BevConfig, KeyframeConfig
 from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.keyframes import Keyframe
 from interloc.kernels import grid
+from interloc.kernels.bits import NOWHERE
 
 _GROW = 16  # tiles that the pool grows by at least
 _POOLED_SHARE = 0.5  # share of a full window below which votes are pooled: the ends of a dense drive have more
@@ -186,7 +187,7 @@ class RoadAccumulator:
             min_points,
             weight,
             image.words,
-            np.zeros((0, 0), np.uint64) if against is None else against.words,
+            NOWHERE if against is None else against.words,
         )
         if against is not None and not against.words.any():
             against = None

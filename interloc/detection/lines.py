@@ -44,6 +44,7 @@ from interloc.detection.edges import (
 )
 from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
+from interloc.kernels.bits import NOWHERE
 
 RING_M = 0.64  # a line grows by this much at a time
 LEAST_RING_PX = 4.0  # and by no less, however coarse the grid is
@@ -164,10 +165,6 @@ LINE = np.dtype(
 _LIMITS = ("width", "inner", "length", "shortest", "full", "straight", "trim", "half_width", "ring", "slack")
 LIMITS = np.dtype([(name, np.float64) for name in _LIMITS])
 """Width and inner radius at the candidate, the settings of the fit from `BranchConfig`, and lengths above; pixels."""
-
-
-NOWHERE = np.zeros((0, 0), np.uint64)
-"""For `fit_lines`, where it is not known where other ground was seen."""
 
 
 @compiled

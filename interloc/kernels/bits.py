@@ -14,6 +14,9 @@ import numpy as np
 from interloc.arrays import FloatArray, Int32Array, UInt8Array, UInt64Array
 from interloc.kernels import compiled
 
+NOWHERE = np.zeros((0, 0), np.uint64)
+"""In the place of an image that is not known, or not wanted."""
+
 _RUN_STEP = 0.5  # pixels, of the walk across a road
 
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import LIMITS, NOWHERE, _fit_circle, fit_lines
+from interloc.detection.lines import LIMITS, _fit_circle, fit_lines
+from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
 

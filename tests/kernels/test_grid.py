@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from interloc.arrays import FloatArray, Int32Array
 from interloc.detection.image import BinaryImage
+from interloc.kernels.bits import NOWHERE
 from interloc.kernels.grid import TILE, add_cells, cells_of, lone_road_share, remove_cells, threshold_window
 
 FIRST = -3  # the tile column and row where the pool of these tests begins
 SIDE = 6  # tiles a side
 EDGE = FIRST * TILE
-NONE = np.zeros((0, 0), np.uint64)  # no image of the votes against road is wanted
 
 
 def pose(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
@@ -121,7 +121,7 @@ def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, siz
     first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
     window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
     image = BinaryImage.empty(size, size)
-    threshold_window(pool, window, left, top, size, least, 0.0, image.words, NONE)
+    threshold_window(pool, window, left, top, size, least, 0.0, image.words, NOWHERE)
     counts = plain_counts(cells)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
     np.testing.assert_array_equal(image.to_array(), counts[::-1] >= least)
     assert not image.words[[0, -1]].any()
@@ -139,7 +139,7 @@ def test_cells_with_more_votes_against_road_are_in_an_image_of_their_own(
     window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
     road, alone, against = (BinaryImage.empty(size, size) for _ in range(3))
     threshold_window(pool, window, left, top, size, 1, weight, road.words, against.words)
-    threshold_window(pool, window, left, top, size, 1, weight, alone.words, NONE)
+    threshold_window(pool, window, left, top, size, 1, weight, alone.words, NOWHERE)
     counts = counts_of(pool, table)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
     np.testing.assert_array_equal(against.to_array(), counts[::-1] < 0)
     np.testing.assert_array_equal(road.words, alone.words)
@@ -150,7 +150,7 @@ def test_tile_that_does_not_exist_is_empty() -> None:
     pool = np.full((1, TILE * TILE), 7, np.int32)
     table = np.array([[-1, 0], [-1, -1]], np.int32)
     image = BinaryImage.empty(100, 100)
-    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, 0.0, image.words, NONE)
+    threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, 0.0, image.words, NOWHERE)
     expected = np.zeros((100, 100), np.uint8)
     expected[30:, 50:] = 1  # rows go down: the lower tile row is the lower part of the image
     np.testing.assert_array_equal(image.to_array(), expected)
@@ -162,7 +162,7 @@ def test_votes_are_pooled_across_tiles() -> None:
     for ix, votes in ((TILE - 1, 1), (TILE, -1), (TILE + 4, 2), (TILE + 5, -1)):
         pool[ix // TILE, 10 * TILE + ix % TILE] = votes
     image = BinaryImage.empty(20, 20)
-    threshold_window(pool, table, TILE - 10, 19, 20, 1, 1.0, image.words, NONE)
+    threshold_window(pool, table, TILE - 10, 19, 20, 1, 1.0, image.words, NOWHERE)
     np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 14]])
 
 

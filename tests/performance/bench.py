@@ -41,6 +41,7 @@ from interloc.drives.open import open_drive
 from interloc.kernels.thinning import thin
 from interloc.output.write import write_results
 from interloc.pipeline import detect
+from interloc.processes import GARBAGE_THRESHOLD
 from interloc.simulate.config import SimulationOptions
 from interloc.simulate.town import simulate_town
 
@@ -79,7 +80,7 @@ def pipeline(root: Path, name: str, workers: int) -> dict[str, float]:
     for scan in scans_of(drive, range(5)):
         detector.push(scan)
     list(detector.finish())
-    gc.freeze()  # garbage is not sought in what the benchmark itself imports
+    gc.set_threshold(GARBAGE_THRESHOLD)  # as in commands and workers
     began, worked = time.perf_counter(), time.process_time()
     drive = open_drive(root)
     opened = time.perf_counter()
