@@ -25,6 +25,7 @@ from interloc.cli.main import run
 from interloc.drives.open import open_drive
 from interloc.osm.intersections import DRIVABLE
 from interloc.simulate.config import LidarConfig, SceneConfig, SimulationOptions, StreetConfig
+from interloc.simulate.scene import Scene
 from interloc.simulate.twins import TWIN_SEQUENCES, simulate_twin, twin_maps, twin_scene, twin_track
 
 STARTS = {
@@ -60,11 +61,11 @@ SEEN_SHARE = 0.6
 class Truth:
     """The streets of a simulated world, to be asked what lies where."""
 
-    def __init__(self, kitti: Path, sequence: str) -> None:
-        self.scene = twin_scene(kitti, sequence, twin_track(kitti, sequence))
-        self.streets = [profile.street for profile in self.scene.profiles]
-        self.tree = shapely.STRtree([profile.line.buffer(profile.half_m) for profile in self.scene.profiles])
-        self.lines = [profile.line for profile in self.scene.profiles]
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.streets = [profile.street for profile in scene.profiles]
+        self.tree = shapely.STRtree([profile.line.buffer(profile.half_m) for profile in scene.profiles])
+        self.lines = [profile.line for profile in scene.profiles]
         self.at_node: dict[int, list[int]] = {}
         for row, street in enumerate(self.streets):
             for node in (street.nodes[0], street.nodes[-1]):
@@ -83,8 +84,8 @@ class Truth:
     def under_branches(self, xy: FloatArray, bearings_deg: list[float]) -> list[int]:
         """Return the street under most of each branch."""
         found = []
-        for bearing in np.radians(bearings_deg):
-            places = shapely.points(xy + BRANCH_M[:, None] * [np.sin(bearing), np.cos(bearing)])
+        for bearing_deg in bearings_deg:
+            places = places_along(xy, bearing_deg, BRANCH_M)
             distances: dict[int, list[float]] = {}
             for place, row in self.tree.query(places, "dwithin", ASIDE_M).T.tolist():
                 distances.setdefault(row, []).append(float(places[place].distance(self.lines[row])))
@@ -142,6 +143,12 @@ class Truth:
             for row in self.at_node.get(node, [])
             if self.is_drivable(row)
         ]
+
+
+def places_along(xy: FloatArray, bearing_deg: float, along_m: FloatArray) -> Any:
+    """Return the points at some distances along a branch."""
+    bearing = np.radians(bearing_deg)
+    return shapely.points(xy + along_m[:, None] * [np.sin(bearing), np.cos(bearing)])
 
 
 def is_right(truth: Truth, kind: str, sentence: str, xy: FloatArray, bearings_deg: list[float]) -> bool:
@@ -244,7 +251,7 @@ def main() -> None:
     right, asked, stated = Counter[str](), Counter[str](), Counter[str]()
     for sequence, service_roads in [(s, False) for s in given.sequences] + [(s, True) for s in given.service]:
         folder = twin_folder(given.kitti, sequence, given.twins, service_roads=service_roads, columns=given.columns)
-        truth = Truth(given.kitti, sequence)
+        truth = Truth(twin_scene(given.kitti, sequence, twin_track(given.kitti, sequence)))
         osm = str(twin_maps(given.kitti, sequence)[0])
         for preset in given.presets:
             out = given.twins / f"{folder.name}_{preset}"
