@@ -32,18 +32,17 @@ def height_at(grid: Float32Array, x0: float, y0: float, cell: float, x: float, y
 @compiled
 def surface_at(tiles: UInt8Array, index: Int32Array, x0: float, y0: float, tile_m: float, x: float, y: float) -> int:
     """Return the surface code of a place; 0 (terrain) where no tile is loaded."""
+    rows, columns = index.shape
     tx = math.floor((x - x0) / tile_m)
     ty = math.floor((y - y0) / tile_m)
-    if tx < 0 or ty < 0 or tx >= index.shape[1] or ty >= index.shape[0]:
-        return 0
-    slot = index[ty, tx]
-    if slot < 0:
-        return 0
+    # No branch before the last read: else numba counts references to both arrays at each call, half of its time.
+    slot = index[min(max(ty, 0), rows - 1), min(max(tx, 0), columns - 1)]
     n = tiles.shape[1]
     scale = n / tile_m
     c = min(max(int((x - x0 - tx * tile_m) * scale), 0), n - 1)
     r = min(max(int((y - y0 - ty * tile_m) * scale), 0), n - 1)
-    return int(tiles[slot, r, c])
+    code = int(tiles[max(slot, 0), r, c])
+    return code if slot >= 0 and 0 <= tx < columns and 0 <= ty < rows else 0
 
 
 @compiled
@@ -169,8 +168,14 @@ def cast_rays(
     ox, oy, oz = origin[0], origin[1], origin[2]
     rx0, ry0, tile_m = raster[0], raster[1], raster[2]
     hx0, hy0, hcell = height_frame[0], height_frame[1], height_frame[2]
+    rise = np.sin(elevations)
+    reach = np.cos(elevations)
     start, member, nearest = bucket_walls(walls, ox, oy, max_range)
     bucket_scale = BUCKETS / (2.0 * math.pi)
+    edge = np.arange(BUCKETS + 1) / bucket_scale - math.pi
+    edge_x = np.cos(edge)
+    edge_y = np.sin(edge)
+    bucket = 0
 
     distance = np.empty(PROFILE_STEPS, np.float64)
     ratio = (max_range / 1.0) ** (1.0 / (PROFILE_STEPS - 1))
@@ -192,10 +197,9 @@ def cast_rays(
             profile[k] = height_at(heights, hx0, hy0, hcell, ox + ux * distance[k], oy + uy * distance[k])
         k = 1
         for ring in range(rings - 1, -1, -1):
-            ce = math.cos(elevations[ring])
-            lx = ce * ca
-            ly = ce * sa
-            lz = math.sin(elevations[ring])
+            lx = reach[ring] * ca
+            ly = reach[ring] * sa
+            lz = rise[ring]
             dx = rotation[0, 0] * lx + rotation[0, 1] * ly + rotation[0, 2] * lz
             dy = rotation[1, 0] * lx + rotation[1, 1] * ly + rotation[1, 2] * lz
             dz = rotation[2, 0] * lx + rotation[2, 1] * ly + rotation[2, 2] * lz
@@ -237,7 +241,11 @@ def cast_rays(
             facing = closing / math.sqrt(1.0 + slope * slope)  # cosine of incidence, nearly
             wall_hit = False
 
-            bucket = int((math.atan2(uy, ux) + math.pi) * bucket_scale) % BUCKETS
+            # The rays of a column are mostly in one bucket: is this one between its edges?
+            right = ux * edge_y[bucket] > uy * edge_x[bucket]
+            left = ux * edge_y[bucket + 1] <= uy * edge_x[bucket + 1]
+            if right or left:
+                bucket = int((math.atan2(uy, ux) + math.pi) * bucket_scale) % BUCKETS
             for m in range(start[bucket], start[bucket + 1]):
                 w = member[m]
                 if nearest[w] > best:
