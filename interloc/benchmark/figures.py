@@ -21,6 +21,7 @@ from interloc.drawing import (
     PURPLE,
     VERMILION,
     credit_roads,
+    entitle,
     new_figure,
     quiet,
     series_colour,
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 F1_THRESHOLDS_M = tuple(0.5 * i for i in range(1, 21))
 
-_TITLE: dict[str, Any] = {"loc": "left", "fontsize": 11, "color": INK}
+_TITLE_PT = 11.0
 
 
 def map_figure(picture: MapPicture) -> Figure:
@@ -134,7 +135,7 @@ def drive_boxes_figure(measured: Measured) -> Figure:
     axes.set(xticks=range(len(names)), xticklabels=names, xlim=(-0.6, len(names) - 0.4), ylabel="center error [m]")
     if max(map(len, names)) > 9:
         axes.tick_params(axis="x", labelrotation=30)
-    axes.set_title("Center error per drive (5th, 25th, 50th, 75th, 95th percentile)", **_TITLE)
+    entitle(axes, "Center error per drive (5th, 25th, 50th, 75th, 95th percentile)", _TITLE_PT)
     return figure
 
 
@@ -144,7 +145,7 @@ def curves_figure(measured: Measured) -> Figure:
     axes = figure.add_subplot()
     noise = measured.noises[0]
     _draw_curves(axes, {preset: measured.of(preset=preset, noise=noise) for preset in measured.presets})
-    axes.set_title("F1 over the distance that still counts as found, all drives", **_TITLE)
+    entitle(axes, "F1 over the distance that still counts as found, all drives", _TITLE_PT)
     return figure
 
 
@@ -160,9 +161,9 @@ def noise_figure(measured: Measured) -> Figure:
         boxes.set(xticks=range(len(levels)), xticklabels=list(levels), xlim=(-0.6, len(levels) - 0.4))
         boxes.set(xlabel="label errors r-FPR / r-FNR [%]", ylabel="center error [m]")
         top = max(top, boxes.get_ylim()[1])
-        boxes.set_title(f"\n{ours(preset)}: center error", **_TITLE)
+        entitle(boxes, f"\n{ours(preset)}: center error", _TITLE_PT)
         _draw_curves(curves, levels)
-        curves.set_title(f"\n{ours(preset)}: F1 over the threshold", **_TITLE)
+        entitle(curves, f"\n{ours(preset)}: F1 over the threshold", _TITLE_PT)
     for boxes in grid[:, 0]:
         boxes.set_ylim(0.0, top)  # one scale for all presets
     return figure
@@ -201,8 +202,8 @@ def reliability_figure(measured: Measured) -> Figure:
             right.plot(100.0 * levels[:-1], 100.0 * within, **style, markevery=20, label=preset)
     left.set(xlabel="confidence [%]", ylabel="right [%]")
     right.set(xlabel="probability of the ellipse [%]", ylabel="nodes in the ellipse [%]")
-    left.set_title("Confidence", **_TITLE)
-    right.set_title("Uncertainty of the position", **_TITLE)
+    entitle(left, "Confidence", _TITLE_PT)
+    entitle(right, "Uncertainty of the position", _TITLE_PT)
     if len(measured.presets) > 1:
         left.legend(loc="upper left", frameon=False, fontsize=9)
     return figure

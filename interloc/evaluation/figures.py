@@ -22,6 +22,7 @@ from interloc.drawing import (
     VERMILION,
     YELLOW,
     credit_roads,
+    entitle,
     mark,
     metres,
     new_figure,
@@ -61,7 +62,7 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel="east [m]", ylabel="north [m]")
     # Without the name of the drive: it may hold what fonts lack, or dollars, which are formulas to matplotlib.
-    axes.set_title("Detections and OpenStreetMap", loc="left", fontsize=12, color=INK)
+    entitle(axes, "Detections and OpenStreetMap")
     axes.tick_params(labelsize=9, color=MUTED)
     axes.spines[:].set_color(FAINT)
 
@@ -146,8 +147,8 @@ def error_figure(evaluation: Evaluation) -> Figure:
     shown = errors[errors < NEAR_PAIR_M]
     bins = np.arange(0.0, NEAR_PAIR_M + 0.25, 0.25)
     true = shown < STANDARD_THRESHOLD_M
-    histogram.hist(shown[true], bins=bins, color=BLUE, edgecolor=PAPER, linewidth=0.4)
-    histogram.hist(shown[~true], bins=bins, color=VERMILION, edgecolor=PAPER, linewidth=0.4)
+    for mask, colour in ((true, BLUE), (~true, VERMILION)):
+        histogram.stairs(np.histogram(shown[mask], bins)[0], bins, fill=True, color=colour)
     histogram.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
     text = {"fontsize": 9, "color": MUTED, "va": "top", "transform": histogram.get_xaxis_transform()}
     histogram.text(STANDARD_THRESHOLD_M - 0.1, 0.99, "TP", ha="right", **text)
@@ -169,7 +170,7 @@ def error_figure(evaluation: Evaluation) -> Figure:
         bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 3.0},
     )
     histogram.set_ylabel("detections")
-    histogram.set_title("Center error: detection to nearest OSM node", loc="left", fontsize=12, color=INK)
+    entitle(histogram, "Center error: detection to nearest OSM node")
     quiet(histogram)
     draw_boxes(box, [errors], horizontal=True)
     box.set(
@@ -211,7 +212,7 @@ def comparison_figure(names: Sequence[str], reports: Sequence[Mapping[str, Any]]
             thresholds = [d for d, _ in points]
             values = [np.nan if value is None else 100.0 * value for _, value in points]
             axes.plot(thresholds, values, label=name, **series_style(run))
-        axes.set_title("F1" if measure == "f1" else measure, loc="left", fontsize=12, color=INK)
+        entitle(axes, "F1" if measure == "f1" else measure)
         scale_to_thresholds(axes)
     panels[0].set_ylabel("[%]")
     legend = figure.legend(
@@ -244,7 +245,7 @@ def threshold_figure(evaluation: Evaluation) -> Figure:
         axes.plot(scores.threshold_m[shown], 100.0 * values[shown], label=label, **line)
     scale_to_thresholds(axes)
     axes.set_ylabel("[%]")
-    axes.set_title("Scores over the distance that still counts as found", loc="left", fontsize=12, color=INK)
+    entitle(axes, "Scores over the distance that still counts as found")
     axes.legend(loc="lower right", frameon=False, fontsize=10)
     return figure
 

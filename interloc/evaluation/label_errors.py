@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from interloc.drawing import BLUE, INK, MUTED, PURPLE, SKY, VERMILION, image, new_figure, quiet, write_image
+from interloc.drawing import BLUE, INK, MUTED, PURPLE, SKY, VERMILION, entitle, image, new_figure, quiet, write_image
 from interloc.errors import ConfigError, OutputError
 from interloc.evaluation.evaluate import Evaluation
 from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
@@ -127,7 +127,7 @@ def label_error_figure(levels: Sequence[tuple[str, Evaluation]]) -> Figure:
     boxes.set(xticks=range(1, len(names) + 1), xticklabels=names, xlim=(0.4, len(names) + 0.6))
     boxes.set_ylim(bottom=0.0)
     boxes.set(xlabel="label errors r-FPR / r-FNR [%]", ylabel="center error [m]")
-    boxes.set_title("Center error (5th, 25th, 50th, 75th, 95th percentile)", loc="left", fontsize=10.5, color=INK)
+    entitle(boxes, "Center error (5th, 25th, 50th, 75th, 95th percentile)", 10.5)
     quiet(boxes)
 
     colours, markers = (INK, BLUE, SKY, PURPLE, VERMILION), "os^Dv"
@@ -147,7 +147,7 @@ def label_error_figure(levels: Sequence[tuple[str, Evaluation]]) -> Figure:
     curves.axvline(STANDARD_THRESHOLD_M, color=MUTED, linestyle=(0, (4, 3)), linewidth=1)
     curves.set(xlim=(0.0, NEAR_PAIR_M + 0.2), ylim=(0.0, 102.0), xticks=range(0, 11, 2))
     curves.set(xlabel="confidence threshold D [m]", ylabel="F1 [%]")
-    curves.set_title("F1 over the distance that still counts as found", loc="left", fontsize=10.5, color=INK)
+    entitle(curves, "F1 over the distance that still counts as found", 10.5)
     curves.legend(title="r-FPR / r-FNR [%]", loc="lower right", frameon=False, fontsize=9, title_fontsize=9)
     quiet(curves)
     return figure

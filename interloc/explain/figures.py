@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from interloc.config import DetectorConfig
-from interloc.drawing import INK, MUTED, image, write_image
+from interloc.drawing import INK, MUTED, entitle, image, write_image
 from interloc.drive import Drive
 from interloc.explain import panels
 from interloc.explain.evidence import Evidence, GroundTruth, Verdict, gather, ground_truth
@@ -211,7 +211,7 @@ def overview(evidence: Evidence, truth: GroundTruth | None) -> Figure:
         step.draw(axes, evidence)
         _finish(axes, evidence, truth)
         panels.frame_map(axes, evidence, labels=False)
-        axes.set_title(f"{step.number}  {step.title}", loc="left", fontsize=11, color=INK, pad=6)
+        entitle(axes, f"{step.number}  {step.title}", 11.0)
         drawn.append(axes)
     _overview_key(figure, evidence, drawn, left + _TILE + _SPACE, bottom)
     return figure

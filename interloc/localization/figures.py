@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.drawing import BLUE, FAINT, INK, MUTED, SKY, VERMILION, credit_roads, new_figure
+from interloc.drawing import BLUE, FAINT, INK, MUTED, SKY, VERMILION, credit_roads, entitle, new_figure
 from interloc.geometry import enu_from_lonlat
 from interloc.localization.locate import Location
 from interloc.osm.graph import RoadGraph
@@ -37,8 +37,8 @@ def location_figure(location: Location, graph: RoadGraph, drive: str) -> Figure:
         visible = np.concatenate(shown) if shown else roads.reshape(-1, 2)
         low, high = visible.min(axis=0) - margin_m, visible.max(axis=0) + margin_m
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="east [m]", ylabel="north [m]")
-    near.set_title(f"{drive}: {location.decision.outcome.replace('_', ' ')}", loc="left", color=INK)
-    everywhere.set_title("the best place and the next ones", loc="left", color=INK)
+    entitle(near, f"{drive}: {location.decision.outcome.replace('_', ' ')}")
+    entitle(everywhere, "the best place and the next ones")
     if tracks:
         everywhere.legend(loc="best", fontsize=8, frameon=False)
     return figure

@@ -205,7 +205,7 @@ def test_figures_carry_units_and_every_detection(scored: Scored) -> None:
         counts[str(line.get_label()).split(",")[0]] += len(line.get_xdata())  # type: ignore[arg-type]
     assert (counts["detection"], counts["OSM node"], counts["OSM node out of reach"]) == (3, 2, 1)
     histogram = error_figure(evaluation).axes[0]
-    heights = [patch.get_height() for patch in histogram.patches]  # type: ignore[attr-defined]
+    heights = [patch.get_data().values for patch in histogram.patches]  # type: ignore[attr-defined]
     assert np.sum(heights) == 2  # the third is beyond the picture
     assert "1 beyond 10 m not shown" in histogram.texts[-1].get_text()
     assert "[m]" in threshold_figure(evaluation).axes[0].get_xlabel()
