@@ -34,7 +34,7 @@ TURNED_DEG = 17.0  # the whole world, counter-clockwise from east
 ARM_M = 80.0
 
 EXACT_LIDAR = LidarConfig(
-    columns=1024, max_range_m=90, range_noise_m=0, surface_noise=0, dropout=0, road_half_range_m=None
+    columns=512, max_range_m=90, range_noise_m=0, surface_noise=0, dropout=0, road_half_range_m=None
 )
 BARE_SCENE = SceneConfig(
     flat=True,
@@ -88,13 +88,15 @@ def route_line(shape: str, angle_deg: float, route: str) -> FloatArray:
     return FRAME.lonlat(np.concatenate([way_in, way_out]))
 
 
-def write_junction_drive(out: Path, shape: str, angle_deg: float, route: str, *, ground_only: bool = True) -> Path:
+def write_junction_drive(
+    out: Path, shape: str, angle_deg: float, route: str, *, sensor: LidarConfig = EXACT_LIDAR, ground_only: bool = True
+) -> Path:
     """Simulate a drive through a world with one intersection; the map lies beside it as `map.osm`."""
     out.parent.mkdir(parents=True, exist_ok=True)
     roads = out.parent / "map.osm"
     roads.write_text(one_junction(shape, angle_deg))
     track = track_from_line(route_line(shape, angle_deg, route), None, TRACK)
-    options = SimulationOptions(keyframes_only=True, ground_only=ground_only, scene=BARE_SCENE, sensor=EXACT_LIDAR)
+    options = SimulationOptions(keyframes_only=True, ground_only=ground_only, scene=BARE_SCENE, sensor=sensor)
     simulate_map(track, roads, out, options)
     return out
 
