@@ -67,8 +67,8 @@ test: page-tools
 	@$(MAKE) --no-print-directory -j 2 lint types compiled
 	$(PYTEST) $(COVER) $(AGAIN)
 
-# What needs neither a server nor a browser: one or two minutes.
-test-quick: compiled
+# What needs neither a server nor a browser: about a minute.
+test-quick: $(READY_TO_TEST)
 	$(PYTEST) -n logical $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
 
 # The kernels are compiled once, and not by all processes of the tests at the same time.

@@ -168,13 +168,6 @@ def test_the_map_is_laid_over_the_pictures_by_the_fix_of_the_keyframe(explained:
     assert math.dist((node["world_x_m"], node["world_y_m"]), CROSSING) < 0.01
 
 
-def test_without_georeference_the_map_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING):
-        explain(RoadDrive(scans=4), 100, small(), tmp_path / "out", graph=two_roads())
-    assert json.loads((tmp_path / "out" / "explain.json").read_text())["ground_truth"] is None
-    assert "without georeference" in caplog.text
-
-
 @pytest.mark.parametrize("preset", list(PRESETS))
 def test_the_pixels_shown_are_those_that_the_method_used(seen: dict[str, Evidence], preset: str) -> None:
     for verdict in seen[preset].verdicts:
@@ -236,18 +229,25 @@ def test_an_empty_drive_is_refused(tmp_path: Path) -> None:
         explain(RoadDrive(scans=0), 0, small(), tmp_path / "out")
 
 
-def test_an_earlier_explanation_is_replaced_and_other_folders_stay(tmp_path: Path) -> None:
+def test_an_earlier_explanation_is_replaced_without_georeference_by_one_without_map(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     (tmp_path / "out").mkdir()
     for name in ("explain.json", "overview.png"):
         (tmp_path / "out" / name).write_text("{}")
-    explain(RoadDrive(scans=3), 104, small(), tmp_path / "out")
+    with caplog.at_level(logging.WARNING):
+        explain(RoadDrive(scans=3), 104, small(), tmp_path / "out", graph=two_roads())
+    assert "without georeference" in caplog.text
     assert (tmp_path / "out" / "overview.png").stat().st_size > 100
-    assert json.loads((tmp_path / "out" / "explain.json").read_text())["frame"] == 104
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.tex").write_text("")
+    record = json.loads((tmp_path / "out" / "explain.json").read_text())
+    assert (record["frame"], record["ground_truth"]) == (104, None)
+
+
+def test_other_folders_stay(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(OutputError, match=r"no explain\.json"):
-        explain(RoadDrive(scans=3), 100, small(), tmp_path / "mine")
-    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
+        explain(RoadDrive(scans=3), 100, small(), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 @pytest.mark.skipif(not SAMPLE.is_dir(), reason="the KITTI-360 sample is not there: ../shared/data/kitti360_0009")

@@ -24,15 +24,18 @@ def road_points(*roads: Polyline, width_m: float, turned_deg: float = 0.0, exten
     resolution_m = 0.16
     half = int(extent_m / resolution_m)
     centres = (np.arange(-half, half) + 0.5) * resolution_m
-    x, y = centres[None, :], centres[:, None]
     c, s = np.cos(np.radians(turned_deg)), np.sin(np.radians(turned_deg))
     is_road = np.zeros((2 * half, 2 * half), np.bool_)
     for road in roads:
         ends = np.array(road, np.float64) @ np.array([[c, s], [-s, c]])
-        for (ax, ay), (bx, by) in pairwise(ends):
-            dx, dy = bx - ax, by - ay
+        for a, b in pairwise(ends):
+            left, low = np.searchsorted(centres, np.minimum(a, b) - width_m)
+            right, high = np.searchsorted(centres, np.maximum(a, b) + width_m)
+            x, y = centres[None, left:right], centres[low:high, None]
+            (ax, ay), (dx, dy) = a, b - a
             along = np.clip(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy), 0, 1)
-            is_road |= (x - ax - along * dx) ** 2 + (y - ay - along * dy) ** 2 <= width_m**2 / 4
+            is_near = (x - ax - along * dx) ** 2 + (y - ay - along * dy) ** 2 <= width_m**2 / 4
+            is_road[low:high, left:right] |= is_near
     rows, cols = np.nonzero(is_road)
     return np.column_stack([centres[cols], centres[rows], np.full(rows.size, -1.73)]).astype(np.float32)
 
