@@ -243,6 +243,12 @@ def results(draw: st.DrawFn) -> DriveResult:
         drawn = np.array(draw(st.lists(place, min_size=n, max_size=n))).reshape(-1, 2)
         return None if local else drawn
 
+    def track(n: int) -> np.ndarray | None:
+        lonlat = places(n)
+        if lonlat is not None:  # not half around the globe at once, where both ways are as short
+            lonlat[:, 0] = (np.cumsum(lonlat[:, 0] / 2.0) + 180.0) % 360.0 - 180.0
+        return lonlat
+
     def column(values: st.SearchStrategy[Any], n: int, kind: type = float) -> np.ndarray:
         return np.array(draw(st.lists(values, min_size=n, max_size=n)), dtype=kind).reshape(n)
 
@@ -285,7 +291,7 @@ def results(draw: st.DrawFn) -> DriveResult:
             position_cov_m2=column(st.floats(-1e4, 1e4), 3 * m).reshape(m, 3),
         ),
         trajectory_world_xy=np.stack([np.arange(k) * 3.0, np.zeros(k)], axis=-1),
-        trajectory_lonlat=places(k),
+        trajectory_lonlat=track(k),
         run={"config": {"x": 1}},
     )
 
