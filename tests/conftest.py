@@ -6,24 +6,11 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import settings
 
-from interloc import processes
 from interloc.processes import GARBAGE_THRESHOLD
-from tests import forks
-
-
-def _ready_context(_: object) -> Any:
-    """Return how processes for some work are started here: from the one process whose imports all tests share."""
-    forks.ready()  # now: later it would inherit that Ctrl-C is held back
-    return forks.context
-
-
-# Commands in processes of their own start theirs as they really do.
-processes._context = _ready_context  # type: ignore[assignment]
 
 # No test measures time. CI draws the same examples each time; everyone else helps to find new ones.
 settings.register_profile("interloc", deadline=None, max_examples=50, derandomize=bool(os.environ.get("CI")))
