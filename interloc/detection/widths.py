@@ -6,6 +6,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.detection.image import BinaryImage
+from interloc.detection.lines import SIDE_BY_SIDE_COS
 from interloc.kernels.bits import median_runs_across
 
 NEAR_M, FAR_M = 8.0, 20.0
@@ -37,7 +38,8 @@ def branch_widths(
     Returns
     -------
     (B,) float64
-        Median width along the branch, metres; NaN where too little of it is road.
+        Median width along the branch, metres; NaN where too little of it is road, and where all of it that is measured
+        lies in the mouth of the next branch.
     """
     return resolution_m * median_runs_across(
         occupancy.words,
@@ -47,6 +49,19 @@ def branch_widths(
         directions,
         bends,
         _DISTANCES_M / resolution_m,
-        MAX_WIDTH_M / resolution_m,
+        _longest_m(directions) / resolution_m,
         MIN_STEPS,
     )
+
+
+def _longest_m(directions: FloatArray) -> FloatArray:
+    """Return how wide the road of each branch can be at each distance, metres: else it runs into the next branch.
+
+    The bisector of two branches is the border between their roads; those that run side by side share none.
+    """
+    alike = directions @ directions.T
+    alike[alike > SIDE_BY_SIDE_COS] = -1.0  # itself too
+    cosine = alike.max(axis=1, initial=-0.9)  # roads that lie so far apart bound nothing
+    tangent = np.sqrt((1.0 - cosine) / (1.0 + cosine))  # of half the angle
+    longest_m: FloatArray = np.minimum(2.0 * tangent[:, None] * _DISTANCES_M, MAX_WIDTH_M)
+    return longest_m

@@ -187,7 +187,7 @@ def median_runs_across(
     directions: FloatArray,
     bends: FloatArray,
     distances: FloatArray,
-    limit: float,
+    limits: FloatArray,
     least: int,
 ) -> FloatArray:
     """Measure how far the set pixels run at right angles to some rays or arcs: the median along each.
@@ -202,7 +202,7 @@ def median_runs_across(
         Unit direction (row, column) of each there, and towards the centre of its circle, over the radius; 0 for a ray.
     distances : (S,) float64
         Where along each, pixels.
-    limit : float
+    limits : (B, S) float64
         Longest run that counts, pixels.
     least : int
         Number of runs that make a median.
@@ -217,7 +217,7 @@ def median_runs_across(
     for b in range(directions.shape[0]):
         curvature = math.hypot(bends[b, 0], bends[b, 1])
         count = 0
-        for distance in distances:
+        for s, distance in enumerate(distances):
             dr, dc = directions[b, 0], directions[b, 1]
             row, col = start[0], start[1]
             if curvature > 0.0:
@@ -229,7 +229,7 @@ def median_runs_across(
                 dr, dc = cosine * dr + sine * nr, cosine * dc + sine * nc
             else:
                 row, col = row + distance * dr, col + distance * dc
-            run = run_through(words, height, width, row, col, -dc, dr, limit)
+            run = run_through(words, height, width, row, col, -dc, dr, limits[b, s])
             if run > 0.0:
                 runs[count] = run
                 count += 1
