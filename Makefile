@@ -84,7 +84,7 @@ lint: $(READY_TO_TEST)
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports --no-logo
 	@if [ -x $(BIOME) ]; then npm run --silent lint --prefix static; \
-	else echo "skipped: the linter of the page is not installed (npm ci in static/)"; fi
+	else echo "skipped: linter and types of the page are not installed (npm ci in static/)"; fi
 
 format: $(READY_TO_TEST)
 	$(BIN)/ruff check --fix .
