@@ -40,7 +40,7 @@ from interloc.errors import ConfigError, InterLocError, OutputError
 from tests import forks
 from tests.app.conftest import running_server
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
-from tests.app.processes import API, archive_of, ended, files_below, submit, upload
+from tests.app.processes import API, archive_of, ended, files_below, submit, upload, wait_until
 from tests.app.street import write_street
 
 SCANS = 40
@@ -299,8 +299,10 @@ class Load:
 
     def wait_for(self, files: int) -> dict[str, dict[str, str]]:
         """Wait until so many files were acknowledged; returns the SHA-256 of all by drive and path."""
-        while sum(map(len, self._acknowledged.copy().values())) < files:
-            assert not self._errors, self._errors
+        wait_until(
+            lambda: self._errors or sum(map(len, self._acknowledged.copy().values())) >= files, f"{files} uploads"
+        )
+        assert not self._errors, self._errors
         return {drive: dict(paths) for drive, paths in self._acknowledged.copy().items()}
 
     def _work(self) -> None:
