@@ -342,11 +342,16 @@ def test_what_is_no_archive(client: httpx.Client, home: Path, data: bytes) -> No
 ZEROS = {"velodyne/000000.bin": bytes(100_000_000)}
 
 
-@pytest.mark.parametrize(
-    "data", [zipped(ZEROS), gzip.compress(tarred(ZEROS)), zstandard.compress(tarred(ZEROS))], ids=["zip", "gz", "zst"]
-)
-def test_bombs(client: httpx.Client, home: Path, data: bytes) -> None:
-    refuse(client, home, data, "unpacks to more than 64 MB", "200 times")
+PACKED: dict[str, Callable[[dict[str, bytes]], bytes]] = {
+    "zip": zipped,
+    "tar.gz": lambda files: gzip.compress(tarred(files), 1),
+    "tar.zst": lambda files: zstandard.compress(tarred(files)),
+}
+
+
+@pytest.mark.parametrize("kind", PACKED)
+def test_bombs(client: httpx.Client, home: Path, kind: str) -> None:
+    refuse(client, home, PACKED[kind](ZEROS), "unpacks to more than 64 MB", "200 times")
 
 
 def test_a_zip_that_lies_about_its_size(client: httpx.Client, home: Path) -> None:
