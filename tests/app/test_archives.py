@@ -344,7 +344,7 @@ ZEROS = {"velodyne/000000.bin": bytes(100_000_000)}
 
 PACKED: dict[str, Callable[[dict[str, bytes]], bytes]] = {
     "zip": zipped,
-    "tar.gz": lambda files: gzip.compress(tarred(files), 1),
+    "tar.gz": lambda files: gzip.compress(tarred(files)),
     "tar.zst": lambda files: zstandard.compress(tarred(files)),
 }
 
