@@ -5,7 +5,10 @@ With the page installed the documentation is Swagger UI, from the npm package; w
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,8 @@ from app.http.delivery import MEDIA_TYPES
 from app.settings import Settings
 
 INDEX = "index.html"
+VERSION_MARK = "@"
+"""`static/@VERSION/js/main.js` is `static/js/main.js` of one version."""
 _PACKAGES = "node_modules"
 
 SWAGGER = "node_modules/swagger-ui-dist/swagger-ui-bundle.js"
@@ -105,6 +110,24 @@ class PageFiles:
 
     def _have_all(self) -> bool:
         return (self.root / INDEX).is_file() and all((self.root / _PACKAGES / p).is_dir() for p in self.packages)
+
+    def version(self) -> str:
+        """Return what is another when any file of the page is: part of the addresses that browsers may keep."""
+        named = [self.root / _PACKAGES / package / "package.json" for package in sorted(self.packages)]
+        for folder, folders, names in os.walk(self.root):
+            folders[:] = sorted(set(folders) - {_PACKAGES})
+            named += [Path(folder, name) for name in sorted(names)]
+        digest = hashlib.sha256()
+        for path in named:
+            with suppress(OSError):  # it is gone, or a link to nowhere
+                stat = path.stat()
+                digest.update(f"{path}:{stat.st_mtime_ns}:{stat.st_size}\n".encode(errors="surrogateescape"))
+        return digest.hexdigest()[:12]
+
+    def index(self) -> bytes:
+        """Return the page, whose scripts and styles have the version in their addresses."""
+        address = f'"static/{VERSION_MARK}{self.version()}/'
+        return (self.root / INDEX).read_bytes().replace(b'"static/', address.encode())
 
     def find(self, name: str) -> Path | None:
         """Return a file that may be served, by its path below the root."""

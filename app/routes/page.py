@@ -7,13 +7,25 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
-from app.context import Context, ContextDep, part_of_app
-from app.http.delivery import deliver
-from app.http.page import DOCS_POLICY, INDEX, SWAGGER, SWAGGER_PAGE, SWAGGER_START, PageFiles, list_addresses
+from app.context import ContextDep, part_of_app
+from app.http.delivery import answer_tagged, deliver, media_type_of
+from app.http.page import (
+    DOCS_POLICY,
+    INDEX,
+    SWAGGER,
+    SWAGGER_PAGE,
+    SWAGGER_START,
+    VERSION_MARK,
+    PageFiles,
+    list_addresses,
+)
 from app.http.problems import Problem
 from app.schemas.page import PageConfig
 
 router = APIRouter(tags=["System"])
+
+_ASK = "no-cache"
+_KEEP = "public, max-age=31536000, immutable"
 
 
 PageFilesDep = Annotated[PageFiles, part_of_app("page_files")]
@@ -24,21 +36,29 @@ def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint
         router.add_api_route(path, endpoint, methods=[method], include_in_schema=False, response_class=Response)
 
 
-def read_index(request: Request, files: PageFilesDep, context: ContextDep) -> Response:
+def read_index(request: Request, files: PageFilesDep) -> Response:
     """Give the page, or redirect to the documentation where it is not installed."""
     if not files.are_complete():
         return RedirectResponse(f"{request.scope.get('root_path', '')}/docs")
-    return _give(request, files, context, INDEX)
+    return answer_tagged(request, files.index(), media_type_of(files.root / INDEX), **{"cache-control": _ASK})
 
 
 def read_asset(path: str, request: Request, files: PageFilesDep, context: ContextDep) -> Response:
-    """Give a file of the page."""
-    return _give(request, files, context, path)
+    """Give a file of the page; under the address with its version it stays what it is."""
+    cache_control = _ASK
+    if path.startswith(VERSION_MARK):
+        version, _, path = path.removeprefix(VERSION_MARK).partition("/")
+        cache_control = _KEEP if version == files.version() else _ASK
+    found = files.find(path)
+    if found is None:
+        raise Problem(404, "Not found", f"The page has no file {path!r}.")
+    copies = context.storage.folder("cache/page")
+    return deliver(request, found, gzip_copies=copies, cache_control=cache_control, policy=None)
 
 
 def read_docs(request: Request, files: PageFilesDep) -> Response:
     """Give the documentation of the API."""
-    headers = {"content-security-policy": DOCS_POLICY, "cache-control": "no-cache"}
+    headers = {"content-security-policy": DOCS_POLICY, "cache-control": _ASK}
     if files.find(SWAGGER) is not None:
         return HTMLResponse(SWAGGER_PAGE, headers=headers)
     return HTMLResponse(list_addresses(request.app.openapi()), headers=headers)
@@ -46,7 +66,7 @@ def read_docs(request: Request, files: PageFilesDep) -> Response:
 
 def read_docs_start() -> Response:
     """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
-    return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": "no-cache"})
+    return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": _ASK})
 
 
 @router.get("/config.json", summary="What the page needs to know", operation_id="read_page_config")
@@ -56,14 +76,6 @@ def read_config(request: Request, context: ContextDep) -> PageConfig:
     Open to everybody: it holds no secrets.
     """
     return PageConfig.of(context.settings, version=request.app.version, needs_token=context.tokens.exist())
-
-
-def _give(request: Request, files: PageFiles, context: Context, name: str) -> Response:
-    path = files.find(name)
-    if path is None:
-        raise Problem(404, "Not found", f"The page has no file {name!r}.")
-    copies = context.storage.folder("cache/page")
-    return deliver(request, path, gzip_copies=copies, cache_control="no-cache", policy=None)
 
 
 _add("/", read_index)

@@ -5,8 +5,11 @@
  * @module api
  */
 
-/** Where the page is served, with a slash at the end; right behind a reverse proxy with a path prefix too. */
-export const ROOT = new URL("../../", import.meta.url);
+/**
+ * Where the page is served, with a slash at the end; right behind a reverse proxy with a path prefix too. This module is
+ * `static/js/api.js` or, with the version of the page, `static/@VERSION/js/api.js`.
+ */
+export const ROOT = new URL(import.meta.url.replace(/static\/(@\w+\/)?js\/api\.js.*$/, ""));
 const API = new URL("api/v1/", ROOT);
 const TOKEN_KEY = "interloc.token";
 

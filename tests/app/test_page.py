@@ -75,7 +75,6 @@ def raw_get(client: httpx.Client, path: str) -> tuple[int, bytes]:
 
 def test_the_page_and_its_files(page: httpx.Client, page_files: Path) -> None:
     for address, name, media_type in (
-        ("/", "index.html", "text/html; charset=utf-8"),
         ("/static/js/main.js", "js/main.js", "text/javascript; charset=utf-8"),
         ("/static/js/upload/main.js", "js/upload/main.js", "text/javascript; charset=utf-8"),
         ("/static/css/style.css", "css/style.css", "text/css; charset=utf-8"),
@@ -90,6 +89,26 @@ def test_the_page_and_its_files(page: httpx.Client, page_files: Path) -> None:
         assert "'unsafe-inline'" not in answer.headers["content-security-policy"]
         assert page.get(address, headers={"if-none-match": answer.headers["etag"]}).status_code == 304
         assert page.head(address).headers["etag"] == answer.headers["etag"]
+
+
+def test_browsers_keep_the_files_of_one_version_of_the_page(page: httpx.Client, page_files: Path) -> None:
+    answer = page.get("/")
+    (script,) = re.findall(r'src="(static/@\w+/js/main\.js)"', answer.text)
+    assert answer.text.replace(script, "static/js/main.js") == PAGE
+    assert (answer.headers["cache-control"], answer.headers["content-type"]) == ("no-cache", "text/html; charset=utf-8")
+    assert "'unsafe-inline'" not in answer.headers["content-security-policy"]
+    assert page.get("/", headers={"if-none-match": answer.headers["etag"]}).status_code == 304
+    assert page.head("/").headers["etag"] == answer.headers["etag"]
+    kept = page.get(script)
+    assert kept.content == (page_files / "js/main.js").read_bytes()
+    assert kept.headers["cache-control"] == "public, max-age=31536000, immutable"
+    (page_files / "css/style.css").write_text("body { color: red }")
+    assert (
+        page.get(script).headers["cache-control"] == "no-cache"
+    )  # that version is gone: this one must not be taken for it
+    assert script not in page.get("/").text
+    for wrong in ("/static/@", "/static/@1234", "/static/@1234/", "/static/@1/@2/js/main.js", "/static/@1/../main.py"):
+        assert raw_get(page, wrong)[0] == 404
 
 
 def test_a_changed_file_is_sent_anew(page: httpx.Client, page_files: Path) -> None:
@@ -147,7 +166,7 @@ def test_a_page_without_its_packages_is_not_installed(serve: Callable[..., httpx
     client = serve(static_dir=static)
     assert client.get("/").status_code == 307
     (static / "node_modules/gone").rename(static / "node_modules/leaflet")
-    assert client.get("/").text == PAGE, "found without a restart"
+    assert "/js/main.js" in client.get("/").text, "found without a restart"
 
 
 class _Addresses(HTMLParser):
