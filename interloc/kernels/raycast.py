@@ -35,7 +35,7 @@ def surface_at(tiles: UInt8Array, index: Int32Array, x0: float, y0: float, tile_
     rows, columns = index.shape
     tx = math.floor((x - x0) / tile_m)
     ty = math.floor((y - y0) / tile_m)
-    # No branch before the last read: else numba counts references to both arrays at each call, half of its time.
+    # No branch before the last read: else numba counts references to both arrays at each call, a fifth of the time.
     slot = index[min(max(ty, 0), rows - 1), min(max(tx, 0), columns - 1)]
     n = tiles.shape[1]
     scale = n / tile_m

@@ -103,9 +103,8 @@ def test_browsers_keep_the_files_of_one_version_of_the_page(page: httpx.Client, 
     assert kept.content == (page_files / "js/main.js").read_bytes()
     assert kept.headers["cache-control"] == "public, max-age=31536000, immutable"
     (page_files / "css/style.css").write_text("body { color: red }")
-    assert (
-        page.get(script).headers["cache-control"] == "no-cache"
-    )  # that version is gone: this one must not be taken for it
+    # That version is gone: this one must not be kept in its place.
+    assert page.get(script).headers["cache-control"] == "no-cache"
     assert script not in page.get("/").text
     for wrong in ("/static/@", "/static/@1234", "/static/@1234/", "/static/@1/@2/js/main.js", "/static/@1/../main.py"):
         assert raw_get(page, wrong)[0] == 404
