@@ -11,6 +11,7 @@ from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PER
 from interloc.evaluation.reliability import (
     Interval,
     calibration_error,
+    calibration_error_by_chance,
     share_within,
     squared_per_dimension,
     with_interval,
@@ -81,10 +82,12 @@ class Measured:
         """Return how true uncertainty and confidence are: all intersections of all drives and seeds, each counted."""
         rows = self.of(preset=preset, noise=noise)
         squared = map_squared(rows)
+        confidence, right = map_outcomes(rows)
         return {
             "within_95": with_interval(share_within, squared),
             "nees": with_interval(squared_per_dimension, squared),
-            "calibration_error": with_interval(calibration_error, *map_outcomes(rows)),
+            "calibration_error": with_interval(calibration_error, confidence, right),
+            "calibration_error_by_chance": calibration_error_by_chance(confidence),
         }
 
     @property
@@ -239,12 +242,13 @@ def reliability_table(measured: Measured) -> Table:
                     _with_bounds(found["nees"], metres),
                     str(found["calibration_error"].count),
                     _with_bounds(found["calibration_error"], percent),
+                    _with_bounds(found["calibration_error_by_chance"], percent),
                 )
             )
         groups.append(tuple(lines))
     return Table(
         title="Uncertainty and confidence",
-        header=("r-FPR/r-FNR", "", "with a node", "within 95 % [%]", "NEES", "in the zone", "ECE [%]"),
+        header=("r-FPR/r-FNR", "", "with a node", "within 95 % [%]", "NEES", "in the zone", "ECE [%]", "by chance [%]"),
         groups=tuple(groups),
         labels=2,
         notes=(
@@ -252,6 +256,7 @@ def reliability_table(measured: Measured) -> Table:
             "Within 95 %: share whose node lies in the ellipse of 95 % of the covariance.",
             "NEES: squared error in units of the covariance per degree of freedom; 1 where errors are as stated.",
             "ECE: expected calibration error of the confidence, ten bins of equal width.",
+            "By chance: ECE of so many places where the confidence is exactly true; mean, and 95 % of all draws.",
         ),
     )
 

@@ -123,3 +123,28 @@ def with_interval(statistic: Statistic, *columns: FloatArray | BoolArray) -> Int
         drawn.append(statistic(*(column[rows] for column in columns)))
     low, high = np.percentile(drawn, _INTERVAL)
     return Interval(statistic(*columns), float(low), float(high), count)
+
+
+def calibration_error_by_chance(confidence: FloatArray) -> Interval:
+    """Return the calibration error that these places would show if their confidence were exactly true.
+
+    Few places do not fall out in the shares that they should: whether each is right is drawn by its confidence, many
+    times (consistency resampling, Broecker and Smith 2007). A calibration error within the interval says nothing
+    against the confidence.
+
+    Parameters
+    ----------
+    confidence : (N,) float64
+
+    Returns
+    -------
+    Interval
+        Mean and middle 95 % of the draws.
+    """
+    count = len(confidence)
+    if not count:
+        return Interval(None, None, None, 0)
+    rng = np.random.default_rng(0)
+    drawn = [calibration_error(confidence, rng.random(count) < confidence) for _ in range(_RESAMPLES)]
+    low, high = np.percentile(drawn, _INTERVAL)
+    return Interval(float(np.mean(drawn)), float(low), float(high), count)

@@ -8,6 +8,7 @@ from interloc.evaluation.reliability import (
     BOUND_95,
     bins_of,
     calibration_error,
+    calibration_error_by_chance,
     share_within,
     squared_errors,
     squared_per_dimension,
@@ -49,3 +50,15 @@ def test_the_calibration_error_is_that_of_the_bins() -> None:
     assert (low.count, low.right, high.count, high.right) == (1, 1.0, 5, 0.8)
     assert high.confidence == pytest.approx(0.96)
     assert calibration_error(confidence, right) == pytest.approx((0.8 + 5 * 0.16) / 6)
+
+
+def test_what_chance_alone_makes_of_the_calibration_error() -> None:
+    few, many = np.full(10, 0.9), np.full(1000, 0.9)
+    by_chance = calibration_error_by_chance(few)
+    assert (by_chance.low, by_chance.count) == (0.0, 10)  # nine of ten are right in many draws
+    # Binomial: the mean of |k / 10 - 0.9| is 0.0697, and k <= 6 of 10, off by 0.3, has a chance of 1.3 %.
+    assert by_chance.value == pytest.approx(0.0697, abs=0.005)
+    assert by_chance.high == pytest.approx(0.2)
+    assert calibration_error_by_chance(many).value == pytest.approx(np.sqrt(2 * 0.09 / (np.pi * 1000)), rel=0.1)
+    assert calibration_error_by_chance(np.ones(5)).high == 0.0
+    assert calibration_error_by_chance(np.zeros(0)).value is None

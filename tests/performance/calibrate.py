@@ -37,6 +37,7 @@ from interloc.evaluation.label_errors import parse_level
 from interloc.evaluation.reliability import (
     Interval,
     calibration_error,
+    calibration_error_by_chance,
     share_within,
     squared_per_dimension,
     with_interval,
@@ -203,33 +204,37 @@ def fit(drives: list[Places]) -> CalibrationConfig:
     return calibration.model_copy(update=dict(zip(WEIGHTS, weights.tolist(), strict=True)))
 
 
-def reliability(drives: Iterable[tuple[Places, CalibrationConfig]]) -> tuple[Interval, Interval, Interval]:
-    """Return the share within 95 %, squared error per dimension and calibration error of what is on the map."""
+def reliability(drives: Iterable[tuple[Places, CalibrationConfig]]) -> tuple[Interval, ...]:
+    """Return share within 95 %, squared error per dimension, calibration error of what is on the map, and by chance."""
     pairs = list(drives)
     squared = [each.squared(calibration)[each.kept[each.right]] for each, calibration in pairs]
     shown = [each.kept & each.counts for each, _ in pairs]
-    confidence = [each.confidence(calibration)[m] for (each, calibration), m in zip(pairs, shown, strict=True)]
-    right = [each.right[m] for (each, _), m in zip(pairs, shown, strict=True)]
-    errors = np.concatenate(squared or [np.zeros(0)])
+    nothing = np.zeros(0)
+    errors = np.concatenate([nothing, *squared])
+    confidences = [each.confidence(calibration)[m] for (each, calibration), m in zip(pairs, shown, strict=True)]
+    rights = [each.right[m] for (each, _), m in zip(pairs, shown, strict=True)]
+    confidence, right = np.concatenate([nothing, *confidences]), np.concatenate([nothing.astype(np.bool_), *rights])
     return (
         with_interval(share_within, errors),
         with_interval(squared_per_dimension, errors),
-        with_interval(calibration_error, np.concatenate(confidence or [np.zeros(0)]), np.concatenate(right or [[]])),
+        with_interval(calibration_error, confidence, right),
+        calibration_error_by_chance(confidence),
     )
 
 
 def say(title: str, drives: list[tuple[Places, CalibrationConfig]]) -> None:
     """Print how true the settings are on some drives, by their kinds."""
-    click.echo(f"\n{title}\n  {'':28s} places  within 95 %          squared per dimension  calibration error")
+    heads = "places  within 95 %          squared per dimension  calibration error      by chance"
+    click.echo(f"\n{title}\n  {'':28s} {heads}")
     for kind in sorted({each.kind for each, _ in drives}):
-        within, squared, wrong = reliability(pair for pair in drives if pair[0].kind == kind)
+        within, squared, wrong, chance = reliability(pair for pair in drives if pair[0].kind == kind)
         cells = [
             f"{scale * v.value:.{n}f} ({scale * v.low:.{n}f} to {scale * v.high:.{n}f})"
             if None not in {v.value, v.low, v.high}
             else "-"
-            for v, scale, n in ((within, 100, 0), (squared, 1, 2), (wrong, 100, 1))
+            for v, scale, n in ((within, 100, 0), (squared, 1, 2), (wrong, 100, 1), (chance, 100, 1))
         ]
-        click.echo(f"  {kind:28s} {wrong.count:6d}  {cells[0]:20s} {cells[1]:22s} {cells[2]}")
+        click.echo(f"  {kind:28s} {wrong.count:6d}  {cells[0]:20s} {cells[1]:22s} {cells[2]:22s} {cells[3]}")
 
 
 def main() -> None:
