@@ -17,7 +17,7 @@ from interloc.kernels.bits import NOWHERE
 
 _GROW = 16  # tiles that the pool grows by at least
 _POOLED_SHARE = 0.5  # share of a full window below which votes are pooled: the ends of a dense drive have more
-_RIGHT_LONE, _WRONG_LONE = 0.022, 0.033  # shares of lone road cells: docs/accuracy.md has what real labels have
+_RIGHT_LONE, _WRONG_LONE = 0.022, 0.033  # shares of lone road cells: what real labels have: docs/accuracy-steps.md
 _RIGHT_WEIGHT = 0.25  # of a neighbour's vote, where labels err no more than along borders
 
 
