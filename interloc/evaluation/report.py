@@ -64,8 +64,9 @@ def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, res
     graph = evaluation.graph
     for layer, features_of in LAYER_FEATURES.items():
         features = features_of(evaluation, result)
-        if layer == BUILDINGS and not features:
-            continue  # most maps of roads have none
+        if layer == BUILDINGS and not features:  # most maps of roads have none; those of an older map are gone
+            (out_dir / f"{layer}.geojson").unlink(missing_ok=True)
+            continue
         credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
         write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit)
     record = report_record(evaluation)
