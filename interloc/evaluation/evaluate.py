@@ -10,7 +10,7 @@ import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.drawing import Sign, map_sketch, metres
-from interloc.errors import ConfigError, GeoreferenceError
+from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage
 from interloc.evaluation.map_level import MapLevel, assign_intersections
 from interloc.evaluation.matching import Matching, match
@@ -228,6 +228,8 @@ def evaluate(
     ConfigError
         The policy is unknown, or the sizes of the zones are not valid.
     """
+    expect(result, DriveResult, "a result, as interloc.detect(drive) or interloc.read_results(folder) returns")
+    expect(graph, RoadGraph, "a map, as interloc.read_osm(file) returns")
     result = _as_printed(result)
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(
