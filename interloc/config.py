@@ -7,7 +7,7 @@ a request to the service.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
@@ -243,7 +243,7 @@ class BranchConfig(_Config):
 
 
 class CompoundConfig(_Config):
-    """Intersections side by side in one blob of road (beyond the paper: its section V-E)."""
+    """Intersections side by side in one blob of road (beyond the paper: its section V-D)."""
 
     separation_m: float = Field(7.0, gt=0, le=50, description="Intersections closer together than this are one.")
     straight_deg: float = Field(
@@ -434,10 +434,10 @@ class DetectorConfig(_Config):
     )
 
     def __repr__(self) -> str:
-        started_from = dict(_flat(PRESETS.get(self.preset, DetectorConfig()).model_dump(exclude={"preset"})))
+        started_from = dict(flatten(PRESETS.get(self.preset, DetectorConfig()).model_dump(exclude={"preset"})))
         changed = [
             f"{name}={value}"
-            for name, value in _flat(self.model_dump(exclude={"preset"}))
+            for name, value in flatten(self.model_dump(exclude={"preset"}))
             if (name, value) not in started_from.items()
         ]
         return f"<DetectorConfig {', '.join([self.preset, *changed])}>"
@@ -583,18 +583,16 @@ def parse_config(values: object, *, strict: bool = False) -> DetectorConfig:
         raise ConfigError("; ".join(lines[:_MAX_FAULTS_SHOWN]) + more) from None
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the settings in nested mappings under their dotted names."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield prefix + name, value
+def flatten(value: object, name: str = "") -> list[tuple[str, Any]]:
+    """Return the values within nested mappings under their dotted names: ("bev.resolution_m", 0.16)."""
+    if isinstance(value, Mapping):
+        return [row for key, each in value.items() for row in flatten(each, f"{name}.{key}" if name else str(key))]
+    return [(name, value)]
 
 
 def _nearest(name: str) -> str:
     """Return what was probably meant by the name of a setting that does not exist, for its message."""
-    of_preset = {each: dict(_flat(config.model_dump())) for each, config in PRESETS.items()}
+    of_preset = {each: dict(flatten(config.model_dump())) for each, config in PRESETS.items()}
     for each, settings in of_preset.items():
         if name in settings:  # of another kind of candidates, or of a step that is left out
             section = name.split(".", maxsplit=1)[0]
