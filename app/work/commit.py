@@ -21,7 +21,6 @@ from app.work import models
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.config import DEFAULT
-from interloc.drive import GroundPoints
 from interloc.drives.findings import DriveFileError, Finding, Findings
 from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.drives.open import open_drive
@@ -268,7 +267,7 @@ def _scan_check(task: Task) -> Callable[[int], None]:
 
     def check_scan(frame: int) -> None:
         for source in sources:
-            _: GroundPoints = source.read(frame)
+            source.read(frame)
 
     return check_scan
 
