@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interloc.arrays import FloatArray, IntArray, UInt8Array
-from interloc.drives.files import SourceFile, os_reason
+from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
 from interloc.drives.options import DriveOptions
@@ -225,7 +225,7 @@ def read_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader
             handle.seek(header.data_at)
             data = np.frombuffer(handle.read() if with_data else b"", np.uint8)
     except OSError as error:
-        raise file.fault(f"cannot be read: {os_reason(error)}.") from error
+        raise file.unreadable(error) from error
     return header, data
 
 
