@@ -125,6 +125,19 @@ class DetectionTable:
         """(D,) int64 number of each detection at its keyframe, from 1."""
         return np.arange(len(self)) - np.searchsorted(self.keyframe, self.keyframe) + 1
 
+    def select(self, rows: IntArray) -> DetectionTable:
+        """Return some of the detections, by their rows."""
+        return DetectionTable(
+            keyframe=self.keyframe[rows],
+            lidar_xy=self.lidar_xy[rows],
+            world_xy=self.world_xy[rows],
+            lonlat=None if self.lonlat is None else self.lonlat[rows],
+            bearings_deg=[self.bearings_deg[row] for row in rows],
+            score=self.score[rows],
+            intersection=self.intersection[rows],
+            widths_m=[self.widths_m[row] for row in rows],
+        )
+
     def names(self, keyframes: KeyframeTable) -> list[str]:
         """Return the id of each detection: scan number of its keyframe and its number there, as 120-1."""
         frames = keyframes.frame[self.keyframe].tolist()
