@@ -82,7 +82,7 @@ def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopie
     """
     assert trajectory.poses is not None
     copies = SmallFileCopies({"poses": "poses.txt", "times": None, "calibration": [], "oxts": None, "geo": None})
-    contiguous = int(frames[-1] - frames[0]) == len(frames) - 1
+    contiguous = is_contiguous(frames)
     lines = io.StringIO()
     numbers = trajectory.poses.T_world_lidar[:, :3].reshape(-1, 12)
     for frame, row in zip(frames, numbers.tolist(), strict=True):
@@ -99,6 +99,11 @@ def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopie
         copies.files["geo"] = "geo.csv"
         copies.sources["geo.csv"] = geo_csv_text(frames, trajectory.georeference, exact=True).encode()
     return copies
+
+
+def is_contiguous(frames: IntArray) -> bool:
+    """Return whether ascending scan numbers leave none out."""
+    return int(frames[-1] - frames[0]) == len(frames) - 1
 
 
 def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) -> SmallFileCopies:
