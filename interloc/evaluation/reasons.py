@@ -368,6 +368,7 @@ class _Network:
         walked_m : float
         """
         place, walked = start, 0.0
+        passed: dict[int, float] = {}
         while True:
             step = self._xy[node] - place
             reach = float(np.hypot(*step))
@@ -375,8 +376,9 @@ class _Network:
                 return place + step * ((length_m - walked) / max(reach, 1e-9)), length_m
             place, walked = self._xy[node], walked + reach
             others = [each for each in self.neighbours[node] if each != before]
-            if len(others) != 1:
+            if len(others) != 1 or passed.get(node) == walked:  # or a ring without length
                 return place, walked
+            passed[node] = walked
             before, node = node, others[0]
 
 
