@@ -366,7 +366,7 @@ class CalibrationConfig(_Config):
 
     The covariance is `interloc.mapping.estimation.position_covariance`, the confidence
     `interloc.mapping.estimation.junction_probability`. All but `fix_std_m` are fitted by
-    tests/performance/calibrate.py.
+    tests/performance/calibrate.py, for preset `default`.
     """
 
     fix_std_m: float = Field(
@@ -376,35 +376,35 @@ class CalibrationConfig(_Config):
         description="Standard deviation of the georeference along each axis, where it states none of its own.",
     )
     line_std_m: float = Field(
-        0.48, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
+        0.26, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
     )
     unclear_line_std_m: float = Field(
-        49.87,
+        18.32,
         ge=0,
         le=1000,
         description="Standard deviation that comes to it at a score of 0; in proportion less at higher scores.",
     )
     coarse_line_std_m: float = Field(
-        0.0,
+        6.21,
         ge=0,
         le=1000,
         description="Standard deviation that comes to it where the median score of all detections of the drive is 0 "
         "since its labels are coarse; in proportion less at higher ones.",
     )
     shape_limit_m: float = Field(
-        3.08, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
+        3.4, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
     )
     log_odds: float = Field(
-        -0.25,
+        0.02,
         ge=-50,
         le=50,
         description="Log odds of a road junction that no keyframe saw and whose lines leave an uncertainty of 1 m.",
     )
     log_odds_seen: float = Field(
-        5.52, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
+        4.62, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
     )
     log_odds_per_doubling: float = Field(
-        0.54, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+        0.73, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
     )
 
 
@@ -481,15 +481,7 @@ DEFAULT = DetectorConfig(
         candidate_std_m=0.7,
     ),
     compound=CompoundConfig(),
-    calibration=CalibrationConfig(
-        line_std_m=0.26,
-        unclear_line_std_m=18.32,
-        coarse_line_std_m=6.21,
-        shape_limit_m=3.4,
-        log_odds=0.02,
-        log_odds_seen=4.62,
-        log_odds_per_doubling=0.73,
-    ),
+    calibration=CalibrationConfig(),
 )
 
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}
