@@ -382,14 +382,14 @@ class CalibrationConfig(_Config):
         18.32,
         ge=0,
         le=1000,
-        description="Standard deviation that comes to it at a score of 0; in proportion less at higher scores.",
+        description="Further standard deviation of that line at a score of 0; in proportion less at higher scores.",
     )
     coarse_line_std_m: float = Field(
         6.21,
         ge=0,
         le=1000,
-        description="Standard deviation that comes to it where the median score of all detections of the drive is 0 "
-        "since its labels are coarse; in proportion less at higher ones.",
+        description="Further standard deviation of that line where the median score of all detections of the drive "
+        "is 0 since its labels are coarse; in proportion less at higher ones.",
     )
     shape_limit_m: float = Field(
         3.4, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
