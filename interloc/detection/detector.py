@@ -35,7 +35,7 @@ class KeyframeDetections:
     ----------
     keyframe
     lidar_xy : (n, 2) float64
-        Positions in L, levelled (heading only), metres (paper, eq. 12).
+        Positions in L, levelled (heading only), metres (paper, eq. 11).
     world_xy : (n, 2) float64
         Positions in W, metres.
     branch_angles_rad : list of (B,) float64
@@ -232,7 +232,7 @@ class Detector:
 
 
 def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDetections:
-    """Turn junctions of the image into positions in W and in L (paper, eq. 12)."""
+    """Turn junctions of the image into positions in W and in L (paper, eq. 11)."""
     junctions, roi = steps.junctions, steps.roi
     positions = np.array([j.position for j in junctions], np.float64).reshape(-1, 2)
     world_xy = roi.world(positions[:, 0], positions[:, 1])

@@ -24,7 +24,7 @@ def finished(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -
 def test_tables_and_files(finished: Path, drive: Path, osm: Path, interloc: Callable) -> None:
     outcome = interloc("benchmark", "drives", drive, "--osm", osm, "-o", finished)
     assert outcome.code == 0
-    for words in ("I. Performance per drive", "II. Comparison with MMInsectDet", "IV. Errors of the labels"):
+    for words in ("II. Performance per drive", "III. Comparison with MMInsectDet", "IV. Errors of the labels"):
         assert words in outcome.out
     assert outcome.out.endswith(f"report  {finished / 'benchmark.html'}\n")
     assert "2 of the rows are kept from before" in outcome.err

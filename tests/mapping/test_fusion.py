@@ -397,7 +397,7 @@ def test_a_calibration_changes_what_is_said_of_intersections_not_where_they_are(
     assert_array_equal(table.lonlat, plain.lonlat)
     assert_allclose(plain.covariances, plain.position_std_m[:, None, None] ** 2 * np.eye(2))
     assert_allclose(np.trace(table.covariances, axis1=1, axis2=2), 2 * table.position_std_m**2)
-    doubtful = CalibrationConfig(log_odds=2, log_odds_seen=1)  # less probable than their share of sightings
+    doubtful = CalibrationConfig(log_odds=1, log_odds_seen=1)  # less probable than their share of sightings
     bound = float(np.median(fuse(keyframes, detections, FusionConfig(), doubtful)[0].confidence))
     sure, assigned = fuse(keyframes, detections, FusionConfig(min_confidence=bound), doubtful)
     assert 0 < len(sure) < len(table)
