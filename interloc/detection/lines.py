@@ -54,6 +54,7 @@ INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the i
 
 SLACK_M, MIN_SLACK_PX = 0.24, 1.5  # what an edge may leave the place by where it belongs
 SIDE_BY_SIDE_COS = math.cos(math.radians(10.0))  # of two roads that do not meet there: two carriageways
+PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
 
 BEND_SHARE = 0.6  # of the distances of two branches from their lines: what those from one circle must be below
 BEND_RINGS = 6  # that each of the two must have
@@ -273,7 +274,7 @@ def _parting(pieces: StructuredArray, which: int, candidate: FloatArray, width: 
         if i != which and not _are_side_by_side(pieces[i], pieces[which]):
             ri, ci = pieces[i].mean[0] - candidate[0], pieces[i].mean[1] - candidate[1]
             least = min(least, abs(np.arctan2(r * ci - c * ri, r * ri + c * ci)))
-    distance: float = 0.5 * width / max(np.sin(0.5 * least), 0.25)
+    distance: float = 0.5 * width / max(np.sin(0.5 * least), PARTING_SIN)
     return distance
 
 
