@@ -45,7 +45,7 @@ def assert_same(interloc: Callable, tmp_path: Path) -> Callable[..., None]:
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A noisy drive through the made-up town, every scan of it (several a keyframe), with all its points."""
     drive = tmp_path_factory.mktemp("town") / "town"
-    simulate_town(drive, SimulationOptions(max_scans=160, sensor=LidarConfig(columns=360)))
+    simulate_town(drive, SimulationOptions(max_scans=160, sensor=LidarConfig(columns=180)))
     return drive
 
 
