@@ -18,7 +18,7 @@ from interloc.cli.main import run
 from interloc.config import KeyframeConfig
 from interloc.reduction.reduce import reduce_drive
 from tests.app.conftest import running_server
-from tests.app.processes import ended, wait_until, workers_of
+from tests.app.processes import NO_TLS, ended, wait_until, workers_of
 from tests.app.street import write_street
 
 RESULTS = ("detections", "keyframes", "intersections", "trajectory")
@@ -33,7 +33,10 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def client(home: Path) -> Iterator[httpx.Client]:
     """One server for all tests of this module: its workers start only once."""
-    with running_server(home / "data", workers=2) as address, httpx.Client(base_url=address, timeout=300) as client:
+    with (
+        running_server(home / "data", workers=2) as address,
+        httpx.Client(base_url=address, timeout=300, verify=NO_TLS) as client,
+    ):
         yield client
 
 

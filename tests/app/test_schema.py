@@ -18,6 +18,7 @@ from schemathesis.generation.hypothesis.builder import HypothesisTestConfig, Hyp
 from app.main import create_app
 from app.settings import Settings
 from tests.app.conftest import API, running_server
+from tests.app.processes import NO_TLS
 from tests.app.street import write_street
 
 CHECKS: list[Any] = [
@@ -60,7 +61,7 @@ def target(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Target]:
     street = write_street(tmp_path_factory.mktemp("drive") / "street", scans=62)
     with (
         running_server(tmp_path_factory.mktemp("data")) as address,
-        httpx.Client(base_url=f"{address}{API}", timeout=120) as client,
+        httpx.Client(base_url=f"{address}{API}", timeout=120, verify=NO_TLS) as client,
     ):
         drives = [client.post("/drives", json={"name": name}).json()["id"] for name in ("open", "ready")]
         for drive in drives:
