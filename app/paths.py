@@ -17,9 +17,6 @@ MAX_SEGMENT_BYTES = 255
 
 MAX_DEPTH = 16
 
-MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
-"""Endings of OpenStreetMap files; upper and lower case are the same."""
-
 ARCHIVE_ENDINGS = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst")
 """Endings of archives, for those who choose one; the service itself looks at the first bytes."""
 
@@ -86,11 +83,6 @@ def hash_of(path: str) -> str:
 def is_recording(path: str) -> bool:
     """Tell whether a file holds many scans."""
     return path.lower().endswith(RECORDING_ENDINGS)
-
-
-def is_map(path: str) -> bool:
-    """Return whether a file is an OpenStreetMap file by its name; a drive takes those at any time."""
-    return path.lower().endswith(MAP_ENDINGS)
 
 
 def without_folder(text: str, folder: Path, name: str) -> str:

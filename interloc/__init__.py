@@ -43,4 +43,12 @@ import lazy_loader
 
 # The public names stand in `__init__.pyi`. Each is imported when first asked for: the compiler behind the kernels alone
 # takes half a second to load.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_import, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    if name == "__version__":
+        from importlib.metadata import version  # noqa: PLC0415 - seldom asked for
+
+        return version("interloc")
+    return _import(name)

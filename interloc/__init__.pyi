@@ -15,6 +15,8 @@ from .output.write import write_results as write_results
 from .pipeline import detect as detect
 from .pipeline import stream as stream
 
+__version__: str
+
 __all__ = [
     "Detector",
     "DetectorConfig",

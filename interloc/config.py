@@ -7,7 +7,7 @@ a request to the service.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Any, Literal
 
@@ -243,7 +243,7 @@ class BranchConfig(_Config):
 
 
 class CompoundConfig(_Config):
-    """Intersections side by side in one blob of road (beyond the paper: its section V-E)."""
+    """Intersections side by side in one blob of road (beyond the paper: its section V-D)."""
 
     separation_m: float = Field(7.0, gt=0, le=50, description="Intersections closer together than this are one.")
     straight_deg: float = Field(
@@ -366,7 +366,7 @@ class CalibrationConfig(_Config):
 
     The covariance is `interloc.mapping.estimation.position_covariance`, the confidence
     `interloc.mapping.estimation.junction_probability`. All but `fix_std_m` are fitted by
-    tests/performance/calibrate.py.
+    tests/performance/calibrate.py, for preset `default`.
     """
 
     fix_std_m: float = Field(
@@ -376,35 +376,35 @@ class CalibrationConfig(_Config):
         description="Standard deviation of the georeference along each axis, where it states none of its own.",
     )
     line_std_m: float = Field(
-        0.48, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
+        0.26, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
     )
     unclear_line_std_m: float = Field(
-        49.87,
+        18.32,
         ge=0,
         le=1000,
-        description="Standard deviation that comes to it at a score of 0; in proportion less at higher scores.",
+        description="Further standard deviation of that line at a score of 0; in proportion less at higher scores.",
     )
     coarse_line_std_m: float = Field(
-        0.0,
+        6.21,
         ge=0,
         le=1000,
-        description="Standard deviation that comes to it where the median score of all detections of the drive is 0 "
-        "since its labels are coarse; in proportion less at higher ones.",
+        description="Further standard deviation of that line where the median score of all detections of the drive "
+        "is 0 since its labels are coarse; in proportion less at higher ones.",
     )
     shape_limit_m: float = Field(
-        3.08, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
+        3.4, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
     )
     log_odds: float = Field(
-        -0.25,
+        0.02,
         ge=-50,
         le=50,
         description="Log odds of a road junction that no keyframe saw and whose lines leave an uncertainty of 1 m.",
     )
     log_odds_seen: float = Field(
-        5.52, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
+        4.62, ge=0, le=50, description="Log odds gained if all keyframes in reach of the intersection saw it."
     )
     log_odds_per_doubling: float = Field(
-        0.54, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
+        0.73, ge=0, le=50, description="Log odds lost each time the uncertainty that the lines leave doubles."
     )
 
 
@@ -434,10 +434,10 @@ class DetectorConfig(_Config):
     )
 
     def __repr__(self) -> str:
-        started_from = dict(_flat(PRESETS.get(self.preset, DetectorConfig()).model_dump(exclude={"preset"})))
+        started_from = dict(flatten(PRESETS.get(self.preset, DetectorConfig()).model_dump(exclude={"preset"})))
         changed = [
             f"{name}={value}"
-            for name, value in _flat(self.model_dump(exclude={"preset"}))
+            for name, value in flatten(self.model_dump(exclude={"preset"}))
             if (name, value) not in started_from.items()
         ]
         return f"<DetectorConfig {', '.join([self.preset, *changed])}>"
@@ -481,15 +481,7 @@ DEFAULT = DetectorConfig(
         candidate_std_m=0.7,
     ),
     compound=CompoundConfig(),
-    calibration=CalibrationConfig(
-        line_std_m=0.26,
-        unclear_line_std_m=18.32,
-        coarse_line_std_m=6.21,
-        shape_limit_m=3.4,
-        log_odds=0.02,
-        log_odds_seen=4.62,
-        log_odds_per_doubling=0.73,
-    ),
+    calibration=CalibrationConfig(),
 )
 
 PRESETS: dict[str, DetectorConfig] = {"default": DEFAULT, "paper": PAPER}
@@ -583,18 +575,16 @@ def parse_config(values: object, *, strict: bool = False) -> DetectorConfig:
         raise ConfigError("; ".join(lines[:_MAX_FAULTS_SHOWN]) + more) from None
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the settings in nested mappings under their dotted names."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
-        else:
-            yield prefix + name, value
+def flatten(value: object, name: str = "") -> list[tuple[str, Any]]:
+    """Return the values within nested mappings under their dotted names: ("bev.resolution_m", 0.16)."""
+    if isinstance(value, Mapping):
+        return [row for key, each in value.items() for row in flatten(each, f"{name}.{key}" if name else str(key))]
+    return [(name, value)]
 
 
 def _nearest(name: str) -> str:
     """Return what was probably meant by the name of a setting that does not exist, for its message."""
-    of_preset = {each: dict(_flat(config.model_dump())) for each, config in PRESETS.items()}
+    of_preset = {each: dict(flatten(config.model_dump())) for each, config in PRESETS.items()}
     for each, settings in of_preset.items():
         if name in settings:  # of another kind of candidates, or of a step that is left out
             section = name.split(".", maxsplit=1)[0]

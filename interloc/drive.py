@@ -23,8 +23,7 @@ class GroundPoints:
     xyz : (N, 3) float32
         Points in L, metres: road points first, then the points most often confused with them.
     road_count : int
-        How many of them are road; the rest is sidewalk, parking and other-ground (used to simulate segmentation errors
-        only).
+        How many of them are road; the rest is sidewalk, parking and other ground.
     """
 
     xyz: Float32Array

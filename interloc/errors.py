@@ -5,6 +5,8 @@ A message names the file or field, what was found, what was expected, and the us
 
 from __future__ import annotations
 
+import reprlib
+
 
 class InterLocError(Exception):
     """Base of all errors that InterLoc raises on purpose; its text is for the user."""
@@ -66,6 +68,18 @@ class DamagedResultError(OutputError):
     """A result that was written, and is no longer what it was."""
 
     http_status = 500
+
+
+def expect(value: object, kind: type[object], what: str) -> None:
+    """Refuse an argument of another kind than expected.
+
+    Raises
+    ------
+    ConfigError
+        `value` is no `kind`.
+    """
+    if not isinstance(value, kind):
+        raise ConfigError(f"expected {what}; found {type(value).__name__}: {reprlib.repr(value)}")
 
 
 def is_interruption(error: BaseException) -> bool:

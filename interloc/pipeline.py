@@ -20,7 +20,7 @@ from interloc.detection.scan import ScanLike
 from interloc.detection.warm import warm_up
 from interloc.drive import Drive, DriveScan, is_slow, read_ahead, scans_of
 from interloc.drives.folder import FolderDrive
-from interloc.errors import DriveError
+from interloc.errors import DriveError, expect
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
 from interloc.processes import cores, peak_memory_bytes, run_in_processes
@@ -128,11 +128,14 @@ def stream(scans: Drive | Iterable[ScanLike], config: DetectorConfig = DEFAULT) 
     Raises
     ------
     DriveError
-        A scan of the drive is damaged.
+        A scan of the drive is damaged, or the pose or the points of a scan are not valid.
+    ConfigError
+        The settings are not a `DetectorConfig`.
     """
+    detector = Detector(config)
     if isinstance(scans, Drive):
         scans = _read(scans, select_keyframes(scans.T_world_lidar, config.keyframes))
-    for window in Detector(config).completed(scans):
+    for window in detector.completed(scans):
         yield window.detect()
 
 
@@ -166,7 +169,11 @@ def detect(
     ------
     DriveError
         The drive has no scans, or a scan is damaged.
+    ConfigError
+        The drive is not one, or the settings are not.
     """
+    expect(drive, Drive, "a drive, as interloc.open_drive(folder) returns")
+    expect(config, DetectorConfig, "settings, as interloc.preset('paper') returns")
     if find is None:
         warm_up(config)  # once per process, and no part of the time that the run takes
     began = time.perf_counter()

@@ -100,7 +100,7 @@ def detect_around(
     lap("accumulate")
     bev = project(world, roi, config.bev.min_points)  # III-B.3
     lap("bev")
-    occupancy = infer_occupancy(bev, config.occupancy, resolution_m)
+    occupancy = infer_occupancy(bev, config.occupancy, resolution_m)  # III-B.4
     lap("occupancy")
     centerline = skeletonize(occupancy > 0)  # type: ignore[no-untyped-call]  # III-B.5
     lap("centerline")
@@ -212,7 +212,7 @@ def refine(candidate: FloatArray, branches: list[FloatArray], inner: float) -> J
 
 
 def locate(junctions: list[Junction], keyframe: Keyframe, roi: Roi, config: DetectorConfig) -> KeyframeDetections:
-    """Turn positions in the image into positions in W and in L (paper, eq. 12), with the score of this project."""
+    """Turn positions in the image into positions in W and in L (paper, eq. 11), with the score of this project."""
     rows, cols = np.array([junction.position for junction in junctions]).reshape(-1, 2).T
     world_xy = roi.world(rows, cols)
     T = keyframe.T_world_lidar

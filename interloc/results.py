@@ -86,11 +86,11 @@ class DetectionTable:
     keyframe : (D,) int64
         Row of the keyframe table.
     lidar_xy : (D, 2) float64
-        Position in L of its keyframe (levelled), metres (paper, eq. 12).
+        Position in L of its keyframe (levelled), metres (paper, eq. 11).
     world_xy : (D, 2) float64
         Position in W, metres.
     lonlat : (D, 2) float64 or None
-        Longitude, latitude, degrees, from the fix of its own keyframe (paper, eq. 13).
+        Longitude, latitude, degrees, from the fix of its own keyframe (paper, eq. 12).
     bearings_deg : list of (B,) float64
         Bearing of each branch, leaving the intersection.
     score : (D,) float64
@@ -125,6 +125,19 @@ class DetectionTable:
         """(D,) int64 number of each detection at its keyframe, from 1."""
         return np.arange(len(self)) - np.searchsorted(self.keyframe, self.keyframe) + 1
 
+    def select(self, rows: IntArray) -> DetectionTable:
+        """Return some of the detections, by their rows."""
+        return DetectionTable(
+            keyframe=self.keyframe[rows],
+            lidar_xy=self.lidar_xy[rows],
+            world_xy=self.world_xy[rows],
+            lonlat=None if self.lonlat is None else self.lonlat[rows],
+            bearings_deg=[self.bearings_deg[row] for row in rows],
+            score=self.score[rows],
+            intersection=self.intersection[rows],
+            widths_m=[self.widths_m[row] for row in rows],
+        )
+
     def names(self, keyframes: KeyframeTable) -> list[str]:
         """Return the id of each detection: scan number of its keyframe and its number there, as 120-1."""
         frames = keyframes.frame[self.keyframe].tolist()
@@ -148,8 +161,8 @@ class IntersectionTable:
     observations : (M,) int64
         Number of detections fused.
     confidence : (M,) float64
-        0..1: probability that a road junction lies within 10 m where `FusionConfig.confidence` is set, else how often
-        it was seen when it could have been.
+        0..1: probability that a road junction lies within 10 m where `DetectorConfig.calibration` is set, else how
+        often it was seen when it could have been.
     bearings_deg : list of (B,) float64
     first_frame, last_frame : (M,) int64
         Scan numbers of the first and the last keyframe that saw it.

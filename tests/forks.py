@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -27,15 +28,24 @@ def ready() -> None:
 
 
 class Command:
-    """`interloc ...` in a process of its own, with the methods of `subprocess.Popen`; it writes into files."""
+    """`interloc ...` in a process of its own, with the methods of `subprocess.Popen`; it writes into files.
+
+    No file can get larger than `max_file_bytes`, if that is given.
+    """
 
     def __init__(
-        self, arguments: Sequence[object], environment: Mapping[str, str], out: Path, err: Path, cwd: Path | None = None
+        self,
+        arguments: Sequence[object],
+        environment: Mapping[str, str],
+        out: Path,
+        err: Path,
+        cwd: Path | None = None,
+        *,
+        max_file_bytes: int | None = None,
     ) -> None:
         self.out, self.err = out, err
-        self._process = context.Process(
-            target=_run, args=([str(each) for each in arguments], dict(environment), out, err, cwd)
-        )
+        words = [str(each) for each in arguments]
+        self._process = context.Process(target=_run, args=(words, dict(environment), out, err, cwd, max_file_bytes))
         self._process.start()
 
     @property
@@ -74,8 +84,15 @@ class Command:
         self.send_signal(signal.SIGKILL)
 
 
-def _run(arguments: list[str], environment: dict[str, str], out: Path, err: Path, cwd: Path | None) -> None:
-    """Become the command: its variables, its folder, its streams."""
+def _run(
+    arguments: list[str],
+    environment: dict[str, str],
+    out: Path,
+    err: Path,
+    cwd: Path | None,
+    max_file_bytes: int | None,
+) -> None:
+    """Become the command: its variables, its folder, its streams, its limit."""
     os.environ.clear()
     os.environ.update(environment)
     if cwd is not None:
@@ -87,6 +104,8 @@ def _run(arguments: list[str], environment: dict[str, str], out: Path, err: Path
     sys.argv = ["interloc", *arguments]
     if environment.get("PYTHONWARNINGS") == "error":
         warnings.simplefilter("error")
+    if max_file_bytes is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (max_file_bytes, max_file_bytes))
     if "serve" in arguments:
         _prepare_workers()
     main()

@@ -35,7 +35,7 @@ create_app(Settings()).openapi()  # FastAPI makes the routes when they are asked
 
 with tempfile.TemporaryDirectory() as folder:
     root = Path(folder)
-    reduce_drive(write_street(root / "street", 40), root / "reduced", keyframes=None)
+    reduce_drive(write_street(root / "street", 8), root / "reduced", keyframes=None)
     for folder_name in ("street", "reduced"):
         for name in ("paper", "default"):
             result = detect(open_drive(root / folder_name), preset(name))  # numba compiles, or finds all compiled

@@ -236,6 +236,9 @@ class EmptyDrive:
     times_s = None
     georeference = None
 
+    def ground_points(self, index: int) -> GroundPoints:
+        raise NotImplementedError
+
 
 def test_drive_without_scans_is_refused() -> None:
     with pytest.raises(DriveError, match="nothing: the drive holds no scans"):

@@ -6,6 +6,7 @@ import pydoc
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -79,3 +80,22 @@ def test_help_is_fit_to_read() -> None:
 def test_python_m_interloc() -> None:
     answer = subprocess.run([sys.executable, "-m", "interloc", "--version"], capture_output=True, text=True, check=True)
     assert answer.stdout.startswith("InterLoc ")
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert interloc.__version__ == version("interloc")
+
+
+def test_mistakes_of_the_first_minute_are_told_in_words() -> None:
+    scans = [interloc.Scan(frame, pose_at(2.0 * frame), road_at(2.0 * frame)) for frame in range(2)]
+    for call, words in (
+        (
+            lambda: interloc.detect("sequences/07"),
+            r"expected a drive, as interloc\.open_drive.* found str: 'sequences/07'",
+        ),
+        (lambda: list(interloc.stream(scans, "paper")), r"expected settings.* found str: 'paper'"),
+        (lambda: interloc.evaluate("out", "map.osm"), r"expected a result, as interloc\.detect.* found str: 'out'"),
+        (lambda: interloc.locate("07", "map.osm"), r"expected a drive.* found str: '07'"),
+    ):
+        with pytest.raises(interloc.InterLocError, match=words):
+            call()

@@ -25,7 +25,6 @@ from app.drives.trash import delete_drive, empty_trash, finish_purges
 from app.http.problems import Problem
 from app.jobs.features import index_missing
 from app.metrics import Removal
-from app.paths import is_map
 from app.states import FINAL, DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.clock import ClockWatch
@@ -35,6 +34,7 @@ from app.store.models import Drive, Job
 from app.store.storage import INCOMING
 from app.work.places import TRAJECTORY
 from interloc.errors import InterLocError
+from interloc.osm.container import is_map
 
 PERIOD_S = 3600.0
 _STEADY_S = 3500.0  # one period, for which the clock must not have jumped before anything goes for its age
@@ -137,7 +137,7 @@ def set_unknown_aside(context: Context, *, only: str | None = None) -> list[tupl
     moved = []
     for key in unknown_folders(context):
         path = context.storage.folder(key)
-        if key != only if only is not None else not is_old(path):
+        if not (is_old(path) if only is None else key == only):
             continue
         size, age_h = size_of(path), (_now(context) - path.stat().st_mtime) / 3600
         place = context.storage.set_aside(key)

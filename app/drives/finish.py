@@ -24,13 +24,13 @@ from app.drives.upload import (
 )
 from app.http.intake import Arrival
 from app.http.problems import Problem
-from app.paths import is_map
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.database import afterwards
 from app.store.models import Drive, DriveFile, Job
 from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
 from app.work.task import Outcome
+from interloc.osm.container import is_map
 
 _log = logging.getLogger(__name__)
 

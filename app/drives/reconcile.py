@@ -26,9 +26,10 @@ from app.context import Context
 from app.drives.records import files_key, find_drive, lock_drive, stays_uploaded
 from app.http.problems import Problem
 from app.jobs.queue import active_job
-from app.paths import BadNameError, check_path, is_map
+from app.paths import BadNameError, check_path, folded_hash
 from app.states import DriveState, JobKind
 from app.store.models import Drive, DriveFile
+from interloc.osm.container import is_map
 
 _AT_ONCE = 1000  # rows in one statement
 
@@ -215,6 +216,7 @@ def _correct(
             "size_bytes": each.found.size_bytes,
             "sha256": digests[each.path, each.found],
             "mtime_ns": each.found.mtime_ns,
+            "folded": folded_hash(each.path),
         }
         for each in found
         if each.found is not None

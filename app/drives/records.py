@@ -15,7 +15,6 @@ from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.parameters import Box
 from app.http.problems import Problem
 from app.jobs.queue import key_used, no_drive
-from app.paths import MAP_ENDINGS, is_map
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.settings import Settings
 from app.states import DriveState
@@ -27,6 +26,7 @@ from interloc.drives.inspect import DriveReport
 from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import InterLocError
+from interloc.osm.container import MAP_ENDINGS, is_map
 from interloc.output.geojson import read_json
 
 

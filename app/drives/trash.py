@@ -16,6 +16,7 @@ from sqlalchemy import delete, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
+from app.drives.records import lock_drive
 from app.http.paging import deleted_after, deletion_cursor_of, last_deleted_first
 from app.http.problems import Problem
 from app.jobs.queue import cancel, no_drive
@@ -88,9 +89,7 @@ def delete_drive(
     of_drive = select(Job).where(Job.drive_id == drive_id)
     with context.database.writing() as session:
         session.scalars(of_drive.order_by(Job.id).with_for_update()).all()  # jobs first, as where a job ends
-        drive = session.get(Drive, drive_id, with_for_update=True, populate_existing=True)
-        if drive is None or drive.deleted_at is not None:
-            raise no_drive(drive_id)
+        drive = lock_drive(session, drive_id)
         if only_if is not None and not only_if(session, drive):
             return False
         for job in session.scalars(of_drive):

@@ -20,9 +20,10 @@ from app.http.intake import Arrival
 from app.http.limits import check_drive, check_free_space, check_quota
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
-from app.paths import folded, folded_hash, hash_of, is_map
+from app.paths import folded, folded_hash, hash_of
 from app.states import DriveState
 from app.store.models import Drive, DriveFile
+from interloc.osm.container import is_map
 
 _AT_ONCE = 500  # paths in one query
 

@@ -25,6 +25,9 @@ from interloc.errors import InterLocError
 
 MEDIA_TYPE = "application/problem+json"
 
+DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+"""Of errors of the system: what was written does not fit, by the disk or by a quota."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -204,7 +207,7 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
 
 
 def _of_os_error(error: OSError) -> Problem:
-    return disk_full() if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG} else _of_fault(error)
+    return disk_full() if error.errno in DISK_FULL else _of_fault(error)
 
 
 def _of_disconnect(_: ClientDisconnect) -> Problem:

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import errno
-
-from app.http.problems import Problem, disk_full, from_error
+from app.http.problems import DISK_FULL, Problem, disk_full, from_error
 from app.jobs.worker_limits import WorkerLimitError
 from app.states import JobState
 from app.store.models import Job
 from interloc.errors import InterLocError
 
-_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-
 
 def is_final(error: BaseException) -> bool:
     """Return whether another try would fail the same way: bad input, a limit that was reached, a full disk."""
     return isinstance(error, InterLocError | Problem | WorkerLimitError) or (
-        isinstance(error, OSError) and error.errno in _DISK
+        isinstance(error, OSError) and error.errno in DISK_FULL
     )
 
 
@@ -37,7 +33,7 @@ def problem_of(error: BaseException, what: str, tries: int) -> Problem:
         return from_error(error)
     if isinstance(error, WorkerLimitError):
         return limit_reached(error, what, "job_stage_s")
-    if isinstance(error, OSError) and error.errno in _DISK:
+    if isinstance(error, OSError) and error.errno in DISK_FULL:
         return disk_full()
     return Problem(
         500,

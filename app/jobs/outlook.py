@@ -111,7 +111,7 @@ def _words(before: int, seconds: float | None) -> str:
 
 def _about(seconds: float) -> str:
     """Return a time that is rounded so much that it does not change all the time."""
-    if seconds < 15:
+    if seconds <= 15:
         return "a few seconds"
     if seconds < 90:
         return f"about {30 * round(seconds / 30)} seconds"

@@ -8,10 +8,10 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.http.problems import Problem, disk_full
-from app.paths import MAP_ENDINGS, is_map
 from app.schemas.jobs import NewJob, OsmFile, OsmOverpass
 from app.store.models import DriveFile
 from interloc.config import DetectorConfig, parse_config, preset
+from interloc.osm.container import MAP_ENDINGS, is_map
 
 
 def check_request(session: Session, context: Context, new: NewJob) -> dict[str, Any]:

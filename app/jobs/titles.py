@@ -9,8 +9,7 @@ from typing import Any
 from app.schemas.jobs import NewJob
 from app.states import JobKind
 from app.store.models import Job
-from interloc.config import PRESETS
-from interloc.output.layout import flatten
+from interloc.config import PRESETS, flatten
 
 _SYMBOLS = {
     "keyframes.distance_m": "keyframe distance",

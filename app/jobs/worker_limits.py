@@ -9,7 +9,7 @@ from typing import Literal
 
 _GB = 1024**3
 _SHARE = 0.75  # of the memory of the machine; the rest is for the server, the database and the page cache
-_LEAST_BYTES = 1 * _GB
+_MIN_BYTES = 1 * _GB
 _PROC, _CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 
 
@@ -42,7 +42,7 @@ def memory_of(pid: int | None) -> int:
 
 def memory_share(processes: int) -> int:
     """Return the memory that each of some worker processes may use, bytes: an equal share, but at least 1 GB."""
-    return max(_LEAST_BYTES, int(machine_memory() * _SHARE / processes))
+    return max(_MIN_BYTES, int(machine_memory() * _SHARE / processes))
 
 
 def machine_memory() -> int:

@@ -421,9 +421,7 @@ def _geometry(literal: dict[str, Any]) -> Any:  # noqa: ANN401 - a geometry of s
     try:
         geometry = shapely.geometry.shape(literal)
     except (shapely.errors.ShapelyError, ValueError, TypeError, KeyError, AttributeError):
-        raise BadFilterError(
-            "It holds a geometry that is none: too few positions, or rings that do not close."
-        ) from None
+        raise BadFilterError("It holds a geometry with too few positions, or with rings that do not close.") from None
     if geometry.is_empty or not geometry.is_valid:
         raise BadFilterError(f"It holds a geometry that is not valid: {shapely.is_valid_reason(geometry)[:100]}.")
     return geometry

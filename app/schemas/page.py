@@ -6,7 +6,7 @@ from typing import get_args
 
 from pydantic import BaseModel, Field
 
-from app.paths import ARCHIVE_ENDINGS, MAP_ENDINGS, RECORDING_ENDINGS
+from app.paths import ARCHIVE_ENDINGS, RECORDING_ENDINGS
 from app.schemas.jobs import MAX_COMPARED_JOBS, Near
 from app.settings import Settings
 from interloc.drives.georeference import kitti360
@@ -14,7 +14,7 @@ from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
 from interloc.drives.options import LabelFolder
-from interloc.osm.container import SIMULATOR
+from interloc.osm.container import MAP_ENDINGS, SIMULATOR
 from interloc.osm.intersections import DRIVABLE_OR_SERVICE
 from interloc.osm.policies import POLICIES
 from interloc.output.layers import LAYERS

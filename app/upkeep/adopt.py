@@ -20,7 +20,6 @@ from app.context import Context
 from app.drives.cleanup import unknown_folders
 from app.drives.reconcile import reconcile
 from app.drives.records import note_extent
-from app.paths import is_map
 from app.schemas.drives import DriveOptionsModel, NewDrive
 from app.schemas.jobs import NewJob
 from app.states import DriveState, JobKind, JobState
@@ -33,6 +32,7 @@ from app.store.storage import INCOMING, LOST
 from interloc.drives.inspect import DriveReport
 from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import ConfigError, InterLocError
+from interloc.osm.container import is_map
 from interloc.output.layout import RUN_FILE
 
 Progress = Callable[[int, int, str], None]
@@ -238,7 +238,7 @@ def _check_result(result: Path, sidecar: JobSidecar) -> None:
     try:
         NewJob.model_validate({**sidecar.request, "drive_id": sidecar.drive_id})
     except ValidationError:
-        raise _LeftError(f"the request in its {sidecars.JOB_FILE} is none") from None
+        raise _LeftError(f"the request in its {sidecars.JOB_FILE} is not that of a job") from None
     if sidecar.kind != JobKind.INTERSECTIONS or not {"georeferenced", "report"} <= sidecar.summary.keys():
         raise _LeftError(f"the outcome in its {sidecars.JOB_FILE} is not that of a successful job")
 

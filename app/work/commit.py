@@ -16,12 +16,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from app.paths import is_map, without_folder
+from app.paths import without_folder
 from app.work import models
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.config import DEFAULT
-from interloc.drive import GroundPoints
 from interloc.drives.findings import DriveFileError, Finding, Findings
 from interloc.drives.inspect import DriveReport, inspect_drive
 from interloc.drives.open import open_drive
@@ -30,6 +29,7 @@ from interloc.drives.scans.reduced import GroundFiles
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.errors import InterLocError
 from interloc.mapping.georeferencing import trajectory
+from interloc.osm.container import is_map
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction
@@ -268,7 +268,7 @@ def _scan_check(task: Task) -> Callable[[int], None]:
 
     def check_scan(frame: int) -> None:
         for source in sources:
-            _: GroundPoints = source.read(frame)
+            source.read(frame)
 
     return check_scan
 

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO
 
-from app.paths import BadNameError, check_path, is_map, is_recording
+from app.paths import BadNameError, check_path, is_recording
 from app.work.archive_files import ArchiveError, Member, members, too_many_files
 from app.work.places import LISTING, place_unpacked
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.errors import OutputError
+from interloc.osm.container import is_map
 
 _PIECE = 1 << 20
 _MB = 1 << 20

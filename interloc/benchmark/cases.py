@@ -21,6 +21,7 @@ from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
 from interloc.evaluation.published import SEQUENCES
 from interloc.files import atomic_write
+from interloc.osm.container import MAP_ENDINGS
 
 Progress = Callable[[int, int], None]
 Poses = Literal["suma", "gt"]
@@ -221,9 +222,6 @@ def _explain(drive: Path, frame: int, name: str, osm: Path, options: tuple[str, 
     out = f"explain_{name.replace('/', '_')}_{frame}"
     words = ["interloc", "explain", str(drive), "--frame", str(frame), "-o", out, "--osm", str(osm), *options]
     return shlex.join(words)
-
-
-MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
 
 
 def twin_cases(

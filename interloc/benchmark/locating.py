@@ -123,7 +123,7 @@ class LocateRow:
 
 
 def pieces_of(
-    kitti: Path, sequence: str, lengths_m: tuple[float, ...], *, twins: Path | None = None, scratch: Path | None = None
+    kitti: Path, sequence: str, lengths_m: tuple[float, ...], *, twins: Path | None = None
 ) -> Iterator[Piece]:
     """Yield a whole sequence, and pieces of given lengths spread evenly over it.
 
@@ -136,8 +136,6 @@ def pieces_of(
         Lengths of the pieces; inf: the whole; 0: what is around each single intersection.
     twins
         Folder where twins are kept: their intersections are detected and used. None: the trajectory alone.
-    scratch
-        For temporary files.
     """
     if twins is None:
         truth = twin_track(kitti, sequence)
@@ -146,7 +144,7 @@ def pieces_of(
         lonlat = np.column_stack([truth.lon_deg, truth.lat_deg])
         yaw = yaw_of(truth.R_enu_lidar)
     else:
-        with TwinCase(kitti, sequence, keep=twins).opened(scratch or twins) as drive:
+        with TwinCase(kitti, sequence, keep=twins).opened(twins) as drive:
             track, sightings, lonlat, yaw = _from_twin(drive)
     at = track.at_m
     for length_m in lengths_m:

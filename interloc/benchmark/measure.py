@@ -84,7 +84,7 @@ def measure(
     result = detect(source, config, progress=progress)
     used_s = time.process_time() - began  # of this process: what else runs on the machine does not count
     evaluation = evaluate(result, graph, policy=truth.policy, tolerance_m=truth.tolerance_m)
-    matching, table, level = evaluation.matching, evaluation.node_table, evaluation.map_level
+    matching, level = evaluation.matching, evaluation.map_level
     squared = squared_errors(evaluation.intersections, level, evaluation.nodes.lonlat)
     return Row(
         cell=cell,
@@ -94,8 +94,8 @@ def measure(
         errors_m=_rounded(matching.error_m[matching.is_matched]),
         unmatched=int(np.count_nonzero(~matching.is_matched)),
         fn=evaluation.scores.fn,
-        nodes_found=int(np.count_nonzero(table.in_zone & table.found)),
-        nodes_in_zone=int(np.count_nonzero(table.in_zone)),
+        nodes_found=evaluation.nodes_found,
+        nodes_in_zone=evaluation.nodes_in_zone,
         map_true=int(np.count_nonzero(level.counts & np.isfinite(level.error_m))),
         map_false=int(np.count_nonzero(level.counts & np.isinf(level.error_m))),
         map_missed=int(np.count_nonzero(level.node_in_zone & ~level.node_found)),

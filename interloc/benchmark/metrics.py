@@ -15,7 +15,7 @@ from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.evaluation.reliability import calibration_error, share_within, squared_per_dimension
 
 PRECISION_THRESHOLD_M, RECALL_THRESHOLD_M = 6.9, 13.3
-"""Of the comparison with MMInsectDet (paper, section V-C)."""
+"""Of the comparison with MMInsectDet (paper, section V-B)."""
 
 Metric = Callable[[Sequence[Row]], float | None]
 """Returns a figure of some rows, pooled as if they were one drive; None where it is undefined."""
@@ -46,7 +46,7 @@ def errors_m(rows: Sequence[Row]) -> FloatArray:
 
 
 def ace_m(rows: Sequence[Row]) -> float | None:
-    """Return the average center error over all matched pairs (paper, eq. 15)."""
+    """Return the average center error over all matched pairs (paper, eq. 14)."""
     return _mean(errors_m(rows))
 
 
@@ -63,7 +63,7 @@ def precision(rows: Sequence[Row], threshold_m: float = STANDARD_THRESHOLD_M) ->
 
 
 def recall(rows: Sequence[Row], threshold_m: float = STANDARD_THRESHOLD_M) -> float | None:
-    """Return TP / (TP + FN) at a threshold (paper, eq. 19)."""
+    """Return TP / (TP + FN) at a threshold (paper, eq. 18)."""
     true = _true(rows, threshold_m)
     return _ratio(true, true + sum(row.fn for row in rows))
 

@@ -32,6 +32,7 @@ from interloc.output.geojson import encode, rounded
 from interloc.pipeline import versions
 
 _MEANINGS = {str(kind): meaning for kind, meaning in KINDS.items()}
+_WORST = 40  # places of each preset on the page
 
 
 def benchmark_record(title: str, measured: Measured, configs: dict[str, DetectorConfig], policy: str) -> dict[str, Any]:
@@ -200,7 +201,7 @@ def kinds_table(measured: Measured) -> Table:
     return Table(title="Failures by kind", header=tuple(header), groups=tuple(groups), labels=2)
 
 
-def worst_places(measured: Measured, preset: str, count: int = 40) -> list[dict[str, Any]]:
+def worst_places(measured: Measured, preset: str) -> list[dict[str, Any]]:
     """Return the failures of a preset without label errors that cost most, worst first."""
     places = []
     one_seed = len({row.cell.seed for row in measured.rows}) == 1
@@ -222,7 +223,7 @@ def worst_places(measured: Measured, preset: str, count: int = 40) -> list[dict[
             "frames": f"{entry['frames'][0]}..{entry['frames'][-1]}",
             "see": entry["see"],
         }
-        for cost, cell, kind, off, entry in places[:count]
+        for cost, cell, kind, off, entry in places[:_WORST]
     ]
 
 

@@ -134,7 +134,7 @@ def performance_table(measured: Measured, noise: str) -> Table:
     if noise == "0/0" and any(drive in PERFORMANCE for drive in measured.drives):
         notes.append("Published: SemanticKITTI with RangeNet++ labels.")
     return Table(
-        title=f"I. Performance per drive{level}",
+        title=f"II. Performance per drive{level}",
         header=("", "", *columns),
         groups=tuple(groups),
         labels=2,
@@ -190,7 +190,7 @@ def comparison_table(measured: Measured) -> Table:
         )
         lines.append((f"InterLoc, {ours(preset)}", *values))
     return Table(
-        title="II. Comparison with MMInsectDet",
+        title="III. Comparison with MMInsectDet",
         header=("", "ACE [m]", "Pre@6.9 [%]", "Rec@13.3 [%]"),
         groups=(published, tuple(lines)),
         notes=_other_set_note(measured),

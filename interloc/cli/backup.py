@@ -117,10 +117,10 @@ def restore(backup: Path, data_dir: Path | None, incomplete: bool, quiet: bool, 
         ]
         console.say_facts(rows)
     if report.findings:
-        found = _shown([f"{finding.place}: {finding.message}" for finding in report.findings])
+        found = _shown([f"{finding.place}: {finding.message.rstrip('.')}" for finding in report.findings])
         raise InterLocError(
-            f"the backup was restored as it is, but that is not whole: {found} `interloc check --repair` does what is "
-            "safe."
+            f"the backup was restored as it is, but that is not whole: {found}. `interloc check --repair` does what "
+            "is safe."
         )
 
 

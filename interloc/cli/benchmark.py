@@ -97,7 +97,7 @@ def twin_options(sequences: str) -> Callable[[options.Command], options.Command]
 
 @click.group(short_help="Measure presets on many drives: the tables of the paper.")
 def command() -> None:
-    """Repeat the paper's experiments: its Tables I, II and IV beside the published figures.
+    """Repeat the paper's experiments: its Tables II, III and IV beside the published figures.
 
     \b
     Examples:

@@ -17,9 +17,8 @@ from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
 from interloc.errors import ConfigError, DriveError, InterLocError
+from interloc.osm.container import MAP_ENDINGS, is_map
 from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduce_scan
-
-_MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class PushOptions:
             raise ConfigError(f"--name {self.name!r}: expected 1 to 200 characters without slashes and line breaks.")
         for path in self.maps:
             if not is_map(path.name) or path.name.startswith("."):
-                endings = ", ".join(_MAP_ENDINGS)
+                endings = ", ".join(MAP_ENDINGS)
                 raise ConfigError(f"{path}: is not an OpenStreetMap file by its name. Expected one of {endings}.")
 
 
@@ -137,11 +136,6 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
     except InterLocError as error:
         raise _with_all_problems(error, root, options) from error
     return _as_it_is(root, reduction, options, maps) if options.raw else _reduced_on_the_way(reduction, maps)
-
-
-def is_map(path: str) -> bool:
-    """Tell whether a file of a drive is an OpenStreetMap file, which a drive takes at any time."""
-    return path.lower().endswith(_MAP_ENDINGS)
 
 
 def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> PreparedDrive:

@@ -13,10 +13,11 @@ from typing import Any
 
 from interloc.client.answers import DriveAnswer, FileAnswer, Refusal, parse
 from interloc.client.connection import Connection
-from interloc.client.prepare import PreparedDrive, PushOptions, is_map
+from interloc.client.prepare import PreparedDrive, PushOptions
 from interloc.client.upload import OnProgress, UploadFile, file_address, files_of, upload
 from interloc.client.upload_log import Sent, UploadLog, log_folder
 from interloc.errors import NetworkError
+from interloc.osm.container import is_map
 
 OnStage = Callable[[str], None]
 """Called with what begins, in words."""

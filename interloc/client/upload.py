@@ -17,6 +17,7 @@ from interloc.client.answers import FileAnswer, FilesAnswer, Refusal
 from interloc.client.connection import Connection
 from interloc.client.upload_log import Sent, UploadLog
 from interloc.errors import DriveError, NetworkError
+from interloc.files import reason_of
 
 _CHUNK_BYTES = 1024 * 1024
 _PAGE_FILES = 10_000
@@ -124,7 +125,7 @@ def _chunks(path: Path, size: int) -> Iterator[bytes]:
 
 
 def _unreadable(error: OSError) -> DriveError:
-    return DriveError(f"{error.filename or 'a file'}: cannot be read: {(error.strerror or str(error)).lower()}.")
+    return DriveError(f"{error.filename or 'a file'}: cannot be read: {reason_of(error)}.")
 
 
 @dataclass

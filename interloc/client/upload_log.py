@@ -26,6 +26,7 @@ from filelock import FileLock, Timeout
 from platformdirs import user_cache_path
 
 from interloc.errors import OutputError
+from interloc.files import reason_of
 
 _KEPT_DAYS = 60
 _KEY_DIGITS = 32
@@ -82,7 +83,7 @@ class UploadLog:
                 "command reports the id of the drive without sending it again."
             ) from None
         except OSError as error:
-            raise OutputError(f"{self._path} could not be used: {error.strerror or error}.") from error
+            raise OutputError(f"{self._path} could not be used: {reason_of(error)}.") from error
 
     def __enter__(self) -> Self:
         return self

@@ -18,6 +18,7 @@ from interloc.kernels.skeleton import trace_branches
 
 SAMPLE_PX = 4  # from one place of a branch at which its width is measured to the next
 NARROWEST_M = 2.0  # no road is narrower
+NEIGHBOUR_SHARE = 0.6  # of the distance to the next candidate, within which an inner circle stays
 CORE_PX = 3.0  # from the junctions of the centerline in a candidate to its inner circle
 
 
@@ -266,5 +267,5 @@ def inner_radius(
     others = blockers[blockers != index]
     if len(others):
         gaps = candidates.positions[others] - candidates.positions[index]
-        radius = min(radius, 0.6 * float(np.hypot(gaps[:, 0], gaps[:, 1]).min()))
+        radius = min(radius, NEIGHBOUR_SHARE * float(np.hypot(gaps[:, 0], gaps[:, 1]).min()))
     return radius

@@ -1,4 +1,4 @@
-"""Several intersections in one blob of road: what the paper's method merges into one point (its section V-E).
+"""Several intersections in one blob of road: what the paper's method merges into one point (its section V-D).
 
 Branches that continue each other across the candidate form a through axis, and so does a single branch beside one: a
 carriageway of which the other half is not seen. Axes that run side by side (a dual carriageway) or branches that meet

@@ -19,8 +19,9 @@ from interloc.detection.image import BinaryImage, Roi
 from interloc.detection.keyframes import Keyframe, KeyframeSelector
 from interloc.detection.occupancy import infer_occupancy
 from interloc.detection.refinement import Junction, refine
-from interloc.detection.scan import ScanLike
+from interloc.detection.scan import ScanLike, checked_points, checked_pose
 from interloc.detection.widths import branch_widths
+from interloc.errors import expect
 from interloc.geometry import rotate_2d, yaw_of
 from interloc.results import unknown_like
 from interloc.stopwatch import Stopwatch
@@ -34,7 +35,7 @@ class KeyframeDetections:
     ----------
     keyframe
     lidar_xy : (n, 2) float64
-        Positions in L, levelled (heading only), metres (paper, eq. 12).
+        Positions in L, levelled (heading only), metres (paper, eq. 11).
     world_xy : (n, 2) float64
         Positions in W, metres.
     branch_angles_rad : list of (B,) float64
@@ -166,6 +167,7 @@ class Detector:
     """
 
     def __init__(self, config: DetectorConfig = DEFAULT) -> None:
+        expect(config, DetectorConfig, "settings, as interloc.preset('paper') returns")
         self.config = config
         self.stopwatch = Stopwatch()
         self._selector = KeyframeSelector(config.keyframes)
@@ -183,6 +185,12 @@ class Detector:
         -------
         KeyframeDetections or None
             Of an earlier keyframe, unless the look-ahead is 0. None where no keyframe is complete yet.
+
+        Raises
+        ------
+        DriveError
+            The pose is no rigid transform of finite numbers, or the points are no (N, 3) array. The scan does not
+            count: go on with the next.
         """
         window = self._take(scan)
         return None if window is None else window.detect()
@@ -202,13 +210,16 @@ class Detector:
             yield self._window(keyframe)
 
     def _take(self, scan: ScanLike) -> Window | None:
-        if not self._selector.is_keyframe(scan.T_world_lidar):
+        pose = checked_pose(scan)
+        if not self._selector.is_keyframe(pose):
             return None
         self.stopwatch.start()
-        road_points = scan.road_points  # III-B.1
+        road_points = checked_points(scan.road_points, scan)  # III-B.1
         other_points = scan.other_points if self.config.bev.vote else None
+        if other_points is not None:
+            other_points = checked_points(other_points, scan)
         self.stopwatch.lap("read")
-        keyframe = Keyframe(scan.frame, scan.T_world_lidar, scan.time_s)
+        keyframe = Keyframe(scan.frame, pose, scan.time_s)
         completed = self._road.add(keyframe, road_points, other_points)  # III-B.2
         self.stopwatch.lap("accumulate")
         return None if completed is None else self._window(completed)
@@ -221,7 +232,7 @@ class Detector:
 
 
 def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDetections:
-    """Turn junctions of the image into positions in W and in L (paper, eq. 12)."""
+    """Turn junctions of the image into positions in W and in L (paper, eq. 11)."""
     junctions, roi = steps.junctions, steps.roi
     positions = np.array([j.position for j in junctions], np.float64).reshape(-1, 2)
     world_xy = roi.world(positions[:, 0], positions[:, 1])

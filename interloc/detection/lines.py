@@ -47,13 +47,14 @@ from interloc.kernels import compiled
 from interloc.kernels.bits import NOWHERE
 
 RING_M = 0.64  # a line grows by this much at a time
-LEAST_RING_PX = 4.0  # and by no less, however coarse the grid is
+MIN_RING_PX = 4.0  # and by no less, however coarse the grid is
 GRID_PX = 0.4  # scatter that the grid gives to the centerline of an ideal road
 PIXEL_PX = 0.1  # how well the line of an ideal road is known
 INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the inner circle
 
-SLACK_M, LEAST_SLACK_PX = 0.24, 1.5  # what an edge may leave the place by where it belongs
+SLACK_M, MIN_SLACK_PX = 0.24, 1.5  # what an edge may leave the place by where it belongs
 SIDE_BY_SIDE_COS = math.cos(math.radians(10.0))  # of two roads that do not meet there: two carriageways
+PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
 
 BEND_SHARE = 0.6  # of the distances of two branches from their lines: what those from one circle must be below
 BEND_RINGS = 6  # that each of the two must have
@@ -123,8 +124,8 @@ def least_squares(
     """
     limits_m = config.fit_length_m, config.fit_least_m, config.full_fit_m, config.straight_m, config.trim_m
     lengths = (limit_m / resolution_m for limit_m in limits_m)
-    ring = max(RING_M / resolution_m, LEAST_RING_PX)
-    slack = max(SLACK_M / resolution_m, LEAST_SLACK_PX)
+    ring = max(RING_M / resolution_m, MIN_RING_PX)
+    slack = max(SLACK_M / resolution_m, MIN_SLACK_PX)
     limits = np.array((width, inner, *lengths, centerline.max_width // 2, ring, slack), LIMITS)
     lines = fit_lines(
         centerline.occupancy.words,
@@ -273,7 +274,7 @@ def _parting(pieces: StructuredArray, which: int, candidate: FloatArray, width: 
         if i != which and not _are_side_by_side(pieces[i], pieces[which]):
             ri, ci = pieces[i].mean[0] - candidate[0], pieces[i].mean[1] - candidate[1]
             least = min(least, abs(np.arctan2(r * ci - c * ri, r * ri + c * ci)))
-    distance: float = 0.5 * width / max(np.sin(0.5 * least), 0.25)
+    distance: float = 0.5 * width / max(np.sin(0.5 * least), PARTING_SIN)
     return distance
 
 
@@ -349,9 +350,8 @@ def _weigh(lines: StructuredArray, candidate: FloatArray, full: float) -> None:
         line = lines[i]
         if line.length > 0.0:
             scatter = max(line.rms - GRID_PX, 0.0)
-            off = (candidate[0] - line.point[0]) * line.direction[0] + (candidate[1] - line.point[1]) * line.direction[
-                1
-            ]
+            off = (candidate[0] - line.point[0]) * line.direction[0]
+            off += (candidate[1] - line.point[1]) * line.direction[1]
             variance = _variance(0.5 * (scatter * scatter + common / total), off, line.length)
             line.weight = min(line.length, full) / full / variance
 

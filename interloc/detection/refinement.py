@@ -18,6 +18,7 @@ from interloc.kernels import compiled
 # less than this share of their number: a fan of lines within about 10 degrees.
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
+ACUTE_SIN = 0.1  # of half an angle between roads: below 12 degrees the candidate is known no worse
 FORK_COS = -0.8  # of the angles between the one road of a fork and the two others
 FORK_WIDTH = 0.85  # of the one road, as a share of the width at the candidate, at most
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
@@ -234,7 +235,7 @@ def _prior(directions: FloatArray, weights: FloatArray, weight: float) -> tuple[
                     cosine = alike
                     row, col = directions[i, 0] + directions[j, 0], directions[i, 1] + directions[j, 1]
     half = 0.5 * math.acos(min(cosine, 1.0))
-    spread = max(1.0, math.sin(math.pi / 4) / max(math.sin(half), 0.1))
+    spread = max(1.0, math.sin(math.pi / 4) / max(math.sin(half), ACUTE_SIN))
     lost = weight * (1.0 - spread**-4) / max(row * row + col * col, 1e-9)
     return weight - lost * row * row, -lost * row * col, weight - lost * col * col
 

@@ -5,7 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from interloc.arrays import Float32Array, FloatArray
+from interloc.errors import DriveError
+
+_FARTHEST_M = 1e7  # from the origin of W: coordinates on Earth are smaller
+_OFF_ROTATION = 1e-3  # as for poses in files
+_UNITY = np.eye(3)
 
 
 class ScanLike(Protocol):
@@ -47,3 +54,46 @@ class Scan:
     road_points: Float32Array
     time_s: float | None = None
     other_points: Float32Array | None = None
+
+
+def checked_pose(scan: ScanLike) -> FloatArray:
+    """Return the pose of a scan, (4, 4) float64.
+
+    Raises
+    ------
+    DriveError
+        It is no rigid transform of finite numbers. Taken in, it would lay the cells of the scan across the world.
+    """
+    pose = np.asarray(scan.T_world_lidar, np.float64)
+    if pose.shape != (4, 4):
+        raise DriveError(f"scan {scan.frame}: T_world_lidar has the shape {pose.shape}; expected (4, 4).")
+    if not np.isfinite(pose).all():
+        raise DriveError(
+            f"scan {scan.frame}: T_world_lidar holds a number that is not finite. "
+            "Usual cause: odometry that has lost its way. Leave the scan out."
+        )
+    if np.abs(pose[:3, 3]).max() > _FARTHEST_M:
+        raise DriveError(
+            f"scan {scan.frame}: T_world_lidar is more than {_FARTHEST_M / 1000.0:,.0f} km from the origin. "
+            "Expected metres."
+        )
+    rotation = pose[:3, :3]
+    if np.abs(rotation @ rotation.T - _UNITY).max() > _OFF_ROTATION or np.linalg.det(rotation) < 0.0:
+        raise DriveError(
+            f"scan {scan.frame}: the 3x3 part of T_world_lidar is not a rotation. "
+            "Usual cause: a scale, a mirrored axis, or a matrix that was never filled."
+        )
+    return pose
+
+
+def checked_points(points: Float32Array, scan: ScanLike) -> Float32Array:
+    """Return points of a scan; those that are not finite are left out later.
+
+    Raises
+    ------
+    DriveError
+        They are no (N, 3) array.
+    """
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise DriveError(f"scan {scan.frame}: its points have the shape {points.shape}; expected (N, 3).")
+    return points

@@ -17,6 +17,7 @@ import numpy as np
 from interloc.arrays import IntArray
 from interloc.drives.findings import DriveFileError, GeoreferenceFileError
 from interloc.errors import InterLocError
+from interloc.files import reason_of
 
 MAX_ROWS = 1_000_000
 """Lines of a file with one per frame: more than a day of driving. Nothing longer is looked into."""
@@ -65,7 +66,7 @@ class SourceFile:
 
     def unreadable(self, error: OSError) -> InterLocError:
         """Return the error to raise where the system refuses to read it."""
-        return self.fault(f"cannot be read: {os_reason(error)}.")
+        return self.fault(f"cannot be read: {reason_of(error)}.")
 
     def text(self) -> str:
         """Read a small text file (or its .gz) whole.
@@ -165,11 +166,6 @@ class GeoreferenceFile(SourceFile):
     """A file or folder of a georeference: what is wrong with it is a `GeoreferenceError`."""
 
     _error = GeoreferenceFileError
-
-
-def os_reason(error: OSError) -> str:
-    """Return in words why a file could not be read."""
-    return (error.strerror or str(error)).lower()
 
 
 def is_number(text: str) -> bool:

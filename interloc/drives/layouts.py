@@ -363,4 +363,4 @@ def _choose(root: Path, inside: set[str], options: DriveOptions, announced: Scan
     if seen := usual or _seen_in(root):
         raise DriveFileError(name, f"is not a drive. {seen}docs/own-data.md lists all formats.")
     expected = ", or ".join([_LAYOUTS[layout][1] for layout in get_args(LayoutName) if layout in _LAYOUTS] + _OTHERS)
-    raise DriveFileError(name, f"is not a drive. {usual}Expected {expected}.")
+    raise DriveFileError(name, f"is not a drive. Expected {expected}.")

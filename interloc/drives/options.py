@@ -15,7 +15,7 @@ from interloc.errors import ConfigError
 LabelFolder = Literal["labels", "predictions"]
 PoseFrame = Literal["auto", "camera", "lidar"]
 LayoutName = Literal["semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"]
-LayoutChoice = Literal["auto", "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"]
+LayoutChoice = Literal["auto", LayoutName]
 
 
 class ReadingOptions(BaseModel):

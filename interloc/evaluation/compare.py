@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from interloc.config import flatten
 from interloc.drawing import image
 from interloc.errors import ConfigError
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.report import data_address, template, threshold_name
 from interloc.files import atomic_write
-from interloc.output.layout import flatten, refuse_result_file, settings_of
+from interloc.output.layout import refuse_result_file, settings_of
 
 _STANDARD = threshold_name(STANDARD_THRESHOLD_M)
 

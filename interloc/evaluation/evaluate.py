@@ -10,7 +10,7 @@ import numpy as np
 
 from interloc.arrays import IntArray
 from interloc.drawing import Sign, map_sketch, metres
-from interloc.errors import ConfigError, GeoreferenceError
+from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage
 from interloc.evaluation.map_level import MapLevel, assign_intersections
 from interloc.evaluation.matching import Matching, match
@@ -228,6 +228,8 @@ def evaluate(
     ConfigError
         The policy is unknown, or the sizes of the zones are not valid.
     """
+    expect(result, DriveResult, "a result, as interloc.detect(drive) or interloc.read_results(folder) returns")
+    expect(graph, RoadGraph, "a map, as interloc.read_osm(file) returns")
     result = _as_printed(result)
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(
@@ -239,7 +241,7 @@ def evaluate(
     nodes = intersection_nodes(graph, policy, tolerance_m)
 
     on_map = np.flatnonzero(within(graph.bounds, result.detections.lonlat))
-    detections = _select(result.detections, on_map)
+    detections = result.detections.select(on_map)
     matching = match(result.keyframes, detections, nodes.lonlat, roi_m=roi_m, relevant_zone_m=relevant_zone_m)
     node_table = tabulate_nodes(matching, len(nodes))
     map_level = assign_intersections(
@@ -320,16 +322,3 @@ def _zones(run: dict[str, Any], roi_m: float | None, relevant_zone_m: float | No
             "Expected 0 < zone <= region; the zone is the region less twice the outer branch radius unless given."
         )
     return roi_m, relevant_zone_m
-
-
-def _select(detections: DetectionTable, rows: IntArray) -> DetectionTable:
-    return DetectionTable(
-        keyframe=detections.keyframe[rows],
-        lidar_xy=detections.lidar_xy[rows],
-        world_xy=detections.world_xy[rows],
-        lonlat=None if detections.lonlat is None else detections.lonlat[rows],
-        bearings_deg=[detections.bearings_deg[row] for row in rows],
-        widths_m=[detections.widths_m[row] for row in rows],
-        score=detections.score[rows],
-        intersection=detections.intersection[rows],
-    )

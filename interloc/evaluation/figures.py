@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from interloc.arrays import FloatArray
+from interloc.arrays import BoolArray, FloatArray
 from interloc.drawing import (
     BLUE,
     FAINT,
@@ -40,6 +40,7 @@ PERCENTILES = (5.0, 25.0, 50.0, 75.0, 95.0)
 """Of the paper's box plots: whiskers, box, median."""
 
 _MAP_MARGIN_M = 70.0
+_PLANE_DEG = 1.0  # how far from the drive its plane reaches
 
 
 def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
@@ -66,7 +67,7 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     axes.tick_params(labelsize=9, color=MUTED)
     axes.spines[:].set_color(FAINT)
 
-    _draw_roads(axes, evaluation, plane)
+    _draw_roads(axes, evaluation, plane, np.abs(evaluation.graph.lonlat - (lon, lat)).max(axis=1) < _PLANE_DEG)
     axes.plot(*track.T, color=INK, linewidth=1.1, alpha=0.8, zorder=3, label="track")
     _draw_detections(axes, evaluation, plane)
     _draw_nodes(axes, evaluation, plane)
@@ -79,10 +80,9 @@ def map_figure(evaluation: Evaluation, result: DriveResult) -> Figure:
     return figure
 
 
-def _draw_roads(axes: Axes, evaluation: Evaluation, plane: Any) -> None:  # noqa: ANN401 - a local function
+def _draw_roads(axes: Axes, evaluation: Evaluation, plane: Any, near: BoolArray) -> None:  # noqa: ANN401
     graph = evaluation.graph
     roads = road_ways(graph, evaluation.nodes.policy)
-    near = np.abs(graph.lonlat - np.median(graph.lonlat, axis=0)).max(axis=1) < 1.0  # the plane has an end
     place = np.full((len(graph.lonlat), 2), np.nan)
     place[near] = plane(graph.lonlat[near])
     for mask, colour, line_width in ((~roads, "#e6e8eb", 0.9), (roads, "#bfc5cc", 3.2)):

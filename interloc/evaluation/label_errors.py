@@ -1,4 +1,4 @@
-"""How errors in the road labels change the result: the paper's experiment (section V-D, Table IV, Fig. 8).
+"""How errors in the road labels change the result: the paper's experiment (section V-C, Table IV, Fig. 8).
 
 A level of label errors is r-FPR / r-FNR in percent: the share of sidewalk, parking and other-ground points that are
 labelled road, and the share of road points that are dropped.
@@ -94,7 +94,6 @@ def label_error_table(levels: Sequence[tuple[str, Evaluation]]) -> list[LabelErr
     for level, evaluation in levels:
         r_fpr, r_fnr = parse_level(level)
         name = f"{100.0 * r_fpr:g}/{100.0 * r_fnr:g}"
-        scores, table = evaluation.scores, evaluation.node_table
         published = LABEL_ERRORS.get(name)
         rows.append(
             LabelErrorRow(
@@ -103,11 +102,11 @@ def label_error_table(levels: Sequence[tuple[str, Evaluation]]) -> list[LabelErr
                 r_fnr=r_fnr,
                 ace_m=evaluation.errors.ace_m,
                 ace_under_10_m=evaluation.errors.ace_under_10_m,
-                precision=scores.at(STANDARD_THRESHOLD_M, scores.precision),
-                recall=scores.at(STANDARD_THRESHOLD_M, scores.recall),
-                f1=scores.at(STANDARD_THRESHOLD_M, scores.f1),
-                nodes_found=int((table.in_zone & table.found).sum()),
-                nodes_in_zone=int(table.in_zone.sum()),
+                precision=evaluation.precision,
+                recall=evaluation.recall,
+                f1=evaluation.f1,
+                nodes_found=evaluation.nodes_found,
+                nodes_in_zone=evaluation.nodes_in_zone,
                 paper_ace_m=published.ace_m if published else None,
                 paper_precision=published.precision if published else None,
                 paper_recall=published.recall if published else None,

@@ -10,7 +10,7 @@ from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.evaluation.matching import Matching
 
 THRESHOLDS_M: tuple[float, ...] = tuple(sorted({*(0.5 * i for i in range(1, 21)), 6.9, 13.3}))
-"""Values of the confidence threshold D: 0.5 to 10 m, and the two that compare with MMInsectDet (section V-C)."""
+"""Values of the confidence threshold D: 0.5 to 10 m, and the two that compare with MMInsectDet (section V-B)."""
 
 STANDARD_THRESHOLD_M = 5.0
 """The D of the paper's tables."""
@@ -74,7 +74,7 @@ class Scores:
 
 
 def summarize_errors(matching: Matching) -> ErrorSummary:
-    """Summarize the center errors of all matched pairs (paper, eq. 15)."""
+    """Summarize the center errors of all matched pairs (paper, eq. 14)."""
     errors = matching.error_m[matching.is_matched]
     return ErrorSummary(
         ace_m=_mean(errors),
@@ -87,7 +87,7 @@ def summarize_errors(matching: Matching) -> ErrorSummary:
 
 
 def score(matching: Matching, thresholds_m: tuple[float, ...] = THRESHOLDS_M) -> Scores:
-    """Count true and false positives at each threshold, and false negatives (paper, eq. 16 to 19).
+    """Count true and false positives at each threshold, and false negatives (paper, eq. 15 to 17).
 
     Notes
     -----

@@ -101,6 +101,8 @@ PASSED_M = 15.0
 BRANCH_M = 15.0
 """A branch needs so much road: it is fitted beyond one road width, on at least another half."""
 
+_AROUND_M = 300.0
+
 _VEHICLE = DRIVABLE | {
     *("service", "track", "pedestrian", "busway", "bus_guideway", "raceway", "escape", "rest_area", "services"),
     *("construction", "emergency_bay"),
@@ -366,6 +368,7 @@ class _Network:
         walked_m : float
         """
         place, walked = start, 0.0
+        passed: dict[int, float] = {}
         while True:
             step = self._xy[node] - place
             reach = float(np.hypot(*step))
@@ -373,8 +376,9 @@ class _Network:
                 return place + step * ((length_m - walked) / max(reach, 1e-9)), length_m
             place, walked = self._xy[node], walked + reach
             others = [each for each in self.neighbours[node] if each != before]
-            if len(others) != 1:
+            if len(others) != 1 or passed.get(node) == walked:  # or a ring without length
                 return place, walked
+            passed[node] = walked
             before, node = node, others[0]
 
 
@@ -523,11 +527,11 @@ def explain_missed(evidence: MapEvidence, seen: Sightings, node: int) -> Reason:
     )
 
 
-def _around(xy: FloatArray, track_xy: FloatArray, margin_m: float = 300.0) -> BoolArray:
-    """Return which (N, 2) places lie in the box around a track and some metres more: its region of interest too."""
+def _around(xy: FloatArray, track_xy: FloatArray) -> BoolArray:
+    """Return which (N, 2) places lie in the box around a track and its regions of interest."""
     if len(track_xy) == 0:
         return np.zeros(len(xy), dtype=np.bool_)
-    low, high = track_xy.min(axis=0) - margin_m, track_xy.max(axis=0) + margin_m
+    low, high = track_xy.min(axis=0) - _AROUND_M, track_xy.max(axis=0) + _AROUND_M
     inside: BoolArray = ((xy >= low) & (xy <= high)).all(axis=1)
     return inside
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
+from interloc.config import flatten
 from interloc.drawing import image, metres, percent, write_image
 from interloc.errors import OutputError
 from interloc.evaluation.coverage import track_bounds
@@ -24,14 +25,13 @@ from interloc.evaluation.reasons import KINDS
 from interloc.files import atomic_write, reason_of
 from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
-from interloc.output.geojson import DEGREE_DECIMALS, encode, positions, rounded, write_collection
+from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, encode, positions, rounded, write_collection
 from interloc.output.layers import BUILDINGS, LAYERS
-from interloc.output.layout import FIGURES, RUN_SETTINGS, flatten, settings_of
+from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
 from interloc.output.osm_roads import building_features, road_features
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
 
-_METRE_DECIMALS = 4
 _RATIO_DECIMALS = 6
 
 
@@ -227,7 +227,7 @@ def _fact(name: str, value: object) -> tuple[str, str]:
 
 def report_record(evaluation: Evaluation) -> dict[str, Any]:
     """Return what `report.json` holds, by the contract of the result folder; what is undefined is None."""
-    scores, errors, table = evaluation.scores, evaluation.errors, evaluation.node_table
+    scores, errors = evaluation.scores, evaluation.errors
     map_level = _map_level(evaluation.map_level)
     names = [threshold_name(d) for d in scores.threshold_m]
     return {
@@ -265,8 +265,8 @@ def report_record(evaluation: Evaluation) -> dict[str, Any]:
         "f1": dict(zip(names, _ratios(scores.f1), strict=True)),
         "roi_m": evaluation.roi_m,
         "relevant_zone_m": evaluation.relevant_zone_m,
-        "nodes_in_zone": int(table.in_zone.sum()),
-        "nodes_found": int((table.in_zone & table.found).sum()),
+        "nodes_in_zone": evaluation.nodes_in_zone,
+        "nodes_found": evaluation.nodes_found,
         "map_level": map_level,
         "map_line": map_line(map_level),
         "reasons": evaluation.verdicts.counts,
@@ -381,7 +381,7 @@ def _map_level(level: MapLevel) -> dict[str, Any]:
 
 
 def _metres(value: float | np.floating[Any] | None) -> float | None:
-    return None if value is None else rounded(float(value), _METRE_DECIMALS)
+    return None if value is None else rounded(float(value), METRE_DECIMALS)
 
 
 def _ratio(value: float | None) -> float | None:

@@ -121,29 +121,28 @@ def judge(
         _spread(len(detections), false_rows, _sentences(false)),
     )
 
-    level = map_level
-    wrong_rows = np.flatnonzero(level.counts & (level.node == UNMATCHED))
+    wrong_rows = np.flatnonzero(map_level.counts & (map_level.node == UNMATCHED))
     wrong = explain_false(
         evidence,
         evidence.plane(intersections.lonlat[wrong_rows]),
         [0] * len(wrong_rows),
-        ((0, row) for row in level.node[level.node != UNMATCHED].tolist()),
-        level.gate_m,
+        ((0, row) for row in map_level.node[map_level.node != UNMATCHED].tolist()),
+        map_level.gate_m,
     )
     fused = Verdicts(
         [
             ("unscored" if not counts else "right" if node != UNMATCHED else "wrong")
-            for counts, node in zip(level.counts.tolist(), level.node.tolist(), strict=True)
+            for counts, node in zip(map_level.counts.tolist(), map_level.node.tolist(), strict=True)
         ],
-        [osm_ids[row] for row in level.node.tolist()],
-        level.error_m,
+        [osm_ids[row] for row in map_level.node.tolist()],
+        map_level.error_m,
         _spread(len(intersections), wrong_rows, _sentences(wrong)),
     )
     inside = within(graph.bounds, intersections.lonlat)
-    for row in np.flatnonzero(~level.counts).tolist():
+    for row in np.flatnonzero(~map_level.counts).tolist():
         fused.reason[row] = OUTSIDE_ZONE if inside[row] else OUTSIDE_MAP
 
-    missed_rows = np.flatnonzero(level.node_in_zone & ~level.node_found)
+    missed_rows = np.flatnonzero(map_level.node_in_zone & ~map_level.node_found)
     seen = Sightings(
         keyframe_xy=evidence.plane(keyframes.lonlat),
         detection_xy=evidence.plane(detections.lonlat),
@@ -151,18 +150,18 @@ def judge(
         detection_intersection=detections.intersection,
         intersection_xy=evidence.plane(intersections.lonlat),
         intersection_id=intersections.id,
-        intersection_node=level.node,
-        gate_m=level.gate_m,
+        intersection_node=map_level.node,
+        gate_m=map_level.gate_m,
     )
     missed = [explain_missed(evidence, seen, row) for row in missed_rows.tolist()]
-    assigned = np.flatnonzero(level.node != UNMATCHED)
+    assigned = np.flatnonzero(map_level.node != UNMATCHED)
     node_intersection = np.full(len(nodes), UNMATCHED, dtype=np.int64)
-    node_intersection[level.node[assigned]] = assigned
+    node_intersection[map_level.node[assigned]] = assigned
     return RunVerdicts(
         detections=_of_all(scored, detection_row, detection_count),
         intersections=fused,
-        uids=_uids(graph, intersections, level, osm_ids),
-        node_outcome=_node_outcomes(level.node_found, node_table.in_zone),
+        uids=_uids(graph, intersections, map_level, osm_ids),
+        node_outcome=_node_outcomes(map_level.node_found, node_table.in_zone),
         node_intersection=node_intersection,
         node_reason=_spread(len(nodes), missed_rows, _sentences(missed)),
         false_kind=_spread(len(detections), false_rows, [reason.kind for reason in false]),

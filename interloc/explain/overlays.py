@@ -61,7 +61,7 @@ def describe_overlays(evidence: Evidence, drive_name: str, georeference: Georefe
 
     Notes
     -----
-    Longitudes and latitudes come from the keyframe's own fix (paper, eq. 13), as those of its detections do.
+    Longitudes and latitudes come from the keyframe's own fix (paper, eq. 12), as those of its detections do.
     """
     left, right, bottom, top = extent(evidence)
     corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])

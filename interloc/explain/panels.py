@@ -517,7 +517,7 @@ def describe(evidence: Evidence, verdict: Verdict) -> str:
     return f"Candidate {verdict.number}: {verdict.branches.count} branches{lineless}{split}; {'; '.join(parts)}"
 
 
-def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale: float = 1.0) -> None:
+def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict) -> None:
     """Draw circles, branches, their lines, the candidate and the refined point."""
     from matplotlib.patches import Circle  # noqa: PLC0415 - slow to import
 
@@ -534,9 +534,9 @@ def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale
         inside[:] = False
         inside[piece.pixels] = True
         colour = BRANCH_COLOURS[i % len(BRANCH_COLOURS)]
-        draw_lines(axes, segments(evidence, inside), color=colour, linewidth=3.2 * scale, label=f"branch {i + 1}")
+        draw_lines(axes, segments(evidence, inside), color=colour, linewidth=3.2, label=f"branch {i + 1}")
     for i, ends in enumerate(branch_lines(evidence, verdict)):
-        axes.plot(*ends.T, color=INK, linewidth=1.2 * scale, linestyle=(0, (4, 3)), zorder=5)
+        axes.plot(*ends.T, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), zorder=5)
         if i == 0:
             axes.plot([], [], color=INK, linewidth=1.2, linestyle=(0, (4, 3)), label="line of a branch")
     refined = np.array([evidence.steps.junctions[i].position for i in verdict.detections])
@@ -549,7 +549,7 @@ def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict, *, scale
             *place.T,
             linestyle="none",
             marker=marker,
-            markersize=size * scale,
+            markersize=size,
             markerfacecolor=colour,
             markeredgecolor=INK,
             markeredgewidth=0.9,

@@ -11,8 +11,6 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray, UInt8Array, UInt16Array
 from interloc.kernels import compiled
 
-SECTORS = 16
-
 
 @compiled
 def draw_roads(
@@ -48,10 +46,7 @@ def draw_roads(
             continue
         sector = int(np.floor((np.arctan2(dy, dx) % np.pi) / np.pi * 16.0)) % 16
         bits = np.uint16((1 << sector) | (1 << ((sector + 1) % 16)) | (1 << ((sector + 15) % 16)))
-        c0 = max(0, int(np.floor((min(ax, bx) - reach_m - origin[0]) / cell_m)))
-        c1 = min(columns - 1, int(np.floor((max(ax, bx) + reach_m - origin[0]) / cell_m)))
-        r0 = max(0, int(np.floor((min(ay, by) - reach_m - origin[1]) / cell_m)))
-        r1 = min(rows - 1, int(np.floor((max(ay, by) + reach_m - origin[1]) / cell_m)))
+        c0, c1, r0, r1 = _cells(segments, s, origin, cell_m, rows, columns, reach_m)
         for r in range(r0, r1 + 1):
             y = origin[1] + (r + 0.5) * cell_m
             for c in range(c0, c1 + 1):

@@ -69,12 +69,17 @@ def evidence_of(chain: Chain, fitted: Fit, roads: RoadMap) -> Evidence:
     if not len(chain.seen_from) or not len(roads.node_xy):
         return Evidence(road, len(chain.seen_from), 0, 0, 0, 0.0, fitted.strain)
     seen_at = chain.seen_at(fitted.pose)
-    apart = np.hypot(*np.moveaxis(seen_at[:, None] - roads.node_xy[None], -1, 0))
+    places = np.concatenate([fitted.pose[:, :2], seen_at])
+    low, high = places.min(axis=0) - _PASSED_M, places.max(axis=0) + _PASSED_M
+    near = np.flatnonzero(((roads.node_xy >= low) & (roads.node_xy <= high)).all(axis=1))  # few of a large map
+    if not len(near):
+        return Evidence(road, len(seen_at), 0, 0, 0, 0.0, fitted.strain)
+    apart = np.hypot(*np.moveaxis(seen_at[:, None] - roads.node_xy[None, near], -1, 0))
     nearest = apart.argmin(axis=1)
     hit = apart[np.arange(len(seen_at)), nearest] < _AT_NODE_M
     turned = chain.seen_angles_rad[hit] + fitted.pose[chain.seen_from[hit], 2][:, None]
-    branches = _agreement(turned, roads.node_angles_rad[nearest[hit]])
-    passed, missed = _passed(chain, fitted, roads, apart)
+    branches = _agreement(turned, roads.node_angles_rad[near[nearest[hit]]])
+    passed, missed = _passed(chain, fitted, roads.node_xy[near], apart)
     return Evidence(road, len(seen_at), int(hit.sum()), passed, missed, branches, fitted.strain)
 
 
@@ -88,14 +93,15 @@ def _agreement(seen: FloatArray, mapped: FloatArray) -> float:
     return float(partners / (np.isfinite(seen).sum() + np.isfinite(mapped).sum()))
 
 
-def _passed(chain: Chain, fitted: Fit, roads: RoadMap, apart: FloatArray) -> tuple[int, int]:
-    """Return how many nodes the track passes, passage by passage, and at how many of them nothing was seen."""
-    low, high = fitted.pose[:, :2].min(axis=0) - _PASSED_M, fitted.pose[:, :2].max(axis=0) + _PASSED_M
-    around = np.flatnonzero(((roads.node_xy >= low) & (roads.node_xy <= high)).all(axis=1))
-    from_track = np.hypot(*np.moveaxis(fitted.pose[:, None, :2] - roads.node_xy[None, around], -1, 0))
+def _passed(chain: Chain, fitted: Fit, node_xy: FloatArray, apart: FloatArray) -> tuple[int, int]:
+    """Return how many of (K, 2) nodes the track passes, passage by passage, and at how many nothing was seen.
+
+    ``apart`` are the distances of what was seen from each node, (J, K).
+    """
+    from_track = np.hypot(*np.moveaxis(fitted.pose[:, None, :2] - node_xy[None], -1, 0))
     passed = missed = 0
-    for column, node in enumerate(around.tolist()):
-        poses = np.flatnonzero(from_track[:, column] < _PASSED_M)
+    for node in range(len(node_xy)):
+        poses = np.flatnonzero(from_track[:, node] < _PASSED_M)
         if not len(poses):
             continue
         for passage in np.split(poses, np.flatnonzero(np.diff(poses) > _SAME_PASSAGE) + 1):

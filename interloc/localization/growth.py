@@ -86,7 +86,6 @@ def _before(result: DriveResult, frame: int) -> DriveResult:
     """Return a run up to a scan."""
     keyframes, table = result.keyframes, result.detections
     count = int(np.searchsorted(keyframes.frame, frame, side="right"))
-    rows = np.flatnonzero(table.keyframe < count)
     return replace(
         result,
         keyframes=replace(
@@ -98,15 +97,5 @@ def _before(result: DriveResult, frame: int) -> DriveResult:
             lonlat=None,
             enu_yaw_rad=None,
         ),
-        detections=replace(
-            table,
-            keyframe=table.keyframe[rows],
-            lidar_xy=table.lidar_xy[rows],
-            world_xy=table.world_xy[rows],
-            lonlat=None,
-            bearings_deg=[table.bearings_deg[row] for row in rows],
-            widths_m=[table.widths_m[row] for row in rows],
-            score=table.score[rows],
-            intersection=table.intersection[rows],
-        ),
+        detections=replace(table.select(np.flatnonzero(table.keyframe < count)), lonlat=None),
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Drive, Georeference
-from interloc.errors import ConfigError
+from interloc.errors import ConfigError, expect
 from interloc.geometry import bearing_deg, rotate_2d, rotation_from_rpy, wrap_angle
 from interloc.localization.decision import MIN_LENGTH_M, Decision, decide, too_short
 from interloc.localization.evidence import Evidence, evidence_of
@@ -159,6 +159,8 @@ def locate(
         Only one of `near` and `radius_m` is given, or it is out of range.
     """
     began = time.perf_counter()
+    expect(drive, Drive, "a drive, as interloc.open_drive(folder) returns")
+    expect(graph, RoadGraph, "a map, as interloc.read_osm(file) returns")
     _check_near(near, radius_m)
     track = track_of(drive.T_world_lidar)
     if track.length_m < MIN_LENGTH_M:

@@ -14,6 +14,7 @@ from interloc.drive import Drive, Georeference
 from interloc.errors import GeoreferenceError, LocationError
 from interloc.geometry import ecef_from_geodetic, lonlat_from_enu, rotate_2d, wrap_bearing, yaw_of
 from interloc.localization.locate import Location, Progress, locate
+from interloc.mapping.estimation import members_of
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import trajectory
 from interloc.osm.graph import RoadGraph
@@ -224,9 +225,8 @@ def fair_result(placed: DriveResult, drive: Drive, location: Location, nodes: In
 def _scan_of_fused(placed: DriveResult, rows: IntArray) -> IntArray:
     """Return the scan of a keyframe in the middle of those that saw each fused intersection."""
     scans = np.zeros(len(placed.intersections), dtype=np.int64)
-    for row in range(len(scans)):
-        seen_by = placed.detections.keyframe[placed.detections.intersection == row]
-        scans[row] = rows[seen_by[len(seen_by) // 2]] if len(seen_by) else 0
+    for row, members in members_of(placed.detections.intersection, len(scans)):
+        scans[row] = rows[placed.detections.keyframe[members[len(members) // 2]]]
     return scans
 
 

@@ -32,6 +32,7 @@ _ALIGNED = 0.8  # cosine between a way and the heading of who drives on it
 _START_SIGMA_M = 5.0
 _START_GATE_M, _GATE_M = 20.0, 8.0
 _SCALE_STD, _SCALE_LIMIT = 0.01, 0.04
+_WINDOW, _GROW = 40, 30  # poses to either side of an anchor at first, and more of them in each round
 
 
 @dataclass(frozen=True)
@@ -181,8 +182,6 @@ def fit(
     nodes: Nodes,
     *,
     anchor: int | None = None,
-    window: int = 40,
-    grow: int = 30,
     rounds: int = 10,
 ) -> Fit:
     """Bend a chain onto the roads.
@@ -197,27 +196,24 @@ def fit(
     anchor
         Pose around which `start` is good; the fit takes hold there and grows outwards, so that drift does not carry
         the far ends to the wrong roads. None: it is good everywhere.
-    window, grow : int
-        Poses to either side at first, and more of them in each round.
     rounds : int
         Rounds once the whole chain takes part.
     """
-    pose, (fit_, _) = start, (None, None)
-    low, high = (0, len(chain)) if anchor is None else (anchor - window, anchor + window + 1)
-    offset_m, scale, done = 0.0, 1.0, 0
+    low, high = (0, len(chain)) if anchor is None else (anchor - _WINDOW, anchor + _WINDOW + 1)
+    pose, offset_m, scale, done = start, 0.0, 1.0, 0
     while True:
         whole = low <= 0 and high >= len(chain)
         active = np.zeros(len(chain), dtype=np.bool_)
         active[max(low, 0) : high] = True
         step = _Round(chain, pose, offset_m, scale, active, cooling=0.7**done)
-        fit_, normal = step.linearise(ways, nodes)
+        fitted, normal = step.linearise(ways, nodes)
         if done >= rounds:
-            return fit_
+            return fitted
         moved, stretched = normal.solve()
         pose, scale = pose + moved, float(np.clip(scale + stretched, 1.0 - _SCALE_LIMIT, 1.0 + _SCALE_LIMIT))
         if whole:
             offset_m, done = step.offset(), done + 1
-        low, high = low - grow, high + grow
+        low, high = low - _GROW, high + _GROW
 
 
 def uncertainty(chain: Chain, fitted: Fit, ways: WayIndex, nodes: Nodes) -> FloatArray:

@@ -9,6 +9,8 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.geometry import rotate_2d, yaw_of
 
+_CHORD_M = 4.0  # of driving, by whose ends the direction of motion is known
+
 
 @dataclass(frozen=True)
 class Track:
@@ -92,8 +94,8 @@ class TrackPoints:
         return np.column_stack([rotate_2d(self.xy - self.xy[row], -turn), self.heading_rad - turn])
 
 
-def resample(track: Track, step_m: float, *, smooth_m: float = 4.0) -> TrackPoints:
-    """Return points of a track every `step_m`, with the direction of motion over `smooth_m` around each.
+def resample(track: Track, step_m: float) -> TrackPoints:
+    """Return points of a track every `step_m`, with the direction of motion over `_CHORD_M` around each.
 
     A scan that is no farther than the one before (the vehicle stands) adds nothing.
     """
@@ -104,7 +106,7 @@ def resample(track: Track, step_m: float, *, smooth_m: float = 4.0) -> TrackPoin
     def place(distance: FloatArray) -> FloatArray:
         return np.column_stack([np.interp(distance, at, xy[:, 0]), np.interp(distance, at, xy[:, 1])])
 
-    before, after = np.clip(along - smooth_m / 2, 0.0, at[-1]), np.clip(along + smooth_m / 2, 0.0, at[-1])
+    before, after = np.clip(along - _CHORD_M / 2, 0.0, at[-1]), np.clip(along + _CHORD_M / 2, 0.0, at[-1])
     chord = place(after) - place(before)
     heading = np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))
     return TrackPoints(along, place(along), heading)

@@ -60,7 +60,7 @@ def robust_centres(
     return centres
 
 
-def heaviest_member(xy: FloatArray, weight: FloatArray, labels: IntArray, count: int, *, scale_m: float) -> FloatArray:
+def densest_parts(xy: FloatArray, weight: FloatArray, labels: IntArray, count: int, *, scale_m: float) -> FloatArray:
     """Return for each of `count` groups the mean of its densest part: (count, 2), where `robust_centres` starts.
 
     The densest part is the cell of a grid of 1 `scale_m` with the greatest weight in its 3 x 3 neighbourhood.

@@ -12,10 +12,10 @@ from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d
 from interloc.mapping.clustering import assign, find_peaks, join_peaks
 from interloc.mapping.estimation import (
     Sightings,
+    densest_parts,
     fix_variance,
     fuse_bearings,
     fuse_widths,
-    heaviest_member,
     junction_probability,
     members_of,
     position_covariance,
@@ -76,7 +76,7 @@ def fuse(
         labels, scene.xy, scene.weight, scene.keyframe, radius_m=config.merge_radius_m, together=config.together
     )
     count = int(labels.max(initial=-1)) + 1
-    centres = heaviest_member(scene.xy, scene.weight, labels, count, scale_m=config.bandwidth_m)
+    centres = densest_parts(scene.xy, scene.weight, labels, count, scale_m=config.bandwidth_m)
     centres, labels = _reassign(scene, centres, labels, config)
     centres, labels = _reassign(scene, centres, labels, config)
 

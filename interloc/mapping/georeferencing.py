@@ -1,4 +1,4 @@
-"""Detections of keyframes in the tables of a run, georeferenced where the drive is (paper, eq. 13)."""
+"""Detections of keyframes in the tables of a run, georeferenced where the drive is (paper, eq. 12)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def build_tables(
 
     Notes
     -----
-    Paper, eq. 13, with the fix as the origin of a local east-north-up frame: p_enu = R(yaw) p_L. The drift of the
+    Paper, eq. 12, with the fix as the origin of a local east-north-up frame: p_enu = R(yaw) p_L. The drift of the
     poses over the drive thereby never reaches the map; only their error within one window does. Directions in W turn
     into directions in ENU by the difference of the two headings of that keyframe.
     """

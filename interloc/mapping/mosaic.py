@@ -90,7 +90,7 @@ def build_mosaic(result: DriveResult) -> Mosaic:
 
     Notes
     -----
-    Each patch is placed as the detections of its keyframe are (paper, eq. 13): by the fix of that keyframe where the
+    Each patch is placed as the detections of its keyframe are (paper, eq. 12): by the fix of that keyframe where the
     run is georeferenced, so the drift of the poses over the drive does not reach the raster. The coordinate system is
     then the UTM zone of the first keyframe; else it is W.
     """

@@ -19,6 +19,9 @@ from interloc.osm.graph import Bounds
 
 Container = Literal["osm", "osm.gz", "osm.bz2", "pbf"]
 
+MAP_ENDINGS = (".osm", ".osm.gz", ".osm.bz2", ".osm.pbf")
+"""Endings of OpenStreetMap files; upper and lower case are the same."""
+
 MAX_UNPACKED_BYTES = 16 * 1024**3
 """Larger maps are for .osm.pbf, whose blocks are bounded by the format."""
 
@@ -27,6 +30,11 @@ SIMULATOR = "interloc simulate"
 
 _BLOCK_BYTES = 1 << 20
 _DATA_ELEMENTS = {"node", "way", "relation"}
+
+
+def is_map(path: str) -> bool:
+    """Return whether a file is an OpenStreetMap file by its name."""
+    return path.lower().endswith(MAP_ENDINGS)
 
 
 @dataclass(frozen=True)

@@ -100,12 +100,14 @@ def download_roads(
     answer = cache_dir / hashlib.sha256(key.encode()).hexdigest()[:32]
     try:
         cache_dir.mkdir(parents=True, exist_ok=True)
+        graph = None
         with _ONE_AT_A_TIME:
             if not answer.is_dir():
                 with _lock(cache_dir / "overpass.lock", wait):
                     if not answer.is_dir():  # the process that held the lock may have asked the same
-                        _fetch(bounds, url, answer, timeout_s, wait)
-            graph = _ask(bounds, url, answer, timeout_s)
+                        graph = _fetch(bounds, url, answer, timeout_s, wait)
+            if graph is None:
+                graph = _ask(bounds, url, answer, timeout_s)
             date = _date_of(answer)
     except OSError as error:
         raise OutputError(f"{cache_dir}: the cache of map downloads cannot be used ({error}).") from error
@@ -149,17 +151,18 @@ class _Waiting:
             time.sleep(min(1.0, remaining))
 
 
-def _fetch(bounds: Bounds, url: str, answer: Path, timeout_s: int, wait: _Waiting) -> None:
-    """Ask until the server has a free slot, and keep its answer; a folder that exists is complete."""
+def _fetch(bounds: Bounds, url: str, answer: Path, timeout_s: int, wait: _Waiting) -> Any:  # noqa: ANN401 - networkx
+    """Ask until the server has a free slot, and keep its answer, too; a folder that exists is complete."""
     with tempfile.TemporaryDirectory(prefix="asking-", dir=answer.parent, ignore_cleanup_errors=True) as folder:
         while True:
             wait.announce(f"Asking {url} for the roads", timeout_s)
             try:
-                _ask(bounds, url, Path(folder), timeout_s)
+                graph = _ask(bounds, url, Path(folder), timeout_s)
                 break
             except _BusyError as busy:
                 wait.sleep(f"{url} is busy (status {busy.status})", busy.pause_s)
         Path(folder).rename(answer)
+    return graph
 
 
 def _ask(bounds: Bounds, url: str, folder: Path, timeout_s: int) -> Any:  # noqa: ANN401 - networkx has no types

@@ -62,7 +62,7 @@ def pack_kmz(files: Iterable[tuple[bytes, Layer, Rows]], name: str) -> bytes:
     parts: list[ET.Element] = []
     icons: dict[str, bytes] = {}
     for content, layer, rows in files:
-        parts.extend(_styled(content, layer, rows, in_archive=True).find(_tag("Document")) or ())
+        parts.extend(_styled(content, layer, rows, in_archive=True).iterfind(f"{_tag('Document')}/*"))
         for number, rule in enumerate(STYLES[layer.name].rules):
             if isinstance(rule.symbol, Mark):
                 icons[_icon_path(layer, number)] = _draw(rule.symbol)

@@ -4,7 +4,7 @@
 file                      content
 ========================  ==============================================================================================
 ``run.json``              what the run was: format version, list of files, configuration, versions, timings
-``LAYER.geojson``         one per table of the run; properties: the models of `interloc.output.layers`
+``LAYER.geojson``         one per table of the run; properties: the models of `interloc.output.properties`
 ``LAYER.local.json``      the same of a run without georeference, in metres of W
 ``road.tif``              the road seen by LiDAR, a GeoTIFF; not in folders of older versions
 ``report.json``, ...      after an evaluation: the report, its figures, and the layers that hold OpenStreetMap data
@@ -45,13 +45,6 @@ def settings_of(run: Mapping[str, Any]) -> dict[str, Any]:
     if "fusion" in run:
         config.setdefault("fusion", run["fusion"])
     return config
-
-
-def flatten(value: object, name: str = "") -> list[tuple[str, Any]]:
-    """Return the values within nested mappings under their dotted names: ("bev.resolution_m", 0.16)."""
-    if isinstance(value, Mapping):
-        return [row for key, each in value.items() for row in flatten(each, f"{name}.{key}" if name else str(key))]
-    return [(name, value)]
 
 
 def file_names(*, georeferenced: bool) -> dict[str, str]:

@@ -190,7 +190,7 @@ class TrajectoryProperties(Properties):
     """The track of the LiDAR as one line; beside its geometry `world_xy_m`, the same line in W."""
 
     scans: int = Field(title="Scans", description="Number of scans of the drive.")
-    thinned_to_m: Annotated[float, Decimals(4, "m")] = Field(
+    thinned_to_m: Metres = Field(
         title="Thinned to", description="Smallest distance between two positions of the line, metres."
     )
 
@@ -345,7 +345,7 @@ class Attribute:
     kind : str
         int, float, bool, text, time or list.
     unit : str or None
-        m, s, rad or degree.
+        m, m2, s, rad or degree.
     decimals : int or None
         How many are printed.
     """

@@ -27,11 +27,6 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
     folder
         The result folder.
 
-    Parameters
-    ----------
-    folder
-        The result folder.
-
     Raises
     ------
     OutputError

@@ -55,8 +55,8 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     Notes
     -----
     `run.json` is removed first and written last: a folder that has it is complete. `road.tif` is written where the run
-    kept the road around its keyframes (`DriveResult.road`). The trajectory is thinned to one
-    point every 0.5 m; first and last scan stay.
+    kept the road around its keyframes (`DriveResult.road`). The trajectory is thinned to one point every 0.5 m; first
+    and last scan stay.
     """
     folder = Path(folder)
     names = file_names(georeferenced=result.is_georeferenced)

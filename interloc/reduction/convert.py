@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from interloc.arrays import IntArray, UInt32Array
+from interloc.arrays import UInt32Array
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import LabelScheme
 from interloc.drives.open import DriveReading, read_drive
@@ -21,10 +19,8 @@ from interloc.errors import ConfigError
 from interloc.files import atomic_folder
 from interloc.labelling.remission import remission_scale
 from interloc.processes import cores
-from interloc.reduction.small_files import make_small_files
-
-Progress = Callable[[int, int], None]
-"""Called with the scans done and the scans in all."""
+from interloc.reduction.reduce import Progress, in_threads
+from interloc.reduction.small_files import is_contiguous, make_small_files
 
 _POSES = "poses.txt"
 _ROAD, _OTHER_GROUND = 40, 49  # ids of SemanticKITTI
@@ -88,7 +84,7 @@ def convert_drive(
     source, frames, labels = store.recording.points, store.frames, store.labels
     assert source is not None
     assert frames is not None
-    numbers = frames if _is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
+    numbers = frames if is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
     label_folder: LabelFolder = "predictions" if chosen.model is not None else chosen.labels
     copies = make_small_files(reading.trajectory, numbers)
     ids_of = _ids_in_semantickitti(reading.labels.scheme)
@@ -111,7 +107,7 @@ def convert_drive(
         for name in names:
             (folder / name).mkdir()
         threads = _READING_THREADS if labels is None or not labels.is_slow else cores()
-        _in_threads(lambda row: write(row, folder), range(len(frames)), threads, progress)
+        in_threads(lambda row: write(row, folder), range(len(frames)), threads, progress)
         copies.write_to(folder)
     return Converted(
         name=store.parts.drive_name,
@@ -176,7 +172,7 @@ def label_drive(
         ids.astype("<u4").tofile(folder / f"{frame:06d}.label")
 
     with atomic_folder(target, marker=f"{int(frames[-1]):06d}.label") as folder:
-        _in_threads(lambda frame: write(frame, folder), frames.tolist(), cores(), progress)
+        in_threads(lambda frame: write(frame, folder), frames.tolist(), cores(), progress)
     return target, reading
 
 
@@ -193,24 +189,8 @@ def _read(root: Path, options: DriveOptions, *, needs_labels: bool = True) -> tu
     return reading, reading.store
 
 
-def _in_threads(work: Callable[[int], None], items: Iterable[int], threads: int, progress: Progress | None) -> None:
-    """Do the work for each item; reading, networks and writing wait for no interpreter."""
-    items = list(items)
-    pool = ThreadPoolExecutor(threads)
-    try:
-        for done, _ in enumerate(pool.map(work, items), start=1):
-            if progress is not None:
-                progress(done, len(items))
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
 def _ids_in_semantickitti(scheme: LabelScheme | None) -> UInt32Array | None:
     """Return the (65536,) table from the ids of a scheme to SemanticKITTI's; None where they are known anyway."""
     if scheme is None or scheme.name not in {"las", "custom"}:
         return None
     return np.array([0, _ROAD, _OTHER_GROUND], np.uint32)[scheme.groups()]
-
-
-def _is_contiguous(frames: IntArray) -> bool:
-    return int(frames[-1] - frames[0]) == len(frames) - 1

@@ -172,16 +172,20 @@ def reduce_drive(
     with atomic_folder(Path(out), marker=MANIFEST) as folder:
         for labels in reduction.scans:
             (folder / ground_path(labels, 0)).parent.mkdir(parents=True)
-        threads = ThreadPoolExecutor(_THREADS)  # reading and deflating wait for no interpreter
-        try:
-            written = threads.map(lambda frame: reduction.write_ground(frame, folder), frames)
-            for done, _ in enumerate(written, start=1):
-                if progress is not None:
-                    progress(done, len(frames))
-        finally:
-            threads.shutdown(cancel_futures=True)
+        in_threads(lambda frame: reduction.write_ground(frame, folder), frames, _THREADS, progress)
         reduction.write_rest(folder)
     return reduction.manifest
+
+
+def in_threads(work: Callable[[int], None], items: Sequence[int], threads: int, progress: Progress | None) -> None:
+    """Do the work for each item; reading, deflating, networks and writing wait for no interpreter."""
+    pool = ThreadPoolExecutor(threads)
+    try:
+        for done, _ in enumerate(pool.map(work, items), start=1):
+            if progress is not None:
+                progress(done, len(items))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def label_folders_in(root: Path) -> tuple[LabelFolder, ...]:

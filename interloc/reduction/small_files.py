@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import IntArray
-from interloc.drives.files import MAX_ROWS, GeoreferenceFile, list_numbered, os_reason
+from interloc.drives.files import MAX_ROWS, GeoreferenceFile, list_numbered
 from interloc.drives.findings import DriveFileError
 from interloc.drives.georeference.geo_csv import geo_csv_text
 from interloc.drives.georeference.read import locate_georeference
@@ -22,6 +22,7 @@ from interloc.drives.poses.calibration import (
     locate_imu_calibration,
 )
 from interloc.drives.trajectory import Trajectory
+from interloc.files import reason_of
 
 GEOREFERENCE_FOLDER = "georeference"
 """Where a georeference lies that came from outside of the drive."""
@@ -60,7 +61,7 @@ class SmallFileCopies:
             try:
                 data = source if isinstance(source, bytes) else source.read_bytes()
             except OSError as error:
-                raise DriveFileError(str(source), f"cannot be read: {os_reason(error)}.") from error
+                raise DriveFileError(str(source), f"cannot be read: {reason_of(error)}.") from error
             target = folder / name
             if target != source:
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -81,7 +82,7 @@ def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopie
     """
     assert trajectory.poses is not None
     copies = SmallFileCopies({"poses": "poses.txt", "times": None, "calibration": [], "oxts": None, "geo": None})
-    contiguous = int(frames[-1] - frames[0]) == len(frames) - 1
+    contiguous = is_contiguous(frames)
     lines = io.StringIO()
     numbers = trajectory.poses.T_world_lidar[:, :3].reshape(-1, 12)
     for frame, row in zip(frames, numbers.tolist(), strict=True):
@@ -98,6 +99,11 @@ def make_small_files(trajectory: Trajectory, frames: IntArray) -> SmallFileCopie
         copies.files["geo"] = "geo.csv"
         copies.sources["geo.csv"] = geo_csv_text(frames, trajectory.georeference, exact=True).encode()
     return copies
+
+
+def is_contiguous(frames: IntArray) -> bool:
+    """Return whether ascending scan numbers leave none out."""
+    return int(frames[-1] - frames[0]) == len(frames) - 1
 
 
 def gather_small_files(parts: DriveParts, frames: IntArray, given: Path | None) -> SmallFileCopies:

@@ -17,7 +17,7 @@ import pytest
 import zstandard
 
 from tests.app.conftest import running_server
-from tests.app.processes import ended, files_below, wait_until
+from tests.app.processes import NO_TLS, ended, files_below, wait_until
 
 FILES = {
     "poses.txt": b"1 0 0 0 0 1 0 0 0 0 1 0\n",
@@ -36,7 +36,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def client(home: Path) -> Iterator[httpx.Client]:
     """One server for all tests of this module: its workers start only once."""
-    with running_server(home / "data") as address, httpx.Client(base_url=address, timeout=120) as client:
+    with running_server(home / "data") as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
         yield client
 
 

@@ -40,7 +40,7 @@ from interloc.errors import ConfigError, InterLocError, OutputError
 from tests import forks
 from tests.app.conftest import running_server
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
-from tests.app.processes import API, archive_of, ended, files_below, submit, upload, wait_until
+from tests.app.processes import API, NO_TLS, archive_of, ended, files_below, submit, upload, wait_until
 from tests.app.street import write_street
 
 SCANS = 40
@@ -56,7 +56,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def used(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Data folder of a service with a scored job, a drive that keeps its scans, and an upload. Shared."""
     data = tmp_path_factory.mktemp("used") / "data"
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
         ready = upload(client, street)
         for osm in ({"file": "map.osm"}, None):
             assert ended(client, submit(client, ready, osm=osm))["state"] == "successful"
@@ -67,15 +67,25 @@ def used(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return data
 
 
-@pytest.fixture
-def data(used: Path, tmp_path: Path) -> Path:
-    """A data folder like that, for one test: files by links, the database by a copy."""
-    target = tmp_path / "data"
+def copy_of(used: Path, target: Path) -> Path:
+    """Return a data folder like another one: files by links, the database by a copy."""
     shutil.copytree(used, target, copy_function=os.link)
     for name in ("interloc.sqlite3", "installation"):
         (target / name).unlink()
         shutil.copy(used / name, target / name)
     return target
+
+
+@pytest.fixture
+def data(used: Path, tmp_path: Path) -> Path:
+    """A data folder like that, for one test."""
+    return copy_of(used, tmp_path / "data")
+
+
+@pytest.fixture(scope="module")
+def told(used: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the API tells of it."""
+    return answers(copy_of(used, tmp_path_factory.mktemp("told") / "data"))
 
 
 def new_drive(client: httpx.Client) -> str:
@@ -129,7 +139,10 @@ def rows(data: Path) -> dict[str, list[dict[str, Any]]]:
 def answers(data: Path, **settings: Any) -> dict[str, Any]:
     """All that the API tells of drives, files, jobs and results."""
     told: dict[str, Any] = {}
-    with running_server(data, **settings) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with (
+        running_server(data, **settings) as address,
+        httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
+    ):
 
         def get(path: str) -> Any:
             answer = client.get(f"{API}{path}")
@@ -160,7 +173,7 @@ def without_expiry(status: int, etag: str | None, content: bytes) -> tuple[int, 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_a_restored_service_answers_as_before(
-    kind: str, request: pytest.FixtureRequest, data: Path, tmp_path: Path
+    kind: str, request: pytest.FixtureRequest, data: Path, told: dict[str, Any], tmp_path: Path
 ) -> None:
     """Also where the backup is of SQLite and the restored service uses PostgreSQL."""
     settings = {} if kind == "sqlite" else {"database_url": request.getfixturevalue("postgres_url")}
@@ -171,9 +184,8 @@ def test_a_restored_service_answers_as_before(
     assert (restored.drives, restored.findings) == (3, [])
     assert not (tmp_path / "restored" / RESTORING).exists()
     assert (tmp_path / "restored/installation").read_text() == (data / "installation").read_text()
-    before = answers(data)
-    assert answers(tmp_path / "restored", **settings) == before
-    assert sum(path.startswith("/jobs/") and "/files/" in path for path in before) > 10
+    assert answers(tmp_path / "restored", **settings) == told
+    assert sum(path.startswith("/jobs/") and "/files/" in path for path in told) > 10
     again = make_backup(tmp_path / "restored", tmp_path / "backup", **settings)  # of the same installation
     assert (again.brought_files, again.removed_files) == (0, 0)
 
@@ -188,7 +200,7 @@ def test_the_next_backup_brings_what_has_changed(data: Path, street: Path, tmp_p
     assert first.brought_files == first.record.files == len(contents(out))
     second = make_backup(data, out)
     assert (second.brought_files, second.removed_files, second.record.files) == (0, 0, first.record.files)
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
         by_state = {drive["state"]: drive["id"] for drive in client.get(f"{API}/drives").json()["drives"]}
         begun = by_state["uploading"]
         put(client, begun, "poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n")  # replaced
@@ -233,7 +245,7 @@ def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path,
     make_backup(data, out)
     before = contents(out)
     assert all(path.stat().st_nlink > 1 for path in files_below(out / "drives"))
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
         for drive in client.get(f"{API}/drives").json()["drives"]:
             put(client, drive["id"], "map.osm", b"another map")  # a file that the service replaces
             client.delete(f"{API}/drives/{drive['id']}").raise_for_status()
@@ -243,7 +255,7 @@ def test_a_backup_on_the_same_disk_takes_no_space_and_stays_as_it_is(data: Path,
 def test_what_was_going_on_goes_on_where_it_is_restored(street: Path, tmp_path: Path) -> None:
     """A commit, an unpacking and a job, each leased to a server that is lost with the machine."""
     data, out = tmp_path / "data", tmp_path / "backup"
-    with running_server(data) as address, httpx.Client(base_url=address, timeout=120) as client:
+    with running_server(data) as address, httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client:
         ready = upload(client, street)
         request = ended(client, submit(client, ready, osm={"file": "map.osm"}))["request"]
         checking, unpacking = new_drive(client), new_drive(client)
@@ -265,7 +277,10 @@ def test_what_was_going_on_goes_on_where_it_is_restored(street: Path, tmp_path: 
     with service(tmp_path / "restored") as context, context.database.reading() as session:
         rows = session.scalars(select(Job).where(Job.owner == "me")).all()
         assert [(row.state, row.lease_owner, row.attempts) for row in rows] == [("accepted", None, 0)] * 3
-    with running_server(tmp_path / "restored") as address, httpx.Client(base_url=address, timeout=120) as client:
+    with (
+        running_server(tmp_path / "restored") as address,
+        httpx.Client(base_url=address, timeout=120, verify=NO_TLS) as client,
+    ):
         for row in rows:
             assert ended(client, row.id)["state"] == "successful"
             if row.kind == "intersections":
@@ -307,7 +322,7 @@ class Load:
 
     def _work(self) -> None:
         try:
-            with httpx.Client(base_url=self._address, timeout=120) as client:
+            with httpx.Client(base_url=self._address, timeout=120, verify=NO_TLS) as client:
                 while not self._stop.is_set():
                     self._send_drive(client)
         except httpx.HTTPError as error:

@@ -27,6 +27,7 @@ from interloc.reduction.reduce import reduce_drive
 from interloc.results import RoadPatch
 from tests.app.street import write_street
 
+SCANS = 120
 REALS = st.floats(allow_nan=False, width=64)
 
 
@@ -110,9 +111,9 @@ def test_a_full_disk_leaves_no_checkpoint(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a committed drive of 300 keyframes."""
+    """Folder of a committed drive; each scan is a keyframe."""
     folder = tmp_path_factory.mktemp("drive")
-    street = write_street(folder / "street", scans=300)
+    street = write_street(folder / "street", SCANS)
     reduce_drive(street, folder / "reduced", keyframes=None)
     return folder
 
@@ -128,12 +129,12 @@ def task(drive: Path, tmp_path: Path) -> Task:
 
 def test_a_part_that_is_done_is_not_done_again(task: Task, tmp_path: Path) -> None:
     plan = kinds.prepare(task)
-    assert (plan.total, [(part.start, part.stop) for part in plan.parts]) == (300, [(0, 300)])
+    assert (plan.total, [(part.start, part.stop) for part in plan.parts]) == (SCANS, [(0, SCANS)])
     kinds.run(task, plan.parts[0])
     nowhere = replace(task, drive=tmp_path / "nowhere", attempt="b")  # another attempt could not do it
     ProgressFiles(nowhere).open()
     kinds.run(nowhere, plan.parts[0])
-    assert ProgressFiles(nowhere).read().done == {0: 300}
+    assert ProgressFiles(nowhere).read().done == {0: SCANS}
 
 
 def test_the_cut_does_not_matter(task: Task) -> None:
@@ -143,7 +144,7 @@ def test_the_cut_does_not_matter(task: Task) -> None:
     expected = {path.name: path.read_bytes() for path in task.result.glob("*.geojson")}
     assert len(expected) == 4
     shutil.rmtree(task.result)
-    cut = replace(whole, parts=[Part(0, 0, 1), Part(1, 1, 130), Part(2, 130, 300)])
+    cut = replace(whole, parts=[Part(0, 0, 1), Part(1, 1, 52), Part(2, 52, SCANS)])
     for part in cut.parts:
         kinds.run(task, part)
     kinds.finish(task, cut)

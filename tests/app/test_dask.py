@@ -31,7 +31,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("dask")
     contact = folder / "scheduler.json"
     scheduler = ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(contact)]
-    worker = ["worker", "--scheduler-file", str(contact), "--nthreads", "1", "--no-dashboard"]
+    two = ["--nworkers", "2", "--nthreads", "1"]
+    workers = ["worker", "--scheduler-file", str(contact), *two, "--no-dashboard"]
     with ExitStack() as stack:
 
         def start(arguments: list[str]) -> None:
@@ -45,8 +46,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         start(scheduler)
         wait_until(lambda: contact.exists() and contact.read_text().endswith("}"), "the scheduler")
         address = json.loads(contact.read_text())["address"]
-        start(worker)
-        start(worker)
+        start(workers)
         executor = DaskExecutor(address, lambda: None)
         wait_until(lambda: executor.submit(os.getpid).result(60) and executor.alive == 2, "both workers")
         executor.stop()

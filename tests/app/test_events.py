@@ -20,7 +20,7 @@ from app.store.models import Drive, Job
 from tests.app.conftest import running_server
 from tests.app.processes import API, wait_until
 
-LISTENERS = 200
+LISTENERS = 60
 
 
 @pytest.fixture
@@ -162,7 +162,8 @@ def test_many_listeners_cost_one_question(client: httpx.Client, database: Databa
                 return [number for number, _ in stream]
 
         heard = [pool.submit(hear, number) for number in range(LISTENERS)]
-        wait_until(lambda: f"interloc_event_listeners {LISTENERS}.0" in client.get("/metrics").text, "all to listen")
+        all_listen = f"interloc_event_listeners {LISTENERS}.0"
+        wait_until(lambda: all_listen in client.get("/metrics").text, "all to listen", every_s=0.1)
         event.listen(Engine, "before_cursor_execute", count)
         try:
             change(database, job, message="one")

@@ -39,8 +39,8 @@ from tests.app.processes import (
 from tests.app.street import write_street
 
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
-SCANS = 100
-MIDDLE = 60
+SCANS = 70
+MIDDLE = 45
 
 Start = Callable[..., ServerProcess]
 
@@ -125,7 +125,7 @@ def test_a_job_goes_on_where_the_killed_server_left_it(start: Start, tmp_path: P
     done = checkpoints()
 
     again = start(workers=1)
-    wait_until(lambda: job_of(again.client, job)["attempts"] == 2, "the lease to run out")
+    wait_until(lambda: job_of(again.client, job)["attempts"] == 2, "the lease to run out", every_s=0.1)
     half_way(again.client, job)
     assert checkpoints() == done  # not done twice
     gate.open()

@@ -27,8 +27,8 @@ from tests.osm.test_overpass import Town
 Serve = Callable[..., httpx.Client]
 
 LAYERS = ("detections", "intersections", "keyframes", "trajectory")
-SCANS = 130
-MIDDLE = 60
+SCANS = 70
+MIDDLE = 45
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,12 @@ def drive(client: httpx.Client, street: Path) -> str:
     return upload(client, street)
 
 
+@pytest.fixture(scope="module")
+def scored(client: httpx.Client, drive: str) -> dict[str, Any]:
+    """A job of the drive that was scored against its map, at its end."""
+    return ended(client, submit(client, drive, osm={"file": "map.osm"}))
+
+
 def set_state(data_dir: Path, drive_id: str, state: str) -> None:
     """Bring a drive into a state that is hard to catch."""
     database = Database(Settings(data_dir=data_dir).sqlalchemy_url)
@@ -69,11 +75,11 @@ def problem(answer: httpx.Response, status: int) -> str:
 
 
 def test_a_job_finds_what_the_command_line_finds(
-    client: httpx.Client, drive: str, street: Path, tmp_path: Path
+    client: httpx.Client, scored: dict[str, Any], street: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     assert run(["run", str(street), "-o", str(out), "--osm", str(street / "map.osm"), "--quiet"]) == 0
-    job = ended(client, submit(client, drive, osm={"file": "map.osm"}))
+    job = scored
     assert job["state"] == "successful", job
     for layer in (*LAYERS, "osm-nodes", "matches"):
         answer = client.get(job["links"][layer])
@@ -97,9 +103,8 @@ def test_a_job_finds_what_the_command_line_finds(
     assert (job["attempts"], job["error"], job["stage"]) == (1, None, "finished")
 
 
-def test_the_roads_of_the_map_come_with_the_result(client: httpx.Client, drive: str) -> None:
-    job = ended(client, submit(client, drive, osm={"file": "map.osm"}))
-    roads = client.get(job["links"]["osm-roads"]).json()["features"]
+def test_the_roads_of_the_map_come_with_the_result(client: httpx.Client, scored: dict[str, Any]) -> None:
+    roads = client.get(scored["links"]["osm-roads"]).json()["features"]
     (along,) = [road for road in roads if road["properties"]["osm_id"] == 1000]
     assert along["geometry"]["type"] == "LineString"
     assert len(along["geometry"]["coordinates"]) > SCANS * 2.1 / 60  # a crossing every 60 m
@@ -430,7 +435,7 @@ def test_waiting_for_overpass_is_told(serve: Serve, street: Path, town: Town) ->
         job = job_of(own, job_id)
         return job["message"] if job["stage"] == "waiting for the map" and "busy" in (job["message"] or "") else None
 
-    assert "is busy (status 429)" in wait_until(look, "the wait to be told")
+    assert "is busy (status 429)" in wait_until(look, "the wait to be told", every_s=0.1)
     job = ended(own, job_id)
     assert job["state"] == "successful", job
     assert own.get(job["links"]["report"]).json()["osm"]["source"] == f"Overpass ({town.url})"

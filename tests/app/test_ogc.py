@@ -37,6 +37,7 @@ from interloc.output.layers import LAYERS
 from interloc.output.styles import RIGHT, ROAD, STYLES
 from tests.app.conftest import running_server
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
+from tests.app.processes import NO_TLS
 from tests.qgis import ask_qgis, pixels_of, require_qgis
 
 TOKEN = "a-token-for-a-gis"  # noqa: S105 - of no service
@@ -205,7 +206,7 @@ def gis(data: Path) -> Iterator[Gis]:
     asked: list[str] = []
     with (
         running_server(data, asked=asked, token=TOKEN) as address,
-        httpx.Client(base_url=address, headers=BEARER, timeout=60) as client,
+        httpx.Client(base_url=address, headers=BEARER, timeout=60, verify=NO_TLS) as client,
     ):
         yield Gis(client, address, asked)
 

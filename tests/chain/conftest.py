@@ -82,9 +82,9 @@ def one_junction(shape: str, angle_deg: float) -> str:
 
 
 def route_line(shape: str, angle_deg: float, route: str) -> FloatArray:
-    """Return the longitudes and latitudes of 60 m in and 60 m out, a point every metre or so."""
-    start, end = (arm(bearing(angle_deg), 60.0) for bearing in ROUTES[shape, route])
-    way_in, way_out = np.linspace(start, (0.0, 0.0), 50, endpoint=False), np.linspace((0.0, 0.0), end, 51)
+    """Return the longitudes and latitudes of 45 m in and 45 m out, a point every metre or so."""
+    start, end = (arm(bearing(angle_deg), 45.0) for bearing in ROUTES[shape, route])
+    way_in, way_out = np.linspace(start, (0.0, 0.0), 40, endpoint=False), np.linspace((0.0, 0.0), end, 41)
     return FRAME.lonlat(np.concatenate([way_in, way_out]))
 
 

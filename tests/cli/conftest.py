@@ -164,6 +164,14 @@ def osm(drive: Path) -> Path:
     return path
 
 
+@pytest.fixture(scope="session")
+def finished(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The result folder of a run over the drive, with its report. Shared: do not change it."""
+    out = tmp_path_factory.mktemp("finished") / "out"
+    assert run(["run", str(drive), "-o", str(out), "--osm", str(osm), "--quiet"]) == 0
+    return out
+
+
 @pytest.fixture
 def short_drive(drive: Path, tmp_path: Path) -> Path:
     """The first 16 scans, to be damaged."""

@@ -103,9 +103,9 @@ def test_a_map_of_another_place_is_refused(interloc: Callable, out: Path, osm: P
 
 
 def test_an_older_report_survives_a_failure(
-    interloc: Callable, out: Path, osm: Path, monkeypatch: pytest.MonkeyPatch
+    interloc: Callable, finished: Path, osm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    interloc("evaluate", out, "--osm", osm)
+    out = Path(shutil.copytree(finished, tmp_path / "out"))
     before = contents(out)
 
     def interrupt(*_: object) -> None:

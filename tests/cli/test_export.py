@@ -8,13 +8,11 @@ from pathlib import Path
 import pyogrio
 
 
-def test_a_result_as_one_file_for_gis(drive: Path, osm: Path, tmp_path: Path, interloc: Callable) -> None:
-    out = tmp_path / "out"
-    assert interloc("run", drive, "-o", out, "--osm", osm, "--quiet").code == 0
-    told = interloc("export", out, "-o", tmp_path / "out.gpkg", "--json").json
+def test_a_result_as_one_file_for_gis(finished: Path, tmp_path: Path, interloc: Callable) -> None:
+    told = interloc("export", finished, "-o", tmp_path / "out.gpkg", "--json").json
     assert told["layers"][:5] == ["intersections", "detections", "trajectory", "keyframes", "osm_nodes"]
     assert pyogrio.list_layers(tmp_path / "out.gpkg")[:, 0].tolist() == [*told["layers"], "layer_styles"]
-    said = interloc("export", out, "-o", tmp_path / "matches.kml", "--layer", "matches")
+    said = interloc("export", finished, "-o", tmp_path / "matches.kml", "--layer", "matches")
     assert (said.code, said.out.splitlines()[-1].split()) == (0, ["layers", "matches"])
     assert (tmp_path / "matches.kml").read_bytes().startswith(b"<?xml")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -10,57 +11,43 @@ from pathlib import Path
 
 import pytest
 
-from interloc.cli.main import run
+from tests.forks import Command
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits and mounts of Unix")
-
-LIMITED = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}));"
-MAIN = "from interloc.cli.main import main; main()"
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def only_line(process: subprocess.CompletedProcess[str]) -> str:
-    assert process.returncode == 1
-    (line,) = process.stderr.splitlines()
-    return line
-
-
 @pytest.fixture
-def limited(environment: dict[str, str]) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run a command that may write no file larger than some bytes."""
+def limited(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+    """Run a command that may write no file larger than some bytes; returns the only line it writes: what is wrong."""
 
-    def call(limit_bytes: int, *arguments: object) -> subprocess.CompletedProcess[str]:
-        code = LIMITED.format(limit_bytes) + MAIN
-        return subprocess.run(
-            [sys.executable, "-c", code, *map(str, arguments)],
-            capture_output=True,
-            text=True,
-            env=environment,
-            check=False,
-        )
+    def call(limit_bytes: int, *arguments: object) -> str:
+        streams = tmp_path_factory.mktemp("streams")
+        process = Command(arguments, environment, streams / "out", streams / "err", max_file_bytes=limit_bytes)
+        out, err = process.communicate(60)
+        assert (process.returncode, out) == (1, "")
+        (line,) = err.splitlines()
+        return line
 
     return call
 
 
 def test_detect_with_files_limited(limited: Callable, drive: Path, tmp_path: Path) -> None:
-    process = limited(10_000, "detect", drive, "-o", tmp_path / "new" / "out")
-    assert only_line(process) == (
-        f"interloc: {tmp_path}/new/out/detections.geojson could not be written: file too large."
-    )
+    complaint = limited(10_000, "detect", drive, "-o", tmp_path / "new" / "out")
+    assert complaint == f"interloc: {tmp_path}/new/out/detections.geojson could not be written: file too large."
     assert not list(tmp_path.iterdir())  # not even the folder above
 
 
-def test_evaluate_with_files_limited(limited: Callable, drive: Path, osm: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert run(["run", str(drive), "-o", str(out), "--osm", str(osm), "--quiet"]) == 0
+def test_evaluate_with_files_limited(limited: Callable, finished: Path, osm: Path, tmp_path: Path) -> None:
+    out = shutil.copytree(finished, tmp_path / "out")
     before = contents(out)
     limit = max(path.stat().st_size for path in out.glob("*.*json")) + 1000
     assert limit < (out / "report.html").stat().st_size
-    process = limited(limit, "evaluate", out, "--osm", osm, "--policy", "all")
-    assert "could not be written: file too large." in only_line(process)
+    complaint = limited(limit, "evaluate", out, "--osm", osm, "--policy", "all")
+    assert "could not be written: file too large." in complaint
     assert contents(out) == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 

@@ -115,7 +115,8 @@ def test_no_slow_import_before_a_command_needs_it(environment: dict[str, str]) -
 
 
 def test_exit_code_of_the_process(command: tuple[str, ...], environment: dict[str, str], tmp_path: Path) -> None:
-    for arguments, code in ((["--version"], 0), (["info", str(tmp_path / "none")], 1), (["info"], 2)):
+    missing = ["export", str(tmp_path / "none"), "-o", str(tmp_path / "out.kml")]  # it imports little
+    for arguments, code in ((["--version"], 0), (missing, 1), (["export"], 2)):
         process = subprocess.run([*command, *arguments], capture_output=True, text=True, env=environment, check=False)
         assert process.returncode == code
         assert "Traceback" not in process.stderr
@@ -125,9 +126,10 @@ def test_the_console_script(tmp_path: Path) -> None:
     script = Path(sys.executable).with_name("interloc")
     if not script.exists():
         pytest.skip("interloc is not installed, only importable")
-    process = subprocess.run([script, "info", tmp_path], capture_output=True, text=True, check=False)
+    arguments = [script, "export", tmp_path, "-o", tmp_path / "out.kml"]
+    process = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert process.returncode == 1
-    assert "This drive cannot be used" in process.stdout
+    assert process.stderr.startswith(f"interloc: {tmp_path}/run.json is missing")
 
 
 def test_a_reader_that_went_away_is_no_error(command: tuple[str, ...], environment: dict[str, str]) -> None:
@@ -175,13 +177,18 @@ def test_a_run_that_is_stopped_leaves_nothing(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals and terminals of Unix")
 def test_progress_is_shown_on_a_terminal_only(
-    interloc: Callable, command: tuple[str, ...], environment: dict[str, str], short_drive: Path, tmp_path: Path
+    interloc: Callable, environment: dict[str, str], short_drive: Path, tmp_path: Path
 ) -> None:
-    detect = [*command, "detect", str(short_drive), "--workers", "1"]
-    shown = stderr_on_terminal([*detect, "-o", str(tmp_path / "a")], environment)
+    detect = ["detect", str(short_drive), "--workers", "1", "-o"]
+    both = (
+        "import sys; from interloc.cli.main import run;"
+        f"first = run({[*detect, str(tmp_path / 'a')]}); print('DONE', file=sys.stderr, flush=True);"
+        f"sys.exit(first or run({[*detect, str(tmp_path / 'b'), '--quiet']}))"
+    )
+    shown, quiet = stderr_on_terminal([sys.executable, "-c", both], environment).split("DONE")
     assert "detect" in shown
     assert "keyframe" in shown
-    assert not stderr_on_terminal([*detect, "-o", str(tmp_path / "b"), "--quiet"], environment)
+    assert not quiet.strip()
     piped = interloc("detect", short_drive, "-o", tmp_path / "c")
     assert (piped.code, piped.err) == (0, "")
 

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from interloc.cli.main import run
-
 FILES = {
     *("detections.geojson", "keyframes.geojson", "trajectory.geojson", "intersections.geojson", "run.json"),
     *("report.json", "report.html", "osm_nodes.geojson", "matches.geojson", "osm_roads.geojson"),
@@ -23,26 +21,18 @@ REPORT_FIELDS = {
 }
 
 
-@pytest.fixture(scope="module")
-def out(drive: Path, osm: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The result folder of a run. Shared: do not change it."""
-    folder = tmp_path_factory.mktemp("run") / "out"
-    assert run(["run", str(drive), "-o", str(folder), "--osm", str(osm), "--quiet"]) == 0
-    return folder
-
-
-def test_all_files_are_there_and_can_be_read(out: Path, strict_json: Callable) -> None:
-    assert {path.name for path in out.iterdir()} == FILES
-    for path in out.glob("*json"):
+def test_all_files_are_there_and_can_be_read(finished: Path, strict_json: Callable) -> None:
+    assert {path.name for path in finished.iterdir()} == FILES
+    for path in finished.glob("*json"):
         assert strict_json(path)
-    assert {path.suffix for path in (out / "figures").iterdir()} == {".png", ".svg"}
-    page = (out / "report.html").read_text()
+    assert {path.suffix for path in (finished / "figures").iterdir()} == {".png", ".svg"}
+    page = (finished / "report.html").read_text()
     assert "<svg" in page or "data:image" in page
     assert "crossing" in page
 
 
-def test_the_report_has_the_fields_of_the_contract(out: Path, strict_json: Callable) -> None:
-    report = strict_json(out / "report.json")
+def test_the_report_has_the_fields_of_the_contract(finished: Path, strict_json: Callable) -> None:
+    report = strict_json(finished / "report.json")
     assert report.keys() >= REPORT_FIELDS
     assert report["osm"].keys() >= {"source", "date", "nodes"}
     thresholds = {f"{0.5 * i:.1f}" for i in range(1, 21)} | {"6.9", "13.3"}
@@ -55,9 +45,9 @@ def test_the_report_has_the_fields_of_the_contract(out: Path, strict_json: Calla
     assert report["map_level"]["precision"] == report["map_level"]["recall"] == 1.0
 
 
-def test_matches_lead_to_the_node(out: Path, strict_json: Callable) -> None:
-    (node,) = strict_json(out / "osm_nodes.geojson")["features"]
-    matches = strict_json(out / "matches.geojson")["features"]
+def test_matches_lead_to_the_node(finished: Path, strict_json: Callable) -> None:
+    (node,) = strict_json(finished / "osm_nodes.geojson")["features"]
+    matches = strict_json(finished / "matches.geojson")["features"]
     assert len(matches) > 20
     for match in matches:
         assert match["geometry"]["coordinates"][1] == pytest.approx(node["geometry"]["coordinates"])
@@ -66,11 +56,11 @@ def test_matches_lead_to_the_node(out: Path, strict_json: Callable) -> None:
 
 
 def test_evaluate_repeats_the_evaluation_of_run(
-    interloc: Callable, out: Path, osm: Path, tmp_path: Path, strict_json: Callable
+    interloc: Callable, finished: Path, osm: Path, tmp_path: Path, strict_json: Callable
 ) -> None:
-    copy = shutil.copytree(out, tmp_path / "out")
+    copy = shutil.copytree(finished, tmp_path / "out")
     assert interloc("evaluate", copy, "--osm", osm).code == 0
-    assert close(strict_json(copy / "report.json"), strict_json(out / "report.json"))
+    assert close(strict_json(copy / "report.json"), strict_json(finished / "report.json"))
 
 
 def close(a: object, b: object) -> bool:

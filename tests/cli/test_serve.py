@@ -20,7 +20,7 @@ import pytest
 from app.context import open_database
 from app.settings import Settings
 from app.store.models import Drive, Job
-from tests.app.processes import wait_until
+from tests.app.processes import NO_TLS, wait_until
 from tests.forks import Command
 
 pytestmark = pytest.mark.usefixtures("untouched_logging")
@@ -52,7 +52,7 @@ def serving(
 def test_a_server_starts_and_stops(stop: signal.Signals, environment: dict[str, str], tmp_path: Path) -> None:
     variables = {"INTERLOC_STATIC_DIR": str(tmp_path), "INTERLOC_WORKRES": "4", "INTERLOC_SERVICE_HOST": "10.0.0.1"}
     with serving(environment, tmp_path, **variables) as (process, address):
-        assert httpx.get(f"{address}healthz").json() == {"status": "ok"}
+        assert httpx.get(f"{address}healthz", verify=NO_TLS).json() == {"status": "ok"}
         assert (tmp_path / "interloc-data/interloc.sqlite3").is_file()
         process.send_signal(stop)
         assert process.wait(30) == 0
@@ -74,7 +74,7 @@ def test_streams_of_events_end_with_the_server(environment: dict[str, str], tmp_
     database.close()
     with (
         serving(environment, tmp_path) as (process, address),
-        httpx.stream("GET", f"{address}api/v1/jobs/j/events", timeout=60) as events,
+        httpx.stream("GET", f"{address}api/v1/jobs/j/events", timeout=60, verify=NO_TLS) as events,
     ):
         lines = events.iter_lines()
         assert next(lines) == "event: job"
@@ -84,7 +84,7 @@ def test_streams_of_events_end_with_the_server(environment: dict[str, str], tmp_
 
 
 def test_a_stop_does_not_wait_for_an_upload_that_stalls(environment: dict[str, str], tmp_path: Path) -> None:
-    with serving(environment, tmp_path) as (process, address), httpx.Client(base_url=address) as client:
+    with serving(environment, tmp_path) as (process, address), httpx.Client(base_url=address, verify=NO_TLS) as client:
         drive = client.post("api/v1/drives", json={"name": "a"}).json()["id"]
         with socket.create_connection((client.base_url.host, client.base_url.port or 80)) as link:
             path = f"/api/v1/drives/{drive}/files/poses.txt"
@@ -98,8 +98,8 @@ def test_options_and_environment(environment: dict[str, str], tmp_path: Path) ->
     options = ("--data-dir", str(tmp_path / "here"), "--log-format", "text", "--root-path", "/interloc/")
     with serving(environment, tmp_path, *options, INTERLOC_HOST="127.0.0.2") as (process, address):
         assert re.fullmatch(r"http://127\.0\.0\.2:\d+/interloc/", address)
-        assert httpx.get(f"{address}api/v1/drives").status_code == 200
-        assert httpx.get(f"{address.removesuffix('interloc/')}api/v1/drives").status_code == 200
+        assert httpx.get(f"{address}api/v1/drives", verify=NO_TLS).status_code == 200
+        assert httpx.get(f"{address.removesuffix('interloc/')}api/v1/drives", verify=NO_TLS).status_code == 200
         process.terminate()
         process.wait(30)
     assert (tmp_path / "here/interloc.sqlite3").is_file()
@@ -122,8 +122,8 @@ def test_two_servers_share_a_data_folder(environment: dict[str, str], tmp_path: 
     for thread in threads:
         thread.start()
     everybody.wait()
-    drive = httpx.post(f"{addresses[0]}api/v1/drives", json={"name": "a"}).json()
-    assert httpx.get(f"{addresses[1]}api/v1/drives/{drive['id']}").json() == drive
+    drive = httpx.post(f"{addresses[0]}api/v1/drives", json={"name": "a"}, verify=NO_TLS).json()
+    assert httpx.get(f"{addresses[1]}api/v1/drives/{drive['id']}", verify=NO_TLS).json() == drive
     everybody.wait()
     for thread in threads:
         thread.join()
@@ -136,9 +136,9 @@ def test_other_machines_need_a_token(environment: dict[str, str], tmp_path: Path
     token = interloc("token", "add", "alice", "--data-dir", tmp_path / "interloc-data").out.strip()
     with serving(environment, tmp_path, "--host", EVERYWHERE) as (_, address):
         drives = f"{address.replace(EVERYWHERE, '127.0.0.1')}api/v1/drives"
-        assert httpx.get(drives).status_code == 401
-        assert httpx.get(drives, headers={"Authorization": f"Bearer {token}"}).status_code == 200
-        assert httpx.get(f"{drives}?token={token}").status_code == 401
+        assert httpx.get(drives, verify=NO_TLS).status_code == 401
+        assert httpx.get(drives, headers={"Authorization": f"Bearer {token}"}, verify=NO_TLS).status_code == 200
+        assert httpx.get(f"{drives}?token={token}", verify=NO_TLS).status_code == 401
     log = (tmp_path / "log").read_text()
     assert token not in log
     assert '"client": "alice"' in log

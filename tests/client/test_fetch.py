@@ -64,20 +64,27 @@ def test_every_command_reads_what_was_fetched(here: Any, scored: Any, street: Pa
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
+    ("name", "options", "sendings"),
     [
-        ("kitti360_0009", ["--labels", "labels"]),
-        ("kitti360_0009", ["--labels", "predictions"]),
-        ("semantickitti_mini/sequences/07", ["--oxts", "kitti/oxts/07.txt.gz"]),
+        ("kitti360_0009", ["--labels", "labels"], [["--raw"]]),
+        ("kitti360_0009", ["--labels", "predictions"], [[]]),
+        ("semantickitti_mini/sequences/07", ["--oxts", "kitti/oxts/07.txt.gz"], [[], ["--raw"]]),
     ],
 )
-def test_real_drives(name: str, options: list[str], here: Any, data: Callable[[str], Path], tmp_path: Path) -> None:
+def test_real_drives(
+    name: str,
+    options: list[str],
+    sendings: list[list[str]],
+    here: Any,
+    data: Callable[[str], Path],
+    tmp_path: Path,
+) -> None:
     given = [options[0], data(options[1]) if "/" in options[1] else options[1]]
     drive = data(name)
     assert here("detect", drive, *given, "-o", tmp_path / "local").code == 0
     ours = layers(tmp_path / "local")
     assert len(ours) == 4
-    for number, sending in enumerate(([], ["--raw"])):
+    for number, sending in enumerate(sendings):
         out = tmp_path / f"out{number}"
         outcome = here("push", drive, *given, *sending, "--run", "-o", out)
         assert outcome.code == 0, outcome.err

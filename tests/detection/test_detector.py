@@ -5,15 +5,17 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from interloc.arrays import Float32Array
+from interloc.arrays import Float32Array, FloatArray
 from interloc.config import DEFAULT, PAPER, DetectorConfig
 from interloc.detection.detector import Detector, KeyframeDetections
 from interloc.detection.keyframes import select_keyframes
 from interloc.detection.scan import Scan
+from interloc.errors import ConfigError, DriveError
 
 Draw = Callable[..., Float32Array]
 Detect = Callable[..., KeyframeDetections]
@@ -360,3 +362,42 @@ def test_steps_hold_the_images_between(draw_roads: Draw) -> None:
     assert bev.shape == occupancy.shape == line.shape == (750, 750)
     assert not np.any((line == 1) & (occupancy == 0))
     assert len(steps.candidates.positions) == len(steps.junctions) == 1
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda T: T[:3], r"has the shape \(3, 4\); expected \(4, 4\)"),
+        (lambda T: np.full_like(T, np.nan), "a number that is not finite"),
+        (lambda T: T + np.array([[0, 0, 0, np.inf], *3 * [[0.0] * 4]]), "a number that is not finite"),
+        (lambda T: T + np.array([[0, 0, 0, 1e13], *3 * [[0.0] * 4]]), "more than 10,000 km from the origin"),
+        (np.zeros_like, "is not a rotation"),
+        (lambda T: T @ np.diag([1.0, -1.0, 1.0, 1.0]), "is not a rotation"),
+    ],
+)
+def test_a_scan_with_a_pose_that_is_none_is_refused_and_the_next_is_taken(
+    drive: list[Scan], spoil: Callable[[FloatArray], FloatArray], words: str
+) -> None:
+    causal = DEFAULT.model_copy(update={"keyframes": DEFAULT.keyframes.model_copy(update={"lookahead": 0})})
+    undisturbed, detector = Detector(causal), Detector(causal)
+    for scan in drive[:9:4]:
+        with pytest.raises(DriveError, match=f"scan {scan.frame}: .*{words}"):
+            detector.push(replace(scan, T_world_lidar=spoil(scan.T_world_lidar)))
+        expected, found = undisturbed.push(scan), detector.push(scan)
+        assert expected is not None
+        assert found is not None
+        assert key(found) == key(expected)
+
+
+@pytest.mark.parametrize("points", [np.zeros((5, 2), np.float32), np.zeros(0, np.float32)])
+def test_points_without_three_columns_are_refused(drive: list[Scan], points: Float32Array) -> None:
+    for change in ({"road_points": points}, {"other_points": points}):
+        with pytest.raises(DriveError, match=r"its points have the shape .*; expected \(N, 3\)"):
+            Detector().push(replace(drive[0], **change))
+
+
+def test_settings_that_are_none_are_refused() -> None:
+    with pytest.raises(
+        ConfigError, match=r"expected settings, as interloc\.preset\('paper'\) returns; found str: 'paper'"
+    ):
+        Detector("paper")  # type: ignore[arg-type]

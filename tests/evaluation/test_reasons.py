@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, get_args
 
@@ -135,6 +136,14 @@ def test_a_rounded_corner_is_a_bend_too() -> None:
     arc = [(20 * np.sin(a) - 20, 20 * np.cos(a)) for a in np.linspace(0, np.pi / 2, 9)]
     rounded = [(round(float(x), 3), round(float(y), 3)) for x, y in arc]
     assert why_false([("residential", [(-90, 20), *rounded, (0, -90)])], rounded[4]).kind == "bend"
+
+
+def test_a_ring_whose_nodes_lie_in_one_place_is_not_walked_for_ever() -> None:
+    ring = draw_map([("residential", [(0, 0), (1, 0), (0, 1), (0, 0)])])
+    graph = replace(ring, lonlat=np.repeat(ring.lonlat[:1], 3, axis=0))
+    evidence = MapEvidence(graph, intersection_nodes(graph), lonlat([(0, 0)]))
+    (reason,) = explain_false(evidence, evidence.plane(lonlat((2, 0))), [7], [], 10.0)
+    assert reason.kind == "nothing"
 
 
 def test_the_end_of_a_road() -> None:

@@ -140,18 +140,15 @@ def test_the_page_tells_the_story(folder: Path) -> None:
 
 def test_names_cannot_smuggle_markup_into_the_page(scored: Scored, tmp_path: Path) -> None:
     evaluation, result = scored
-    evil = "<script>alert(1)</script>"
+    evil = "<script>alert(1)</script> a $b_{ 2 $ 高速"  # nor confuse what draws text
     evaluation = replace(evaluation, drive=evil, graph=replace(evaluation.graph, source=evil), warnings=(evil,))
     run = {"config": {"a": evil, "ids": {40}}, "host": evil}
     write_report(evaluation, tmp_path, result=replace(result, drive=evil, run=run))
+    assert written(tmp_path) == FILES
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script" not in text
     assert text.count("&lt;script&gt;") >= 5
-
-
-def test_any_name_of_a_drive_will_do(scored: Scored, tmp_path: Path) -> None:
-    write_report(replace(scored[0], drive="a $b_{ 2 $ 高速"), tmp_path)
-    assert written(tmp_path) == FILES
+    assert "a $b_{ 2 $ 高速" in text
 
 
 def test_a_run_that_found_nothing_has_a_report(run: Run, graph: Graph, tmp_path: Path) -> None:

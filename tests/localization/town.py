@@ -101,20 +101,20 @@ def route_xy(route: list[tuple[int, int]] = ROUTE) -> FloatArray:
     return town_xy()[[row * BLOCKS + column for column, row in route]]
 
 
-def write_town_drive(root: Path) -> MadeDrive:
-    """Write the drive along `ROUTE`, a scan every two metres, of which each shows a patch of road only."""
+def write_town_drive(root: Path, *, every_m: int = 2) -> MadeDrive:
+    """Write the drive along `ROUTE`, a scan every few metres, of which each shows a patch of road only."""
     drive = drive_along(route_xy())
     (root / "velodyne").mkdir(parents=True)
     (root / "labels").mkdir()
     x, y = np.meshgrid(np.linspace(-3, 3, 7), np.linspace(-3, 3, 7))
     points = np.stack([x, y, np.full_like(x, -1.73), np.zeros_like(x)], axis=-1).reshape(-1, 4).astype(np.float32)
     lines = []
-    for frame, pose in enumerate(drive.T_world_lidar[::2]):
+    for frame, pose in enumerate(drive.T_world_lidar[::every_m]):
         points.tofile(root / f"velodyne/{frame:06d}.bin")
         np.full(len(points), 40, np.uint32).tofile(root / f"labels/{frame:06d}.label")
         lines.append(" ".join(f"{value:.9e}" for value in pose[:3].ravel()))
     (root / "poses.txt").write_text("\n".join(lines) + "\n")
-    return MadeDrive(drive.T_world_lidar[::2], drive.true_lonlat[::2], drive.true_yaw_rad[::2])
+    return MadeDrive(drive.T_world_lidar[::every_m], drive.true_lonlat[::every_m], drive.true_yaw_rad[::every_m])
 
 
 def write_town_map(path: Path) -> None:

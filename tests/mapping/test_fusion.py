@@ -397,7 +397,7 @@ def test_a_calibration_changes_what_is_said_of_intersections_not_where_they_are(
     assert_array_equal(table.lonlat, plain.lonlat)
     assert_allclose(plain.covariances, plain.position_std_m[:, None, None] ** 2 * np.eye(2))
     assert_allclose(np.trace(table.covariances, axis1=1, axis2=2), 2 * table.position_std_m**2)
-    doubtful = CalibrationConfig(log_odds=2, log_odds_seen=1)  # less probable than their share of sightings
+    doubtful = CalibrationConfig(log_odds=1, log_odds_seen=1)  # less probable than their share of sightings
     bound = float(np.median(fuse(keyframes, detections, FusionConfig(), doubtful)[0].confidence))
     sure, assigned = fuse(keyframes, detections, FusionConfig(min_confidence=bound), doubtful)
     assert 0 < len(sure) < len(table)
@@ -512,11 +512,11 @@ def test_any_detections_make_a_map_of_the_right_form(data: st.DataObject) -> Non
 
 
 @pytest.mark.parametrize("spread_m", [3.0, 1000.0])
-def test_ten_thousand_detections_take_little_memory(spread_m: float) -> None:
-    """Also all at one place, where the pairs of all detections would need gigabytes."""
+def test_thousands_of_detections_take_little_memory(spread_m: float) -> None:
+    """Also all at one place, where a byte for each pair of detections would be more."""
     rng = np.random.default_rng(0)
-    keyframes, _ = Stream(np.zeros((0, 2))).drive(straight((0, 0), (20_000, 0))).tables(georeferenced=False)
-    n = 10_000
+    keyframes, _ = Stream(np.zeros((0, 2))).drive(straight((0, 0), (10_000, 0))).tables(georeferenced=False)
+    n = 5_000
     detections = DetectionTable(
         keyframe=np.sort(rng.integers(0, len(keyframes), n)),
         lidar_xy=rng.normal(0, 20, (n, 2)),
@@ -530,7 +530,7 @@ def test_ten_thousand_detections_take_little_memory(spread_m: float) -> None:
     fuse(keyframes, detections)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert peak < 100e6
+    assert peak < n**2
 
 
 def test_limits_in_the_wrong_order_are_refused() -> None:

@@ -39,7 +39,7 @@ def result_with_spot(*, local: bool = False) -> DriveResult:
 
 
 def spot_lonlat() -> FloatArray:
-    """Return where the middle of the square is on the earth: by the fix of its own keyframe (paper, eq. 13)."""
+    """Return where the middle of the square is on the earth: by the fix of its own keyframe (paper, eq. 12)."""
     table = small_result().keyframes
     angle = table.enu_yaw_rad[1] - table.world_yaw_rad[1]
     ((lon, lat),) = table.lonlat[1:]

@@ -11,7 +11,7 @@ from tests.app.processes import ServerProcess, started
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Common, Watch, chromium
 from tests.page.other_site import served
-from tests.page.results import SCANS, TOKEN, Done, Scored, run_street, write_other_map
+from tests.page.results import SCANS, SHORT, TOKEN, Done, Scored, run_street, write_other_map
 
 
 @pytest.fixture(scope="package")
@@ -70,7 +70,8 @@ def done(tmp_path_factory: pytest.TempPathFactory, other_site: str) -> Iterator[
     (local / "geo.csv").unlink()
     with started(folder / "data", folder / "log", workers=1, cors_origins=other_site) as server:
         scored = run_street(server, street, osm={"file": "map.osm"})
-        yield Done(server, scored, run_street(server, local), street)
+        short = write_street(folder / "short", SHORT)
+        yield Done(server, scored, run_street(server, local), short)
 
 
 @pytest.fixture(scope="package")

@@ -14,17 +14,18 @@ from tests.app.processes import API, ServerProcess, archive_of, ended
 from tests.app.street import LAT_DEG, LON_DEG
 
 SCANS = 90
+SHORT = 16  # scans of a drive that is only uploaded
 TOKEN = "a-token-that-only-these-tests-know-0123456789"  # noqa: S105
 
 
 @dataclass(frozen=True)
 class Done:
-    """A server with two results of the same street: with and without georeference."""
+    """A server with two results of the same street: with and without georeference; its first scans as a drive."""
 
     server: ServerProcess
     job: str
     local_job: str
-    street: Path
+    short: Path
 
     @property
     def data(self) -> Path:

@@ -8,7 +8,7 @@ import re
 import subprocess
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,8 @@ import pyogrio
 import pytest
 
 from tests.app.processes import API, ServerProcess, started
-from tests.app.street import write_street
 from tests.page.browsers import Browser, needs_page
-from tests.page.results import Done, run_street
+from tests.page.results import Done, show
 
 pytestmark = needs_page
 
@@ -92,30 +91,24 @@ class Open:
 
 
 @pytest.fixture(scope="module")
-def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ServerProcess, str]]:
-    """A server that wants a token, and a scored job."""
-    folder = tmp_path_factory.mktemp("guarded")
-    with started(folder / "data", folder / "log", workers=1, token=TOKEN) as server:
+def guarded(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
+    """A second server on the same data, which wants a token."""
+    with started(done.data, tmp_path_factory.mktemp("guarded") / "log", workers=1, token=TOKEN) as server:
         server.client.headers["Authorization"] = f"Bearer {TOKEN}"
-        yield server, run_street(server, write_street(folder / "street", 70), osm={"file": "map.osm"})
+        yield server
 
 
 @pytest.fixture(params=["open", "token"])
-def opened(request: pytest.FixtureRequest, browser: Browser) -> Open:
+def opened(request: pytest.FixtureRequest, browser: Browser, done: Done) -> Open:
     with_token = request.param == "token"
-    if with_token:
-        server, job = request.getfixturevalue("guarded")
-    else:
-        done: Done = request.getfixturevalue("done")
-        server, job = done.server, done.job
-    page = browser.new_page()
-    page.context.grant_permissions(["clipboard-read", "clipboard-write"], origin=server.address)
+    server = request.getfixturevalue("guarded") if with_token else done.server
+    page = browser.new_page() if with_token else browser.kept_page()
     if with_token:  # as a tab that was told the token before
         page.add_init_script(f"if (origin !== 'null') sessionStorage.setItem('interloc.token', '{TOKEN}')")
-    page.goto(f"{server.address}/#job={job}&panel=export")
-    page.wait_for_selector(".legend:visible")
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"], origin=server.address)
+    show(page, replace(done, server=server), "panel=export")
     page.locator("#panel-export h2").wait_for()
-    return Open(page, server, job, TOKEN if with_token else None)
+    return Open(page, server, done.job, TOKEN if with_token else None)
 
 
 def test_each_layer_comes_in_each_format_with_all_its_features(opened: Open, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from tests.app.processes import API, Gate, ended, half_way, started, submit, upload, wait_until
 from tests.app.street import write_street
 from tests.page.browsers import Browser, Watch, needs_page
-from tests.page.results import SCANS, Done, address_of, show
+from tests.page.results import SHORT, Done, address_of, show
 
 pytestmark = needs_page
 
@@ -21,14 +21,14 @@ pytestmark = needs_page
 def test_a_whole_walk_leaves_no_trace(page: Any, done: Done, watch: Watch) -> None:
     page.goto(done.server.address)
     page.get_by_role("button", name="Upload a drive").click()
-    page.set_input_files("input[name=folder]", done.street)
+    page.set_input_files("input[name=folder]", done.short)
     page.wait_for_selector(".upload-form >> text=read as semantickitti")
     page.get_by_role("button", name="Upload and run").click()
     page.wait_for_selector("#panel-job .badge.good")
     page.wait_for_selector(".legend:visible")
     page.get_by_label("Speed").select_option("60")
     page.get_by_role("button", name="Play").click()
-    page.locator(".timeline-label", has_text=f"Scan {SCANS - 1}").wait_for()
+    page.locator(".timeline-label", has_text=f"Scan {SHORT - 1}").wait_for()
     page.get_by_role("button", name="Look inside").click()
     page.wait_for_selector("#drawer img:not(.waiting) >> nth=5")
     page.locator("#drawer").get_by_role("button", name="Close").click()
@@ -72,7 +72,7 @@ def tiled(done: Done, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A second server on the same data, with a tile server of its own."""
     log = tmp_path_factory.mktemp("tiled") / "log"
     with started(done.data, log, workers=1, tile_url=TILE, tile_attribution="(c) Tiles Example") as server:
-        yield Done(server, done.job, done.local_job, done.street)
+        yield Done(server, done.job, done.local_job, done.short)
 
 
 def test_tiles_come_from_the_configured_server_only(page: Any, tiled: Done, watch: Watch) -> None:
@@ -131,7 +131,7 @@ def test_a_server_of_tiles_that_is_not_allowed_is_not_asked(page: Any, tiled: Do
 
 def test_what_the_server_refuses_is_told_by_file(page: Any, done: Done, watch: Watch, tmp_path: Path) -> None:
     watch.excuse("status of 4(09|22)")
-    drive = Path(shutil.copytree(done.street, tmp_path / "bent"))
+    drive = Path(shutil.copytree(done.short, tmp_path / "bent"))
     scan = drive / "velodyne/000010.bin"
     points = np.fromfile(scan, "<f4").reshape(-1, 4)
     points[:, 1] = np.nan
@@ -167,11 +167,11 @@ def test_a_job_that_fails_says_why(page: Any, done: Done) -> None:
 def test_a_job_is_watched_through_a_restart_of_the_server(browser: Browser, watch: Watch, tmp_path: Path) -> None:
     watch.expect("net::ERR_")
     watch.excuse("net::ERR_|network error|Failed to fetch")
-    street = write_street(tmp_path / "street", SCANS)
+    street = write_street(tmp_path / "street", 60)
     page = browser.new_page()
     with started(tmp_path / "data", tmp_path / "log", workers=1) as first:
         drive = upload(first.client, street)
-        gate = Gate(tmp_path / "data", drive, SCANS // 2)
+        gate = Gate(tmp_path / "data", drive, 45)
         job = submit(first.client, drive)
         half_way(first.client, job)
         page.goto(f"{first.address}/#panel=job&job={job}")
@@ -190,7 +190,7 @@ def test_a_job_is_watched_through_a_restart_of_the_server(browser: Browser, watc
             assert re.search(rf"{summary['detections']}\s+detections", page.inner_text("#panel-job"))
 
             page.route("**/events", lambda route: route.abort())  # the end is heard of by the list of jobs alone
-            gate = Gate(tmp_path / "data", drive, SCANS // 2)
+            gate = Gate(tmp_path / "data", drive, 45)
             job = submit(second.client, drive)
             half_way(second.client, job)
             page.goto("about:blank")

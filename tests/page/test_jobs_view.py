@@ -22,7 +22,7 @@ def test_a_job_is_run_again_with_a_map_named_and_compared(page: Any, done: Done)
     choices = page.locator("dialog label.check")
     assert choices.filter(has_text="map.osm").locator("input").first.is_checked()
     choices.filter(has_text="A file of mine").locator("input").check()
-    page.set_input_files("dialog input[name=osm-file]", done.street / "map.osm")
+    page.set_input_files("dialog input[name=osm-file]", done.short / "map.osm")
     page.get_by_role("button", name="Run", exact=True).click()
     page.wait_for_selector("#panel-job .badge.good")
     again = address_of(page).partition("&job=")[2].partition("&")[0]

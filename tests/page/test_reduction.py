@@ -13,7 +13,7 @@ import pytest
 from interloc.arrays import Float32Array, FloatArray, UInt32Array
 from interloc.drives.files import SourceFile
 from interloc.drives.labels import SEMANTICKITTI, guess_scheme, named_scheme
-from interloc.drives.scans.raw import read_label_ids
+from interloc.drives.scans.raw import count_ids, read_labels
 from interloc.drives.scans.reduced_format import decode_ground
 from interloc.kernels.points import select_points
 
@@ -117,7 +117,7 @@ def test_real_scans_are_reduced_as_the_library_does(tmp_path: Path, folder: str)
     for number in (0, 17, 33):
         shutil.copy(SAMPLE / "velodyne" / f"{number:06d}.bin", tmp_path)
         shutil.copy(SAMPLE / folder / f"{number:06d}.label", tmp_path)
-    ids = {label for scan in tmp_path.glob("*.label") for label, _ in read_label_ids(SourceFile(scan, tmp_path))}
+    ids = {label for scan in tmp_path.glob("*.label") for label in count_ids(read_labels(SourceFile(scan, tmp_path)))}
     scheme = guess_scheme(np.array(sorted(ids)), kitti360=True)
     reduce_scans(tmp_path, scheme.name)
     assert check_folder(tmp_path, scheme.name) > 10_000

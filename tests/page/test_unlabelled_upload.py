@@ -20,7 +20,7 @@ from tests.page.test_reduction_upload import Upload, drive_of, files_of
 
 pytestmark = needs_page
 
-SCANS = 24
+SCANS = 12
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from interloc.config import KeyframeConfig
 from interloc.drives.files import SourceFile
 from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.raw import read_label_ids
+from interloc.drives.scans.raw import count_ids, read_labels
 from interloc.drives.scans.reduced_format import ReducedLabels, ground_path
 from interloc.errors import ConfigError, DriveError
 from interloc.reduction.plan import judge_counts, plan_reduction
@@ -50,7 +50,8 @@ def test_a_drive_sent_scan_by_scan(drive: Path, small_files: Path, tmp_path: Pat
     plan = plan_reduction(small_files, range(12))
     counts: dict[int, int] = {}
     for frame in plan.frames_to_look_into:
-        for label, count in read_label_ids(SourceFile(drive / f"labels/{frame:06d}.label", drive)):
+        ids = count_ids(read_labels(SourceFile(drive / f"labels/{frame:06d}.label", drive)))
+        for label, count in ids.items():
             counts[label] = counts.get(label, 0) + count
     judged, problems = judge_counts(plan, LABELS, counts)
     assert judged.scheme is not None

@@ -7,7 +7,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
-from interloc.geometry import WGS84_A_M, WGS84_E2, invert_transform
+from interloc.geometry import ecef_from_geodetic, invert_transform
 
 
 def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> FloatArray:
@@ -58,12 +58,8 @@ def ecef_poses(georeference: Georeference) -> FloatArray:
     """Return (N, 4, 4) poses of the LiDAR in the earth-centred, earth-fixed frame of WGS84, metres."""
     lat, lon = np.radians(georeference.lat_deg), np.radians(georeference.lon_deg)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
-    prime_vertical = WGS84_A_M / np.sqrt(1 - WGS84_E2 * sin_lat**2)
-    height = prime_vertical + georeference.alt_m
     poses = np.zeros((len(lat), 4, 4))
-    poses[:, 0, 3] = height * cos_lat * cos_lon
-    poses[:, 1, 3] = height * cos_lat * sin_lon
-    poses[:, 2, 3] = (height - WGS84_E2 * prime_vertical) * sin_lat
+    poses[:, :3, 3] = ecef_from_geodetic(georeference.lat_deg, georeference.lon_deg, georeference.alt_m)
     poses[:, 3, 3] = 1
     zero = np.zeros_like(lat)
     east = np.stack([-sin_lon, cos_lon, zero], axis=1)

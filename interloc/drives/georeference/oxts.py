@@ -53,8 +53,8 @@ def raw_offset(raw_drive: Path, sequence: str, frames: IntArray) -> int:
     GeoreferenceError
         The raw drive belongs to another sequence, or the sequence ends before the last scan.
     """
-    names = [part for part in reversed(raw_drive.absolute().parts) if re.search(r"\d{4}_\d\d_\d\d_drive_\d{4}", part)]
-    match = re.search(r"\d{4}_\d\d_\d\d_drive_\d{4}", names[0]) if names else None
+    found = (re.search(r"\d{4}_\d\d_\d\d_drive_\d{4}", part) for part in reversed(raw_drive.absolute().parts))
+    match = next(filter(None, found), None)
     known = ODOMETRY_OF_RAW.get(match.group()) if match else None
     if known is None or match is None:
         return 0

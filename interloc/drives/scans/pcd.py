@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interloc.arrays import FloatArray, IntArray, UInt8Array
-from interloc.drives.files import SourceFile, is_number, os_reason
+from interloc.drives.files import SourceFile, is_number
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
 from interloc.drives.options import DriveOptions
@@ -39,6 +39,8 @@ _MAX_FILES = 1_000_000
 _TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
 _STAMPS_US, _STAMPS_NS = 1e14, 1e17
 """Numbers from here on are times since 1970, in microseconds and nanoseconds, not scan numbers."""
+
+_TOO_LARGE = 10**18  # for a scan number, as in `list_numbered`
 
 
 @dataclass(frozen=True)
@@ -179,10 +181,12 @@ def number_scans(names: Sequence[str]) -> tuple[IntArray, IntArray, FloatArray |
         unit = 1.0 if any(fractions) else 1e-6 if smallest < _STAMPS_NS else 1e-9
         times = np.array([numbers[row] * unit + float(fractions[row] or 0) for row in order])
         return order, np.arange(count), times, "the names are times; the scans are numbered from 0 in their order."
-    frames = np.array([numbers[row] for row in order], dtype=np.int64)
-    if len(np.unique(frames)) < count:
+    frames = [numbers[row] for row in order]
+    if len(set(frames)) < count:
         return order, np.arange(count), None, "the numbers in the names come twice: scans in the order of their names."
-    return order, frames, None, ""
+    if frames[-1] >= _TOO_LARGE:
+        return order, np.arange(count), None, "the numbers in the names are too large: the scans are numbered from 0."
+    return order, np.array(frames, dtype=np.int64), None, ""
 
 
 def read_pcd(file: SourceFile) -> ScanPoints:
@@ -227,7 +231,7 @@ def read_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader
             handle.seek(header.data_at)
             data = np.frombuffer(handle.read() if with_data else b"", np.uint8)
     except OSError as error:
-        raise file.fault(f"cannot be read: {os_reason(error)}.") from error
+        raise file.unreadable(error) from error
     return header, data
 
 
@@ -333,7 +337,7 @@ def _points_of(header: PcdHeader, data: UInt8Array, file: SourceFile) -> NDArray
 
 def _from_text(header: PcdHeader, text: bytes, file: SourceFile) -> NDArray[Any]:
     """Read points written as text, one per line."""
-    columns = header.dtype.itemsize and sum(int(np.prod(header.dtype[name].shape)) or 1 for name in _names(header))
+    columns = sum(int(np.prod(header.dtype[name].shape)) or 1 for name in _names(header))
     try:
         table = np.loadtxt(io.StringIO(text.decode("ascii")), ndmin=2, comments="#")
     except ValueError:

@@ -257,7 +257,7 @@ class RawStore:
                     ids = read_labels(labels.label_files.file(frame))
                 else:
                     ids = labels.of(frame, source.read(frame), source.name(frame))
-                counts.update(dict(_counted(ids)))
+                counts.update(count_ids(ids))
         chosen = options.label_scheme
         return judge_labels(
             labels.name,
@@ -313,15 +313,10 @@ def read_labels(file: SourceFile) -> UInt32Array:
         raise file.unreadable(error) from error
 
 
-def read_label_ids(file: SourceFile) -> list[tuple[int, int]]:
-    """Return the distinct label ids of a file, each with the number of points that carry it."""
-    return _counted(read_labels(file))
-
-
-def _counted(labels: UInt32Array) -> list[tuple[int, int]]:
+def count_ids(labels: UInt32Array) -> dict[int, int]:
     """Return the distinct ids of labels, each with the number of points that carry it."""
     counts = np.bincount(labels & 0xFFFF)
-    return [(int(label), int(counts[label])) for label in np.flatnonzero(counts)]
+    return {int(label): int(counts[label]) for label in np.flatnonzero(counts)}
 
 
 def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) -> LabelSource:

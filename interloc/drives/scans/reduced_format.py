@@ -63,11 +63,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from interloc.arrays import IntArray, UInt32Array
 from interloc.drive import GroundPoints
-from interloc.drives.files import os_reason
 from interloc.drives.findings import DriveFileError
 from interloc.drives.labels import SCHEMES, LabelScheme
 from interloc.drives.layouts import PoseOwner
 from interloc.drives.options import LabelFolder, LayoutName
+from interloc.files import reason_of
 
 MANIFEST = "reduced.json"
 MAX_SCANS = 1_000_000
@@ -277,7 +277,7 @@ def read_manifest(root: Path) -> ReducedManifest:
         with path.open("rb") as file:
             data = file.read(MAX_MANIFEST_BYTES + 1)
     except OSError as error:
-        raise DriveFileError(MANIFEST, f"cannot be read: {os_reason(error)}.") from error
+        raise DriveFileError(MANIFEST, f"cannot be read: {reason_of(error)}.") from error
     if len(data) > MAX_MANIFEST_BYTES:
         raise DriveFileError(MANIFEST, f"is larger than {MAX_MANIFEST_BYTES // 1024**2} MB, which no manifest is.")
     manifest = parse_manifest(data)

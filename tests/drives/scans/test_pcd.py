@@ -77,6 +77,7 @@ def test_real_frames_of_a_street(data: Callable[[str], Path]) -> None:
         (["1533151603547590000.pcd", "1533151604047590000.pcd"], [0, 1], [1533151603.54759, 1533151604.04759]),
         (["n8__LIDAR_TOP__1533151603547590.pcd.bin"], [0], [1533151603.54759]),
         (["a_1.pcd", "b_1.pcd"], [0, 1], None),
+        (["5.pcd", "99999999999999999999.pcd"], [0, 1], None),
     ],
 )
 def test_scans_are_numbered_by_their_names(names: list[str], frames: list[int], times: Sequence[float] | None) -> None:

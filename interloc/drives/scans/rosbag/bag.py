@@ -91,18 +91,16 @@ class Bag:
         """Bytes of all files."""
         return sum(file.path.stat().st_size for file in self.files)
 
-    def messages(self, topic: BagTopic, rows: IntArray | None = None) -> Iterator[bytes]:
-        """Read the messages of a topic (all, or those of some rows), in the order in which they lie in the files.
+    def messages(self, topic: BagTopic) -> Iterator[bytes]:
+        """Read the messages of a topic, in the order in which they lie in the files.
 
         Raises
         ------
         DriveError
             A file is damaged.
         """
-        chosen = np.arange(len(topic)) if rows is None else rows
-        for number in np.unique(topic.files[chosen]):
-            of_file = chosen[topic.files[chosen] == number]
-            yield from read_messages(self.files[number], topic.places[of_file])
+        for number in np.unique(topic.files):
+            yield from read_messages(self.files[number], topic.places[topic.files == number])
 
     def heads(self, topic: BagTopic) -> Iterator[bytes]:
         """Read only the beginning of every message of a topic; for the rest as `messages`."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import IntArray
-from interloc.drives.files import SourceFile, os_reason
+from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
@@ -21,6 +21,7 @@ from interloc.drives.scans.rosbag.topics import (
 )
 from interloc.drives.scans.rosbag.trajectory import BagTrajectory
 from interloc.drives.scans.rosbag.wire import Encoding, WireError
+from interloc.files import reason_of
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
     try:
         files = find_bag(root, required=options.layout == "rosbag", findings=findings)
     except OSError as error:
-        raise DriveFileError(str(root), f"cannot be read: {os_reason(error)}.") from error
+        raise DriveFileError(str(root), f"cannot be read: {reason_of(error)}.") from error
     if files is None:
         return None
     bag = open_bag(files, findings)
