@@ -32,6 +32,13 @@ class Setting(BaseModel):
     values: list[Any] = Field(description="In the order of the jobs.", examples=[[0.16, 0.25]])
 
 
+class Input(BaseModel):
+    """Something that the jobs read in which they differ."""
+
+    name: str = Field(description="`labels` or `georeference`.", examples=["labels"])
+    values: list[str | None] = Field(description="In the order of the jobs.", examples=[["labels", "predictions"]])
+
+
 class Figure(BaseModel):
     """A figure of the reports."""
 
@@ -61,6 +68,7 @@ class Comparison(BaseModel):
         examples=[["default", "r = 0.25"]],
     )
     drive_id: str
+    inputs: list[Input] = Field(description="Labels and georeference, where the jobs differ in them.")
     settings: list[Setting] = Field(description="Settings in which the jobs differ.")
     figures: list[Figure]
     nodes: list[ComparedNode] = Field(description="Nodes with different outcomes.")
@@ -90,7 +98,7 @@ def compare_jobs(
         ),
     ],
 ) -> dict[str, Any]:
-    """Show which settings differ, the figures at D = 5 m, and which intersections only one of the jobs found."""
+    """Show what differs of inputs and settings, the figures at D = 5 m, and intersections that only one job found."""
     from interloc.evaluation.compare import compare_reports  # noqa: PLC0415 - numpy and more
 
     ids = [each.strip() for each in jobs.split(",")]
@@ -107,7 +115,8 @@ def compare_jobs(
         rows = [find_job(session, job_id)[0] for job_id in ids]
     reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]
     runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
-    compared = compare_reports(ids, reports, runs)
+    one_drive = {"drive_name": opened[0].drive_id}  # which may have been renamed between the jobs
+    compared = compare_reports(ids, reports, [run | one_drive for run in runs])
     own = set().union(*(own_settings({"config": settings_of(run)}) for run in runs))
     for setting in compared["settings"]:
         setting["is_own"] = setting["name"] in own

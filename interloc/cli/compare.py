@@ -20,7 +20,7 @@ from interloc.cli import console, options
 )
 @options.JSON
 def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
-    """Show in which settings RESULTS differ, their figures, and which intersections only one of them found.
+    """Show in which inputs and settings RESULTS differ, their figures, and which intersections only one of them found.
 
     RESULTS are two or more result folders of `interloc run` over one drive.
 
@@ -31,16 +31,18 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     from interloc.errors import ConfigError
     from interloc.evaluation.compare import compare_reports, write_comparison
     from interloc.output.geojson import read_json
+    from interloc.output.read import read_run
     from interloc.results import counted
 
     names = [str(result) for result in results]
+    runs = [read_run(result) for result in results]
     for result in results:
-        if (result / "run.json").is_file() and not (result / "report.json").is_file():
+        if not (result / "report.json").is_file():
             raise ConfigError(
                 f"{result} was not scored against a map: `interloc evaluate {result} --osm FILE` does that"
             )
     reports = [read_json(result / "report.json") for result in results]
-    comparison = compare_reports(names, reports, [read_json(result / "run.json") for result in results])
+    comparison = compare_reports(names, reports, runs)
     if out is not None:
         write_comparison(comparison, reports, out)
     if as_json:
@@ -48,6 +50,9 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
         return
     _print_table(["", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["figures"]])
     click.echo()
+    if comparison["inputs"]:
+        _print_table(["input", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["inputs"]])
+        click.echo()
     if comparison["settings"]:
         _print_table(["setting", *names], [[row["name"], *map(_text, row["values"])] for row in comparison["settings"]])
     else:

@@ -43,10 +43,12 @@ def command(result: Path, out: Path, layer: str | None, quiet: bool, as_json: bo
       interloc export out -o track.gpx
       interloc export out -o road.tif
     """
+    from interloc.output.read import read_run
     from interloc.output.road import RASTER_SUFFIXES, ROAD_LAYER, export_road
     from interloc.output.vector_files import PLACE_IT, is_local, write_vector_file
 
     console.set_up_log(quiet=quiet)
+    read_run(result)  # or say that it is no result
     if layer == ROAD_LAYER or (layer is None and out.suffix.lower() in RASTER_SUFFIXES):
         export_road(result, out)
         layers = [ROAD_LAYER]

@@ -69,7 +69,8 @@ def _facts(report: DriveReport) -> list[tuple[str, str]]:
         )
     if report.flatness_m is not None:
         rows.append(("flatness", f"road seen from two scans agrees within {report.flatness_m:.2f} m in height"))
-    rows.append(("georeference", report.georeference or f"none: {report.georeference_reason or 'not looked for'}"))
+    if report.georeference or report.georeference_reason:
+        rows.append(("georeference", report.georeference or f"none: {report.georeference_reason}"))
     return rows
 
 

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="geo.csv to write: put it into the drive, or give it with --oxts.",
+    help="geo.csv to write, a new file: put it into the drive, or give it with --oxts.",
 )
+@click.option("--overwrite", is_flag=True, help="Let -o replace a file that is there already.")
 @click.option(
     "--figure", type=click.Path(path_type=Path), help="Picture to draw, .png or .svg; drawn if not found, too."
 )
@@ -54,6 +55,7 @@ def command(
     at_frame: int | None,
     gpx: Path | None,
     out: Path | None,
+    overwrite: bool,
     figure: Path | None,
     growth: bool,
     track_only: bool,
@@ -87,6 +89,7 @@ def command(
         raise click.UsageError("--at-frame belongs to --at")
     if osm is None and (near or radius_km or figure or growth or track_only):
         raise click.UsageError("--near, --radius, --figure, --growth and --track-only belong to --osm")
+    _check_out(out, overwrite=overwrite)
     search_near, radius_m = locating.search_area(near, radius_km)
     console.set_up_log(quiet=quiet)
     config = options.configure(preset, settings)
@@ -118,6 +121,17 @@ def command(
         facts.append(("written to", str(out)))
     if not as_json and not quiet:
         console.say_facts([*locating.location_facts(location), *facts])
+
+
+def _check_out(out: Path | None, *, overwrite: bool) -> None:
+    """Raise an error where a file would be replaced, before any long work starts."""
+    from interloc.errors import ConfigError
+
+    if out is not None and out.exists() and not overwrite:
+        raise ConfigError(
+            f"{out} is there already, and was not touched: it may be the drive's own. Give another name (-o), or "
+            "--overwrite to replace it."
+        )
 
 
 def _place_by_anchor(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,8 +67,26 @@ def serve(**given: Any) -> None:
                 "The page is not installed, only the API: InterLoc was installed where npm was missing. Install npm, "
                 "then run `make install` in the clone, or `pip install .` again.",
             )
+        for name, meant in mistyped(os.environ):
+            click.echo(f"{name} is not a setting and has no effect; {meant} is one.")
 
     run_server(settings, print_address)
+
+
+def mistyped(environment: Iterable[str]) -> list[tuple[str, str]]:
+    """Return the variables that are no setting but nearly one, and that one.
+
+    Only those: other programs set variables of this beginning, too, as Kubernetes does for a service of this name.
+    """
+    from app.settings import Settings
+
+    known = [*(name.upper() for name in Settings.model_fields), "SERVER", "DEBUG"]
+    found = []
+    for name in sorted(environment):
+        start, _, rest = name.upper().partition("_")
+        if start == "INTERLOC" and rest not in known and (near := get_close_matches(rest, known, 1, 0.75)):
+            found.append((name, f"INTERLOC_{near[0]}"))
+    return found
 
 
 @click.group(short_help="Tokens of the web service: add, list, revoke.")
@@ -101,6 +121,12 @@ def _size(text: str) -> int:
     if found is None:
         raise click.BadParameter(f"{text!r}: expected a number with kB, MB, GB or TB, for example 200GB.")
     return int(float(found[1]) * 1024 ** _UNITS.index(found[2] or "B"))
+
+
+def _size_text(count: int) -> str:
+    """Return the text that `_size` reads."""
+    power = max(power for power in range(len(_UNITS)) if power == 0 or count >= 1024**power)
+    return f"{count / 1024**power:,.4g} {_UNITS[power]}"
 
 
 @token.command()
@@ -142,8 +168,9 @@ def add(
 def list_(data_dir: Path | None) -> None:
     """List who has a token, what it allows, and when it was last used."""
     from app.store.tokens import list_tokens
+    from interloc.results import counted
 
-    with _database(data_dir) as database:
+    with _existing_database(data_dir) as database:
         tokens = list_tokens(database)
     for each in tokens:
         used = "never used" if each.last_used_at is None else f"used {_shown(each.last_used_at)}"
@@ -152,9 +179,9 @@ def list_(data_dir: Path | None) -> None:
             is_past = each.expires_at <= time.time()
             parts.append(f"{'expired' if is_past else 'expires'} {_shown(each.expires_at)}")
         if each.max_bytes is not None:
-            parts.append(f"{each.max_bytes / 1024**3:,.3g} GB")
+            parts.append(_size_text(each.max_bytes))
         if each.max_jobs is not None:
-            parts.append(f"{each.max_jobs} jobs")
+            parts.append(counted(each.max_jobs, "job"))
         click.echo(f"{each.name:<24} {', '.join(parts)}")
     if not tokens:
         click.echo("no tokens", err=True)
@@ -171,7 +198,7 @@ def revoke(name: str, data_dir: Path | None) -> None:
     """Refuse the token of NAME from now on."""
     from app.store.tokens import revoke_token
 
-    with _database(data_dir) as database:
+    with _existing_database(data_dir) as database:
         revoke_token(database, name)
     click.echo(f"the token of {name} is revoked")
 
@@ -186,6 +213,18 @@ def _database(data_dir: Path | None) -> Iterator[Database]:
         yield database
     finally:
         database.close()
+
+
+@contextmanager
+def _existing_database(data_dir: Path | None) -> Iterator[Database]:
+    settings = read_settings({"data_dir": data_dir})
+    from app.context import Context
+
+    context = Context.open_existing(settings)
+    try:
+        yield context.database
+    finally:
+        context.close()
 
 
 def read_settings(given: dict[str, Any]) -> Settings:

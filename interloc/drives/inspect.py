@@ -44,7 +44,7 @@ class DriveReport(ScanFacts):
     georeference : str or None
         Where it comes from.
     georeference_reason : str or None
-        Why there is none.
+        Why there is none; None where the drive could not be opened to look for one.
     georeference_error : float or None
         Median error of the motion against the georeference, as a share of the distance.
     flatness_m : float or None

@@ -77,6 +77,8 @@ class ReadingOptions(BaseModel):
             message = first["msg"].removeprefix("Value error, ")
             if not message.startswith("label scheme"):
                 expected = first.get("ctx", {}).get("expected")
+                if first["type"] == "string_pattern_mismatch":
+                    expected = f"one such as {(cls.model_fields[str(first['loc'][0])].examples or [])[0]}"
                 name = " ".join(map(str, first["loc"])).replace("_", " ")
                 message = f"{name} {first['input']!r}: {f'expected {expected}' if expected else message}."
             raise ConfigError(message) from None

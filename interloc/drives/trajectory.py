@@ -73,8 +73,8 @@ class Trajectory:
         Poses in the file (may be more than scans).
     times_s : (N,) float64 or None
     georeference : Georeference or None
-    georeference_reason : str
-        Why there is none.
+    georeference_reason : str or None
+        Why there is none; None where it was not looked for.
     is_odd : bool
         Poses and times do not fit together, which was listed as a warning.
     """
@@ -83,7 +83,7 @@ class Trajectory:
     pose_count: int = 0
     times_s: FloatArray | None = None
     georeference: Georeference | None = None
-    georeference_reason: str = "the drive has neither oxts/ nor geo.csv"
+    georeference_reason: str | None = None
     is_odd: bool = False
 
 
@@ -109,7 +109,7 @@ def read_trajectory(
     DriveError, GeoreferenceError
         The first fault, where `findings` stops at it.
     """
-    georeference, reason = None, Trajectory.georeference_reason
+    georeference, reason = None, "the drive has neither oxts/ nor geo.csv"
     poses, pose_count, is_odd = None, 0, False
     with findings.stage():
         try:

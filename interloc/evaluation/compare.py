@@ -1,4 +1,4 @@
-"""Evaluations of one drive side by side: which settings differ, which figures, which nodes."""
+"""Evaluations of one drive side by side: which inputs and settings differ, which figures, which nodes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from interloc.errors import ConfigError
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.report import data_address, template, threshold_name
 from interloc.files import atomic_write
-from interloc.output.layout import settings_of
+from interloc.output.layout import refuse_result_file, settings_of
 
 _STANDARD = threshold_name(STANDARD_THRESHOLD_M)
 
@@ -33,8 +33,9 @@ def compare_reports(
     Returns
     -------
     dict
-        ``settings`` (those that differ), ``figures``, ``nodes`` (those with other outcomes: found, missed, or outside
-        of the zone in which they count), ``found_by_all``, ``missed_by_all``, ``found_only_by``, ``warnings``.
+        ``inputs`` and ``settings`` (those that differ), ``figures``, ``nodes`` (those with other outcomes: found,
+        missed, or outside of the zone in which they count), ``found_by_all``, ``missed_by_all``, ``found_only_by``,
+        ``warnings``.
 
     Raises
     ------
@@ -49,6 +50,7 @@ def compare_reports(
     missed = [{node["osm_id"] for node in nodes if node["outcomes"][i] == "missed"} for i in range(len(names))]
     return {
         "runs": list(names),
+        "inputs": differing_inputs(runs),
         "settings": differing_settings(runs),
         "figures": [{"name": name, "values": [figure(report) for report in reports]} for name, figure in _FIGURES],
         "nodes": [node for node in nodes if len(set(node["outcomes"])) > 1],
@@ -57,7 +59,7 @@ def compare_reports(
         "found_only_by": [
             sorted(mine - set().union(*(other for other in found if other is not mine))) for mine in found
         ],
-        "warnings": _warnings(reports),
+        "warnings": _warnings(reports, runs),
     }
 
 
@@ -76,7 +78,7 @@ def write_comparison(comparison: Mapping[str, Any], reports: Sequence[Mapping[st
     Raises
     ------
     ConfigError
-        The format is unknown.
+        The format is unknown, or `out` is a file that makes up a result folder.
     OutputError
         The file could not be written.
     """
@@ -85,6 +87,7 @@ def write_comparison(comparison: Mapping[str, Any], reports: Sequence[Mapping[st
     suffix = out.suffix.lower()
     if suffix not in {".html", ".svg", ".png"}:
         raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of .html, .svg, .png.")
+    refuse_result_file(out)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # of a name; the page has it in full
         content = image(comparison_figure(comparison["runs"], reports), "png" if suffix == ".png" else "svg")
@@ -99,9 +102,21 @@ def write_comparison(comparison: Mapping[str, Any], reports: Sequence[Mapping[st
         file.write(content)
 
 
+def differing_inputs(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return what runs read that differs, as ``{"name": "labels", "values": ["labels", "network salsanext"]}``."""
+    return _differing([{name: run.get(key) for name, key in _INPUTS.items()} for run in runs])
+
+
 def differing_settings(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the settings in which runs differ, as ``{"name": "bev.resolution_m", "values": [...]}``."""
-    flat = [dict(flatten(settings_of(run))) for run in runs]
+    return _differing([dict(flatten(settings_of(run))) for run in runs])
+
+
+_INPUTS = {"drive": "drive_name", "labels": "labels", "georeference": "georeference"}
+"""What `compare_reports` calls an input -> where `run.json` has it; the map is that of the report."""
+
+
+def _differing(flat: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     names = dict.fromkeys(name for each in flat for name in each)
     rows = [{"name": name, "values": [each.get(name) for each in flat]} for name in names]
     return [row for row in rows if any(value != row["values"][0] for value in row["values"])]
@@ -143,10 +158,11 @@ _FIGURES: tuple[tuple[str, Callable[[Mapping[str, Any]], Any]], ...] = (
 )
 
 
-def _warnings(reports: Sequence[Mapping[str, Any]]) -> list[str]:
+def _warnings(reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return why figures may not be comparable."""
     notes = []
     for what, values in (
+        ("drives", [run.get("drive_name") for run in runs]),
         ("ground truth policies", [report["policy"] for report in reports]),
         ("maps", [report["osm"]["source"] for report in reports]),
         ("dates of the map", [report["osm"]["date"] for report in reports]),

@@ -27,7 +27,7 @@ from interloc.osm.policies import POLICIES
 from interloc.output.credits import map_credit
 from interloc.output.geojson import DEGREE_DECIMALS, METRE_DECIMALS, encode, positions, rounded, write_collection
 from interloc.output.layers import BUILDINGS, LAYERS
-from interloc.output.layout import RUN_SETTINGS, settings_of
+from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
 from interloc.output.osm_roads import building_features, road_features
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
@@ -60,12 +60,13 @@ def write_report(evaluation: Evaluation, out_dir: str | os.PathLike[str], *, res
         raise OutputError(
             f"{out_dir}: no such folder. Expected the result folder of `interloc detect` or `interloc.write_results`."
         )
-    pictures = _write_figures(evaluation, result, out_dir / "figures")
+    pictures = _write_figures(evaluation, result, out_dir / FIGURES)
     graph = evaluation.graph
     for layer, features_of in LAYER_FEATURES.items():
         features = features_of(evaluation, result)
-        if layer == BUILDINGS and not features:
-            continue  # most maps of roads have none
+        if layer == BUILDINGS and not features:  # most maps of roads have none; those of an older map are gone
+            (out_dir / f"{layer}.geojson").unlink(missing_ok=True)
+            continue
         credit = LAYERS[layer].credit(features, made_up_map=graph.is_made_up)
         write_collection(out_dir / f"{layer}.geojson", features, local=False, credit=credit)
     record = report_record(evaluation)

@@ -18,6 +18,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+from interloc.errors import ConfigError
 from interloc.files import atomic_folder
 from interloc.output.layers import LAYERS, PLACES
 
@@ -61,16 +62,27 @@ RUN_NAMES = (
 )
 """What a run writes, whether it is evaluated or not, in this order."""
 
+FIGURES = "figures"
+"""The one folder in a result folder: the figures of an evaluation."""
+
 RESULT_NAMES = frozenset(
     [
         *RUN_NAMES,
         "report.json",
         "report.html",
         *(f"{layer.name}.geojson" for layer in LAYERS.values() if layer.is_osm),
-        "figures",
+        FIGURES,
     ]
 )
 """What InterLoc itself puts into a result folder. All else in there is the user's and survives a new run."""
+
+
+def refuse_result_file(out: Path) -> None:
+    """Raise ConfigError where a file to write is one of those that make up the result folder it is in."""
+    if out.name in RESULT_NAMES and (out.parent / RUN_FILE).is_file():
+        raise ConfigError(
+            f"{out} is a file of the result {out.parent} itself, and was not touched. Give another name or folder (-o)."
+        )
 
 
 def result_folder(out: Path) -> AbstractContextManager[Path]:

@@ -33,7 +33,7 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
         The folder is not a result, is damaged, or was written by a newer version.
     """
     folder = Path(folder)
-    run = _read_run(folder)
+    run = read_run(folder)
     georeferenced = run["georeferenced"]
     names = file_names(georeferenced=georeferenced)
     rows = {table: LAYERS[table].read(folder / name) for table, name in names.items()}
@@ -52,8 +52,14 @@ def read_results(folder: str | os.PathLike[str]) -> DriveResult:
     )
 
 
-def _read_run(folder: Path) -> dict[str, Any]:
-    """Read `run.json`, and refuse what this version did not write and cannot read."""
+def read_run(folder: Path) -> dict[str, Any]:
+    """Read the `run.json` of a result folder.
+
+    Raises
+    ------
+    OutputError
+        The folder is not a result, or was written by a newer version.
+    """
     if not folder.is_dir():
         raise OutputError(f"{folder} is not a folder. Give the folder that `interloc detect -o` wrote.")
     if not (folder / RUN_FILE).exists():

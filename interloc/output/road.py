@@ -18,7 +18,7 @@ from interloc.errors import ConfigError, DamagedResultError
 from interloc.files import atomic_write
 from interloc.mapping.mosaic import TILE, Mosaic, Raster
 from interloc.output.geojson import read_json
-from interloc.output.layout import ROAD_FILE, RUN_FILE
+from interloc.output.layout import ROAD_FILE, RUN_FILE, refuse_result_file
 
 ROAD_LAYER = "road"
 RASTER_SUFFIXES = (".tif", ".tiff")
@@ -114,12 +114,13 @@ def export_road(result: Path, out: Path) -> None:
     Raises
     ------
     ConfigError
-        The format is another one, or the result has no such file.
+        The format is another one, the result has no such file, or `out` is a file that makes up a result folder.
     OutputError
         `result` is not a result folder, or `out` could not be written.
     """
     if out.suffix.lower() not in RASTER_SUFFIXES:
         raise ConfigError(f"{out}: the layer road is a raster, which is written as GeoTIFF. Give a name in .tif.")
+    refuse_result_file(out)
     read_json(result / RUN_FILE)  # or say that it is no result
     source = result / ROAD_FILE
     if not source.is_file():

@@ -27,8 +27,8 @@ from interloc.output.geopackage import describe
 from interloc.output.geoparquet import has_parquet, parquet_bytes, require_parquet
 from interloc.output.gpx import GPX_LAYERS, write_gpx
 from interloc.output.kml import NAMES, pack_kmz, style_kml
-from interloc.output.layers import DERIVED, LAYERS, PLACES, Layer, Rows
-from interloc.output.layout import RUN_FILE, file_names
+from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, PLACES, Layer, Rows
+from interloc.output.layout import RUN_FILE, file_names, refuse_result_file
 from interloc.output.qgis_project import Source, project, write_qgz
 from interloc.output.vector_tiles import TiledLayer, write_tiles
 
@@ -108,7 +108,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     ------
     ConfigError
         The format or the layer is unknown, the result has no such layer because it was not evaluated, a format
-        that holds all was to hold one, or GeoParquet is asked for without the extra ``parquet``.
+        that holds all was to hold one, GeoParquet is asked for without the extra ``parquet``, or `out` is a file that
+        makes up a result folder.
     GeoreferenceError
         The result is in local metres, and is to be written as KML, PMTiles or GPX.
     OutputError
@@ -116,7 +117,10 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     """
     suffix = out.suffix.lower()
     if suffix not in FORMATS:
-        raise ConfigError(f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}.")
+        raise ConfigError(
+            f"{out}: unknown format {out.suffix!r}. Expected one of {', '.join(FORMATS)}, or .tif of the layer road."
+        )
+    refuse_result_file(out)
     if suffix == ".parquet":
         require_parquet()
     names = _choose(result, layer, suffix)
@@ -230,7 +234,7 @@ def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
     """Return the names of the layers to write."""
     wanted = None if layer is None else layer.replace("-", "_")
     if wanted is not None and wanted not in EXPORTS:
-        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}.")
+        raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}, or road as .tif.")
     local = is_local(result)
     if local and FORMATS[suffix].only_on_earth:
         raise GeoreferenceError(
@@ -257,6 +261,8 @@ def _why_missing(result: Path, layer: str) -> str:
     if layer == PLACES:
         return "Only a drive that was placed on the map by its roads has it: `interloc run --locate` does that."
     if (result / "report.json").exists():
+        if layer == BUILDINGS and "buildings" in read_json(result / "report.json").get("osm", {}):
+            return "The map that it was scored against has no buildings near the drive."
         return "An older version of InterLoc scored it; `interloc evaluate` writes the layer."
     return "It was not scored against a map: `interloc evaluate` does that."
 

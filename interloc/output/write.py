@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,22 @@ from pydantic_core import to_jsonable_python
 
 from interloc.arrays import FloatArray
 from interloc.errors import OutputError
-from interloc.files import atomic_write, reason_of
+from interloc.files import atomic_write, reason_of, refuse_foreign
 from interloc.geometry import bearing_deg, thin
 from interloc.mapping.mosaic import build_mosaic
 from interloc.output.geojson import bearings, encode, positions, write_collection
-from interloc.output.layers import LAYERS
-from interloc.output.layout import FORMAT, FORMAT_VERSION, ROAD_FILE, RUN_FILE, RUN_KEYS, file_names
+from interloc.output.layers import LAYERS, PLACES
+from interloc.output.layout import (
+    FIGURES,
+    FORMAT,
+    FORMAT_VERSION,
+    RESULT_NAMES,
+    ROAD_FILE,
+    RUN_FILE,
+    RUN_KEYS,
+    RUN_NAMES,
+    file_names,
+)
 from interloc.output.road import write_road
 from interloc.output.uids import place_uids
 from interloc.results import DriveResult, Verdicts
@@ -33,13 +44,13 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     result
         The run.
     folder
-        Is created where it is missing. Files of an older run in it are replaced one by one; write into an
-        `interloc.files.atomic_folder` for all or nothing.
+        Is created where it is missing. Files of an older run in it are replaced one by one, and those of its
+        evaluation are removed; write into an `interloc.files.atomic_folder` for all or nothing.
 
     Raises
     ------
     OutputError
-        A file could not be written.
+        The folder holds other files and no result, or a file could not be written.
 
     Notes
     -----
@@ -50,10 +61,16 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     folder = Path(folder)
     names = file_names(georeferenced=result.is_georeferenced)
     local = not result.is_georeferenced
+    stale = RESULT_NAMES - {RUN_FILE, FIGURES, *names.values()}
+    if "location" in result.run:
+        stale -= {f"{PLACES}.geojson"}  # the places where a run that was placed might have been are written before it
+    refuse_foreign(folder, folder, RUN_FILE, RUN_NAMES)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for stale in (RUN_FILE, ROAD_FILE, *file_names(georeferenced=local).values()):
-            (folder / stale).unlink(missing_ok=True)
+        for name in (RUN_FILE, *stale):
+            (folder / name).unlink(missing_ok=True)
+        if (folder / FIGURES).exists():
+            shutil.rmtree(folder / FIGURES)
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
     for table, features_of in TABLE_FEATURES.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -34,20 +35,30 @@ def test_figures_and_settings_side_by_side(outs: tuple[Path, Path], interloc: Ca
 def test_curves_of_all_runs_in_one_figure(outs: tuple[Path, Path], tmp_path: Path, interloc: Callable) -> None:
     third = tmp_path / "a $b$ 高速"
     shutil.copytree(outs[0], third)
+    run_file = third / "run.json"
+    run_file.write_text(json.dumps(json.loads(run_file.read_text()) | {"labels": "predictions"}))
+    lines = interloc("compare", outs[0], third).out.splitlines()
+    assert [line.split()[0] for line in lines if line.endswith(" predictions")] == ["labels"]
+    assert "the same settings" in lines
     assert interloc("compare", *outs, third, "-o", tmp_path / "all.html").code == 0
     page = (tmp_path / "all.html").read_text()
     assert all(str(out) in page for out in (*outs, third))
     assert "data:image/svg+xml;base64," in page
+    assert "<td>predictions</td>" in page
     assert "<script" not in page
     assert interloc("compare", *outs, "-o", tmp_path / "all.png").code == 0
     assert (tmp_path / "all.png").read_bytes().startswith(b"\x89PNG")
     outcome = interloc("compare", *outs, "-o", tmp_path / "all.pdf")
     assert (outcome.code, outcome.complaint.count(".html, .svg, .png")) == (2, 1)
+    report = (third / "report.html").read_bytes()
+    outcome = interloc("compare", *outs, "-o", third / "report.html")
+    assert (outcome.code, outcome.complaint.count("was not touched")) == (2, 1)
+    assert (third / "report.html").read_bytes() == report
 
 
 def test_what_cannot_be_compared(outs: tuple[Path, Path], drive: Path, tmp_path: Path, interloc: Callable) -> None:
     assert "two runs or more" in interloc("compare", outs[0]).complaint
-    assert "is missing" in interloc("compare", outs[0], tmp_path).complaint
+    assert "is not an InterLoc result: it has no run.json" in interloc("compare", outs[0], tmp_path).complaint
     assert interloc("detect", drive, "-o", tmp_path / "plain", "--quiet").code == 0
     outcome = interloc("compare", outs[0], tmp_path / "plain")
     assert outcome.code == 2

@@ -27,7 +27,8 @@ def test_complaints_in_one_line(local_drive: Path, tmp_path: Path, interloc: Cal
     outcome = interloc("export", out, "-o", tmp_path / "out.kml", "--layer", "roads")
     assert outcome.code == 2
     assert "Expected one of intersections, detections, trajectory" in outcome.complaint
-    assert "run.json is missing" in interloc("export", tmp_path, "-o", tmp_path / "out.kml").complaint
+    outcome = interloc("export", tmp_path, "-o", tmp_path / "out.kml")
+    assert "is not an InterLoc result: it has no run.json" in outcome.complaint
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     said = interloc("export", out, "-o", tmp_path / "out.gpkg")
     assert "none: metres in the frame of the first scan. Place it: " in said.out

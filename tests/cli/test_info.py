@@ -60,6 +60,7 @@ def test_a_drive_that_is_not_there(interloc: Callable, tmp_path: Path) -> None:
     outcome = interloc("info", tmp_path / "none")
     assert outcome.code == 1
     assert "does not exist. Expected the folder of one drive." in outcome.out
+    assert "georeference" not in outcome.out  # which nobody could look for
 
 
 def test_a_real_excerpt_is_explained(interloc: Callable, data: Callable[[str], Path]) -> None:

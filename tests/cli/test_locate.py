@@ -86,6 +86,16 @@ def test_one_known_pose(drive: Path, tmp_path: Path, interloc: Callable) -> None
     assert placed.lon_deg[-1] > 8.401  # it drives east
 
 
+def test_a_file_that_is_there_stays(drive: Path, tmp_path: Path, interloc: Callable) -> None:
+    geo = tmp_path / "geo.csv"
+    geo.write_text("measured\n")
+    done = interloc("locate", drive, "--at", "49.0,8.4,90", "-o", geo)
+    assert (done.code, geo.read_text()) == (2, "measured\n")
+    assert f"{geo} is there already, and was not touched" in done.complaint
+    assert interloc("locate", drive, "--at", "49.0,8.4,90", "-o", geo, "--overwrite", "--quiet").code == 0
+    assert geo.read_text().startswith("frame,lat_deg")
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

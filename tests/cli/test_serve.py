@@ -50,14 +50,15 @@ def serving(
 
 @pytest.mark.parametrize("stop", [signal.SIGTERM, signal.SIGINT])
 def test_a_server_starts_and_stops(stop: signal.Signals, environment: dict[str, str], tmp_path: Path) -> None:
-    nothing = {"INTERLOC_STATIC_DIR": str(tmp_path)}
-    with serving(environment, tmp_path, **nothing) as (process, address):
+    variables = {"INTERLOC_STATIC_DIR": str(tmp_path), "INTERLOC_WORKRES": "4", "INTERLOC_SERVICE_HOST": "10.0.0.1"}
+    with serving(environment, tmp_path, **variables) as (process, address):
         assert httpx.get(f"{address}healthz", verify=NO_TLS).json() == {"status": "ok"}
         assert (tmp_path / "interloc-data/interloc.sqlite3").is_file()
         process.send_signal(stop)
         assert process.wait(30) == 0
-        _, second = process.out.read_text().splitlines()
+        _, second, third = process.out.read_text().splitlines()
         assert second.startswith("The page is not installed, only the API: ")
+        assert third == "INTERLOC_WORKRES is not a setting and has no effect; INTERLOC_WORKERS is one."
     lines = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
     assert lines[-1]["message"] == "stopped"
     assert not [line for line in lines if line["level"] in {"error", "warning"}]
@@ -186,7 +187,9 @@ def test_a_bad_setting_is_named(
 
 def test_tokens_are_shown_once(interloc: Interloc, tmp_path: Path) -> None:
     data = ("--data-dir", tmp_path)
-    assert interloc("token", "list", *data).err == "no tokens\n"
+    assert "holds no drives of a service" in interloc("token", "list", *data).complaint
+    assert "holds no drives of a service" in interloc("token", "revoke", "alice", *data).complaint
+    assert not list(tmp_path.iterdir())  # a mistyped folder does not become a service
     token = interloc("token", "add", "alice", *data).out.strip()
     assert token.startswith("interloc_")
     listed = interloc("token", "list", *data).out
@@ -195,16 +198,18 @@ def test_tokens_are_shown_once(interloc: Interloc, tmp_path: Path) -> None:
     assert interloc("token", "add", "alice", *data).code == 2
     assert interloc("token", "revoke", "alice", *data).out == "the token of alice is revoked\n"
     assert interloc("token", "revoke", "alice", *data).code == 2
+    assert interloc("token", "list", *data).err == "no tokens\n"
 
 
 def test_tokens_tell_what_they_allow(interloc: Interloc, tmp_path: Path) -> None:
     data = ("--data-dir", tmp_path)
     limits = ("--expires", "30d", "--max-bytes", "1.5GB", "--max-jobs", "5")
     assert interloc("token", "add", "alice", "--read-only", *limits, *data).code == 0
-    assert interloc("token", "add", "bob", "--expires", "2999-12-31", *data).code == 0
+    few = ("--max-bytes", "1MB", "--max-jobs", "1")
+    assert interloc("token", "add", "bob", "--expires", "2999-12-31", *few, *data).code == 0
     alice, bob = interloc("token", "list", *data).out.splitlines()
     assert re.fullmatch(r"alice +read  since .* UTC, never used, expires 2\d{3}-\d\d-\d\d .*, 1\.5 GB, 5 jobs", alice)
-    assert re.fullmatch(r"bob +write since .* UTC, never used, expires 2999-12-31 00:00", bob)
+    assert re.fullmatch(r"bob +write since .* UTC, never used, expires 2999-12-31 00:00, 1 MB, 1 job", bob)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from interloc.errors import ConfigError
         ({"label_scheme": {-1}}, "label scheme '-1': expected auto"),
         ({"label_scheme": set()}, "label scheme '': expected auto"),
         ({"label_scheme": [70000]}, "must be numbers from 0 to 65535"),
+        ({"crs": "foo"}, "crs 'foo': expected one such as EPSG:25832"),
         ({"colour": "red"}, "colour 'red': Extra inputs are not permitted"),
     ],
 )

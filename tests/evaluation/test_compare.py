@@ -72,6 +72,18 @@ def test_settings_that_differ_are_named_by_their_path() -> None:
     ]
 
 
+def test_inputs_that_differ_are_no_settings() -> None:
+    a = {"drive_name": "07", "labels": "labels", "georeference": "geo.csv (poses of the LiDAR)"}
+    told = compare_reports(["a", "b"], [report({}), report({})], [a, a | {"labels": "predictions"}])
+    assert told["inputs"] == [{"name": "labels", "values": ["labels", "predictions"]}]
+    assert told["settings"] == told["warnings"] == []
+    told = compare_reports(["a", "b"], [report({}), report({})], [a, {"drive_name": "08"}])
+    assert [row["name"] for row in told["inputs"]] == ["drive", "labels", "georeference"]
+    assert [row["values"][1] for row in told["inputs"]] == ["08", None, None]
+    (warning,) = told["warnings"]
+    assert "different drives (07, 08)" in warning
+
+
 def test_figures_that_do_not_stand_side_by_side_are_said() -> None:
     told = compare_reports(["a", "b"], [report({}), report({}, policy="all", keyframes=8)], [{}, {}])
     assert [w.split("different ")[1].split(" (")[0] for w in told["warnings"]] == [

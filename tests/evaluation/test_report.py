@@ -167,9 +167,11 @@ def test_a_road_without_junction_has_a_report(run: Run, graph: Graph, tmp_path: 
 
 
 def test_the_same_evaluation_gives_the_same_files(scored: Scored, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "osm_buildings.geojson").write_text("of an older map, which had some")
     write_report(scored[0], tmp_path)
     for name in FILES:
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+    assert written(tmp_path) == written(folder)
 
 
 def test_a_missing_folder_is_named(scored: Scored, tmp_path: Path) -> None:

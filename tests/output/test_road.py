@@ -148,6 +148,8 @@ def test_it_is_part_of_a_result_and_can_be_taken_out(tmp_path: Path) -> None:
     assert (tmp_path / "road.tif").read_bytes() == (tmp_path / "out" / ROAD_FILE).read_bytes()
     with pytest.raises(ConfigError, match=r"name in \.tif"):
         export_road(tmp_path / "out", tmp_path / "road.gpkg")
+    with pytest.raises(ConfigError, match="was not touched"):
+        export_road(tmp_path / "out", tmp_path / "out" / ROAD_FILE)
     with pytest.raises(OutputError, match=r"run\.json is missing"):
         export_road(tmp_path, tmp_path / "road.tif")
     write_results(small_result(), tmp_path / "out")  # which kept no road

@@ -150,10 +150,12 @@ def test_a_name_may_use_hyphens_and_an_older_file_is_replaced(scored: Path, tmp_
 
 
 def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"\.shp.*Expected one of \.gpkg, \.qgz, \.fgb, \.kml"):
+    with pytest.raises(ConfigError, match=r"\.shp.*Expected one of \.gpkg, \.qgz, \.fgb, .*\.tif of the layer road"):
         write_vector_file(scored, tmp_path / "a.shp")
-    with pytest.raises(ConfigError, match="'streets' is not a layer"):
+    with pytest.raises(ConfigError, match=r"'streets' is not a layer.*road as \.tif"):
         write_vector_file(scored, tmp_path / "a.fgb", layer="streets")
+    with pytest.raises(ConfigError, match=r"no osm_buildings\.geojson. The map .* has no buildings near the drive"):
+        write_vector_file(scored, tmp_path / "a.fgb", layer="osm_buildings")
     with pytest.raises(OutputError, match="no such file or directory"):
         write_vector_file(scored, tmp_path / "nowhere" / "a.fgb")
     with pytest.raises(OutputError, match=r"run\.json is missing"):
@@ -161,6 +163,10 @@ def test_what_cannot_be_is_said(scored: Path, tmp_path: Path) -> None:
     plain = write_folder(tmp_path / "plain", small_result(), scored=False)
     with pytest.raises(ConfigError, match=r"no matches\.geojson.*interloc evaluate"):
         write_vector_file(plain, tmp_path / "a.fgb", layer="matches")
+    detections = (plain / "detections.geojson").read_bytes()
+    with pytest.raises(ConfigError, match=r"detections\.geojson is a file of the result .*, and was not touched"):
+        write_vector_file(scored, plain / "detections.geojson")
+    assert (plain / "detections.geojson").read_bytes() == detections
     local = write_folder(tmp_path / "local", small_result(local=True), scored=False)
     for suffix, title in ((".kml", "KML"), (".pmtiles", "PMTiles"), (".gpx", "GPX")):
         with pytest.raises(GeoreferenceError, match=rf"{title} knows longitude and latitude only.*`interloc locate"):

@@ -22,7 +22,7 @@ from interloc.output.layout import result_folder
 from interloc.output.read import read_results
 from interloc.output.write import write_results
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
-from tests.output.small import small_result
+from tests.output.small import small_result, write_folder
 
 
 def load(path: Path) -> dict[str, Any]:
@@ -170,6 +170,30 @@ def test_a_local_run_never_pretends_to_be_on_the_globe(tmp_path: Path) -> None:
         )
     assert load(tmp_path / "keyframes.local.json")["features"][0]["properties"]["heading_deg"] == 90.0
     assert load(tmp_path / "run.json")["georeferenced"] is False
+
+
+def test_nothing_of_an_older_evaluation_survives(tmp_path: Path) -> None:
+    out = write_folder(tmp_path / "out", small_result(), scored=True)
+    (out / "places.geojson").write_text("of a run that was placed")
+    (out / "notes.txt").write_text("the user's")
+    write_results(small_result(empty=True), out)
+    assert {path.name for path in out.iterdir()} == {*load(out / "run.json")["files"], "notes.txt"}
+
+
+def test_places_are_written_before_the_run_that_was_placed(tmp_path: Path) -> None:
+    (tmp_path / "places.geojson").write_text("its own")
+    write_results(replace(small_result(), run={"location": {"source": "map"}}), tmp_path)
+    assert (tmp_path / "places.geojson").read_text() == "its own"
+
+
+def test_a_folder_of_something_else_is_not_written_into(tmp_path: Path) -> None:
+    (tmp_path / "detections.geojson").write_text("of a run that was interrupted")
+    write_results(small_result(), tmp_path)
+    (tmp_path / "run.json").unlink()
+    (tmp_path / "report.html").write_text("the user's")
+    with pytest.raises(OutputError, match=r"is not an InterLoc result: it holds report\.html but no run\.json"):
+        write_results(small_result(local=True), tmp_path)
+    assert (tmp_path / "detections.geojson").exists()
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -36,6 +36,13 @@ def read_geo_csv(file: GeoreferenceFile, frames: IntArray) -> Georeference:
     header = tuple(column.strip() for column in lines[0].split(","))
     missing_columns = [column for column in GEO_COLUMNS if column not in header]
     if missing_columns:
+        separator = next((name for sign, name in ((";", "semicolons"), ("\t", "tabs")) if sign in lines[0]), None)
+        if separator is not None:
+            raise file.fault(
+                f"its columns are separated by {separator}. Expected commas, and decimals with a point: "
+                f"{','.join(GEO_COLUMNS)}. Usual cause: a spreadsheet's export where numbers are written with a comma.",
+                1,
+            )
         raise file.fault(f"no column {', '.join(missing_columns)}. Expected the header {','.join(GEO_COLUMNS)}.", 1)
     columns = [header.index(column) for column in GEO_COLUMNS]
     std_column = header.index(STD_COLUMN) if STD_COLUMN in header else None

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interloc.arrays import FloatArray, IntArray, UInt8Array
-from interloc.drives.files import SourceFile
+from interloc.drives.files import SourceFile, is_number
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
 from interloc.drives.options import DriveOptions
@@ -22,7 +22,9 @@ from interloc.drives.scans.bin_files import RING_POINT_BYTES, read_points
 from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.drives.trajectory import Trajectory, read_trajectory
+from interloc.errors import InterLocError
 from interloc.kernels.lzf import decompress_lzf
+from interloc.results import counted
 
 INTENSITY_FIELDS = ("intensity", "i", "remission", "reflectivity", "reflectance")
 """Names under which drivers and tools write the remission."""
@@ -338,8 +340,8 @@ def _from_text(header: PcdHeader, text: bytes, file: SourceFile) -> NDArray[Any]
     columns = sum(int(np.prod(header.dtype[name].shape)) or 1 for name in _names(header))
     try:
         table = np.loadtxt(io.StringIO(text.decode("ascii")), ndmin=2, comments="#")
-    except ValueError as error:
-        raise file.fault(f"its points cannot be read as numbers: {str(error)[:200]}.") from None
+    except ValueError:
+        raise _no_point(text, columns, file) from None
     if table.shape != (header.points, columns):
         raise file.fault(
             f"{table.shape[0]:,} lines of {table.shape[1]} numbers; the header promises {header.points:,} points of "
@@ -354,6 +356,20 @@ def _from_text(header: PcdHeader, text: bytes, file: SourceFile) -> NDArray[Any]
             points[name] = piece if header.dtype[name].shape else piece[:, 0]
         at += count
     return points
+
+
+def _no_point(text: bytes, columns: int, file: SourceFile) -> InterLocError:
+    """Return the error about the first line that is not a point."""
+    rows = (line.partition("#")[0].split() for line in text.decode("ascii", errors="replace").splitlines())
+    for number, row in enumerate(filter(None, rows), start=1):
+        if len(row) != columns:
+            return file.fault(
+                f"point {number:,} has {counted(len(row), 'number')}; expected {columns}, as in the header. "
+                "Usual cause: a copy or download that did not finish."
+            )
+        if (wrong := next((field for field in row if not is_number(field)), None)) is not None:
+            return file.fault(f"point {number:,} holds {wrong[:40]!r}, which is not a number.")
+    return file.fault("its points cannot be read as numbers.")
 
 
 def _from_compressed(header: PcdHeader, data: UInt8Array, file: SourceFile) -> NDArray[Any]:

@@ -24,6 +24,19 @@ def test_two_presets_side_by_side(finished: Finished) -> None:
     assert figures["ace_m"] == [report["ace_m"] for report in reports]
     assert figures["recall_at_5"] == [report["recall"]["5.0"] for report in reports]
     assert told["found_by_all"] + len(told["found_only_by"][0]) == reports[0]["nodes_found"]
+    assert told["inputs"] == told["warnings"] == []
+
+
+def test_other_labels_are_named_and_a_renamed_drive_is_the_same(finished: Finished) -> None:
+    path = finished.data_dir / "jobs/paper/result/run.json"
+    before = path.read_text()
+    labels = json.loads(before)["labels"]
+    path.write_text(json.dumps(json.loads(before) | {"labels": "network salsanext", "drive_name": "renamed"}))
+    try:
+        told = finished.get("/compare?jobs=default,paper").json()
+    finally:
+        path.write_text(before)
+    assert told["inputs"] == [{"name": "labels", "values": [labels, "network salsanext"]}]
     assert told["warnings"] == []
 
 

@@ -115,6 +115,7 @@ def test_geo_csv_is_the_lidar_itself(tmp_path: Path, make: ModuleType) -> None:
     ("edit", "words"),
     [
         (lambda text: text.replace("lat_deg", "latitude"), "no column lat_deg"),
+        (lambda text: text.replace(",", ";"), "line 1: its columns are separated by semicolons. Expected commas"),
         (lambda text: "\n".join(text.splitlines()[:-1]), "1 of 12 scans have no row: frames 11"),
         (lambda text: text.splitlines()[0], "header only"),
         (lambda text: text + "12,1,2\n", "line 14: 3 fields"),

@@ -210,7 +210,8 @@ GOOD = labelled_points(np.arange(40, dtype=np.float32).reshape(10, 4))
             pcd_bytes(GOOD, "ascii", header=[("POINTS", "9")]),
             "10 lines of 4 numbers; the header promises 9 points of 4",
         ),
-        (pcd_bytes(GOOD, "ascii").replace(b"5.0", b"five"), "cannot be read as numbers"),
+        (pcd_bytes(GOOD, "ascii").replace(b"5.0", b"five"), "holds 'five', which is not a number"),
+        (pcd_bytes(GOOD, "ascii")[:-6], "point 10 has 3 numbers; expected 4, as in the header"),
         (pcd_bytes(GOOD, "binary_compressed")[:-3], "is damaged: its points would unpack"),
         (pcd_bytes(GOOD, "binary_compressed", header=[("POINTS", "11")]), "is damaged: its points would unpack"),
         (
