@@ -91,7 +91,7 @@ def atomic_folder(out: Path, *, marker: str, names: Collection[str] = ()) -> Ite
     filled in place instead: built in a hidden folder inside, then its files are renamed into place, `marker` last.
     """
     target = Path(os.path.realpath(out))  # a link to a folder stays a link
-    refuse_foreign(target, out, marker)
+    _refuse_foreign(target, out, marker)
     in_place = target.is_dir() and (target.is_mount() or not os.access(target.parent, os.W_OK | os.X_OK))
     temporary = target / f".partial-{secrets.token_hex(4)}" if in_place else _temporary_name(target)
     created: list[Path] = []
@@ -139,21 +139,18 @@ def _concerns(error: OSError, temporary: Path) -> bool:
     return Path(os.fsdecode(error.filename)).is_relative_to(temporary)
 
 
-def refuse_foreign(target: Path, out: Path, marker: str, names: Collection[str] = ()) -> None:
-    """Raise OutputError where a folder, `out` to the user, holds something that InterLoc may not replace.
-
-    Without `marker` it may hold `names` only.
-    """
+def _refuse_foreign(target: Path, out: Path, marker: str) -> None:
+    """Raise OutputError where `target` is something that InterLoc may not replace."""
     try:
         if not target.exists():
             return
         if not target.is_dir():
             raise OutputError(f"{out} is a file; a result needs a folder. Give the name of a new or an empty folder.")
-        there = sorted(entry.name for entry in target.iterdir())
+        names = sorted(entry.name for entry in target.iterdir())
     except OSError as error:
         raise OutputError(f"{out} could not be written: {reason_of(error)}.") from error
-    foreign = [name for name in there if name not in names and not name.startswith(".partial-")]
-    if foreign and marker not in there:
+    foreign = [name for name in names if not name.startswith(".partial-")]
+    if foreign and marker not in foreign:
         shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         raise OutputError(
             f"{out} exists and is not an InterLoc result: it holds {shown} but no {marker}. "

@@ -13,7 +13,7 @@ from pydantic_core import to_jsonable_python
 
 from interloc.arrays import FloatArray
 from interloc.errors import OutputError
-from interloc.files import atomic_write, reason_of, refuse_foreign
+from interloc.files import atomic_write, reason_of
 from interloc.geometry import bearing_deg, thin
 from interloc.mapping.mosaic import build_mosaic
 from interloc.output.geojson import bearings, encode, positions, write_collection
@@ -45,12 +45,13 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
         The run.
     folder
         Is created where it is missing. Files of an older run in it are replaced one by one, and those of its
-        evaluation are removed; write into an `interloc.files.atomic_folder` for all or nothing.
+        evaluation are removed: they are of another result. All else stays. Write into an
+        `interloc.files.atomic_folder` for all or nothing.
 
     Raises
     ------
     OutputError
-        The folder holds other files and no result, or a file could not be written.
+        A file could not be written.
 
     Notes
     -----
@@ -61,16 +62,12 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     folder = Path(folder)
     names = file_names(georeferenced=result.is_georeferenced)
     local = not result.is_georeferenced
-    stale = RESULT_NAMES - {RUN_FILE, FIGURES, *names.values()}
-    if "location" in result.run:
-        stale -= {f"{PLACES}.geojson"}  # the places where a run that was placed might have been are written before it
-    refuse_foreign(folder, folder, RUN_FILE, RUN_NAMES)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name in (RUN_FILE, *stale):
-            (folder / name).unlink(missing_ok=True)
-        if (folder / FIGURES).exists():
-            shutil.rmtree(folder / FIGURES)
+        if (folder / RUN_FILE).is_file():
+            _remove_evaluation(folder, is_placed="location" in result.run)
+        for stale in (RUN_FILE, ROAD_FILE, *file_names(georeferenced=local).values()):
+            (folder / stale).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{folder} could not be written: {reason_of(error)}.") from error
     for table, features_of in TABLE_FEATURES.items():
@@ -84,6 +81,17 @@ def write_results(result: DriveResult, folder: str | os.PathLike[str]) -> None:
     run = dict(zip(RUN_KEYS, own, strict=True)) | {k: v for k, v in facts.items() if k not in RUN_KEYS}
     with atomic_write(folder / RUN_FILE) as handle:
         handle.write(encode(run, indent=2).encode() + b"\n")
+
+
+def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
+    """Remove what an evaluation, and the placing of another run, left in a result folder."""
+    stale = RESULT_NAMES.difference(RUN_NAMES, [FIGURES])
+    if not is_placed:  # else its places have been written just now
+        stale |= {f"{PLACES}.geojson"}
+    for name in stale:
+        (folder / name).unlink(missing_ok=True)
+    if (folder / FIGURES).is_dir():
+        shutil.rmtree(folder / FIGURES)
 
 
 def _write_rasters(result: DriveResult, folder: Path) -> list[str]:

@@ -186,14 +186,12 @@ def test_places_are_written_before_the_run_that_was_placed(tmp_path: Path) -> No
     assert (tmp_path / "places.geojson").read_text() == "its own"
 
 
-def test_a_folder_of_something_else_is_not_written_into(tmp_path: Path) -> None:
-    (tmp_path / "detections.geojson").write_text("of a run that was interrupted")
+def test_files_of_something_else_stay(tmp_path: Path) -> None:
+    (tmp_path / "figures").mkdir()
+    for name in ("report.html", "figures/mine.png"):
+        (tmp_path / name).write_text("the user's")
     write_results(small_result(), tmp_path)
-    (tmp_path / "run.json").unlink()
-    (tmp_path / "report.html").write_text("the user's")
-    with pytest.raises(OutputError, match=r"is not an InterLoc result: it holds report\.html but no run\.json"):
-        write_results(small_result(local=True), tmp_path)
-    assert (tmp_path / "detections.geojson").exists()
+    assert (tmp_path / "report.html").read_text() == (tmp_path / "figures/mine.png").read_text() == "the user's"
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
