@@ -110,7 +110,8 @@ def _moment(text: str) -> float:
     if span is not None:
         return time.time() + int(span[1]) * {"d": 86400, "h": 3600}[span[2]]
     try:
-        return datetime.fromisoformat(text).replace(tzinfo=UTC).timestamp()
+        moment = datetime.fromisoformat(text)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     except (ValueError, OverflowError):
         raise click.BadParameter(f"{text!r}: expected 30d, 12h or a date such as 2030-12-31 (UTC).") from None
 
