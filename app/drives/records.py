@@ -14,6 +14,7 @@ from app.context import Context
 from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.parameters import Box
 from app.http.problems import Problem
+from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
 from app.paths import MAP_ENDINGS, is_map
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
@@ -24,8 +25,6 @@ from app.store.database import moment
 from app.store.models import Drive, DriveFile
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
-from interloc.drives.options import LabelFolder
-from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import InterLocError
 from interloc.output.geojson import read_json
 
@@ -297,15 +296,7 @@ def whole_drive_model(session: Session, context: Context, drive: Drive) -> Drive
             DriveFile.drive_id == drive.id, or_(*(func.lower(DriveFile.path).endswith(end) for end in MAP_ENDINGS))
         )
     )
-    return model.model_copy(update={"maps": sorted(paths), "label_folders": _label_folders(context, drive.id)})
-
-
-def _label_folders(context: Context, drive_id: str) -> list[LabelFolder]:
-    try:
-        manifest = read_manifest(context.storage.folder(reduced_key(drive_id)))
-    except InterLocError:  # damaged from outside: jobs tell what is wrong
-        return []
-    return [labels.folder for labels in manifest.labels]
+    return model.model_copy(update={"maps": sorted(paths), "label_folders": label_folders(context.storage, drive.id)})
 
 
 def file_model(file: DriveFile) -> UploadedFile:

@@ -41,6 +41,7 @@ MEANINGS = {
     "Idempotency key used before": "The Idempotency-Key was sent with another request.",
     "Job not ended": "The job must end before it can be removed.",
     "Job not found": "There is no such job.",
+    "Labels not found": "The drive has no labels of this folder.",
     "Limit reached": "The work took more time or memory than it may; `limit` names the setting, `bound` its value.",
     "Map needed": "The drive is to be placed on a map, and no map is given.",
     "Map not found": "The map is not among the files of the drive.",

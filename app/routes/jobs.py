@@ -55,7 +55,10 @@ def _problem(description: str) -> dict[str, Any]:
         202: {"headers": headers_named("Location", "Preference-Applied")},
         404: _problem("There is no such drive."),
         409: _problem("The drive is not committed."),
-        422: _problem("A setting is refused, the map is not among the files, or the key was used for another request."),
+        422: _problem(
+            "A setting is refused, the drive lacks the map, the labels or the georeference that the job needs, or the "
+            "key was used for another request."
+        ),
         429: {
             **_problem("Too many jobs of this client wait or run."),
             "headers": headers_named("Retry-After"),
