@@ -230,13 +230,17 @@ def test_jobs_are_listed_page_by_page(serve: Serve, street: Path, tmp_path: Path
         gate.open()
 
 
-def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, data_dir: Path) -> None:
+def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, street: Path, data_dir: Path) -> None:
     gate = Gate(data_dir, drive, MIDDLE)
-    job_id = submit(client, drive)
+    map_ = f"{API}/drives/{drive}/files/map-2.osm"
+    client.put(map_, content=(street / "map.osm").read_bytes()).raise_for_status()
+    job_id = submit(client, drive, osm={"file": "map-2.osm"})
     half_way(client, job_id)
+    assert f"Job {job_id} is running and needs map-2.osm" in problem(client.delete(map_), 409)
     answer = client.delete(f"{API}/jobs/{job_id}")
     assert answer.status_code == 202
     job = ended(client, job_id)  # though its worker hears nothing
+    assert client.delete(map_).status_code == 204
     assert (job["state"], job["error"]["title"]) == ("dismissed", "Cancelled")
     assert not (data_dir / "jobs" / job_id).exists()
     gate.open()
