@@ -14,12 +14,14 @@ import {
   isRecorded,
   isRecordedLayout,
   mayBePoses,
+  readFields,
   recordedLayoutOf,
   recordingFaults,
 } from "./recordings.js";
 import { sizeComplaint } from "./reduce.js";
 
 /** @typedef {import("../api.js").FileProblem} FileProblem */
+/** @typedef {import("./recordings.js").PcdFields} PcdFields */
 
 /**
  * @typedef {object} DriveFolder
@@ -29,6 +31,7 @@ import { sizeComplaint } from "./reduce.js";
  * @property {"semantickitti" | "kitti_raw" | "kitti360" | "reduced" | import("./recordings.js").RecordedLayout} layout
  * @property {NumberedFiles | null} scans null of a reduced drive, and of one that only the service reads.
  * @property {Map<string, File>} recorded Of a drive that only the service reads: its scans, by path inside the drive.
+ * @property {PcdFields | null} fields Of a drive of PCD files, where their header can be read.
  * @property {Record<string, NumberedFiles>} labels By folder: labels, predictions.
  * @property {Map<string, File>} small What else of it is sent, by path inside the drive: poses, calibration, times, OXTS.
  * @property {Map<string, File>} maps OSM files.
@@ -114,6 +117,7 @@ async function readDrive({ folder, root, inside, kind, calibration }) {
     layout: kind === "scans" ? "semantickitti" : kind,
     scans: null,
     recorded: new Map(),
+    fields: null,
     labels: {},
     small: new Map(),
     maps: new Map(),
@@ -133,6 +137,7 @@ async function readDrive({ folder, root, inside, kind, calibration }) {
     }
     if (kind === "scans" || kind === "pcd") borrowBeside(drive, folder, calibration);
     drive.layout = await layoutOf(drive);
+    if (kind === "pcd") drive.fields = await readFields(drive.recorded);
   }
   return drive;
 }
@@ -393,6 +398,9 @@ export function checkDrive(drive, folders, hasOxts, { model, canLabel } = { mode
   const problems = [...drive.problems];
   if (isRecordedLayout(drive.layout)) {
     problems.push(...checkRecorded(drive, drive.layout, folders));
+    if (drive.fields?.hasLabel === false && !Object.keys(drive.labels).length && !model) {
+      problems.push(error(drive.fields.path, `has no label: ${wantsLabels(drive.fields, canLabel)}`));
+    }
     return sorted([...problems, ...checkSmall(drive, hasOxts)]);
   }
   if (!drive.scans) {
@@ -408,6 +416,13 @@ export function checkDrive(drive, folders, hasOxts, { model, canLabel } = { mode
     if (drive.labels[folder]) problems.push(...checkLabels(drive.scans, drive.labels[folder]));
   }
   return sorted([...problems, ...checkSmall(drive, hasOxts)]);
+}
+
+/** @param {PcdFields} fields @param {boolean} canLabel @returns {string} */
+function wantsLabels({ names }, canLabel) {
+  const found = names.length ? `its fields are ${names.join(", ")}` : "it holds no named fields";
+  const expected = `Expected one of ${getConfig().file_kinds.label_fields.join(", ")} among them, or labels/ with a .label file per scan; add that folder below.`;
+  return `${found}. ${expected}${canLabel ? "" : ` ${NO_NETWORKS}`}`;
 }
 
 /**
