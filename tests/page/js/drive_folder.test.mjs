@@ -303,6 +303,17 @@ test("missing labels, poses and sizes that do not fit are listed before anything
   assert.match(texts(problems, "note")[0], /local metres/);
 });
 
+test("calibration is missed where the poses are those of a camera", async () => {
+  const along = (row) => [0, 1, 2].map((x) => row.replace("x", x)).join("\n");
+  const warnings = async (poses, more = {}) => {
+    const [drive] = await findDrives(folder({ ...scans("", [0, 1, 2]), "poses.txt": poses, ...more }));
+    return texts(checkDrive(drive, ["labels"], false), "warning");
+  };
+  assert.match((await warnings(along("1 0 0 0 0 1 0 0 0 0 1 x")))[0], /calib\.txt is missing.* poses of a camera/);
+  assert.deepEqual(await warnings(along("1 0 0 x 0 1 0 0 0 0 1 0")), []);
+  assert.deepEqual(await warnings(along("1 0 0 0 0 1 0 0 0 0 1 x"), { "calib.txt": "Tr: 1" }), []);
+});
+
 test("names that are not scan numbers are listed", async () => {
   const [drive] = await findDrives(
     folder({ ...scans("", [0, 1]), "velodyne/scan.bin": 16, "velodyne/7.bin": 16, "poses.txt": POSE }),
@@ -348,6 +359,8 @@ test("ten thousand scans are sorted at once", async () => {
 test("samples are spread from the first to the last", () => {
   assert.deepEqual(sampleOf([1, 2, 3]), [1, 2, 3]);
   assert.deepEqual(sampleOf(Array.from({ length: 101 }, (_, i) => i)), [0, 25, 50, 75, 100]);
+  assert.deepEqual(sampleOf(Array.from({ length: 50 }, (_, i) => i)), [0, 12, 24, 37, 49]); // as numpy.round has it
+  assert.deepEqual(sampleOf(Array.from({ length: 48 }, (_, i) => i)), [0, 12, 24, 35, 47]);
 });
 
 test("the fingerprint of a folder tells its files, whatever their order", () => {
