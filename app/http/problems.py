@@ -215,14 +215,15 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
 
 def _in_words(error: dict[str, Any]) -> str:
     """Return what is wrong with a value: pydantic's own words tell of patterns and of classes of Python."""
-    found = repr(error["input"])
-    found = f"{found[:60]}…" if len(found) > 60 else found
     if error["type"] in {"model_type", "model_attributes_type", "dict_type"}:
-        return f"found {found}; expected an object, in braces"
-    if error["type"] == "string_pattern_mismatch":
+        expected = "an object, in braces"
+    elif error["type"] == "string_pattern_mismatch":
         pattern = error["ctx"]["pattern"]
-        return f"found {found}; expected {EXPECTED.get(pattern, f'text of the form {pattern}')}"
-    return str(error["msg"]).removeprefix("Value error, ").removesuffix(".")
+        expected = EXPECTED.get(pattern, f"text of the form {pattern}")
+    else:
+        return str(error["msg"]).removeprefix("Value error, ").removesuffix(".")
+    found = repr(error["input"])
+    return f"found {found if len(found) <= 60 else f'{found[:60]}…'}; expected {expected}"
 
 
 def _of_os_error(error: OSError) -> Problem:

@@ -80,16 +80,16 @@ def _check_drive(session: Session, context: Context, new: NewJob) -> None:
     drive = session.get(Drive, new.drive_id)
     if drive is None or drive.state != DriveState.READY:
         return
-    folders = label_folders(context.storage, new.drive_id)
-    if new.labels is not None and folders and new.labels not in folders:
+    folders = [] if new.labels is None else label_folders(context.storage, new.drive_id)
+    if folders and new.labels not in folders:
         raise Problem(
             422,
             "Labels not found",
             f"labels: drive {new.drive_id} has no {new.labels!r}. Expected one of its label_folders: "
             f"{', '.join(folders)}; or leave `labels` out.",
         )
-    report = drive.report or {}
-    if new.osm is not None and new.georeference == "drive" and report.get("georeference", "unknown") is None:
+    lacks_fixes = drive.report is not None and drive.report.get("georeference", "unknown") is None
+    if new.osm is not None and new.georeference == "drive" and lacks_fixes:
         raise no_georeference(drive.name)
 
 
