@@ -31,14 +31,17 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     Raises
     ------
     Problem
-        404: no such drive. 409: an archive is still being unpacked. 429: too many checks of this client wait.
-        507: the disk is full.
+        404: no such drive. 409: an archive is still being unpacked, or the drive was committed with other options.
+        429: too many checks of this client wait. 507: the disk is full.
     """
     check_free_space(context, 0)
     reconcile(context, drive_id)  # what is checked is what is listed, also after a server was killed
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
+        given = {} if request.options is None else request.options.model_dump(mode="json", exclude_unset=True)
+        options = DriveOptionsModel.model_validate(drive.options).model_dump(mode="json")
         if drive.state == DriveState.READY:
+            _refuse_others(drive, options, given, request.keep_raw)
             return None
         if (
             drive.state == DriveState.CHECKING
@@ -54,8 +57,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
                 headers={"Retry-After": "5"},
             )
         if request.options is not None:
-            given = request.options.model_dump(mode="json", exclude_unset=True)
-            drive.options = {**DriveOptionsModel.model_validate(drive.options).model_dump(mode="json"), **given}
+            drive.options = {**options, **given}
             _check_model(context, drive.options.get("model"))
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
@@ -63,6 +65,20 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         job = queue_commit(session, context, drive, owner, check_only=request.check_only, limit=limit)
     context.jobs_changed.set()
     return job
+
+
+def _refuse_others(drive: Drive, options: dict[str, Any], given: dict[str, Any], keep_raw: bool | None) -> None:
+    """Refuse options that a ready drive was not committed with: whoever sends them expects that they count."""
+    in_force = {**options, "keep_raw": drive.keep_raw}
+    sent = given if keep_raw is None else {**given, "keep_raw": keep_raw}
+    others = [f"{name} is {in_force[name]!r}, not {value!r}" for name, value in sent.items() if in_force[name] != value]
+    if others:
+        raise Problem(
+            409,
+            "Drive is closed",
+            f"Drive {drive.id} was committed with other options: {'; '.join(others)}. Make a new drive to read its "
+            "files in another way.",
+        )
 
 
 def _check_model(context: Context, name: str | None) -> None:

@@ -14,17 +14,16 @@ from app.context import Context
 from app.http.paging import cursor_of, newest_first, rows_after
 from app.http.parameters import Box
 from app.http.problems import Problem
+from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
 from app.schemas.drives import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.settings import Settings
-from app.states import DriveState
+from app.states import ACTIVE, DriveState
 from app.store import sidecars
 from app.store.database import moment
-from app.store.models import Drive, DriveFile
+from app.store.models import Drive, DriveFile, Job
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
-from interloc.drives.options import LabelFolder
-from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import InterLocError
 from interloc.osm.container import MAP_ENDINGS, is_map
 from interloc.output.geojson import read_json
@@ -228,24 +227,27 @@ def find_trajectory(context: Context, drive_id: str) -> Path:
 
 
 def delete_file(context: Context, drive_id: str, path: str) -> None:
-    """Remove a file of a drive that is not committed yet.
+    """Remove a file of a drive that is not committed yet, or a map of a ready one.
 
     Raises
     ------
     Problem
-        404: no such drive or file. 409: the drive is committed, or being checked.
+        404: no such drive or file. 409: the drive is being checked, or it is committed and the file is no map, or a job
+        that waits or runs has the map.
     """
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
-        if drive.state != DriveState.UPLOADING:
+        if drive.state != DriveState.UPLOADING and not (drive.state == DriveState.READY and is_map(path)):
             raise Problem(
                 409,
                 "Drive is closed",
-                f"Drive {drive_id} is {drive.state}; files are removed only while it is uploading.",
+                f"Drive {drive_id} is {drive.state}; files are removed only while it is uploading, and of a ready "
+                "drive maps only.",
             )
         row = session.get(DriveFile, (drive_id, path))
         if row is None:
             raise Problem(404, "File not found", f"The drive has no file {path!r}.")
+        _refuse_map_in_use(session, drive_id, path)
         drive.file_count -= 1
         drive.size_bytes -= row.size_bytes
         drive.stored_bytes -= row.size_bytes
@@ -256,6 +258,18 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
         (root / path).unlink(missing_ok=True)
         remove_empty((root / path).parent, root)
     context.metrics.count_removal("deleted", row.size_bytes)
+
+
+def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
+    active = session.scalars(select(Job).where(Job.drive_id == drive_id, Job.state.in_(ACTIVE)))
+    using = next((job for job in active if (job.request.get("osm") or {}).get("file") == path), None)
+    if using is not None:
+        raise Problem(
+            409,
+            "Map in use",
+            f"Job {using.id} is {using.state} and needs {path}. Delete the map when the job has ended, or cancel the "
+            f"job (DELETE /api/v1/jobs/{using.id}).",
+        )
 
 
 def remove_empty(folder: Path, root: Path) -> None:
@@ -297,15 +311,7 @@ def whole_drive_model(session: Session, context: Context, drive: Drive) -> Drive
             DriveFile.drive_id == drive.id, or_(*(func.lower(DriveFile.path).endswith(end) for end in MAP_ENDINGS))
         )
     )
-    return model.model_copy(update={"maps": sorted(paths), "label_folders": _label_folders(context, drive.id)})
-
-
-def _label_folders(context: Context, drive_id: str) -> list[LabelFolder]:
-    try:
-        manifest = read_manifest(context.storage.folder(reduced_key(drive_id)))
-    except InterLocError:  # damaged from outside: jobs tell what is wrong
-        return []
-    return [labels.folder for labels in manifest.labels]
+    return model.model_copy(update={"maps": sorted(paths), "label_folders": label_folders(context.storage, drive.id)})
 
 
 def file_model(file: DriveFile) -> UploadedFile:

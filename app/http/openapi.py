@@ -202,6 +202,8 @@ def _common(method: str, operation: dict[str, Any]) -> Iterator[tuple[str, dict[
     if "requestBody" in operation:
         yield "408", _problem("The body did not go on, or came too slowly.")
         yield "413", _problem("The body is too large.")
+        if "application/json" in operation["requestBody"]["content"]:
+            yield "415", _problem("The Content-Type of the body is not application/json.")
 
 
 def _problem(description: str, headers: dict[str, Any] | None = None) -> dict[str, Any]:

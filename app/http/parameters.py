@@ -9,16 +9,14 @@ from fastapi import Depends, Query, Request
 from fastapi.dependencies.models import Dependant
 from pydantic import AwareDatetime
 
+from app.http.patterns import BOX, EXPECTED, TEXT
 from app.http.problems import FileProblem, Problem
-
-_NUMBER = r"-?[0-9]{1,3}(\.[0-9]{1,15})?"
-_BOX = rf"^{_NUMBER}(,{_NUMBER}){{3}}$"
 
 NamePart = Annotated[
     str | None,
     Query(
         max_length=200,
-        pattern=r"^[^\x00]*$",
+        pattern=TEXT,
         description="Only those with this in their name, in upper or lower case.",
     ),
 ]
@@ -44,7 +42,7 @@ async def _box(
     bbox: Annotated[
         str | None,
         Query(
-            pattern=_BOX,
+            pattern=BOX,
             description="Only what touches this box: west,south,east,north in degrees (WGS 84).",
             examples=["8.41,49.00,8.45,49.03"],
         ),
@@ -55,13 +53,7 @@ async def _box(
     box = Box(*(float(part) for part in bbox.split(",")))
     is_on_earth = all(abs(lon) <= 180 for lon in (box.west, box.east)) and -90 <= box.south <= box.north <= 90
     if not is_on_earth:
-        raise refusal(
-            422,
-            "Request not valid",
-            "query.bbox",
-            f"{bbox!r} is no box. Expected west,south,east,north in degrees: longitudes from -180 to 180, latitudes "
-            "from -90 to 90, south not above north. Usual mistake: latitude first.",
-        )
+        raise refusal(422, "Request not valid", "query.bbox", f"found {bbox!r}; expected {EXPECTED[BOX]}.")
     return box
 
 

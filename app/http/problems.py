@@ -19,6 +19,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.routing import Match
 
+from app.http.patterns import EXPECTED
 from app.http.problem_types import UNTYPED, type_of
 from app.store.database import is_disk_full
 from interloc.errors import InterLocError
@@ -161,10 +162,19 @@ def respond(problem: Problem, path: str) -> JSONResponse:
 
 
 async def _handle(request: Request, error: Exception) -> JSONResponse:
+    if isinstance(error, RequestValidationError) and isinstance(error.body, bytes):  # it was not read as JSON
+        error = _not_json(request.headers.get("content-type"))
     problem = problem_of(error)
     if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names the methods of the first route only
         problem.headers = {"Allow": ", ".join(_methods_at(request))}
     return respond(problem, request.url.path)
+
+
+def _not_json(found: str | None) -> Problem:
+    given = "The body has no Content-Type" if found is None else f"The Content-Type of the body is {found[:80]}"
+    return Problem(
+        415, "Not JSON", f"{given}; expected application/json. Usual cause: `curl -d`; `curl --json` sends JSON."
+    )
 
 
 def _methods_at(request: Request) -> list[str]:
@@ -197,13 +207,26 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
         where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
         return Problem(400, "Body malformed", f"The body is not JSON: {why}, at character {where}.")
     problems = [
-        FileProblem(severity="error", path=".".join(str(part) for part in each["loc"]), message=each["msg"])
+        FileProblem(severity="error", path=".".join(str(part) for part in each["loc"]), message=_in_words(each))
         for each in error.errors()
     ]
     detail = f"{problems[0].path}: {problems[0].message}."
     if len(problems) > 1:
         detail += f" And {len(problems) - 1} more."
     return Problem(422, "Request not valid", detail, problems=problems)
+
+
+def _in_words(error: dict[str, Any]) -> str:
+    """Return what is wrong with a value: pydantic's own words tell of patterns and of classes of Python."""
+    if error["type"] in {"model_type", "model_attributes_type", "dict_type"}:
+        expected = "an object, in braces"
+    elif error["type"] == "string_pattern_mismatch":
+        pattern = error["ctx"]["pattern"]
+        expected = EXPECTED.get(pattern, f"text of the form {pattern}")
+    else:
+        return str(error["msg"]).removeprefix("Value error, ").removesuffix(".")
+    found = repr(error["input"])
+    return f"found {found if len(found) <= 60 else f'{found[:60]}…'}; expected {expected}"
 
 
 def _of_os_error(error: OSError) -> Problem:

@@ -1,4 +1,4 @@
-"""The folders of a job: scratch while it runs, result once it was successful."""
+"""The folders of a job: its drive, its scratch while it runs, its result once it was successful."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from app.http.problems import Problem
 from app.jobs.queue import Claim
 from app.paths import without_folder
 from app.store.storage import Storage
+from app.work.places import REDUCED
 from app.work.task import Task
+from interloc.drives.options import LabelFolder
+from interloc.drives.scans.reduced_format import read_manifest
+from interloc.errors import InterLocError
 
 _ATTEMPT = "result-"
 
@@ -39,6 +43,15 @@ def _limits(context: Context, slots: int) -> dict[str, Any]:
     limits = {name: value for name, value in by_name.items() if name.startswith(("max_", "min_"))}
     cache, models = str(context.storage.folder("cache")), by_name["models"]
     return {**limits, "workers": slots, "cache": cache, "models": models, "overpass_url": settings.overpass_url}
+
+
+def label_folders(storage: Storage, drive_id: str) -> list[LabelFolder]:
+    """Return the label folders by which a ready drive was reduced; none where its files are damaged from outside."""
+    try:
+        manifest = read_manifest(storage.folder(f"drives/{drive_id}") / REDUCED)
+    except InterLocError:  # jobs tell what is wrong
+        return []
+    return [labels.folder for labels in manifest.labels]
 
 
 def without_paths(problem: Problem, task: Task) -> Problem:

@@ -1,4 +1,4 @@
-"""Check whether a requested job can be done: its settings and map are looked at before it is queued."""
+"""Check whether a requested job can be done: its settings, map and labels are looked at before it is queued."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.http.problems import Problem, disk_full
+from app.jobs.folders import label_folders
 from app.schemas.jobs import NewJob, OsmFile, OsmOverpass
-from app.store.models import DriveFile
+from app.states import DriveState
+from app.store.models import Drive, DriveFile
+from app.work.task import no_georeference
 from interloc.config import DetectorConfig, parse_config, preset
 from interloc.osm.container import MAP_ENDINGS, is_map
 
@@ -21,8 +24,10 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     ------
     ConfigError
         A setting is refused.
+    GeoreferenceError
+        There is a map to score against, and the drive has no georeference.
     Problem
-        422 there is no such map; 507 the disk is full.
+        422 there are no such labels, or there is no such map; 507 the disk is full.
     """
     if context.storage.free_bytes() < context.settings.min_free_bytes:
         raise disk_full()
@@ -46,6 +51,7 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
             '{"file": "map.osm.gz"}.',
         )
     _check_placing(new)
+    _check_drive(session, context, new)
     request = new.model_dump(mode="json", exclude={"drive_id", "config"})
     return request | {"config": _config_of(new).model_dump(mode="json")}
 
@@ -67,6 +73,24 @@ def _check_placing(new: NewJob) -> None:
             "Place needed",
             "near: the map of which place is to be fetched? Say roughly where the drive was, or upload a map.",
         )
+
+
+def _check_drive(session: Session, context: Context, new: NewJob) -> None:
+    """Refuse what a ready drive lacks; of one whose check still runs the job itself finds out."""
+    drive = session.get(Drive, new.drive_id)
+    if drive is None or drive.state != DriveState.READY:
+        return
+    folders = [] if new.labels is None else label_folders(context.storage, new.drive_id)
+    if folders and new.labels not in folders:
+        raise Problem(
+            422,
+            "Labels not found",
+            f"labels: drive {new.drive_id} has no {new.labels!r}. Expected one of its label_folders: "
+            f"{', '.join(folders)}; or leave `labels` out.",
+        )
+    lacks_fixes = drive.report is not None and drive.report.get("georeference", "unknown") is None
+    if new.osm is not None and new.georeference == "drive" and lacks_fixes:
+        raise no_georeference(drive.name)
 
 
 def _config_of(new: NewJob) -> DetectorConfig:

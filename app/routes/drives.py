@@ -15,10 +15,10 @@ from app.http.headers import IdempotencyKey, IfMatch
 from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named
 from app.http.paging import After, answer_page, has_part, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
+from app.http.patterns import ID
 from app.http.problems import ProblemDocument
 from app.results.folder import ResultsDep
 from app.schemas.drives import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
-from app.schemas.strict import ID_PATTERN
 from app.security import ClientDep
 from app.states import DriveState
 from app.store import sidecars
@@ -26,7 +26,7 @@ from app.store.models import Drive
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
 
-DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/drives.", pattern=ID_PATTERN)]
+DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/drives.", pattern=ID)]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such drive."}}
 
 

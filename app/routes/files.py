@@ -16,6 +16,7 @@ from app.http.intake import PIECE_BYTES, Intake, receive
 from app.http.limits import check_free_space, declared_length
 from app.http.openapi import PAGED
 from app.http.paging import answer_page
+from app.http.patterns import TEXT
 from app.http.problems import ProblemDocument
 from app.paths import MAX_PATH, PATH_PATTERN, check_path, is_recording
 from app.routes.drives import DriveId
@@ -64,7 +65,7 @@ def list_files(
     context: ContextDep,
     _client: ClientDep,
     after: Annotated[
-        str | None, Query(max_length=MAX_PATH, pattern=r"^[^\x00]*$", description="`next` of the previous page.")
+        str | None, Query(max_length=MAX_PATH, pattern=TEXT, description="`next` of the previous page.")
     ] = None,
     limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
 ) -> Response:
@@ -146,5 +147,5 @@ def get_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: Cl
 
 @router.delete("/{path:path}", status_code=204, responses={**NOT_FOUND, **CLOSED}, summary="Delete a file")
 def delete_file(drive_id: DriveId, path: FilePath, context: ContextDep, _client: ClientDep) -> None:
-    """Remove a file of a drive that is not committed yet."""
+    """Remove a file of a drive that is not committed yet, or a map of a ready one that no job waits for or reads."""
     records.delete_file(context, drive_id, check_path(path))

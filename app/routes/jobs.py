@@ -18,6 +18,7 @@ from app.http.limits import job_limit
 from app.http.openapi import CHANGED, PAGED, TAGGED, get_and_head, headers_named
 from app.http.paging import After, answer_page, cursor_of, has_part, made_between, newest_first, rows_after
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
+from app.http.patterns import ID
 from app.http.problems import ProblemDocument
 from app.jobs.queue import cancel, submit
 from app.jobs.submission import check_request
@@ -25,7 +26,6 @@ from app.jobs.view import find_job, is_alive, job_models
 from app.jobs.watcher import wait_for_job
 from app.results.folder import ResultsDep
 from app.schemas.jobs import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
-from app.schemas.strict import ID_PATTERN
 from app.security import ClientDep
 from app.states import FINAL, JobKind, JobState
 from app.store import sidecars
@@ -34,7 +34,7 @@ from interloc.config import PRESETS, DetectorConfig
 
 router = APIRouter(tags=["Jobs"])
 
-JobId = Annotated[str, Path(pattern=ID_PATTERN, description="Id of the job, from POST /api/v1/jobs.")]
+JobId = Annotated[str, Path(pattern=ID, description="Id of the job, from POST /api/v1/jobs.")]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such job."}}
 
 
@@ -55,7 +55,10 @@ def _problem(description: str) -> dict[str, Any]:
         202: {"headers": headers_named("Location", "Preference-Applied")},
         404: _problem("There is no such drive."),
         409: _problem("The drive is not committed."),
-        422: _problem("A setting is refused, the map is not among the files, or the key was used for another request."),
+        422: _problem(
+            "A setting is refused, the drive lacks the map, the labels or the georeference that the job needs, or the "
+            "key was used for another request."
+        ),
         429: {
             **_problem("Too many jobs of this client wait or run."),
             "headers": headers_named("Retry-After"),
@@ -117,7 +120,7 @@ def list_jobs(
     context: ContextDep,
     _client: ClientDep,
     box: BoxFilter,
-    drive: Annotated[str | None, Query(pattern=ID_PATTERN, description="Only those of this drive.")] = None,
+    drive: Annotated[str | None, Query(pattern=ID, description="Only those of this drive.")] = None,
     state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
     kind: Annotated[
         JobKind | Literal["all"],

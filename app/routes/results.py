@@ -14,19 +14,19 @@ from app.http.delivery import REVALIDATE, answer_tagged, deliver, media_type_of,
 from app.http.headers import prefers_html
 from app.http.openapi import get_and_head, headers_named
 from app.http.parameters import BoxFilter
+from app.http.patterns import ID
 from app.http.problems import ProblemDocument
 from app.results.folder import Result, ResultsDep
 from app.results.selection import MAX_FEATURES, select_features
 from app.schemas.features import MEDIA_TYPE as GEOJSON
 from app.schemas.features import collection_model
 from app.schemas.results import ResultFile, ResultFileList
-from app.schemas.strict import ID_PATTERN
 from interloc.errors import OutputError
 from interloc.files import atomic_write
 from interloc.output.layers import LAYERS, Layer
 from interloc.output.qml import qml
 
-JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID_PATTERN)]
+JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
 
 PROBLEMS: dict[int | str, dict[str, Any]] = {
     404: {"model": ProblemDocument, "description": "No such job; or its result has no such part, and why."},

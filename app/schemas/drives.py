@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from app.http.patterns import NETWORK
 from app.http.problems import FileProblem
 from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
 from app.schemas.strict import Flag, Name, Note, Whole, strictly
@@ -51,7 +52,7 @@ class DriveOptionsModel(ReadingOptions):
     model: str | None = Field(
         None,
         max_length=255,
-        pattern=r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$",
+        pattern=NETWORK,
         description="Network of the service (GET /models) that labels the scans; label files do not count.",
         examples=["salsanext"],
     )

@@ -5,11 +5,12 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from app.http.patterns import ID, TEXT
 from app.http.problems import ProblemDocument
 from app.paths import MAX_PATH
-from app.schemas.strict import ID_PATTERN, Name, Note, Number, Yes
+from app.schemas.strict import Name, Note, Number, Yes
 from app.states import JobKind, JobState
 from interloc.config import DetectorConfig
 from interloc.drives.options import LabelFolder
@@ -22,7 +23,7 @@ class OsmFile(BaseModel):
     """A map among the files of the drive."""
 
     model_config = ConfigDict(extra="forbid")
-    file: str = Field(max_length=MAX_PATH, pattern=r"^[^\x00]*$", examples=["map.osm.gz"])
+    file: str = Field(max_length=MAX_PATH, pattern=TEXT, examples=["map.osm.gz"])
 
 
 class OsmOverpass(BaseModel):
@@ -30,6 +31,15 @@ class OsmOverpass(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     overpass: Yes
+
+
+def _refuse_no_object(osm: object) -> object:
+    if osm is None or isinstance(osm, dict | BaseModel):
+        return osm
+    raise ValueError(
+        f'found {str(osm)[:60]!r}; expected {{"file": "map.osm.gz"}} with one of the files of the drive, '
+        '{"overpass": true} for the map as it is today, or null for none'
+    )
 
 
 class Near(BaseModel):
@@ -51,7 +61,7 @@ class NewJob(BaseModel):
         },
     )
 
-    drive_id: str = Field(pattern=ID_PATTERN)
+    drive_id: str = Field(pattern=ID)
     preset: Literal["default", "paper"] = Field("default", description="Settings to start from.")
     config: dict[str, Any] | None = Field(
         None,
@@ -59,7 +69,11 @@ class NewJob(BaseModel):
         examples=[{"bev": {"resolution_m": 0.25}}],
     )
     labels: LabelFolder | None = Field(None, description="Folder of the labels; by default the one that exists.")
-    osm: Annotated[OsmFile | OsmOverpass | None, Field(description="Map to score against; null: detect only.")] = None
+    osm: Annotated[
+        OsmFile | OsmOverpass | None,
+        Field(description="Map to score against; null: detect only."),
+        BeforeValidator(_refuse_no_object),
+    ] = None
     georeference: Literal["drive", "map"] = Field(
         "drive",
         description="Where longitude and latitude come from: the GNSS of the drive, or the map, on which the drive is "
@@ -70,7 +84,7 @@ class NewJob(BaseModel):
     )
     policy: Policy = Field("drive", description=POLICY_HELP)
     tolerance_m: Number = Field(15.0, gt=0, le=100, description=TOLERANCE_HELP)
-    name: str | None = Field(None, max_length=200, pattern=r"^[^\x00]*$", description="Name shown in lists.")
+    name: str | None = Field(None, max_length=200, pattern=TEXT, description="Name shown in lists.")
 
 
 class JobChanges(BaseModel):

@@ -14,6 +14,7 @@ from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
 from interloc.drives.options import LabelFolder
+from interloc.drives.scans.pcd import LABEL_FIELDS
 from interloc.osm.container import MAP_ENDINGS, SIMULATOR
 from interloc.osm.intersections import DRIVABLE_OR_SERVICE
 from interloc.osm.policies import POLICIES
@@ -82,6 +83,10 @@ class FileKinds(BaseModel):
     recordings: list[str] = Field(description="Endings of files that hold many scans.", examples=[[".bag", ".mcap"]])
     scans: list[str] = Field(
         description="Endings of scans that only the service reads: they are sent as they are.", examples=[[".pcd"]]
+    )
+    label_fields: list[str] = Field(
+        description="Names of the field of PCD files that holds the label of a point, in lower case.",
+        examples=[["label", "class"]],
     )
     scan_folders: list[str] = Field(description="Folders of scans.", examples=[["velodyne"]])
     label_folders: list[str] = Field(description="Folders of labels.", examples=[["labels", "predictions"]])
@@ -202,6 +207,7 @@ _FILE_KINDS = FileKinds(
     archives=list(ARCHIVE_ENDINGS),
     recordings=list(RECORDING_ENDINGS),
     scans=list(PCD_ENDINGS),
+    label_fields=list(LABEL_FIELDS),
     scan_folders=list(SCAN_FOLDERS),
     label_folders=list(get_args(LabelFolder)),
 )

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Strict, StringConstraints
 
+from app.http.patterns import NAME, NOTE
+
 
 def _refuse_text(value: object) -> object:
     if isinstance(value, str | bool):
@@ -25,25 +27,21 @@ Whole = Annotated[int, BeforeValidator(_refuse_text)]
 """A whole number; 3.0 is one in JSON."""
 Number = Annotated[float, BeforeValidator(_refuse_text)]
 
-_PRINTED = r"[^\x00-\x1f\x7f]*"
 Name = Annotated[
     str,
     StringConstraints(
         strip_whitespace=True,
         min_length=1,
         max_length=200,
-        pattern=rf"^{_PRINTED}[^\s\x00-\x1f\x7f]{_PRINTED}$",  # not only blanks
+        pattern=NAME,
     ),
 ]
 Note = Annotated[
     str,
-    StringConstraints(strip_whitespace=True, max_length=2000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*$"),
+    StringConstraints(strip_whitespace=True, max_length=2000, pattern=NOTE),
     AfterValidator(lambda note: note or None),
 ]
 """Some lines of text; without any it is None."""
-
-ID_PATTERN = r"^[A-Za-z0-9_-]{1,64}$"
-"""What ids of drives and jobs look like; there may be one or not."""
 
 
 def strictly(model: type[BaseModel]) -> BeforeValidator:

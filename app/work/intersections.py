@@ -13,7 +13,7 @@ import numpy as np
 from app.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work.places import REDUCED
 from app.work.progress import ProgressFiles
-from app.work.task import Outcome, Part, Plan, Report, Task
+from app.work.task import Outcome, Part, Plan, Report, Task, no_georeference
 from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
@@ -23,7 +23,7 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import MANIFEST
-from interloc.errors import DriveError, GeoreferenceError, InterLocError
+from interloc.errors import DriveError, InterLocError
 from interloc.evaluation.coverage import map_bounds, track_bounds
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.output.layout import result_folder
@@ -60,8 +60,8 @@ def prepare(task: Task) -> Plan:
     if not len(keyframes):
         raise DriveError(f"{task.drive_name}: the drive holds no scans")
     if task.request.get("osm") is not None:
-        if not _is_placed_by_map(task):
-            _require_georeference(task, drive)
+        if drive.georeference is None and not _is_placed_by_map(task):
+            raise no_georeference(task.drive_name)
         _read_map(task, _map_bounds(task, drive, keyframes))
     return Plan(_cut(len(keyframes), config_of(task)), len(keyframes), {"began": time.time()})
 
@@ -166,15 +166,6 @@ def _found(task: Task, part: Part) -> RangeResult:
 
 def _is_placed_by_map(task: Task) -> bool:
     return bool(task.request.get("georeference") == "map")
-
-
-def _require_georeference(task: Task, drive: Drive) -> None:
-    if drive.georeference is None:
-        raise GeoreferenceError(
-            f"{task.drive_name}: the drive has no georeference, so its detections cannot be compared with "
-            'OpenStreetMap. Let the job place it by the roads of the map ("georeference": "map"), upload oxts/data or '
-            "geo.csv with the drive (or name one by its option oxts), or start a job without a map, which needs none."
-        )
 
 
 def _map_bounds(task: Task, drive: Drive, keyframes: IntArray) -> Bounds | None:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from interloc.errors import InterLocError
+from interloc.errors import GeoreferenceError, InterLocError
 
 Report = Callable[[int], None]
 """Called with the number of units of the part that are done; raises `Cancelled` when nobody waits for the rest."""
@@ -105,3 +105,12 @@ class Outcome:
 
     summary: dict[str, Any]
     report: dict[str, Any] | None = None
+
+
+def no_georeference(drive_name: str) -> GeoreferenceError:
+    """Return the error of a job that is to be scored against a map, of a drive without georeference."""
+    return GeoreferenceError(
+        f"{drive_name}: the drive has no georeference, so its detections cannot be compared with "
+        'OpenStreetMap. Let the job place it by the roads of the map ("georeference": "map"), upload oxts/data or '
+        "geo.csv with the drive (or name one by its option oxts), or start a job without a map, which needs none."
+    )

@@ -346,7 +346,8 @@ function save(url, name) {
  * @property {{name: string, description: string, is_osm: boolean}[]} layers Of a result.
  * @property {string[]} exports Endings of the formats that it writes: ".gpkg".
  * @property {{name: string, title: string, road: number[]}[]} label_schemes
- * @property {{maps: string[], archives: string[], recordings: string[], scans: string[]}} file_kinds Endings of names.
+ * @property {{maps: string[], archives: string[], recordings: string[], scans: string[], label_fields: string[]}}
+ *   file_kinds Endings of names; `label_fields`: names of the field of PCD files that holds the label.
  * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.
  * @property {Record<string, string>} raw_sequences Odometry sequences by KITTI raw drive.
  * @property {{lat_deg: number, lon_deg: number, min_alt_m: number, max_alt_m: number} | null} kitti360_world Origin of
@@ -369,7 +370,7 @@ let config = {
   layers: [],
   exports: [],
   label_schemes: [],
-  file_kinds: { maps: [], archives: [], recordings: [], scans: [] },
+  file_kinds: { maps: [], archives: [], recordings: [], scans: [], label_fields: [] },
   raw_first_frames: {},
   raw_sequences: {},
   kitti360_world: null,

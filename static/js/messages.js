@@ -19,6 +19,11 @@ export function problemNote(error) {
   return el("div", { class: "note error" }, el("strong", {}, title), detail, fileProblems(problem.problems ?? []));
 }
 
+/** @param {any} job A job that failed. @returns {HTMLElement} Why. */
+export function failureNote({ error }) {
+  return problemNote(error ?? { title: "The job failed", detail: "The server reported no reason; its log has it." });
+}
+
 /** @param {import("./api.js").FileProblem[]} problems */
 function fileProblems(problems) {
   if (!problems.length) return null;

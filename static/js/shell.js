@@ -3,10 +3,10 @@
  * @module shell
  */
 import { getConfig, getJson, getToken, onTokenChange, ROOT, setToken } from "./api.js";
-import { lists, onListsChange, refreshLists, watchLists } from "./data/lists.js";
+import { lists, onListsChange, refreshLists, titleOf, watchLists } from "./data/lists.js";
 import { onUploadsChange, ownUpload, percent } from "./data/uploads.js";
 import { el, fill, icon } from "./dom.js";
-import { jobName, openDrive } from "./job/words.js";
+import { driveNames, jobName, openDrive } from "./job/words.js";
 import { askForToken, problemNote, showError } from "./messages.js";
 import { listShortcuts } from "./shortcuts.js";
 import { getState, setState, subscribe } from "./state.js";
@@ -46,7 +46,7 @@ export function mountHeader(header) {
       drives,
       option("", lists.drives.length ? "Choose a drive" : "No drive yet"),
       drive && !isKnown && option(drive, drive),
-      lists.drives.map((each) => option(each.id, each.name)),
+      driveNames().map(([id, name]) => option(id, name)),
     );
     drives.value = drive ?? "";
     const own = lists.jobs.filter((each) => each.drive_id === drive);
@@ -80,7 +80,7 @@ function showTitle() {
   const sent = ownUpload()?.fraction ?? null;
   const drive = lists.drives.find((each) => each.id === getState().drive);
   const job = lists.jobs.find((each) => each.id === getState().job);
-  const parts = [sent !== null && percent(sent), job?.title, drive?.name, "InterLoc"];
+  const parts = [sent !== null && percent(sent), job && titleOf(job), drive?.name, "InterLoc"];
   document.title = parts.filter(Boolean).join(" – ");
 }
 

@@ -16,7 +16,7 @@ const OF_CONTROLS = [
   ["← → ↑ ↓", "Move the map, the timeline or the choice of the panel that has the focus"],
   ["+ −", "Zoom the map that has the focus"],
   ["Tab", "On to the next control"],
-  ["Esc", "Close a dialog"],
+  ["Esc", "Close the dialog that is open"],
 ];
 
 /**

@@ -5,7 +5,7 @@
 
 /**
  * @typedef {object} State
- * @property {string} panel drives, upload, job, report, export
+ * @property {string} panel drives, upload, job, report, export; an address that names none shows that of its job.
  * @property {string|null} drive Id of the drive that is shown.
  * @property {string|null} job Id of the job that is shown.
  * @property {number|null} frame Scan number of the keyframe that is shown.
@@ -98,7 +98,8 @@ function same(a, b) {
 /** @param {State} shown @returns {string} */
 function format(shown) {
   const parts = [];
-  const { compare, layers, drawer, ...texts } = shown;
+  const { panel, compare, layers, drawer, ...texts } = shown;
+  if (panel !== initial.panel || shown.job) parts.push(`panel=${encoded(panel)}`);
   for (const [key, value] of Object.entries(texts)) {
     if (value !== null && value !== /** @type {any} */ (initial)[key]) parts.push(`${key}=${encoded(String(value))}`);
   }
@@ -120,7 +121,7 @@ function parse(hash) {
   const layers = fields.get("layers");
   const compare = fields.get("compare")?.split(",").filter(Boolean) ?? [];
   return {
-    panel: fields.get("panel") ?? initial.panel,
+    panel: fields.get("panel") ?? (fields.get("job") ? "job" : initial.panel),
     drive: fields.get("drive"),
     job: fields.get("job"),
     frame: frame !== null && frame >= 0 ? frame : null,

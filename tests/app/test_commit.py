@@ -337,6 +337,12 @@ def test_commit_twice_is_commit_once(client: httpx.Client, street: Path) -> None
     assert (second.status_code, second.json()["state"]) == (200, "ready")
     third = client.post(f"{address}/commit")
     assert third.json() == second.json()
+    same = {"options": third.json()["options"], "keep_raw": False}
+    assert client.post(f"{address}/commit", json=same).json() == second.json()
+    other = {"options": {"label_scheme": "learning", "pose_frame": "auto"}, "keep_raw": True}
+    refused_ = client.post(f"{address}/commit", json=other)
+    assert (refused_.status_code, refused_.json()["title"]) == (409, "Drive is closed")
+    assert "options: label_scheme is 'auto', not 'learning'; keep_raw is False, not True." in refused_.json()["detail"]
     jobs = client.get("/api/v1/jobs", params={"drive": second.json()["id"], "kind": "commit"}).json()["jobs"]
     assert len(jobs) == 1
 
@@ -350,6 +356,10 @@ def test_a_ready_drive_takes_maps_only(client: httpx.Client, street: Path) -> No
     assert client.post(f"{address}/scans", files={"poses": ("poses.txt", b"1")}).status_code == 409
     assert client.post(f"{address}/archive", content=b"PK\x05\x06" + bytes(18)).status_code == 409
     assert client.delete(f"{address}/files/poses.txt").status_code == 409
+    before = client.get(address).json()
+    client.put(f"{address}/files/city/new.osm", content=b"<osm/>").raise_for_status()
+    assert client.delete(f"{address}/files/city/new.osm").status_code == 204
+    assert client.get(address).json() == before
     other = (street / "map.osm").read_bytes()
     for name in ("map.osm", "other.osm"):
         assert client.put(f"{address}/files/{name}", content=other).status_code in {200, 201}

@@ -235,13 +235,17 @@ def test_jobs_are_listed_page_by_page(serve: Serve, street: Path, tmp_path: Path
         gate.open()
 
 
-def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, data_dir: Path) -> None:
+def test_a_job_that_runs_is_cancelled(client: httpx.Client, drive: str, street: Path, data_dir: Path) -> None:
     gate = Gate(data_dir, drive, MIDDLE)
-    job_id = submit(client, drive)
+    map_ = f"{API}/drives/{drive}/files/map-2.osm"
+    client.put(map_, content=(street / "map.osm").read_bytes()).raise_for_status()
+    job_id = submit(client, drive, osm={"file": "map-2.osm"})
     half_way(client, job_id)
+    assert f"Job {job_id} is running and needs map-2.osm" in problem(client.delete(map_), 409)
     answer = client.delete(f"{API}/jobs/{job_id}")
     assert answer.status_code == 202
     job = ended(client, job_id)  # though its worker hears nothing
+    assert client.delete(map_).status_code == 204
     assert (job["state"], job["error"]["title"]) == ("dismissed", "Cancelled")
     assert not (data_dir / "jobs" / job_id).exists()
     gate.open()
@@ -348,17 +352,19 @@ def test_a_client_has_its_turn_while_another_holds_every_worker(serve: Serve, st
 
 
 def test_a_drive_without_georeference_is_mapped_but_not_scored(
-    client: httpx.Client, street: Path, tmp_path: Path
+    client: httpx.Client, data_dir: Path, tmp_path: Path
 ) -> None:
     folder = write_street(tmp_path / "local", scans=60)
     (folder / "geo.csv").unlink()
     drive_id = upload(client, folder)
-    refused = ended(client, submit(client, drive_id, osm={"file": "map.osm"}))
-    assert refused["state"] == "failed"
-    assert refused["error"]["status"] == 422
-    assert "has no georeference" in refused["error"]["detail"]
-    assert refused["attempts"] == 1
-    assert refused["progress"]["done"] == 0
+    order = {"drive_id": drive_id, "osm": {"file": "map.osm"}}
+    assert "has no georeference" in problem(client.post(f"{API}/jobs", json=order), 422)
+    set_state(data_dir, drive_id, "checking")  # whether it has one is not known yet
+    waiting = submit(client, drive_id, osm={"file": "map.osm"})
+    set_state(data_dir, drive_id, "ready")
+    failed = ended(client, waiting)
+    assert (failed["state"], failed["attempts"], failed["progress"]["done"]) == ("failed", 1, 0)
+    assert "has no georeference" in failed["error"]["detail"]
 
     job = ended(client, submit(client, drive_id))
     assert job["summary"]["georeferenced"] is False
@@ -390,9 +396,9 @@ def test_the_ending_of_a_map_may_be_in_capitals(client: httpx.Client, street: Pa
 
 
 def test_labels_that_are_not_there_are_told(client: httpx.Client, drive: str) -> None:
-    job = ended(client, submit(client, drive, labels="predictions"))
-    assert job["state"] == "failed"
-    assert "predictions" in job["error"]["detail"]
+    answer = client.post(f"{API}/jobs", json={"drive_id": drive, "labels": "predictions"})
+    assert "has no 'predictions'. Expected one of its label_folders: labels" in problem(answer, 422)
+    assert answer.json()["type"] == "/problems/labels-not-found"
 
 
 def test_a_job_waits_for_the_check_of_its_drive(client: httpx.Client, data_dir: Path, drive: str) -> None:

@@ -95,7 +95,7 @@ def test_jobs_are_filtered(client: httpx.Client, params: dict[str, str], found: 
 @pytest.mark.parametrize(
     ("address", "status", "path", "words"),
     [
-        ("/drives?bbox=49,8,50,9,10", 422, "query.bbox", "pattern"),
+        ("/drives?bbox=49,8,50,9,10", 422, "query.bbox", "found '49,8,50,9,10'; expected west,south"),
         ("/drives?bbox=8,50,9,49", 422, "query.bbox", "south not above north"),
         ("/jobs?bbox=8,49,200,50", 422, "query.bbox", "from -180 to 180"),
         ("/drives?created_after=2026-01-31", 422, "query.created_after", "timezone"),

@@ -222,6 +222,7 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
     assert 65535 in schemes["kitti360"]["known"]
     assert ".osm.pbf" in told["file_kinds"]["maps"]
     assert ".tar.zst" in told["file_kinds"]["archives"]
+    assert "label" in told["file_kinds"]["label_fields"]
     assert told["file_kinds"]["label_folders"] == ["labels", "predictions"]
     assert told["raw_first_frames"] == {"2011_09_30_drive_0028": 1100}
     assert told["raw_sequences"]["2011_09_30_drive_0018"] == "05"

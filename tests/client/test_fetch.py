@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import ServerProcess, wait_until
+from tests.app.processes import Gate, ServerProcess, wait_until
 
 API = "/api/v1"
 LAYERS = {"intersections", "detections", "keyframes", "trajectory"}
@@ -121,9 +121,11 @@ def test_a_job_that_fails_says_why(here: Any, street: Path, tmp_path: Path) -> N
 
 def test_a_job_that_was_cancelled(here: Any, server: ServerProcess, street: Path, tmp_path: Path) -> None:
     drive = here("push", street, "--json").json["drive_id"]
+    gate = Gate(server.log.parent / "data", drive, 30)  # else the job may be done before it hears of it
     job = server.client.post(f"{API}/jobs", json={"drive_id": drive}).json()["id"]
     server.client.delete(f"{API}/jobs/{job}").raise_for_status()
     outcome = here("fetch", job, "-o", tmp_path / "out")
+    gate.open()
     state = server.client.get(f"{API}/jobs/{job}").json()["state"]
     assert state == "dismissed"
     assert outcome.code == 1

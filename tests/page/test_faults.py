@@ -151,9 +151,13 @@ def test_what_the_server_refuses_is_told_by_file(page: Any, done: Done, watch: W
 def test_a_job_that_fails_says_why(page: Any, done: Done) -> None:
     client = done.server.client
     drive = client.get(f"{API}/jobs/{done.local_job}").json()["drive_id"]
-    job = submit(client, drive, osm={"file": "map.osm"})
+    elsewhere = {"lat_deg": 0, "lon_deg": 0}
+    job = submit(client, drive, osm={"file": "map.osm"}, georeference="map", near=elsewhere)
     error = ended(client, job)["error"]
-    page.goto(f"{done.server.address}/#panel=job&job={job}")
+    page.goto(f"{done.server.address}/#panel=report&job={job}")  # as `interloc push` prints it
+    page.locator("#stage .note.error", has_text=error["detail"]).wait_for()
+    page.goto("about:blank")
+    page.goto(f"{done.server.address}/#job={job}")
     note = page.locator("#panel-job .note.error")
     note.wait_for()
     assert error["detail"] in note.inner_text()

@@ -29,7 +29,7 @@ def test_a_job_is_run_again_with_a_map_named_and_compared(page: Any, done: Done)
     before, after = (client.get(f"{API}/jobs/{each}").json()["request"] for each in (first, again))
     assert after == before | {"osm": {"file": "map-2.osm"}, "labels": "labels"}
 
-    assert page.inner_text(".job-title") == "default, drive+service, r = 0.25"
+    assert page.inner_text(".job-title") == "default, drive+service, r = 0.25, map-2.osm"
     page.get_by_role("button", name="Rename this job").click()
     page.get_by_label("Name", exact=True).fill("coarse")
     page.get_by_label("Note").fill("Two\nlines")

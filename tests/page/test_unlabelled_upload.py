@@ -159,6 +159,19 @@ def test_a_recording_shows_its_topics_and_its_limit(upload: Upload, tmp_path: Pa
     assert "INTERLOC_MAX_RECORDING_BYTES" in upload.text()
     assert form.get_by_role("button", name="Upload only").is_disabled()
 
+    upload.press("Choose another")
+    upload.page.wait_for_selector(".drop")
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    (bare / "000000.pcd").write_text("VERSION 0.7\nFIELDS x y z intensity\nDATA binary\n")
+    (bare / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    upload.pick(bare)
+    assert upload.page.get_by_label("Label the scans on the service with flat").is_checked()
+    assert form.get_by_role("button", name="Upload only").is_enabled()
+    upload.choose("With label files of mine")
+    assert "000000.pcd has no label: its fields are x, y, z, intensity." in re.sub(r"\s+", " ", upload.text())
+    assert form.get_by_role("button", name="Upload only").is_disabled()
+
 
 def test_a_service_without_networks_says_how_labels_are_made(browser: Browser, done: Done, unlabelled: Path) -> None:
     upload = Upload(browser.new_page(), done.server.address)

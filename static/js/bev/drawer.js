@@ -11,6 +11,7 @@ import { TurnedImage } from "../map/keyframe.js";
 import { firstDetection, onResult, shown } from "../map/shown.js";
 import { signIcon } from "../map/symbols.js";
 import { problemNote } from "../messages.js";
+import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 
 /** The steps in their order, as in the paper's Fig. 2. */
@@ -73,6 +74,8 @@ export function mountDrawer(drawer) {
     opacity = Number(fade.value);
     for (const overlay of overlays.values()) overlay.setOpacity(opacity);
   });
+  const close = () => setState({ drawer: false });
+  addShortcut("Escape", "Close the keyframe", close, "Esc");
   const wider = iconButton("wide", "Wider", widen);
   wider.classList.add("widen");
   const buttons = el(
@@ -81,7 +84,7 @@ export function mountDrawer(drawer) {
     iconButton("previous", "Previous keyframe", () => step(-1), "Previous keyframe (,)"),
     iconButton("next", "Next keyframe", () => step(1), "Next keyframe (.)"),
     wider,
-    iconButton("close", "Close", () => setState({ drawer: false })),
+    iconButton("close", "Close", () => close(), "Close (Esc)"),
   );
   const pictureGrid = el("div", { class: "pictures" });
   pictureGrid.append(...figures.map((each) => each.figure));

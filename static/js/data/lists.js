@@ -41,6 +41,9 @@ let shown = 0;
 /** Number of drives and jobs that were made here: an answer may not know them yet. */
 let made = 0;
 
+/** Ids of the drives whose jobs have several maps; null: to be found. @type {Set<string> | null} */
+let withMaps = null;
+
 /** The newest rows as last received, to see whether anything has happened. */
 let headsShown = "";
 
@@ -136,7 +139,31 @@ function remember(rows, item) {
   notify();
 }
 
+/** @param {any} job @returns {string} What it is called, with its map where the jobs of its drive have several. */
+export function titleOf({ title, name, drive_id, request }) {
+  const file = request.osm?.file;
+  if (name || !file) return title;
+  withMaps ??= drivesWithMaps();
+  return withMaps.has(drive_id) ? `${title}, ${file}` : title;
+}
+
+/** @returns {Set<string>} Ids of the drives whose jobs have several maps. */
+function drivesWithMaps() {
+  /** @type {Map<string, string>} */
+  const first = new Map();
+  /** @type {Set<string>} */
+  const found = new Set();
+  for (const { drive_id, request } of lists.jobs) {
+    const file = request.osm?.file;
+    if (!file) continue;
+    if ((first.get(drive_id) ?? file) !== file) found.add(drive_id);
+    first.set(drive_id, file);
+  }
+  return found;
+}
+
 function notify() {
+  withMaps = null;
   for (const call of listeners) call();
 }
 

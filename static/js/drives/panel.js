@@ -5,7 +5,7 @@
 import { getJson, sendJson } from "../api.js";
 import { iconButton } from "../controls.js";
 import { demo, onDemoChange, tryDemo } from "../data/demo.js";
-import { lists, onListsChange, refreshLists, rememberDrive } from "../data/lists.js";
+import { lists, onListsChange, refreshLists, rememberDrive, titleOf } from "../data/lists.js";
 import { el, fill, formatAgo, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { isEditing, naming } from "../job/naming.js";
 import { openRunDialog } from "../job/run_dialog.js";
@@ -168,7 +168,7 @@ function jobRow(job) {
   const button = el(
     "button",
     { "aria-current": String(getState().job === job.id), onClick: () => openJob(job) },
-    el("span", { class: "cut", title: job.title }, job.title),
+    el("span", { class: "cut", title: titleOf(job) }, titleOf(job)),
     isDone ? el("span", { class: "small" }, formatAgo(job.finished_at)) : stateBadge(job.state),
     isDone && el("span", { class: "small number both" }, outcomeOf(job)),
   );

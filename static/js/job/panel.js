@@ -4,7 +4,7 @@
  */
 import { follow, getJson, sendJson } from "../api.js";
 import { factRows, figure } from "../controls.js";
-import { FINAL, lists, refreshLists, rememberJob } from "../data/lists.js";
+import { FINAL, lists, refreshLists, rememberJob, titleOf } from "../data/lists.js";
 import {
   announce,
   el,
@@ -17,7 +17,7 @@ import {
   formatPercent,
   icon,
 } from "../dom.js";
-import { confirmAction, problemNote, showError } from "../messages.js";
+import { confirmAction, failureNote, problemNote, showError } from "../messages.js";
 import { getState, setState, subscribe } from "../state.js";
 import { isEditing, naming } from "./naming.js";
 import { openRunDialog } from "./run_dialog.js";
@@ -95,7 +95,7 @@ export function mount(container) {
     const { button: rename, element: name } = naming({
       path: `jobs/${job.id}`,
       item: job,
-      heading: el("h3", { class: "job-title" }, job.title),
+      heading: el("h3", { class: "job-title" }, titleOf(job)),
       title: "this job",
       mayBeUnnamed: true,
       onChange: update,
@@ -228,10 +228,9 @@ function placedText({ lat_deg, lon_deg, heading_deg, position_std_m }) {
 
 /** @param {any} job */
 function failure(job) {
-  const reason = job.error ?? { title: "The job failed", detail: "The server reported no reason; its log has it." };
   const back = el("button", { onClick: () => setState({ panel: "drives" }) }, "Back to the drives");
   return [
-    problemNote(reason),
+    failureNote(job),
     el("p", { class: "quiet" }, "Correct what is named above, then run it again. The drive is still there."),
     row(runAgain(job), back, removal(job)),
   ];

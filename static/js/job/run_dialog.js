@@ -4,7 +4,7 @@
  */
 import { encodePath, getJson, putFile, sendJson } from "../api.js";
 import { field, openDialog } from "../controls.js";
-import { rememberJob } from "../data/lists.js";
+import { rememberJob, titleOf } from "../data/lists.js";
 import { el, fill } from "../dom.js";
 import { problemNote } from "../messages.js";
 import { jobForm, nest } from "./job_form.js";
@@ -41,7 +41,7 @@ export async function openRunDialog(id, { job, withMap = false } = {}) {
           "div",
           { class: "stack tall-body" },
           el("h2", {}, job ? `Run ${drive.name} again` : `Run ${drive.name}`),
-          job && el("p", { class: "small" }, `All is chosen as it was for the job “${job.title}”.`),
+          job && el("p", { class: "small" }, `All is chosen as it was for the job “${titleOf(job)}”.`),
           field("Name of the job", name),
           form.mapElement,
           form.element,

@@ -3,7 +3,7 @@
  * @module job/words
  */
 import { getConfig } from "../api.js";
-import { lists } from "../data/lists.js";
+import { lists, titleOf } from "../data/lists.js";
 import { onUploadsChange, uploadOf, uploadText } from "../data/uploads.js";
 import { el, formatAgo, formatDuration, formatMetres, plural } from "../dom.js";
 import { setState } from "../state.js";
@@ -40,9 +40,19 @@ onUploadsChange(() => {
   }
 });
 
+/** @returns {[id: string, name: string][]} All drives; those of one name with the time at which they were made. */
+export function driveNames() {
+  const names = lists.drives.map(({ name }) => name);
+  const repeated = new Set(names.filter((name, row) => names.indexOf(name) !== row));
+  return lists.drives.map(({ id, name, created_at }) => [
+    id,
+    repeated.has(name) ? `${name} · ${formatAgo(created_at)}` : name,
+  ]);
+}
+
 /** @param {any} job @returns {string} Its title, and when it ended or which state it is in. */
 export function jobName(job) {
-  return `${job.title} · ${job.state === "successful" ? formatAgo(job.finished_at ?? job.created_at) : job.state}`;
+  return `${titleOf(job)} · ${job.state === "successful" ? formatAgo(job.finished_at ?? job.created_at) : job.state}`;
 }
 
 /** @param {any} job @returns {string} The result in a few words. */

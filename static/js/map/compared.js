@@ -4,7 +4,7 @@
  */
 import { getJson } from "../api.js";
 import { kindOfCompared, matchIntersections } from "../data/compared.js";
-import { lists } from "../data/lists.js";
+import { lists, titleOf } from "../data/lists.js";
 import { place } from "../data/results.js";
 import { el } from "../dom.js";
 import { DivIcon, LayerGroup, Marker } from "../leaflet.js";
@@ -92,6 +92,9 @@ export class ComparedLayer {
 /** @param {import("../data/compared.js").Compared} item */
 function describe({ found }) {
   const finders = (compared?.jobs ?? []).filter((_, i) => found[i]);
-  const names = finders.map((id) => lists.jobs.find((each) => each.id === id)?.title ?? id);
+  const names = finders.map((id) => {
+    const job = lists.jobs.find((each) => each.id === id);
+    return job ? titleOf(job) : id;
+  });
   return el("div", {}, el("strong", {}, "Not found by this job"), el("br"), `Found by ${names.join("; ")}`);
 }

@@ -86,9 +86,10 @@ export function openDetails(hit) {
   const { item, kind } = hit;
   chosen = hit;
   const around = ring("chosen").setLatLng([item.lat, item.lng]).addTo(map);
+  const room = map.getSize().x - 80; // beside its margins and those of the map
   const popup = new Popup({
-    maxWidth: 320,
-    minWidth: Math.min(290, map.getSize().x - 80),
+    maxWidth: Math.min(320, room),
+    minWidth: Math.min(290, room),
     maxHeight: Math.max(140, map.getSize().y - 110),
     autoPanPadding: [24, 24],
   });

@@ -78,13 +78,16 @@ export function addMeasure(map, local) {
     const listen = isOn ? "on" : "off";
     map[listen]("click", add);
     map[listen]("mousemove", follow);
-    if (isOn) document.addEventListener("keydown", onKey);
-    else document.removeEventListener("keydown", onKey);
+    if (isOn) document.addEventListener("keydown", onKey, true);
+    else document.removeEventListener("keydown", onKey, true);
     if (isOn) map.closePopup();
   };
   const onKey = (/** @type {KeyboardEvent} */ event) => {
     if (isTyping(event)) return;
-    if (event.key === "Escape") toggle();
+    if (event.key === "Escape") {
+      event.stopPropagation(); // what else it closes stays open
+      toggle();
+    }
     if (event.key === "Backspace") {
       points.pop();
       draw();

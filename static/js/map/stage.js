@@ -10,7 +10,7 @@ import { loadOverview } from "../data/overview.js";
 import { loadResult, loadTrajectory } from "../data/results.js";
 import { el, fill, icon, plural } from "../dom.js";
 import { Control, CRS, control, DomEvent, LeafletMap, latLngBounds } from "../leaflet.js";
-import { problemNote } from "../messages.js";
+import { failureNote, problemNote } from "../messages.js";
 import { addShortcut } from "../shortcuts.js";
 import { getState, setState, subscribe } from "../state.js";
 import { ComparedLayer, followCompared, onCompared } from "./compared.js";
@@ -88,7 +88,8 @@ export async function mountStage() {
       if (getState().drive !== job.drive_id) setState({ drive: job.drive_id });
       if (job.state !== "successful") {
         clear();
-        fill(cover, el("p", {}, waiting(job)));
+        const why = job.state === "failed" && failureNote(job);
+        fill(cover, el("div", { class: "stack-s" }, el("p", {}, waiting(job)), why));
         if (awaited) await showTrajectory(job, mine);
         return;
       }
@@ -435,7 +436,7 @@ function applyView(text) {
 
 /** @param {any} job @returns {string} */
 function waiting(job) {
-  if (job.state === "failed") return "This job failed; the panel says why.";
+  if (job.state === "failed") return "This job failed.";
   if (job.state === "dismissed") return "This job was cancelled.";
   return "The map appears here when the job is done.";
 }

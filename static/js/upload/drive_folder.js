@@ -14,12 +14,15 @@ import {
   isRecorded,
   isRecordedLayout,
   mayBePoses,
+  readFields,
   recordedLayoutOf,
   recordingFaults,
 } from "./recordings.js";
 import { sizeComplaint } from "./reduce.js";
+import { areOfCamera, posesIn } from "./track.js";
 
 /** @typedef {import("../api.js").FileProblem} FileProblem */
+/** @typedef {import("./recordings.js").PcdFields} PcdFields */
 
 /**
  * @typedef {object} DriveFolder
@@ -29,8 +32,10 @@ import { sizeComplaint } from "./reduce.js";
  * @property {"semantickitti" | "kitti_raw" | "kitti360" | "reduced" | import("./recordings.js").RecordedLayout} layout
  * @property {NumberedFiles | null} scans null of a reduced drive, and of one that only the service reads.
  * @property {Map<string, File>} recorded Of a drive that only the service reads: its scans, by path inside the drive.
+ * @property {PcdFields | null} fields Of a drive of PCD files, where their header can be read.
  * @property {Record<string, NumberedFiles>} labels By folder: labels, predictions.
  * @property {Map<string, File>} small What else of it is sent, by path inside the drive: poses, calibration, times, OXTS.
+ * @property {boolean} lacksCalibration Its poses are those of a camera, and calib.txt is not there.
  * @property {Map<string, File>} maps OSM files.
  * @property {Map<string, File>} ground Of a reduced drive: its .ground files.
  * @property {string[]} borrowed Notes on files that were taken from beside the drive.
@@ -114,8 +119,10 @@ async function readDrive({ folder, root, inside, kind, calibration }) {
     layout: kind === "scans" ? "semantickitti" : kind,
     scans: null,
     recorded: new Map(),
+    fields: null,
     labels: {},
     small: new Map(),
+    lacksCalibration: false,
     maps: new Map(),
     ground: new Map(),
     borrowed: [],
@@ -132,7 +139,8 @@ async function readDrive({ folder, root, inside, kind, calibration }) {
       if (labels) drive.labels[name] = labels;
     }
     if (kind === "scans" || kind === "pcd") borrowBeside(drive, folder, calibration);
-    drive.layout = await layoutOf(drive);
+    await readSmall(drive);
+    if (kind === "pcd") drive.fields = await readFields(drive.recorded);
   }
   return drive;
 }
@@ -232,8 +240,20 @@ export function posesOf(small) {
   return (path && small.get(path)) || null;
 }
 
+/**
+ * Find out what the small files of a drive tell of it, anew where some were added.
+ *
+ * @param {DriveFolder} drive
+ */
+export async function readSmall(drive) {
+  drive.layout = await layoutOf(drive);
+  const poses = drive.small.get("poses.txt");
+  const wants = drive.layout === "semantickitti" && poses && !drive.small.has("calib.txt");
+  drive.lacksCalibration = Boolean(wants && poses.size <= MAX_POSE_BYTES && areOfCamera(posesIn(await poses.text())));
+}
+
 /** @param {DriveFolder} drive @returns {Promise<DriveFolder["layout"]>} */
-export async function layoutOf(drive) {
+async function layoutOf(drive) {
   if (isRecordedLayout(drive.layout)) return drive.layout;
   const poses = posesOf(drive.small);
   if (poses) {
@@ -314,14 +334,20 @@ function listed(numbers, max = 5) {
 }
 
 /**
- * Some of many numbers, evenly spread from the first to the last.
+ * Some of many numbers, evenly spread from the first to the last: those that the service and `interloc info` look into.
  *
  * @param {number[]} numbers
  * @param {number} [count]
  */
 export function sampleOf(numbers, count = 5) {
   if (numbers.length <= count) return numbers;
-  return Array.from({ length: count }, (_, i) => numbers[Math.round((i * (numbers.length - 1)) / (count - 1))]);
+  return Array.from({ length: count }, (_, i) => numbers[roundEven((i * (numbers.length - 1)) / (count - 1))]);
+}
+
+/** @param {number} value @returns {number} Rounded as NumPy does: a half goes to the even number. */
+function roundEven(value) {
+  const floor = Math.floor(value);
+  return value - floor === 0.5 ? floor + (floor % 2) : Math.round(value);
 }
 
 /** @param {string} path @param {string} message @returns {FileProblem} */
@@ -393,6 +419,9 @@ export function checkDrive(drive, folders, hasOxts, { model, canLabel } = { mode
   const problems = [...drive.problems];
   if (isRecordedLayout(drive.layout)) {
     problems.push(...checkRecorded(drive, drive.layout, folders));
+    if (drive.fields?.hasLabel === false && !Object.keys(drive.labels).length && !model) {
+      problems.push(error(drive.fields.path, `has no label: ${wantsLabels(drive.fields, canLabel)}`));
+    }
     return sorted([...problems, ...checkSmall(drive, hasOxts)]);
   }
   if (!drive.scans) {
@@ -408,6 +437,13 @@ export function checkDrive(drive, folders, hasOxts, { model, canLabel } = { mode
     if (drive.labels[folder]) problems.push(...checkLabels(drive.scans, drive.labels[folder]));
   }
   return sorted([...problems, ...checkSmall(drive, hasOxts)]);
+}
+
+/** @param {PcdFields} fields @param {boolean} canLabel @returns {string} */
+function wantsLabels({ names }, canLabel) {
+  const found = names.length ? `its fields are ${names.join(", ")}` : "it holds no named fields";
+  const expected = `Expected one of ${getConfig().file_kinds.label_fields.join(", ")} among them, or labels/ with a .label file per scan; add that folder below.`;
+  return `${found}. ${expected}${canLabel ? "" : ` ${NO_NETWORKS}`}`;
 }
 
 /**
@@ -474,7 +510,7 @@ const NO_POSES = /** @type {Record<"pcd" | "las", [path: string, message: string
 });
 
 /** @param {DriveFolder} drive @param {boolean} hasOxts @returns {FileProblem[]} */
-function checkSmall({ small, layout }, hasOxts) {
+function checkSmall({ small, layout, lacksCalibration }, hasOxts) {
   if (layout === "rosbag") return []; // it holds poses and fixes itself
   const hasFolder = [...small.keys()].some((path) => /^(data_poses\/[^/]+\/)?oxts\//.test(path));
   const isPublished = layout === "kitti360" && [...small.keys()].some((path) => path.startsWith("data_poses/"));
@@ -489,8 +525,8 @@ function checkSmall({ small, layout }, hasOxts) {
       "is missing. Expected one line of 12 numbers per scan: the pose of the camera (KITTI) or of the LiDAR (kiss-icp). " +
       `Add the file below${layout === "kitti_raw" ? "; of KITTI-360 pick its root, which has data_poses/ and calibration/" : ""}.`;
     problems.push(error("poses.txt", text));
-  } else if (layout === "semantickitti" && !small.has("calib.txt")) {
-    const text = "is missing. It is needed where poses.txt holds camera poses, as those of KITTI do.";
+  } else if (lacksCalibration) {
+    const text = "is missing. It is needed because poses.txt holds poses of a camera, as those of KITTI do.";
     problems.push({ severity: "warning", path: "calib.txt", message: text });
   }
   if (!hasFolder && !isPublished && !small.has("geo.csv") && !hasOxts) {

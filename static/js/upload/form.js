@@ -9,8 +9,8 @@ import {
   error,
   estimateKeyframes,
   LAYOUTS,
-  layoutOf,
   numberedFiles,
+  readSmall,
   sampleOf,
   sorted,
 } from "./drive_folder.js";
@@ -128,7 +128,7 @@ export function formView(
     } catch (fault) {
       if (mine !== asked) return;
       judged = [];
-      const refused = fault instanceof ApiError ? fault.problems[0]?.message.replace("Value error, ", "") : null;
+      const refused = fault instanceof ApiError ? fault.problems[0]?.message : null;
       labelProblems = [error("labels", refused ?? (fault instanceof Error ? fault.message : String(fault)))];
     }
     labels.setVerdict(judged);
@@ -201,7 +201,7 @@ export function formView(
       else if (/^\d\d\.txt$/.test(file.name)) drive.small.set("poses.txt", file);
       else refused.push(`${file.name}: expected ${MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti}.`);
     }
-    drive.layout = await layoutOf(drive);
+    await readSmall(drive);
     added.textContent = refused.join(" ");
     update();
   }

@@ -25,10 +25,7 @@ const IN_FILES = {
 /** Labels that the browser cannot see: it does not read these files. By layout; "" is an archive. */
 const UNSEEN = /** @type {Record<string, {title: string, hint: string}>} */ ({
   "": { title: "Those in the archive", hint: "labels/ or predictions/, or labels of the points themselves." },
-  pcd: {
-    title: "Labels of the points themselves",
-    hint: "Their field label. Without one, the service refuses the drive.",
-  },
+  pcd: { title: "Labels of the points themselves", hint: "Their field label." },
   rosbag: {
     title: "Labels of the points themselves",
     hint: "The field label of their messages. Without one, the service refuses the drive.",
@@ -54,7 +51,8 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const usable = networks.filter(({ problem }) => problem === null);
   /** Time that each takes, to be filled in. @type {Map<Network, HTMLElement>} */
   const hints = new Map(usable.map((network) => [network, el("span", {})]));
-  const unseen = drive?.scans ? null : UNSEEN[drive?.layout ?? ""];
+  const areSeen = drive?.scans || drive?.fields?.hasLabel === false; // label files, or none at all
+  const unseen = areSeen ? null : UNSEEN[drive?.layout ?? ""];
   const offers = usable.map((network) => ({
     value: OF_NETWORK + network.name,
     title: ["Label the scans on the service with ", el("b", {}, network.name)],
@@ -77,7 +75,7 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const offered = el("div", { class: "stack-s" }, chooser, ofDamaged);
 
   // Of a bag or of LAS files only the service knows which scans there are; labels that lie beside are sent all the same.
-  const hasPlace = drive?.layout === "pcd" || (drive?.scans && !usable.length);
+  const hasPlace = unseen ? drive?.layout === "pcd" : drive && !usable.length;
   const hasFolders = () => boxes.size > 0;
   const model = () =>
     !hasFolders() && usable.length && source.value().startsWith(OF_NETWORK)

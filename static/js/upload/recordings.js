@@ -21,6 +21,7 @@ const POSES = {
 };
 const PART = /_\d+(?=\.[^.]+$)/; // of a bag in several files: drive_0.mcap, drive_1.mcap
 const MAX_NAMED = 5;
+const MAX_HEADER_BYTES = 65536;
 
 /** @param {string} layout @returns {layout is RecordedLayout} */
 export const isRecordedLayout = (layout) => layout in INSIDE;
@@ -118,4 +119,29 @@ export function recordingFaults(recorded, others, layout) {
     ]);
   }
   return faults;
+}
+
+/**
+ * @typedef {object} PcdFields What the points of a PCD file have.
+ * @property {string} path
+ * @property {string[]} names Of its fields; none in a .pcd.bin, which has no header.
+ * @property {boolean} hasLabel
+ */
+
+/**
+ * Read which fields the first PCD file has.
+ *
+ * @param {Map<string, File>} files By path.
+ * @returns {Promise<PcdFields | null>} null where that cannot be told: the service judges the file.
+ */
+export async function readFields(files) {
+  const [first] = [...files].sort(([a], [b]) => a.localeCompare(b, "en", { numeric: true })); // as the service numbers them
+  if (!first) return null;
+  const [path, file] = first;
+  if (!path.endsWith(".pcd")) return { path, names: [], hasLabel: false };
+  const header = /^(?:FIELDS|COLUMNS)[ \t]+(.*)$/m.exec(await file.slice(0, MAX_HEADER_BYTES).text());
+  if (!header) return null;
+  const names = header[1].trim().split(/\s+/);
+  const { label_fields: known } = getConfig().file_kinds;
+  return { path, names, hasLabel: names.some((name) => known.includes(name.toLowerCase())) };
 }

@@ -149,7 +149,23 @@ const FORMS = /** @type {Record<number, {frame: number | null, at: number[], tur
  * @returns {Map<number, number[]>}
  */
 export function readPoses(text, frames, pose_frame) {
-  /** @type {{frame: number | null, at: number[], turn: number[] | null}[]} */
+  const poses = posesIn(text);
+  const [first] = poses;
+  if (!first) return new Map();
+  const isCamera = pose_frame === "camera" || (pose_frame === "auto" && areOfCamera(poses));
+  const places = poses.map(({ at }) => {
+    const [x, y, z] = intoFrame(first.turn, difference(at, first.at));
+    return isCamera ? [z, -x] : [x, y];
+  });
+  if (first.frame === null) return byFrame(places, frames);
+  return new Map(poses.map(({ frame }, i) => [/** @type {number} */ (frame), places[i]]));
+}
+
+/** @typedef {{frame: number | null, at: number[], turn: number[] | null}} Pose */
+
+/** @param {string} text @returns {Pose[]} */
+export function posesIn(text) {
+  /** @type {Pose[]} */
   const poses = [];
   for (const line of linesOf(text)) {
     const numbers = line.trim().split(/\s+/).map(Number);
@@ -158,20 +174,17 @@ export function readPoses(text, frames, pose_frame) {
     const frame = form.frame === null ? null : numbers[form.frame];
     poses.push({ frame, at: form.at.map((i) => numbers[i]), turn: form.turn?.map((i) => numbers[i]) ?? null });
   }
-  const [first] = poses;
-  if (!first) return new Map();
+  return poses;
+}
+
+/** @param {Pose[]} poses @returns {boolean} Whether they move along z, as cameras do, rather than along x. */
+export function areOfCamera(poses) {
   const forward = [0, 0, 0];
   poses.slice(1).forEach(({ at }, i) => {
     const step = intoFrame(poses[i].turn, difference(at, poses[i].at));
     for (const axis of [0, 1, 2]) forward[axis] += Math.abs(step[axis]);
   });
-  const isCamera = pose_frame === "camera" || (pose_frame === "auto" && first.turn !== null && forward[2] > forward[0]);
-  const places = poses.map(({ at }) => {
-    const [x, y, z] = intoFrame(first.turn, difference(at, first.at));
-    return isCamera ? [z, -x] : [x, y];
-  });
-  if (first.frame === null) return byFrame(places, frames);
-  return new Map(poses.map(({ frame }, i) => [/** @type {number} */ (frame), places[i]]));
+  return poses.length > 0 && poses[0].turn !== null && forward[2] > forward[0];
 }
 
 /** @param {number[]} a @param {number[]} b */

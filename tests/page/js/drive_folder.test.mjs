@@ -19,6 +19,7 @@ setConfig({
     archives: [".zip"],
     recordings: [".bag", ".db3", ".mcap", ".las", ".laz"],
     scans: [".pcd", ".pcd.bin"],
+    label_fields: ["label", "class"],
   },
   limits: { max_file_bytes: 1000, max_recording_bytes: 2000, max_drive_bytes: 2500, max_drive_files: 10 },
   raw_first_frames: { "2011_09_30_drive_0028": 1100 },
@@ -137,6 +138,25 @@ test("what is wrong with recordings is listed before anything is sent", async ()
     (await errors({ "1.pcd": 9, "2.pcd": 9, "poses.txt": POSE, ...labels }, ["labels"]))[0],
     /labels has no labels for 1 of 2 scans/,
   );
+});
+
+test("PCD files without a field for the label are named before they are sent", async () => {
+  const pcd = (fields) => `# .PCD v0.7\nVERSION 0.7\nFIELDS ${fields}\nDATA ascii\n`;
+  const errors = async (files, folders = [], labelling = undefined) => {
+    const [drive] = await findDrives(folder({ ...files, "poses.txt": POSE }));
+    return texts(checkDrive(drive, folders, false, labelling), "error");
+  };
+  const bare = { "10.pcd": pcd("x y z Class"), "9.pcd": pcd("x y z intensity") }; // 9 is the first
+  const [text, ...others] = await errors(bare);
+  assert.match(
+    text,
+    /^9\.pcd has no label: its fields are x, y, z, intensity\. Expected one of label, class .*INTERLOC_MODELS/,
+  );
+  assert.deepEqual(others, []);
+  assert.deepEqual(await errors({ "9.pcd": pcd("x y z Class") }), []);
+  assert.deepEqual(await errors(bare, [], LABELLED), []);
+  assert.deepEqual(await errors({ ...bare, "labels/000009.label": 4, "labels/000010.label": 4 }, ["labels"]), []);
+  assert.match((await errors({ "9.pcd.bin": 9 }))[0], /^9\.pcd\.bin has no label: it holds no named fields/);
 });
 
 test("a drive without labels needs a network, or is told how labels are made", async () => {
@@ -283,6 +303,17 @@ test("missing labels, poses and sizes that do not fit are listed before anything
   assert.match(texts(problems, "note")[0], /local metres/);
 });
 
+test("calibration is missed where the poses are those of a camera", async () => {
+  const along = (row) => [0, 1, 2].map((x) => row.replace("x", x)).join("\n");
+  const warnings = async (poses, more = {}) => {
+    const [drive] = await findDrives(folder({ ...scans("", [0, 1, 2]), "poses.txt": poses, ...more }));
+    return texts(checkDrive(drive, ["labels"], false), "warning");
+  };
+  assert.match((await warnings(along("1 0 0 0 0 1 0 0 0 0 1 x")))[0], /calib\.txt is missing.* poses of a camera/);
+  assert.deepEqual(await warnings(along("1 0 0 x 0 1 0 0 0 0 1 0")), []);
+  assert.deepEqual(await warnings(along("1 0 0 0 0 1 0 0 0 0 1 x"), { "calib.txt": "Tr: 1" }), []);
+});
+
 test("names that are not scan numbers are listed", async () => {
   const [drive] = await findDrives(
     folder({ ...scans("", [0, 1]), "velodyne/scan.bin": 16, "velodyne/7.bin": 16, "poses.txt": POSE }),
@@ -328,6 +359,8 @@ test("ten thousand scans are sorted at once", async () => {
 test("samples are spread from the first to the last", () => {
   assert.deepEqual(sampleOf([1, 2, 3]), [1, 2, 3]);
   assert.deepEqual(sampleOf(Array.from({ length: 101 }, (_, i) => i)), [0, 25, 50, 75, 100]);
+  assert.deepEqual(sampleOf(Array.from({ length: 50 }, (_, i) => i)), [0, 12, 24, 37, 49]); // as numpy.round has it
+  assert.deepEqual(sampleOf(Array.from({ length: 48 }, (_, i) => i)), [0, 12, 24, 35, 47]);
 });
 
 test("the fingerprint of a folder tells its files, whatever their order", () => {

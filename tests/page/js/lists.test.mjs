@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { lists, onListsChange, refreshLists } from "../../../static/js/data/lists.js";
+import { lists, onListsChange, refreshLists, rememberJob, titleOf } from "../../../static/js/data/lists.js";
 
 /** A server of 250 drives, the newest first, that notes what it was asked for. */
 const server = { drives: Array.from({ length: 250 }, (_, i) => ({ id: `d${i}`, name: "a" })), asked: [] };
@@ -42,4 +42,23 @@ test("the newest drives are shown first, and a look asks for no more while nothi
   assert.deepEqual(await asks(() => refreshLists(true)), [...heads, "drives 100"]);
   assert.deepEqual([lists.drives.length, lists.drives[0].id, lists.drives[201].name], [251, "new", "renamed"]);
   assert.equal(lists.isCut, false);
+});
+
+test("jobs of a drive on different maps are told apart by them", () => {
+  const job = (id, file, more = {}) => ({
+    id,
+    drive_id: "d1",
+    title: "default",
+    version: 1,
+    request: { osm: { file } },
+    ...more,
+  });
+  const [one, other] = [job("a", "00.osm.gz"), job("b", "00.osm.gz")];
+  for (const each of [one, other, job("c", "new.osm", { drive_id: "d2" })]) rememberJob(each);
+  assert.equal(titleOf(one), "default");
+  rememberJob(job("e", "04.osm.gz"));
+  assert.equal(titleOf(one), "default, 00.osm.gz");
+  assert.equal(titleOf(job("c", "new.osm", { drive_id: "d2" })), "default");
+  assert.equal(titleOf(job("f", "00.osm.gz", { name: "mine", title: "mine" })), "mine");
+  assert.equal(titleOf({ ...one, title: "default, no map", request: { osm: null } }), "default, no map");
 });

@@ -1,0 +1,24 @@
+"""Patterns of the texts that clients send, and what they ask for in words: a refusal says these."""
+
+from __future__ import annotations
+
+_PRINTED = r"[^\x00-\x1f\x7f]*"
+_NUMBER = r"-?[0-9]{1,3}(\.[0-9]{1,15})?"
+
+TEXT = r"^[^\x00]*$"
+NAME = rf"^{_PRINTED}[^\s\x00-\x1f\x7f]{_PRINTED}$"  # not only blanks
+NOTE = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
+NETWORK = r"^[^./\\\x00-\x1f][^/\\\x00-\x1f]*$"
+ID = r"^[A-Za-z0-9_-]{1,64}$"
+"""What ids of drives and jobs look like; there may be one or not."""
+BOX = rf"^{_NUMBER}(,{_NUMBER}){{3}}$"
+
+EXPECTED = {
+    TEXT: "text without zero characters",
+    NAME: "a name in one line, not only blanks and without control characters",
+    NOTE: "text without control characters other than tabs and line ends",
+    NETWORK: "the name of a network as GET /api/v1/models lists it",
+    ID: "an id: 1 to 64 letters, digits, hyphens and underscores",
+    BOX: "west,south,east,north in degrees: longitudes from -180 to 180, latitudes from -90 to 90, south not above "
+    "north. Usual mistake: latitude first",
+}
