@@ -129,7 +129,7 @@ def test_the_console_script(tmp_path: Path) -> None:
     arguments = [script, "export", tmp_path, "-o", tmp_path / "out.kml"]
     process = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert process.returncode == 1
-    assert process.stderr.startswith(f"interloc: {tmp_path}/run.json is missing")
+    assert process.stderr.startswith(f"interloc: {tmp_path} is not an InterLoc result: it has no run.json")
 
 
 def test_a_reader_that_went_away_is_no_error(command: tuple[str, ...], environment: dict[str, str]) -> None:
