@@ -54,9 +54,9 @@ def drive(client: httpx.Client, street: Path) -> str:
 
 
 @pytest.fixture(scope="module")
-def scored(client: httpx.Client, drive: str) -> dict[str, Any]:
-    """A job of the drive that was scored against its map, at its end."""
-    return ended(client, submit(client, drive, osm={"file": "map.osm"}))
+def scored(client: httpx.Client, street: Path) -> dict[str, Any]:
+    """A job scored against the map of its drive, at its end; the only job of that drive, thus its newest result."""
+    return ended(client, submit(client, upload(client, street), osm={"file": "map.osm"}))
 
 
 def set_state(data_dir: Path, drive_id: str, state: str) -> None:
