@@ -236,21 +236,19 @@ class Attempt:
 
     def _end(self, outcome: Outcome | Problem) -> str:
         """Write how the job ended, and put its result in place: both or neither."""
-        state: JobState = JobState.SUCCESSFUL
-        if isinstance(outcome, Problem):
-            state = JobState.DISMISSED if self._stop == "cancelled" else JobState.FAILED
         job_id, storage = self.claim.job.id, self._context.storage
-        chunks = self._chunks() if state == JobState.SUCCESSFUL else []
+        chunks = self._chunks() if isinstance(outcome, Outcome) else []
         for wait_s in (0.5, 1, 2, 4, 8, 0):
             try:
-                if self._stop == "lost" or not self._finish(state, outcome, chunks):
-                    return self._leave()
+                state = None if self._stop == "lost" else self._finish(outcome, chunks)
                 break
             except SQLAlchemyError as error:
                 _log.warning("job %s: its end could not be written: %s", job_id, error)
                 if not wait_s:
                     return "left to its lease"  # whoever takes it over finds all parts done
                 time.sleep(wait_s)
+        if state is None:
+            return self._leave()
         tidy(storage, job_id, keep_result=state == JobState.SUCCESSFUL)
         if state == JobState.SUCCESSFUL and not self._kind.changes_drive:
             with suppress(SQLAlchemyError):  # the clean-up writes what is missing
@@ -267,22 +265,29 @@ class Attempt:
             _log.exception("job %s: its features could not be indexed", self.claim.job.id)
             return []
 
-    def _finish(self, state: JobState, outcome: Outcome | Problem, chunks: list[Chunk]) -> bool:
+    def _finish(self, outcome: Outcome | Problem, chunks: list[Chunk]) -> JobState | None:
+        """Write the end of the job, with all that it means; returns its state, None where the lease is lost."""
         job_id = self.claim.job.id
-        error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"} if isinstance(outcome, Problem) else None
-        summary = None if isinstance(outcome, Problem) else outcome.summary
         with self._context.database.writing(patient=True) as session:
+            if isinstance(outcome, Outcome) and self._queue.is_cancelled(session, self.claim):
+                self._stop, outcome = "cancelled", failures.cancelled()  # too late to be seen before
+            error = summary = None
+            if isinstance(outcome, Outcome):
+                state, summary = JobState.SUCCESSFUL, outcome.summary
+            else:
+                state = JobState.DISMISSED if self._stop == "cancelled" else JobState.FAILED
+                error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"}
             if not self._queue.finish(session, self.claim, state, error=error, summary=summary):
-                return False
+                return None
             if state == JobState.SUCCESSFUL:
                 place_result(self._context.storage, self._task)
-            if chunks:
-                write_chunks(session, self.claim.job, chunks)
+                if chunks:
+                    write_chunks(session, self.claim.job, chunks)
             if self._kind.changes_drive:
                 job = session.get(Job, job_id)
                 assert job is not None
                 self._finish_drive(session, self._context, job, outcome)
-        return True
+        return state
 
     def _write_sidecar(self) -> None:
         with self._context.database.reading() as session:

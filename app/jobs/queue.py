@@ -171,6 +171,11 @@ class JobQueue:
         ours = {lease: cancelled for lease, cancelled in rows if lease is not None}
         return {lease: ("cancelled" if ours[lease] else "held") if lease in ours else "lost" for lease in leases}
 
+    def is_cancelled(self, session: Session, claim: Claim) -> bool:
+        """Return whether a client has cancelled a job; until the transaction of the caller ends none can."""
+        query = select(Job.cancel_requested).where(Job.id == claim.job.id)
+        return bool(session.scalar(query.with_for_update()))
+
     def progress(self, claim: Claim, **values: Any) -> bool:  # noqa: ANN401 - columns of the job
         """Write the progress of a job; False if the lease is lost."""
         with self._database.writing(patient=True) as session:

@@ -36,8 +36,15 @@ const part = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 async function start() {
   onTokenNeeded(askForToken);
   window.addEventListener("unhandledrejection", (event) => showError(event.reason));
+  const hasFiles = (/** @type {DragEvent} */ event) => event.dataTransfer?.types.includes("Files");
   window.addEventListener("dragenter", (event) => {
-    if (event.dataTransfer?.types.includes("Files")) setState({ panel: "upload" }); // it takes what is dropped
+    if (hasFiles(event)) setState({ panel: "upload" }); // it takes what is dropped
+  });
+  window.addEventListener("drop", (event) => {
+    if (hasFiles(event)) event.preventDefault(); // also before that panel is loaded: the page is not left for a file
+  });
+  window.addEventListener("dragover", (event) => {
+    if (hasFiles(event)) event.preventDefault(); // otherwise there is no drop
   });
   await loadConfig();
   mountHeader(part("header"));

@@ -278,6 +278,8 @@ def test_a_waiting_job_is_dismissed_at_once_and_a_running_one_is_told(database: 
     assert first.job.id == waiting
     assert queue.look([first.lease]) == {first.lease: "cancelled"}
     assert queue.heartbeat([first.lease]) == {first.lease: "cancelled"}
+    with database.writing() as session:
+        assert queue.is_cancelled(session, first)
     assert read_job(database, running).state == "dismissed"
     assert queue.claim() is None
 

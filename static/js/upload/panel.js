@@ -363,10 +363,8 @@ function listenToDrops() {
     if (isFiles(event)) depth = Math.max(0, depth - 1);
     mark();
   });
-  window.addEventListener("dragover", (event) => isFiles(event) && event.preventDefault());
   window.addEventListener("drop", (event) => {
     if (!isFiles(event) || !event.dataTransfer) return;
-    event.preventDefault();
     depth = 0;
     mark();
     if (current?.isRunning) {
