@@ -78,8 +78,9 @@ def test_point_is_that_of_a_general_least_squares_solver(seed: int, count: int) 
     )
     found = refine(lines)
     assume(math.isfinite(found.residual))
-    expected = least_squares(residuals, np.zeros(2), args=(lines,), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
-    np.testing.assert_allclose(found.position, expected, atol=1e-5)
+    strict = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    expected = least_squares(residuals, np.zeros(2), jac="3-point", args=(lines,), **strict).x
+    np.testing.assert_allclose(found.position, expected, atol=1e-6)
     mean_square = np.sum(residuals(found.position, lines) ** 2) / lines.weights.sum()
     assert found.residual == pytest.approx(math.sqrt(mean_square), abs=1e-9)
 
