@@ -16,6 +16,7 @@ LabelFolder = Literal["labels", "predictions"]
 PoseFrame = Literal["auto", "camera", "lidar"]
 LayoutName = Literal["semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"]
 LayoutChoice = Literal["auto", LayoutName]
+CRS_PATTERN = r"^[A-Za-z]+:[0-9]+$"
 
 
 class ReadingOptions(BaseModel):
@@ -53,7 +54,7 @@ class ReadingOptions(BaseModel):
     crs: str | None = Field(
         None,
         max_length=100,
-        pattern=r"^[A-Za-z]+:[0-9]+$",
+        pattern=CRS_PATTERN,
         description="Coordinate system of LAS files that do not name theirs.",
         examples=["EPSG:25832"],
     )

@@ -32,6 +32,11 @@ def test_names_that_have_no_utf8_are_told(client: httpx.Client) -> None:
         ("/drives", {"name": "a\0b"}, r"body.name: found 'a\x00b'; expected a name in one line, "),
         ("/drives", {"name": "a", "options": [1]}, "body.options: found [1]; expected an object, in braces."),
         ("/drives", {"name": "a", "options": {"poses": "a\\b"}}, "body.options.poses: 'a"),
+        (
+            "/drives",
+            {"name": "a", "options": {"crs": "utm"}},
+            "body.options.crs: found 'utm'; expected a coordinate system",
+        ),
         ("/jobs", {"drive_id": "a b"}, "body.drive_id: found 'a b'; expected an id: 1 to 64 letters"),
         ("/jobs", {"drive_id": "a", "osm": "a.osm"}, """body.osm: found 'a.osm'; expected {"file": "map.osm.gz"} """),
         ("/jobs", {"drive_id": "a", "near": [49, 8.4]}, "body.near: found [49, 8.4]; expected an object, in braces."),
