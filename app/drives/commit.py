@@ -31,22 +31,21 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     Raises
     ------
     Problem
-        404: no such drive. 409: an archive is still being unpacked, or the drive was committed with other options.
+        404: no such drive. 409: an archive is still being unpacked, or the drive was or is being committed otherwise.
         429: too many checks of this client wait. 507: the disk is full.
     """
     check_free_space(context, 0)
     reconcile(context, drive_id)  # what is checked is what is listed, also after a server was killed
     with context.database.writing() as session:
         drive = lock_drive(session, drive_id)
-        given = {} if request.options is None else request.options.model_dump(mode="json", exclude_unset=True)
-        options = DriveOptionsModel.model_validate(drive.options).model_dump(mode="json")
         if drive.state == DriveState.READY:
-            _refuse_others(drive, options, given, request.keep_raw)
+            _refuse_others(drive, None, request)
             return None
         if (
             drive.state == DriveState.CHECKING
             and (running := active_job(session, drive_id, JobKind.COMMIT)) is not None
         ):
+            _refuse_others(drive, running, request)
             return running
         if (unpacking := active_job(session, drive_id, JobKind.UNPACK)) is not None:
             raise Problem(
@@ -57,7 +56,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
                 headers={"Retry-After": "5"},
             )
         if request.options is not None:
-            drive.options = {**options, **given}
+            drive.options = {**_options_of(drive), **_given(request)}
             _check_model(context, drive.options.get("model"))
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
@@ -67,17 +66,38 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
     return job
 
 
-def _refuse_others(drive: Drive, options: dict[str, Any], given: dict[str, Any], keep_raw: bool | None) -> None:
-    """Refuse options that a ready drive was not committed with: whoever sends them expects that they count."""
-    in_force = {**options, "keep_raw": drive.keep_raw}
-    sent = given if keep_raw is None else {**given, "keep_raw": keep_raw}
-    others = [f"{name} is {in_force[name]!r}, not {value!r}" for name, value in sent.items() if in_force[name] != value]
-    if others:
+def _options_of(drive: Drive) -> dict[str, Any]:
+    return DriveOptionsModel.model_validate(drive.options).model_dump(mode="json")
+
+
+def _given(request: CommitRequest) -> dict[str, Any]:
+    """Return the options that a request names itself."""
+    return {} if request.options is None else request.options.model_dump(mode="json", exclude_unset=True)
+
+
+def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) -> None:
+    """Refuse options that are not those of the commit, done or running: whoever sends them expects that they count."""
+    in_force, given = {**_options_of(drive), "keep_raw": drive.keep_raw}, _given(request)
+    if request.keep_raw is not None:
+        given["keep_raw"] = request.keep_raw
+    if running is not None and running.request.get("check_only") and not request.check_only:
+        in_force["check_only"], given["check_only"] = True, False
+    differing = [name for name, value in given.items() if in_force[name] != value]
+    others = "; ".join(f"{name} is {in_force[name]!r}, not {given[name]!r}" for name in differing)
+    if others and running is None:
         raise Problem(
             409,
             "Drive is closed",
-            f"Drive {drive.id} was committed with other options: {'; '.join(others)}. Make a new drive to read its "
-            "files in another way.",
+            f"Drive {drive.id} was committed with other options: {others}. Make a new drive to read its files in "
+            "another way.",
+        )
+    if others and running is not None:
+        raise Problem(
+            409,
+            "Drive is being checked",
+            f"Drive {drive.id} is being checked with other options: {others}. Send this again when "
+            f"GET /api/v1/jobs/{running.id} shows that the check has ended, or cancel it (DELETE).",
+            headers={"Retry-After": "5"},
         )
 
 

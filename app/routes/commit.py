@@ -66,7 +66,7 @@ async def commit_drive(
 
     Waits until the check has ended. A drive with errors is open again afterwards: correct its
     files and commit it again. The commit of a drive that is being checked waits for that check; that of a ready drive
-    changes nothing, and is refused where it names other options than those that the drive was committed with.
+    changes nothing. Both are refused where they name other options than those in force.
     """
     job = await run_in_threadpool(begin_commit, context, drive_id, client, request or CommitRequest())
     if job is not None:

@@ -102,6 +102,19 @@ def workers_of(pid: int) -> list[psutil.Process]:
     ]
 
 
+@contextmanager
+def suspended(processes: list[psutil.Process]) -> Iterator[None]:
+    """Let processes, of which there must be one, stand still."""
+    assert processes
+    try:
+        for process in processes:
+            process.suspend()
+        yield
+    finally:
+        for process in processes:
+            process.resume()
+
+
 def _command_line(process: psutil.Process) -> str:
     try:
         return " ".join(process.cmdline())

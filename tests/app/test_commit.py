@@ -18,7 +18,7 @@ from interloc.cli.main import run
 from interloc.config import KeyframeConfig
 from interloc.reduction.reduce import reduce_drive
 from tests.app.conftest import running_server
-from tests.app.processes import NO_TLS, ended, wait_until, workers_of
+from tests.app.processes import NO_TLS, ended, suspended, wait_until, workers_of
 from tests.app.street import write_street
 
 RESULTS = ("detections", "keyframes", "intersections", "trajectory")
@@ -431,19 +431,30 @@ def test_a_plan_is_made_by_a_worker(client: httpx.Client, street: Path) -> None:
     """It reads files of any size; the server goes on answering meanwhile, whatever becomes of the workers."""
     drive = str(client.post("/api/v1/drives", json={"name": "07"}).headers["location"])
     assert client.put(f"{drive}/files/poses.txt", content=(street / "poses.txt").read_bytes()).status_code == 201
-    workers = workers_of(os.getpid())
-    assert workers
     with ThreadPoolExecutor(1) as pool:
-        try:
-            for worker in workers:
-                worker.suspend()
+        with suspended(workers_of(os.getpid())):
             answer = pool.submit(client.post, f"{drive}/plan", json={"scans": {"first": 0, "last": 59}})
             assert not wait([answer], timeout=1).done
             assert client.get(drive).status_code == 200
-        finally:
-            for worker in workers:
-                worker.resume()
         assert answer.result().json()["frames"] == list(range(60))
+
+
+def test_a_check_under_way_is_joined_only_by_who_asks_for_the_same(client: httpx.Client, street: Path) -> None:
+    def says(**other: Any) -> str:
+        answer = client.post(f"{address}/commit", json=other)
+        assert (answer.status_code, answer.json()["title"]) == (409, "Drive is being checked")
+        return str(answer.json()["detail"])
+
+    address = upload(client, street)
+    at_once = {"Prefer": "wait=0"}
+    with suspended(workers_of(os.getpid())):
+        assert client.post(f"{address}/commit", json={"check_only": True}, headers=at_once).status_code == 202
+        assert client.post(f"{address}/commit", json={"check_only": True}, headers=at_once).status_code == 202
+        assert "with other options: check_only is True, not False. Send this again when GET /api/v1/jobs/" in says()
+        assert "pose_frame is 'auto', not 'lidar'" in says(check_only=True, options={"pose_frame": "lidar"})
+        assert "keep_raw is False, not True" in says(check_only=True, keep_raw=True)
+    assert client.post(f"{address}/commit", json={"check_only": True}).json()["state"] == "uploading"
+    commit(client, address, keep_raw=True)
 
 
 @pytest.mark.parametrize(

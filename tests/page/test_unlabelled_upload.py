@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.app.processes import API, ServerProcess, ended, started, wait_until
+from tests.app.processes import API, ServerProcess, ended, started, suspended, wait_until
 from tests.app.street import write_street
 from tests.drives.scans.test_pcd import as_pcd
 from tests.networks import write_model
@@ -61,14 +61,8 @@ def at_stage(server: ServerProcess, stage: str) -> Iterator[None]:
         return bool(jobs) and jobs[0]["stage"] == stage
 
     wait_until(look, f"a commit at the stage {stage}")
-    workers = server.workers()
-    for worker in workers:
-        worker.suspend()
-    try:
+    with suspended(server.workers()):
         yield
-    finally:
-        for worker in workers:
-            worker.resume()
 
 
 def test_pcd_files_are_sent_as_they_are(upload: Upload, server: ServerProcess, street: Path, tmp_path: Path) -> None:
