@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,12 +23,11 @@ from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import road_ways
 from interloc.osm.policies import Policy
 from interloc.pipeline import detect, detect_range
+from interloc.processes import Progress
 from interloc.results import DriveResult
 
 MAP_MARGIN_M = 60.0
 _TRACK_STEP_M = 3.0
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 
 from interloc.errors import DriveError
+from interloc.processes import Progress
 from interloc.simulate.config import SimulationOptions
-from interloc.simulate.drive import Progress, simulate_map
+from interloc.simulate.drive import simulate_map
 from interloc.simulate.track_files import read_oxts
 from interloc.simulate.tracks import Track, track_from_oxts
 
