@@ -179,18 +179,7 @@ class Evaluation:
     @cached_property
     def verdicts(self) -> RunVerdicts:
         """Right or wrong, found or missed, and why: of every detection, intersection and node."""
-        return judge(
-            self.graph,
-            self.nodes,
-            self.keyframes,
-            self.detections,
-            self.detection_row,
-            len(self.detections) + self.detections_outside_map,
-            self.matching,
-            self.intersections,
-            self.map_level,
-            self.node_table,
-        )
+        return judge(self.graph, self.nodes, self.result, self.detection_row, self.matching, self.map_level)
 
 
 def evaluate(
