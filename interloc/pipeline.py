@@ -169,8 +169,8 @@ def detect(
     ConfigError
         The drive is not one, or the settings are not.
     """
-    expect(drive, Drive, "a drive, as interloc.open_drive(folder) returns")
-    expect(config, DetectorConfig, "settings, as interloc.preset('paper') returns")
+    expect(drive, Drive)
+    expect(config, DetectorConfig)
     if find is None:
         warm_up(config)  # once per process, and no part of the time that the run takes
     began = time.perf_counter()

@@ -217,8 +217,8 @@ def evaluate(
     ConfigError
         The policy is unknown, or the sizes of the zones are not valid.
     """
-    expect(result, DriveResult, "a result, as interloc.detect(drive) or interloc.read_results(folder) returns")
-    expect(graph, RoadGraph, "a map, as interloc.read_osm(file) returns")
+    expect(result, DriveResult)
+    expect(graph, RoadGraph)
     result = _as_printed(result)
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(

@@ -157,8 +157,8 @@ def locate(
         Only one of `near` and `radius_m` is given, or it is out of range.
     """
     began = time.perf_counter()
-    expect(drive, Drive, "a drive, as interloc.open_drive(folder) returns")
-    expect(graph, RoadGraph, "a map, as interloc.read_osm(file) returns")
+    expect(drive, Drive)
+    expect(graph, RoadGraph)
     _check_near(near, radius_m)
     track = track_of(drive.T_world_lidar)
     if track.length_m < MIN_LENGTH_M:
