@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Select, and_, bindparam, func, or_, select
 from sqlalchemy.orm import Session
 
+from app.http.parameters import Box
 from app.ogc.collections import OF_ALL, OF_JOB, Collection
 from app.ogc.evaluation import matching
 from app.ogc.filters import Filter
@@ -36,13 +37,8 @@ Interval = tuple[float, float]
 """First and last second since 1970; infinite where it is open."""
 
 
-class Area(NamedTuple):
-    """A box of longitudes and latitudes, degrees; west is larger than east where it crosses the 180th meridian."""
-
-    west: float
-    south: float
-    east: float
-    north: float
+class Area(Box):
+    """A box, and what longitudes it has."""
 
     @property
     def parts(self) -> list[tuple[float, float]]:

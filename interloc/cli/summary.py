@@ -20,13 +20,18 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         ),
         ("detections", f"{len(result.detections)}"),
         ("intersections", f"{len(result.intersections)} on the map"),
-        ("georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"),
+        georeference_fact(run),
         (
             "time",
             f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {run['workers']} process(es)",
         ),
         ("written to", str(out)),
     ]
+
+
+def georeference_fact(run: dict[str, Any]) -> tuple[str, str]:
+    """Return where longitude and latitude of a run come from, for a person."""
+    return "georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"
 
 
 def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
