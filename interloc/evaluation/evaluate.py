@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import IntArray
-from interloc.drawing import Sign, map_sketch, metres
+from interloc.drawing import Sign, map_sketch
 from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage
 from interloc.evaluation.map_level import MapLevel, assign_intersections
@@ -29,6 +29,7 @@ from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
 from interloc.output.geojson import positions
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.wording import metres
 
 PAPER_ROI_M = 120.0
 PAPER_OUTER_RADIUS_M = 40.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import flatten
-from interloc.drawing import image, metres, percent, write_image
+from interloc.drawing import image, write_image
 from interloc.errors import OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
@@ -31,6 +31,7 @@ from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
 from interloc.output.osm_roads import building_features, road_features
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
+from interloc.wording import metres, percent
 
 _RATIO_DECIMALS = 6
 

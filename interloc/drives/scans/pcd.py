@@ -24,7 +24,7 @@ from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.kernels.lzf import decompress_lzf
-from interloc.results import counted
+from interloc.wording import counted
 
 INTENSITY_FIELDS = ("intensity", "i", "remission", "reflectivity", "reflectance")
 """Names under which drivers and tools write the remission."""
