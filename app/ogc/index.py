@@ -92,7 +92,7 @@ class Page:
         Number of all.
     next, previous : Key or None
         `Query.after` of the next page, and of the previous one.
-    is_first, is_last : bool
+    is_first : bool
     """
 
     features: list[str]
@@ -100,7 +100,6 @@ class Page:
     next: Key | None
     previous: Key | None
     is_first: bool
-    is_last: bool
 
 
 @dataclass(frozen=True)
@@ -225,7 +224,6 @@ def find_page(session: Session, source: Source, collection: Collection, query: Q
         next=candidates.key_of(int(page[-1])) if stop < len(matched) and len(page) else None,
         previous=candidates.key_of(int(matched[previous])) if previous >= 0 else None,
         is_first=start == 0,
-        is_last=stop == len(matched),
     )
 
 

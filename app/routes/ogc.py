@@ -90,10 +90,8 @@ class _Served:
 
 
 def _newest(request: Request, context: ContextDep) -> _Served:
-    service = service_address(request)
     place = Place(
-        service,
-        f"{service}/ogc",
+        f"{service_address(request)}/ogc",
         "InterLoc",
         "Road intersections found in LiDAR drives: the newest successful job of every drive.",
     )
@@ -107,9 +105,9 @@ def _one_job(job_id: JobId, request: Request, context: ContextDep, results: Resu
         is_there = is_indexed(session, job_id)
     if not is_there:  # of an older version, and the clean-up has not come to it yet
         index_job(context, job_id)
-    service = service_address(request)
     description = f"Road intersections found by job {job_id} in drive {result.drive_name}."
-    place = Place(service, f"{service}{result.address}/ogc", f"InterLoc: {result.drive_name}", description)
+    address = f"{service_address(request)}{result.address}/ogc"
+    place = Place(address, f"InterLoc: {result.drive_name}", description)
     return _Served(request, context, Source(job_id), place, f"{result.address}/ogc".replace(job_id, "{job_id}"))
 
 
