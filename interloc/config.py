@@ -15,8 +15,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from interloc.errors import ConfigError
 
-Preset = Literal["default", "paper"]
-
 _MAX_FAULTS_SHOWN = 20  # in one message
 _MAX_VALUE_CHARS = 100  # of each value in a message
 

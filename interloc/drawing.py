@@ -105,16 +105,6 @@ def write_image(path: Path, content: bytes) -> None:
         handle.write(content)
 
 
-def percent(value: float | None) -> str:
-    """Return a ratio for a person: "94.2 %", or a dash where it is undefined."""
-    return "–" if value is None else f"{100.0 * value:.1f} %"  # noqa: RUF001 - a dash, not a minus
-
-
-def metres(value: float | None) -> str:
-    """Return a distance for a person: "1.28 m", or a dash where it is undefined."""
-    return "–" if value is None else f"{value:.2f} m"  # noqa: RUF001
-
-
 @dataclass(frozen=True)
 class Sign:
     """A point of a map sketch.

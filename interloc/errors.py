@@ -70,8 +70,17 @@ class DamagedResultError(OutputError):
     http_status = 500
 
 
-def expect(value: object, kind: type[object], what: str) -> None:
-    """Refuse an argument of another kind than expected.
+_KINDS = {
+    "DetectorConfig": "settings, as interloc.preset('paper') returns",
+    "Drive": "a drive, as interloc.open_drive(folder) returns",
+    "DriveResult": "a result, as interloc.detect(drive) or interloc.read_results(folder) returns",
+    "RoadGraph": "a map, as interloc.read_osm(file) returns",
+}
+"""What a user gives to the functions of the library, and where to have it from."""
+
+
+def expect(value: object, kind: type[object]) -> None:
+    """Refuse an argument of another kind than expected, one of `_KINDS`.
 
     Raises
     ------
@@ -79,7 +88,7 @@ def expect(value: object, kind: type[object], what: str) -> None:
         `value` is no `kind`.
     """
     if not isinstance(value, kind):
-        raise ConfigError(f"expected {what}; found {type(value).__name__}: {reprlib.repr(value)}")
+        raise ConfigError(f"expected {_KINDS[kind.__name__]}; found {type(value).__name__}: {reprlib.repr(value)}")
 
 
 def is_interruption(error: BaseException) -> bool:

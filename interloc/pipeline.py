@@ -23,12 +23,9 @@ from interloc.drives.folder import FolderDrive
 from interloc.errors import DriveError, expect
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables, trajectory
-from interloc.processes import cores, peak_memory_bytes, run_in_processes
+from interloc.processes import Progress, cores, peak_memory_bytes, run_in_processes
 from interloc.results import DriveResult, RoadPatch
 from interloc.stopwatch import Stopwatch
-
-Progress = Callable[[int, int], None]
-"""Called with the keyframes done and the keyframes in all."""
 
 _MIN_RANGE_KEYFRAMES = 100  # keyframes: a shorter range would mostly read its halo
 _MIN_KEYFRAMES_PER_PROCESS = 400  # keyframes for each process: fewer are done before it has started
@@ -172,8 +169,8 @@ def detect(
     ConfigError
         The drive is not one, or the settings are not.
     """
-    expect(drive, Drive, "a drive, as interloc.open_drive(folder) returns")
-    expect(config, DetectorConfig, "settings, as interloc.preset('paper') returns")
+    expect(drive, Drive)
+    expect(config, DetectorConfig)
     if find is None:
         warm_up(config)  # once per process, and no part of the time that the run takes
     began = time.perf_counter()

@@ -22,6 +22,9 @@ from interloc.errors import InterLocError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
+Progress = Callable[[int, int], None]
+"""Called with how much is done, and of how much: scans, keyframes or whatever a piece of work counts."""
+
 GARBAGE_THRESHOLD = 20_000
 """Objects from which garbage is looked for in a process of our own; by default 700, which takes a tenth of its time."""
 

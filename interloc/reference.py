@@ -27,8 +27,8 @@ from interloc.detection.keyframes import Keyframe
 from interloc.detection.refinement import PARALLEL
 from interloc.drive import Drive, scans_of
 from interloc.geometry import rotate_2d, yaw_of
-from interloc.pipeline import Progress, RangeResult, detect
-from interloc.processes import peak_memory_bytes
+from interloc.pipeline import RangeResult, detect
+from interloc.processes import Progress, peak_memory_bytes
 from interloc.results import DriveResult
 from interloc.stopwatch import Stopwatch
 

@@ -15,6 +15,7 @@ import numpy as np
 from interloc.arrays import FloatArray, IntArray, UInt8Array
 from interloc.drawing import Sign, map_sketch
 from interloc.geometry import enu_from_lonlat
+from interloc.wording import counted
 
 EPOCH_S = 1e8
 """Times of a drive above this are seconds since 1970 (UTC); those below count from a start such as the first scan."""
@@ -338,8 +339,3 @@ class DriveResult:
         import interloc  # noqa: PLC0415 - the public face stands above everything
 
         return interloc.geodataframe(self, layer)
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number and what it counts: "1 keyframe", "1,250 keyframes"."""
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"

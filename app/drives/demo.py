@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from sqlalchemy import select, text
+from sqlalchemy import select
 
 from app.context import Context
 from app.drives.trash import delete_drive
@@ -29,8 +29,7 @@ def begin_demo(context: Context, owner: str) -> Job:
         507: the disk is full.
     """
     with context.database.writing() as session:
-        if not context.database.is_sqlite:  # one at a time, so that there is one drive
-            session.execute(text("SELECT pg_advisory_xact_lock(hashtext(:owner))"), {"owner": f"demo {owner}"})
+        context.database.lock_owner(session, f"demo {owner}")  # one at a time, so that there is one drive
         job = session.scalars(
             select(Job)
             .join(Drive, Drive.id == Job.drive_id)

@@ -44,12 +44,7 @@ def reduced_key(drive_id: str) -> str:
     return f"drives/{drive_id}/reduced"
 
 
-def create_drive(context: Context, owner: str, new: NewDrive) -> DriveModel:
-    """Make a drive without files."""
-    return create_drive_once(context, owner, new, None)[0]
-
-
-def create_drive_once(context: Context, owner: str, new: NewDrive, key: str | None) -> tuple[DriveModel, bool]:
+def create_drive(context: Context, owner: str, new: NewDrive, key: str | None = None) -> tuple[DriveModel, bool]:
     """Make a drive without files, or return the one that an earlier request with the same key has made.
 
     Returns

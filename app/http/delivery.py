@@ -185,6 +185,11 @@ def answer_tagged(request: Request, content: bytes, media_type: str = "applicati
     return Response(content, headers=headers, media_type=media_type)
 
 
+def service_address(request: Request) -> str:
+    """Return the address of the service as its client sees it, without a slash at its end."""
+    return str(request.base_url).rstrip("/")
+
+
 def tag_of(content: bytes) -> str:
     """Return the ETag of an answer."""
     return f'"{hashlib.sha256(content).hexdigest()[:24]}"'

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
@@ -15,7 +14,6 @@ from interloc.errors import ConfigError
 from interloc.processes import cores
 
 _ASK_AGAIN_S = 5.0
-_log = logging.getLogger(__name__)
 
 Result = TypeVar("Result")
 

@@ -97,11 +97,6 @@ class ProcessExecutor:
         """Number of slots that can work; a process that died is replaced when there is work for it."""
         return sum(slot.thread.is_alive() for slot in self._slots)
 
-    @property
-    def pids(self) -> list[int]:
-        """Process ids of the workers."""
-        return [pid for slot in self._slots if (pid := slot.pid) is not None]
-
     def stop(self) -> None:
         """End all workers at once; running work is lost, waiting work is cancelled."""
         with self._lock:
@@ -147,11 +142,6 @@ class _Slot:
         self._is_killed = False
         self._lock = threading.Lock()
         self.thread = threading.Thread(target=self._serve, name=f"worker-{number}", daemon=True)
-
-    @property
-    def pid(self) -> int | None:
-        worker = self._worker
-        return None if worker is None else worker[0].pid
 
     def kill(self, future: Future[Any] | None = None) -> None:
         """Kill the process, where it works for this future or none is named."""

@@ -56,14 +56,11 @@ class Place:
 
     Attributes
     ----------
-    service : str
-        Address of the service.
     address : str
         Of the landing page.
     title, description : str
     """
 
-    service: str
     address: str
     title: str
     description: str

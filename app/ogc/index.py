@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Select, and_, bindparam, func, or_, select
 from sqlalchemy.orm import Session
 
+from app.http.parameters import Box
 from app.ogc.collections import OF_ALL, OF_JOB, Collection
 from app.ogc.evaluation import matching
 from app.ogc.filters import Filter
@@ -36,13 +37,8 @@ Interval = tuple[float, float]
 """First and last second since 1970; infinite where it is open."""
 
 
-class Area(NamedTuple):
-    """A box of longitudes and latitudes, degrees; west is larger than east where it crosses the 180th meridian."""
-
-    west: float
-    south: float
-    east: float
-    north: float
+class Area(Box):
+    """A box, and what longitudes it has."""
 
     @property
     def parts(self) -> list[tuple[float, float]]:
@@ -96,7 +92,7 @@ class Page:
         Number of all.
     next, previous : Key or None
         `Query.after` of the next page, and of the previous one.
-    is_first, is_last : bool
+    is_first : bool
     """
 
     features: list[str]
@@ -104,7 +100,6 @@ class Page:
     next: Key | None
     previous: Key | None
     is_first: bool
-    is_last: bool
 
 
 @dataclass(frozen=True)
@@ -229,7 +224,6 @@ def find_page(session: Session, source: Source, collection: Collection, query: Q
         next=candidates.key_of(int(page[-1])) if stop < len(matched) and len(page) else None,
         previous=candidates.key_of(int(matched[previous])) if previous >= 0 else None,
         is_first=start == 0,
-        is_last=stop == len(matched),
     )
 
 

@@ -13,6 +13,7 @@ from fastapi import Depends, Query, Request
 
 from app.http.headers import prefers_html
 from app.http.parameters import refusal
+from app.http.patterns import BOX, EXPECTED
 from app.http.problems import Problem
 from app.ogc import index
 from app.ogc.collections import Collection
@@ -161,16 +162,12 @@ def _limit(text: str | None) -> int:
 
 def _area(text: str) -> index.Area:
     parts = [part.strip() for part in text.split(",")]
-    expected = (
-        "west,south,east,north in degrees: longitudes from -180 to 180, latitudes from -90 to 90, south not above "
-        "north. Usual mistake: latitude first"
-    )
     if len(parts) not in {4, 6} or not all(re.fullmatch(_NUMBER, part) for part in parts):
-        raise _wrong("bbox", text, expected)
+        raise _wrong("bbox", text, EXPECTED[BOX])
     half = len(parts) // 2
     west, south, east, north = (float(parts[i]) for i in (0, 1, half, half + 1))
     if not (abs(west) <= 180 and abs(east) <= 180 and -90 <= south <= north <= 90):
-        raise _wrong("bbox", text, expected)
+        raise _wrong("bbox", text, EXPECTED[BOX])
     return index.Area(west, south, east, north)
 
 

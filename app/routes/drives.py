@@ -48,7 +48,7 @@ def create_drive(
     new: NewDrive, response: Response, context: ContextDep, client: ClientDep, key: IdempotencyKey = None
 ) -> DriveModel:
     """Make a drive without files. Send its files next, then commit it."""
-    drive, is_new = records.create_drive_once(context, client, new, key)
+    drive, is_new = records.create_drive(context, client, new, key)
     response.status_code = 201 if is_new else 200
     response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive.id}"
     return drive

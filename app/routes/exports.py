@@ -8,7 +8,7 @@ from xml.sax.saxutils import escape
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver
+from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, service_address
 from app.http.openapi import get_and_head
 from app.http.problems import Problem, ProblemDocument
 from app.results.folder import Results, ResultsDep
@@ -170,7 +170,7 @@ async def export_live_project(job_id: JobId, request: Request, results: ResultsD
         result.require_georeference(f"Its files are in {result.address}/files")
         await on_demand.export(result, path, None, request.state.holder.name)
     text = await run_in_threadpool(path.read_text, "utf-8")
-    address = escape(f"{str(request.base_url).rstrip('/')}{result.address}", {'"': "&quot;"})
+    address = escape(f"{service_address(request)}{result.address}", {'"': "&quot;"})
     name = f'attachment; filename="{result.slug}.qgs"'
     content = text.replace(LIVE, address).encode()
     return answer_tagged(request, content, MEDIA_TYPES[".qgs"], **{"content-disposition": name})

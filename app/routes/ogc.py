@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 from pydantic import BaseModel
 
 from app.context import ContextDep
-from app.http.delivery import DOCUMENT_POLICY, answer_tagged
+from app.http.delivery import DOCUMENT_POLICY, answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head
 from app.http.parameters import OF_ITS_DATA, refuse_others
 from app.http.problems import Problem, ProblemDocument
@@ -89,16 +89,9 @@ class _Served:
         return answer_tagged(self.request, content.encode(), media_type, **headers)
 
 
-def _address_of(request: Request) -> str:
-    """Return the address of the service as its client sees it."""
-    return str(request.base_url).rstrip("/")
-
-
 def _newest(request: Request, context: ContextDep) -> _Served:
-    service = _address_of(request)
     place = Place(
-        service,
-        f"{service}/ogc",
+        f"{service_address(request)}/ogc",
         "InterLoc",
         "Road intersections found in LiDAR drives: the newest successful job of every drive.",
     )
@@ -112,9 +105,9 @@ def _one_job(job_id: JobId, request: Request, context: ContextDep, results: Resu
         is_there = is_indexed(session, job_id)
     if not is_there:  # of an older version, and the clean-up has not come to it yet
         index_job(context, job_id)
-    service = _address_of(request)
     description = f"Road intersections found by job {job_id} in drive {result.drive_name}."
-    place = Place(service, f"{service}{result.address}/ogc", f"InterLoc: {result.drive_name}", description)
+    address = f"{service_address(request)}{result.address}/ogc"
+    place = Place(address, f"InterLoc: {result.drive_name}", description)
     return _Served(request, context, Source(job_id), place, f"{result.address}/ogc".replace(job_id, "{job_id}"))
 
 

@@ -9,7 +9,7 @@ from sqlalchemy import select
 
 from app.context import ContextDep
 from app.drives.records import find_drive
-from app.http.delivery import answer_tagged
+from app.http.delivery import answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head, headers_named
 from app.http.paging import newest_first
 from app.http.problems import Problem, ProblemDocument
@@ -28,10 +28,6 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-def _base(request: Request) -> str:
-    return str(request.base_url).rstrip("/")
-
-
 @get_and_head(
     router,
     "",
@@ -46,7 +42,7 @@ def read_catalog(request: Request, context: ContextDep) -> Response:
     found = select(Drive.id, Drive.name).where(Drive.id.in_(with_result)).order_by(*newest_first(Drive))
     with context.database.reading() as session:
         drives = [(row.id, row.name) for row in session.execute(found)]
-    content = stac.catalog(_base(request), drives).model_dump_json()
+    content = stac.catalog(service_address(request), drives).model_dump_json()
     return answer_tagged(request, content.encode())
 
 
@@ -69,6 +65,6 @@ def read_item(drive_id: DriveId, request: Request, context: ContextDep, results:
         job = session.scalars(newest_results(Drive.id == drive_id)).first()
     if job is None:
         raise Problem(404, "No results", f"Drive {drive_id} has no successful job of kind intersections yet.")
-    made = stac.item(_base(request), context.storage, job, results.open(job.id))
+    made = stac.item(service_address(request), context.storage, job, results.open(job.id))
     unset = {"bbox"} if made.bbox is None else set()
     return answer_tagged(request, made.model_dump_json(exclude=unset).encode(), "application/geo+json")

@@ -185,17 +185,6 @@ class TokenBook:
             self._holders = holders
             self._read_at = begun
 
-    def holder_of(self, token: str) -> Holder | None:
-        """Return the holder of a token; None if it is unknown."""
-        asked = time.monotonic()
-        if not self.is_fresh:
-            self.read(asked)
-        holder = self.recall(token)
-        if holder is None:
-            self.read(asked)
-            holder = self.recall(token)
-        return holder
-
     def named(self, name: str) -> Holder:
         """Return the holder of this name, without limits of its own where there is none: its drives outlive a token."""
         if not self.is_fresh:

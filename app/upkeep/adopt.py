@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,14 +29,12 @@ from app.store.installation import InstallationError, id_of_database, id_of_fold
 from app.store.models import Drive, Job
 from app.store.sidecars import DriveSidecar, JobSidecar
 from app.store.storage import INCOMING, LOST
+from app.upkeep.transfer import Advance, no_progress
 from interloc.drives.inspect import DriveReport
 from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import ConfigError, InterLocError
 from interloc.osm.container import is_map
 from interloc.output.layout import RUN_FILE
-
-Progress = Callable[[int, int, str], None]
-"""Called with the number of folders that were looked at, how many there are, and the name of the next."""
 
 _NAME = re.compile(r"([0-9a-f]{16})(?:-\d+)?")
 _UNKNOWN_OWNER = "unknown"
@@ -65,7 +63,7 @@ class _LeftError(Exception):
     """The folder cannot be adopted; the text says why."""
 
 
-def adopt(context: Context, *, dry_run: bool = False, progress: Progress | None = None) -> list[Adoption]:
+def adopt(context: Context, *, dry_run: bool = False, progress: Advance = no_progress) -> list[Adoption]:
     """Make rows for folders that have none, and bind database and data folder.
 
     Parameters
@@ -86,8 +84,7 @@ def adopt(context: Context, *, dry_run: bool = False, progress: Progress | None 
     adopted: dict[str, str] = {}  # id of a drive -> its name, where it is adopted now
     outcomes = []
     for number, (place, kind) in enumerate(folders):
-        if progress is not None:
-            progress(number, len(folders), place)
+        progress(number, len(folders), place)
         try:
             if kind == "drives":
                 drive, text = _adopt_drive(context, place, _id_in(place), dry_run=dry_run)

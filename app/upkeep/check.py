@@ -8,7 +8,7 @@ does at its start; no byte of a drive or of a result is removed.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from app.store import sidecars
 from app.store.incoming import dead
 from app.store.models import Drive, DriveFile, Job
 from app.store.storage import INCOMING, LOST
+from app.upkeep.transfer import Advance, no_progress
 from app.work.places import TRAJECTORY
 from interloc.drives.findings import Finding as Fault
 from interloc.drives.inspect import DriveReport
@@ -37,9 +38,6 @@ from interloc.drives.scans.reduced import GroundFiles
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, read_manifest
 from interloc.errors import InterLocError
 from interloc.output.layout import RUN_FILE
-
-Progress = Callable[[int, int, str], None]
-"""Called with the number of drives and jobs that were looked at, how many there are, and the name of the next."""
 
 _NAMED = f"{MANIFEST} names it, but it is not there."
 _KINDS = {
@@ -72,7 +70,7 @@ class Finding:
 
 
 def check(
-    context: Context, *, repair: bool = False, quick: bool = False, progress: Progress | None = None
+    context: Context, *, repair: bool = False, quick: bool = False, progress: Advance = no_progress
 ) -> list[Finding]:
     """Compare rows and files; a server may go on meanwhile.
 
@@ -94,12 +92,10 @@ def check(
     found: list[Finding] = []
     total = len(drives) + len(jobs)
     for number, (drive_id, name) in enumerate(drives):
-        if progress is not None:
-            progress(number, total, name)
+        progress(number, total, name)
         found += _DriveCheck(context, drive_id, repair=repair, quick=quick).run()
     for number, job_id in enumerate(jobs, start=len(drives)):
-        if progress is not None:
-            progress(number, total, f"job {job_id}")
+        progress(number, total, f"job {job_id}")
         found += _check_job(context, job_id, repair=repair)
         found += _check_features(context, job_id, repair=repair, quick=quick)
     return [*found, *_check_folders(context, repair=repair)]

@@ -17,7 +17,7 @@ from app.drives.records import drive_key, files_key, reduced_key, stays_uploaded
 from app.states import ACTIVE, DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.database import Database
-from app.store.models import Drive, DriveFile, FeatureChunk, FeatureColumn, Installation, Job, Token
+from app.store.models import Drive, DriveFile, Installation, Job, Token
 from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.drives.scans.reduced_format import MANIFEST
@@ -33,9 +33,6 @@ DRIVE_TABLES = (_drives, _files, _jobs)
 
 SHARED_TABLES = tuple(cast("Table", table.__table__) for table in (Installation, Token))
 """Tables whose rows belong to the service as a whole."""
-
-DERIVED_TABLES = tuple(cast("Table", table.__table__) for table in (FeatureChunk, FeatureColumn))
-"""Tables whose rows are made anew from the results: no backup holds them."""
 
 
 @dataclass(frozen=True)

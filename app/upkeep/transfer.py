@@ -167,7 +167,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 Advance = Callable[[int, int, str], None]
-"""Called with the bytes that are done, their total, and the name of the drive."""
+"""Called with how much is done, of how much (bytes, drives, folders), and the name of what is at hand."""
 
 
 def no_progress(_done: int, _total: int, _note: str) -> None:

@@ -7,7 +7,7 @@ import re
 import shlex
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,8 +22,8 @@ from interloc.errors import ConfigError, DriveError, GeoreferenceError, MapError
 from interloc.evaluation.published import SEQUENCES
 from interloc.files import atomic_write
 from interloc.osm.container import MAP_ENDINGS
+from interloc.processes import Progress
 
-Progress = Callable[[int, int], None]
 Poses = Literal["suma", "gt"]
 
 TWIN_FACTS = "twin.json"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,12 +23,11 @@ from interloc.osm.graph import RoadGraph
 from interloc.osm.intersections import road_ways
 from interloc.osm.policies import Policy
 from interloc.pipeline import detect, detect_range
+from interloc.processes import Progress
 from interloc.results import DriveResult
 
 MAP_MARGIN_M = 60.0
 _TRACK_STEP_M = 3.0
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -96,14 +94,14 @@ def measure(
         fn=evaluation.scores.fn,
         nodes_found=evaluation.nodes_found,
         nodes_in_zone=evaluation.nodes_in_zone,
-        map_true=int(np.count_nonzero(level.counts & np.isfinite(level.error_m))),
-        map_false=int(np.count_nonzero(level.counts & np.isinf(level.error_m))),
-        map_missed=int(np.count_nonzero(level.node_in_zone & ~level.node_found)),
-        map_nodes=int(np.count_nonzero(level.node_in_zone)),
+        map_true=int(level.right.sum()),
+        map_false=int(level.wrong.sum()),
+        map_missed=int(level.missed.sum()),
+        map_nodes=int(level.node_in_zone.sum()),
         map_errors_m=_rounded(level.errors_m),
         map_squared=_rounded(squared[np.isfinite(squared)]),
         map_confidence=_rounded(evaluation.intersections.confidence[level.counts]),
-        map_right=tuple(np.isfinite(level.error_m[level.counts]).tolist()),
+        map_right=tuple(level.right[level.counts].tolist()),
         compute_s=round(used_s, 4),
         warnings=evaluation.warnings,
         picture=map_picture(evaluation, result),

@@ -21,7 +21,7 @@ from interloc.errors import InterLocError, OutputError
 from interloc.files import reason_of
 from interloc.osm.reader import read_osm
 from interloc.pipeline import versions
-from interloc.processes import run_in_processes, send_message
+from interloc.processes import Progress, run_in_processes, send_message
 
 logger = logging.getLogger(__name__)
 
@@ -214,7 +214,7 @@ def _run_task_in_process(task: _Task) -> list[Row]:
 def _run_task(task: _Task, report: Report, log: Log) -> list[Row]:
     """Measure what is missing of one drive."""
 
-    def progress(what: str) -> Callable[[int, int], None]:
+    def progress(what: str) -> Progress:
         return partial(report, task.name, what)
 
     rows = []

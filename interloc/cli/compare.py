@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from interloc.cli import console, options
+from interloc.wording import counted
 
 
 @click.command(short_help="Put the reports of several results side by side.")
@@ -32,7 +33,6 @@ def command(results: tuple[Path, ...], out: Path | None, as_json: bool) -> None:
     from interloc.evaluation.compare import compare_reports, write_comparison
     from interloc.output.geojson import read_json
     from interloc.output.read import read_run
-    from interloc.results import counted
 
     names = [str(result) for result in results]
     runs = [read_run(result) for result in results]

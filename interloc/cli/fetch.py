@@ -71,7 +71,7 @@ def result_facts(job: JobAnswer, out: Path) -> list[tuple[str, str]]:
     counts = job.summary or {}
     return [
         ("drive", f"{job.drive_name}: {run['scans']} scans, {run['keyframes']} keyframes"),
-        ("georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"),
+        summary.georeference_fact(run),
         *((name, str(counts[name])) for name in ("detections", "intersections") if name in counts),
         *(summary.report_facts(report, out)[:-1] if report else ()),
         ("written to", str(out)),

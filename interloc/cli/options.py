@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from interloc.config import DetectorConfig
     from interloc.drive import Drive
     from interloc.drives.folder import FolderDrive
+    from interloc.errors import GeoreferenceError
     from interloc.osm.graph import RoadGraph
     from interloc.results import DriveResult
 
@@ -206,7 +207,11 @@ def open_for_evaluation(
     source = open_drive(drive, reading)
     if not needs_georeference:  # where on the map it was is not known yet
         return source, config, read_map(osm)
-    require_georeference(source)
+    if source.georeference is None:  # before any long work starts
+        raise no_georeference(
+            source.name,
+            "place it by its roads (`interloc run --locate`), or use `interloc detect`, which needs none.",
+        )
     return source, config, read_map(osm, _keyframe_places(source, config))
 
 
@@ -249,16 +254,15 @@ def check_map_choice(osm: Path | None, *, overpass: bool) -> None:
         raise click.UsageError("give the map by one of --osm FILE and --overpass")
 
 
-def require_georeference(drive: Drive) -> None:
-    """Raise an error if a drive cannot be evaluated, before any long work starts."""
+def no_georeference(drive: str, otherwise: str) -> GeoreferenceError:
+    """Return the error of a drive that cannot be evaluated, with what else can be done."""
     from interloc.errors import GeoreferenceError
 
-    if drive.georeference is None:
-        raise GeoreferenceError(
-            f"{drive.name}: the drive has no georeference, so its detections cannot be compared with OpenStreetMap. "
-            "Give one with --oxts (a KITTI raw drive, a file of OXTS rows, a geo.csv), put oxts/data or geo.csv into "
-            "the drive, place it by its roads (`interloc run --locate`), or use `interloc detect`, which needs none."
-        )
+    return GeoreferenceError(
+        f"{drive}: the drive has no georeference, so its detections cannot be compared with OpenStreetMap. "
+        "Give one with --oxts (a KITTI raw drive, a file of OXTS rows, a geo.csv), put oxts/data or geo.csv into "
+        f"the drive, {otherwise}"
+    )
 
 
 def read_map(osm: Path | None, lonlat: FloatArray | None = None) -> RoadGraph | None:

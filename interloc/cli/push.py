@@ -103,8 +103,8 @@ def command(
     with Connection(server, token, connections=jobs) as connection:
         connection.check_server()
         prepared = prepare(drive, push_options)
-        if run and (osm is not None or overpass):
-            _require_georeference(prepared)
+        if run and (osm is not None or overpass) and not prepared.is_georeferenced:
+            raise options.no_georeference(prepared.name, "or leave the map out. Nothing was sent.")
         pushed = _send(connection, drive, prepared, push_options, threads=jobs, quiet=quiet)
         job: JobAnswer | None = None
         if run:
@@ -138,17 +138,6 @@ def _check_usage(
         raise click.UsageError("--fresh, -o, --overpass and --set need --run")
     if osm is not None and overpass:
         raise click.UsageError("give the map by one of --osm FILE and --overpass")
-
-
-def _require_georeference(prepared: PreparedDrive) -> None:
-    from interloc.errors import GeoreferenceError
-
-    if not prepared.is_georeferenced:
-        raise GeoreferenceError(
-            f"{prepared.name}: the drive has no georeference, so its detections cannot be compared with "
-            "OpenStreetMap. Give one with --oxts (a KITTI raw drive, a file of OXTS rows, a geo.csv), put oxts/data or "
-            "geo.csv into the drive, or leave the map out. Nothing was sent."
-        )
 
 
 def _send(

@@ -10,6 +10,7 @@ import click
 
 from interloc.cli import console, options
 from interloc.evaluation.published import LABEL_ERRORS
+from interloc.wording import percent
 
 if TYPE_CHECKING:
     from interloc.osm.policies import Policy
@@ -44,7 +45,6 @@ def command(
     Example:
       interloc robustness sequences/07 -o out --osm map.osm.gz
     """
-    from interloc.drawing import percent
     from interloc.drives.label_errors import MislabelledDrive
     from interloc.evaluation.evaluate import Evaluation, evaluate
     from interloc.evaluation.label_errors import label_error_table, parse_level, write_label_errors

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from interloc.errors import ConfigError, InterLocError
+from interloc.wording import counted
 
 if TYPE_CHECKING:
     from app.settings import Settings
@@ -169,7 +170,6 @@ def add(
 def list_(data_dir: Path | None) -> None:
     """List who has a token, what it allows, and when it was last used."""
     from app.store.tokens import list_tokens
-    from interloc.results import counted
 
     with _existing_database(data_dir) as database:
         tokens = list_tokens(database)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from interloc.wording import counted, metres, percent
+
 if TYPE_CHECKING:
     from interloc.results import DriveResult
 
@@ -20,13 +22,18 @@ def run_facts(result: DriveResult, out: Path) -> list[tuple[str, str]]:
         ),
         ("detections", f"{len(result.detections)}"),
         ("intersections", f"{len(result.intersections)} on the map"),
-        ("georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"),
+        georeference_fact(run),
         (
             "time",
             f"{seconds:.1f} s, {1e3 * seconds / run['keyframes']:.1f} ms per keyframe, {run['workers']} process(es)",
         ),
         ("written to", str(out)),
     ]
+
+
+def georeference_fact(run: dict[str, Any]) -> tuple[str, str]:
+    """Return where longitude and latitude of a run come from, for a person."""
+    return "georeference", run["georeference"] or "none: positions are metres in the frame of the first scan"
 
 
 def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
@@ -44,7 +51,6 @@ def run_summary(result: DriveResult, out: Path) -> dict[str, Any]:
 def _wrong(report: dict[str, Any]) -> list[tuple[str, str]]:
     """Return what the wrong detections are, which the mean error and the precision come from."""
     from interloc.evaluation.reasons import KINDS
-    from interloc.results import counted
 
     kinds = {kind: count for kind, count in report.get("reasons", {}).get("detections", {}).items() if count}
     if not kinds:
@@ -57,8 +63,6 @@ def _wrong(report: dict[str, Any]) -> list[tuple[str, str]]:
 
 def report_facts(report: dict[str, Any], out: Path) -> list[tuple[str, str]]:
     """Return the main figures of report.json for a person, the map first."""
-    from interloc.drawing import metres, percent
-
     return [
         *([("map", report["map_line"])] if "map_line" in report else []),  # servers of older versions do not send it
         ("policy", f"{report['policy']}: {report['nodes_in_zone']} OSM nodes in the relevant zone"),

@@ -167,7 +167,7 @@ class Detector:
     """
 
     def __init__(self, config: DetectorConfig = DEFAULT) -> None:
-        expect(config, DetectorConfig, "settings, as interloc.preset('paper') returns")
+        expect(config, DetectorConfig)
         self.config = config
         self.stopwatch = Stopwatch()
         self._selector = KeyframeSelector(config.keyframes)

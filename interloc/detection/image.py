@@ -62,13 +62,6 @@ class BinaryImage:
         """Return an image with no pixel set."""
         return cls(np.zeros((height + 2, bits.words_for(width)), np.uint64), height, width)
 
-    @classmethod
-    def from_array(cls, image: UInt8Array) -> BinaryImage:
-        """Pack a (H, W) array; non-zero is set."""
-        packed = cls.empty(*image.shape)
-        bits.pack(np.ascontiguousarray(image, np.uint8), packed.words)
-        return packed
-
     def to_array(self) -> UInt8Array:
         """Return the image as (H, W) uint8 of 0 and 1."""
         image = np.zeros((self.height, self.width), np.uint8)

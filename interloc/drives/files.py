@@ -28,6 +28,9 @@ MAX_TEXT_BYTES = 512 * 1024 * 1024
 MAX_SMALL_BYTES = 1024 * 1024
 """Of a calibration, or of the fix of one frame."""
 
+EMPTY = "is empty. Usual cause: a copy or download that did not finish."
+"""What is wrong with a file of no bytes."""
+
 MAX_LINE_CHARS = 10_000
 
 MAX_NUMBER = 1e7
@@ -135,7 +138,7 @@ class SourceFile:
         if "\0" in text:
             raise self.fault("is not a text file (it holds zero bytes). Usual cause: a binary or UTF-16 file.")
         if not text or text.isspace():
-            raise self.fault("is empty. Usual cause: a copy or download that did not finish.")
+            raise self.fault(EMPTY)
         return text
 
     def numbers(self, fields: list[str], line: int) -> list[float]:

@@ -17,6 +17,7 @@ from typing import Literal, get_args
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError
 from interloc.drives.options import DriveOptions, LayoutName
+from interloc.wording import counted
 
 INDEXED_LENGTHS = (13, 17)
 """How many numbers a pose line holds that starts with a frame number."""
@@ -297,7 +298,7 @@ def _seen_in(root: Path) -> str:
     if not counts:
         return ""
     (folder, suffix), count = counts.most_common(1)[0]
-    seen = f"It holds {count:,} {suffix} {'file' if count == 1 else 'files'}"
+    seen = f"It holds {counted(count, f'{suffix} file')}"
     if suffix in _FOREIGN:
         return f"{seen}: {_FOREIGN[suffix]}. "
     if folder == str(root):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from interloc.arrays import IntArray
-from interloc.drawing import Sign, map_sketch, metres
+from interloc.drawing import Sign, map_sketch
 from interloc.errors import ConfigError, GeoreferenceError, expect
 from interloc.evaluation.coverage import check_coverage
 from interloc.evaluation.map_level import MapLevel, assign_intersections
@@ -29,6 +29,7 @@ from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
 from interloc.output.geojson import positions
 from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.wording import metres
 
 PAPER_ROI_M = 120.0
 PAPER_OUTER_RADIUS_M = 40.0
@@ -179,18 +180,7 @@ class Evaluation:
     @cached_property
     def verdicts(self) -> RunVerdicts:
         """Right or wrong, found or missed, and why: of every detection, intersection and node."""
-        return judge(
-            self.graph,
-            self.nodes,
-            self.keyframes,
-            self.detections,
-            self.detection_row,
-            len(self.detections) + self.detections_outside_map,
-            self.matching,
-            self.intersections,
-            self.map_level,
-            self.node_table,
-        )
+        return judge(self.graph, self.nodes, self.result, self.detection_row, self.matching, self.map_level)
 
 
 def evaluate(
@@ -228,8 +218,8 @@ def evaluate(
     ConfigError
         The policy is unknown, or the sizes of the zones are not valid.
     """
-    expect(result, DriveResult, "a result, as interloc.detect(drive) or interloc.read_results(folder) returns")
-    expect(graph, RoadGraph, "a map, as interloc.read_osm(file) returns")
+    expect(result, DriveResult)
+    expect(graph, RoadGraph)
     result = _as_printed(result)
     if result.keyframes.lonlat is None or result.detections.lonlat is None or result.intersections.lonlat is None:
         raise GeoreferenceError(

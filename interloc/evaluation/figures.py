@@ -24,9 +24,7 @@ from interloc.drawing import (
     credit_roads,
     entitle,
     mark,
-    metres,
     new_figure,
-    percent,
     quiet,
     series_style,
 )
@@ -35,6 +33,7 @@ from interloc.evaluation.metrics import NEAR_PAIR_M, STANDARD_THRESHOLD_M
 from interloc.geometry import enu_from_lonlat
 from interloc.osm.intersections import road_ways
 from interloc.results import DriveResult
+from interloc.wording import metres, percent
 
 PERCENTILES = (5.0, 25.0, 50.0, 75.0, 95.0)
 """Of the paper's box plots: whiskers, box, median."""

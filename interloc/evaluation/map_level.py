@@ -49,10 +49,27 @@ class MapLevel:
     gate_m: float
 
     @property
+    def right(self) -> BoolArray:
+        """(M,) bool: intersections that count and are nodes."""
+        right: BoolArray = self.counts & (self.node != UNMATCHED)
+        return right
+
+    @property
+    def wrong(self) -> BoolArray:
+        """(M,) bool: intersections that count and are none."""
+        wrong: BoolArray = self.counts & (self.node == UNMATCHED)
+        return wrong
+
+    @property
+    def missed(self) -> BoolArray:
+        """(N,) bool: nodes in the zones without an intersection."""
+        return self.node_in_zone & ~self.node_found
+
+    @property
     def precision(self) -> float | None:
         """Share of the intersections in the zones that are OSM nodes."""
         total = int(self.counts.sum())
-        return int((self.node[self.counts] != UNMATCHED).sum()) / total if total else None
+        return int(self.right.sum()) / total if total else None
 
     @property
     def recall(self) -> float | None:
@@ -74,19 +91,18 @@ def assign_intersections(
     node_in_zone: BoolArray,
     *,
     relevant_zone_m: float,
-    gate_m: float = GATE_M,
 ) -> MapLevel:
     """Assign fused intersections to nodes, one-to-one, with the smallest sum of distances, each cut off at the gate."""
     assert intersections.lonlat is not None
     node = np.full(len(intersections), UNMATCHED, dtype=np.int64)
     error = np.full(len(intersections), np.inf)
-    rows, columns, distance = assign_one_to_one(intersections.lonlat, node_lonlat, gate_m)
+    rows, columns, distance = assign_one_to_one(intersections.lonlat, node_lonlat, GATE_M)
     node[rows], error[rows] = columns, distance
     counts = np.zeros(len(intersections), dtype=np.bool_)
     counts[pairs_in_square(keyframes, intersections.lonlat, relevant_zone_m)[1]] = True
     found = np.zeros(len(node_lonlat), dtype=np.bool_)
     found[columns] = True
-    return MapLevel(node, error, counts, node_in_zone, found, gate_m)
+    return MapLevel(node, error, counts, node_in_zone, found, GATE_M)
 
 
 def assign_one_to_one(

@@ -15,7 +15,7 @@ import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import flatten
-from interloc.drawing import image, metres, percent, write_image
+from interloc.drawing import image, write_image
 from interloc.errors import OutputError
 from interloc.evaluation.coverage import track_bounds
 from interloc.evaluation.evaluate import Evaluation
@@ -31,6 +31,7 @@ from interloc.output.layout import FIGURES, RUN_SETTINGS, settings_of
 from interloc.output.osm_roads import building_features, road_features
 from interloc.output.write import detection_features, intersection_features
 from interloc.results import DriveResult
+from interloc.wording import metres, percent
 
 _RATIO_DECIMALS = 6
 
@@ -368,9 +369,9 @@ def _map_level(level: MapLevel) -> dict[str, Any]:
         "intersections_in_zone": int(level.counts.sum()),
         "nodes_in_zone": int(level.node_in_zone.sum()),
         "assigned": len(errors),
-        "true": int((level.counts & np.isfinite(level.error_m)).sum()),
-        "false": int((level.counts & np.isinf(level.error_m)).sum()),
-        "missed": int((level.node_in_zone & ~level.node_found).sum()),
+        "true": int(level.right.sum()),
+        "false": int(level.wrong.sum()),
+        "missed": int(level.missed.sum()),
         "precision": _ratio(level.precision),
         "recall": _ratio(level.recall),
         "mean_m": _metres(errors.mean() if len(errors) else None),

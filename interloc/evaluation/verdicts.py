@@ -11,7 +11,7 @@ import numpy as np
 from interloc.arrays import BoolArray, IntArray
 from interloc.evaluation.map_level import MapLevel, assign_one_to_one
 from interloc.evaluation.matching import UNMATCHED, Matching
-from interloc.evaluation.metrics import STANDARD_THRESHOLD_M, NodeTable
+from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
 from interloc.evaluation.reasons import (
     FalseKind,
     MapEvidence,
@@ -25,7 +25,7 @@ from interloc.evaluation.reasons import (
 from interloc.osm.graph import RoadGraph, within
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.output.uids import number_repeated, place_uids
-from interloc.results import DetectionTable, IntersectionTable, KeyframeTable, Verdicts
+from interloc.results import DriveResult, IntersectionTable, Verdicts
 
 OUTSIDE_MAP = "beyond the bounds of the map"
 OUTSIDE_ZONE = "in the relevant zone of no keyframe: too far from the track to be counted"
@@ -71,14 +71,10 @@ class RunVerdicts:
 def judge(
     graph: RoadGraph,
     nodes: IntersectionNodes,
-    keyframes: KeyframeTable,
-    detections: DetectionTable,
+    result: DriveResult,
     detection_row: IntArray,
-    detection_count: int,
     matching: Matching,
-    intersections: IntersectionTable,
     map_level: MapLevel,
-    node_table: NodeTable,
 ) -> RunVerdicts:
     """Give the verdicts of an evaluation, with reasons.
 
@@ -86,19 +82,17 @@ def judge(
     ----------
     graph, nodes
         The whole map, and what counts of it.
-    keyframes
-    detections : DetectionTable
-        Those that were scored, E of them.
+    result
+        The run, with georeference.
     detection_row : (E,) int64
-        Their rows among all detections of the run.
-    detection_count : int
-        How many these are.
+        Rows of the detections that were scored.
     matching
         Of the scored detections with the nodes.
-    intersections, map_level
-        All fused intersections, and their assignment to the nodes.
-    node_table
+    map_level
+        Of all fused intersections with the nodes.
     """
+    keyframes, intersections = result.keyframes, result.intersections
+    detections = result.detections.select(detection_row)
     assert keyframes.lonlat is not None
     assert detections.lonlat is not None
     assert intersections.lonlat is not None
@@ -121,7 +115,7 @@ def judge(
         _spread(len(detections), false_rows, _sentences(false)),
     )
 
-    wrong_rows = np.flatnonzero(map_level.counts & (map_level.node == UNMATCHED))
+    wrong_rows = np.flatnonzero(map_level.wrong)
     wrong = explain_false(
         evidence,
         evidence.plane(intersections.lonlat[wrong_rows]),
@@ -142,7 +136,7 @@ def judge(
     for row in np.flatnonzero(~map_level.counts).tolist():
         fused.reason[row] = OUTSIDE_ZONE if inside[row] else OUTSIDE_MAP
 
-    missed_rows = np.flatnonzero(map_level.node_in_zone & ~map_level.node_found)
+    missed_rows = np.flatnonzero(map_level.missed)
     seen = Sightings(
         keyframe_xy=evidence.plane(keyframes.lonlat),
         detection_xy=evidence.plane(detections.lonlat),
@@ -158,10 +152,10 @@ def judge(
     node_intersection = np.full(len(nodes), UNMATCHED, dtype=np.int64)
     node_intersection[map_level.node[assigned]] = assigned
     return RunVerdicts(
-        detections=_of_all(scored, detection_row, detection_count),
+        detections=_of_all(scored, detection_row, len(result.detections)),
         intersections=fused,
         uids=_uids(graph, intersections, map_level, osm_ids),
-        node_outcome=_node_outcomes(map_level.node_found, node_table.in_zone),
+        node_outcome=_node_outcomes(map_level.node_found, map_level.node_in_zone),
         node_intersection=node_intersection,
         node_reason=_spread(len(nodes), missed_rows, _sentences(missed)),
         false_kind=_spread(len(detections), false_rows, [reason.kind for reason in false]),

@@ -41,21 +41,6 @@ def lowest_bit(x: np.uint64) -> int:
 
 
 @compiled
-def pack(image: UInt8Array, words: UInt64Array) -> None:
-    """Write a (H, W) uint8 image, non-zero is set, into empty (H + 2, words) words."""
-    height, width = image.shape
-    for r in range(height):
-        for w in range(words.shape[1]):
-            first = w * 64
-            last = min(first + 64, width)
-            word = np.uint64(0)
-            for c in range(first, last):
-                if image[r, c] != 0:
-                    word |= np.uint64(1) << np.uint64(c - first)
-            words[r + 1, w] = word
-
-
-@compiled
 def unpack(words: UInt64Array, image: UInt8Array) -> None:
     """Write packed words into an empty (H, W) uint8 image of 0 and 1."""
     height, width = image.shape

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +12,7 @@ from interloc.drive import Drive
 from interloc.localization.locate import locate
 from interloc.localization.track import track_of
 from interloc.osm.graph import RoadGraph
+from interloc.processes import Progress
 from interloc.results import DriveResult
 
 LENGTHS_M = (100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 700.0, 1000.0, 1500.0, 2000.0, 3000.0)
@@ -40,7 +40,7 @@ def growth_of(
     result: DriveResult | None = None,
     near: tuple[float, float] | None = None,
     radius_m: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """Place the first 100, 150, 200, ... metres of a drive, and at last all of it.
 

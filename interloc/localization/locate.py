@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -23,9 +22,8 @@ from interloc.localization.search import guess
 from interloc.localization.sightings import Sightings, no_sightings, sightings_of
 from interloc.localization.track import Track, track_of
 from interloc.osm.graph import RoadGraph
+from interloc.processes import Progress
 from interloc.results import DriveResult
-
-Progress = Callable[[int, int], None]
 
 _KEPT = 60
 _QUICK_ROUNDS, _ROUNDS = 4, 12
@@ -159,8 +157,8 @@ def locate(
         Only one of `near` and `radius_m` is given, or it is out of range.
     """
     began = time.perf_counter()
-    expect(drive, Drive, "a drive, as interloc.open_drive(folder) returns")
-    expect(graph, RoadGraph, "a map, as interloc.read_osm(file) returns")
+    expect(drive, Drive)
+    expect(graph, RoadGraph)
     _check_near(near, radius_m)
     track = track_of(drive.T_world_lidar)
     if track.length_m < MIN_LENGTH_M:
@@ -231,9 +229,7 @@ class Found:
         return float(np.hypot(*(here[:2] - there[:2]))) > _ELSEWHERE_M or turned > _ELSEWHERE_RAD
 
 
-def find_places(
-    track: Track, sightings: Sightings, searched: SearchedMap, done: Callable[[int, int], None] | None = None
-) -> list[Found]:
+def find_places(track: Track, sightings: Sightings, searched: SearchedMap, done: Progress | None = None) -> list[Found]:
     """Return the places that explain a drive best, best first, apart from each other."""
     chain = Chain.of(track, sightings)
     bent: list[tuple[Found, int]] = []

@@ -13,7 +13,7 @@ from interloc.config import CalibrationConfig, FusionConfig
 from interloc.drive import Drive, Georeference
 from interloc.errors import GeoreferenceError, LocationError
 from interloc.geometry import ecef_from_geodetic, lonlat_from_enu, rotate_2d, wrap_bearing, yaw_of
-from interloc.localization.locate import Location, Progress, locate
+from interloc.localization.locate import Location, locate
 from interloc.mapping.estimation import members_of
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import trajectory
@@ -22,6 +22,7 @@ from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
 from interloc.output.geojson import positions, write_collection
 from interloc.output.layers import LAYERS, PLACES
+from interloc.processes import Progress
 from interloc.results import DriveResult
 
 FAIR = (

@@ -18,8 +18,8 @@ from interloc.drives.scans.reduced_format import is_reduced
 from interloc.errors import ConfigError
 from interloc.files import atomic_folder
 from interloc.labelling.remission import remission_scale
-from interloc.processes import cores
-from interloc.reduction.reduce import Progress, in_threads
+from interloc.processes import Progress, cores
+from interloc.reduction.reduce import in_threads
 from interloc.reduction.small_files import is_contiguous, make_small_files
 
 _POSES = "poses.txt"

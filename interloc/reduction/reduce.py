@@ -25,10 +25,8 @@ from interloc.drives.scans.reduced_format import (
     is_reduced,
 )
 from interloc.files import atomic_folder
+from interloc.processes import Progress
 from interloc.reduction.plan import ReductionPlan, plan_of
-
-Progress = Callable[[int, int], None]
-"""Called with the scans done and the scans in all."""
 
 _THREADS = 4  # more than reading and deflating of one drive can use
 

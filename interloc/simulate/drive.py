@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from interloc.config import DEFAULT
 from interloc.detection.keyframes import select_keyframes
 from interloc.files import atomic_folder
+from interloc.processes import Progress
 from interloc.simulate.config import DEFAULT_OPTIONS, SimulationOptions
 from interloc.simulate.lidar import Lidar
 from interloc.simulate.scene import Scene, build_scene
@@ -23,8 +23,6 @@ from interloc.simulate.tracks import (
     lidar_poses,
     parse_tr,
 )
-
-Progress = Callable[[int, int], None]
 
 MARKER = "simulation.json"
 GROUND_LABELS = (40, 60, 48, 44, 49)

@@ -10,6 +10,9 @@ import numpy as np
 from interloc.arrays import Float32Array, FloatArray
 from interloc.kernels.raycast import height_at
 
+_CELL_M = 4.0
+_SMOOTH_M = 6.0  # width of the Gaussian that smooths the heights along a track
+
 
 @dataclass(frozen=True)
 class HeightField:
@@ -37,12 +40,12 @@ class HeightField:
         return float(height_at(self.grid, self.x0_m, self.y0_m, self.cell_m, float(x), float(y)))
 
 
-def flat_field(z_m: float = 0.0) -> HeightField:
-    """Return a plane."""
-    return HeightField(np.full((2, 2), z_m, np.float32), 0.0, 0.0, 1.0)
+def flat_field() -> HeightField:
+    """Return the plane z = 0."""
+    return HeightField(np.zeros((2, 2), np.float32), 0.0, 0.0, 1.0)
 
 
-def fit_heights(xyz: FloatArray, *, margin_m: float, cell_m: float = 4.0, smooth_m: float = 6.0) -> HeightField:
+def fit_heights(xyz: FloatArray, *, margin_m: float) -> HeightField:
     """Spread heights known along a track over its neighbourhood.
 
     Parameters
@@ -52,10 +55,6 @@ def fit_heights(xyz: FloatArray, *, margin_m: float, cell_m: float = 4.0, smooth
         satellite heights), the mean counts.
     margin_m
         How far around the track the field reaches.
-    cell_m
-        Side of a cell.
-    smooth_m
-        Width of the Gaussian that smooths the result.
 
     Notes
     -----
@@ -63,17 +62,17 @@ def fit_heights(xyz: FloatArray, *, margin_m: float, cell_m: float = 4.0, smooth
     finest coarser grid that knows one. Then one blur.
     """
     low = xyz[:, :2].min(axis=0) - margin_m
-    size = np.ceil((xyz[:, :2].max(axis=0) + margin_m - low) / cell_m).astype(int) + 2
+    size = np.ceil((xyz[:, :2].max(axis=0) + margin_m - low) / _CELL_M).astype(int) + 2
     base = float(np.mean(xyz[:, 2]))
-    column, row = np.rint((xyz[:, :2] - low) / cell_m).astype(int).T
+    column, row = np.rint((xyz[:, :2] - low) / _CELL_M).astype(int).T
     weight = np.zeros((size[1], size[0]), np.float32)
     total = np.zeros_like(weight)
     np.add.at(weight, (row, column), 1.0)
     np.add.at(total, (row, column), xyz[:, 2] - base)
     mean = np.divide(total, weight, out=total, where=weight > 0)
     filled = _push_pull(mean, (weight > 0).astype(np.float32))
-    blurred = cv2.GaussianBlur(filled, (0, 0), smooth_m / cell_m, borderType=cv2.BORDER_REPLICATE)
-    return HeightField((blurred + base).astype(np.float32), float(low[0]), float(low[1]), cell_m)
+    blurred = cv2.GaussianBlur(filled, (0, 0), _SMOOTH_M / _CELL_M, borderType=cv2.BORDER_REPLICATE)
+    return HeightField((blurred + base).astype(np.float32), float(low[0]), float(low[1]), _CELL_M)
 
 
 def _push_pull(mean: Float32Array, weight: Float32Array) -> Float32Array:

@@ -63,10 +63,6 @@ class Scene:
         self.T_map_lidar = T_map_lidar
         self.level = level
 
-    def distances_to_centrelines(self) -> FloatArray:
-        """Return (N,) float64: how far each pose lies from the nearest centre line of a street, metres."""
-        return _distances(self.profiles, self.T_map_lidar[:, :2, 3])
-
 
 def build_scene(
     track: Track,
@@ -139,16 +135,10 @@ def _read(
         ) from error
 
 
-def _distances(profiles: list[Profile], xy: FloatArray) -> FloatArray:
-    tree = shapely.STRtree([p.line for p in profiles])
-    pairs, distance = tree.query_nearest(shapely.points(xy), return_distance=True, all_matches=False)
-    result = np.zeros(len(xy))
-    result[pairs[0]] = distance
-    return result
-
-
 def _refuse_elsewhere(roads: Path, profiles: list[Profile], xy: FloatArray, limit_m: float) -> None:
-    median = float(np.median(_distances(profiles, xy)))
+    tree = shapely.STRtree([p.line for p in profiles])
+    _, distance = tree.query_nearest(shapely.points(xy), return_distance=True, all_matches=False)
+    median = float(np.median(distance))
     if median > limit_m:
         raise MapError(
             f"{roads}: the track runs {median:,.0f} m (median) from the nearest street of this map. "

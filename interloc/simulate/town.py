@@ -18,8 +18,9 @@ from interloc.files import atomic_write
 from interloc.geometry import bearing_deg
 from interloc.osm.container import SIMULATOR
 from interloc.osm.intersections import DRIVABLE
+from interloc.processes import Progress
 from interloc.simulate.config import DEFAULT_OPTIONS, SceneConfig, SimulationOptions, TrackConfig
-from interloc.simulate.drive import Progress, simulate_map
+from interloc.simulate.drive import simulate_map
 from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.obstacles import Yard, made_up_houses
 from interloc.simulate.osm_map import STREET_CLASSES, MapWay, StreetMap, is_oneway, street_map_of

@@ -8,13 +8,11 @@ from typing import Literal
 import numpy as np
 
 from interloc.errors import DriveError
-from interloc.simulate.config import SceneConfig, SimulationOptions
-from interloc.simulate.drive import Progress, simulate_map
-from interloc.simulate.scene import Scene, build_scene
+from interloc.processes import Progress
+from interloc.simulate.config import SimulationOptions
+from interloc.simulate.drive import simulate_map
 from interloc.simulate.track_files import read_oxts
 from interloc.simulate.tracks import Track, track_from_oxts
-
-TWIN_SEQUENCES = ("00", "02", "05", "06", "07", "08", "09", "10")
 
 
 def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> Track:
@@ -61,19 +59,6 @@ def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] =
         poses_camera=camera[:count],
         calib_text=names["calib"].read_text(),
     )
-
-
-def twin_scene(
-    kitti_dir: Path,
-    sequence: str,
-    track: Track,
-    *,
-    config: SceneConfig | None = None,
-    seed: int = 0,
-) -> Scene:
-    """Return the world of a sequence: streets of `osm/NN.osm.gz`, buildings of `osm_buildings/NN.osm.gz`."""
-    roads, buildings = twin_maps(kitti_dir, sequence)
-    return build_scene(track, roads, buildings=buildings, config=config, seed=seed)
 
 
 def twin_maps(kitti_dir: Path, sequence: str) -> tuple[Path, Path | None]:

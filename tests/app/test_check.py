@@ -45,7 +45,7 @@ def context(tmp_path: Path) -> Iterator[Context]:
 
 
 def new_drive(context: Context, **files: bytes) -> str:
-    drive = create_drive(context, "somebody", NewDrive(name="town")).id
+    drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
     for path, content in files.items():
         intake = Intake(context, path, 1000)
         intake.write(content)

@@ -42,7 +42,7 @@ def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]
 
 def make_drive(context: Context, *, age_h: float = 0, state: str = "uploading", keep_raw: bool = False) -> str:
     """Make a drive of one scan and a map that was touched some hours ago."""
-    drive = create_drive(context, "somebody", NewDrive(name="town", keep_raw=keep_raw))
+    drive = create_drive(context, "somebody", NewDrive(name="town", keep_raw=keep_raw))[0]
     incoming = context.storage.incoming()
     arrivals = []
     for path in ("velodyne/000000.bin", "map.osm"):

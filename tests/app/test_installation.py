@@ -41,7 +41,7 @@ def sqlite(path: Path) -> str:
 def fill(data: Path, url: str | None = None) -> str:
     """Make a service that holds a drive with a file; returns the id of the drive."""
     context = Context.open(settings(data, url))
-    drive = create_drive(context, "somebody", NewDrive(name="town")).id
+    drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
     intake = Intake(context, "velodyne/000000.bin", 100)
     intake.write(b"scan")
     keep(context, drive, [intake.finish()])

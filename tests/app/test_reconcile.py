@@ -50,7 +50,7 @@ def put(context: Context, drive: str, **files: bytes) -> None:
 
 
 def new_drive(context: Context, **files: bytes) -> str:
-    drive = create_drive(context, "somebody", NewDrive(name="town")).id
+    drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
     put(context, drive, **files)
     return drive
 

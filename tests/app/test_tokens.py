@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import sqlite3
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -59,10 +60,12 @@ def test_tokens_come_and_go(database: Database) -> None:
     first, second = add_token(database, "bob"), add_token(database, "alice")
     assert [token.name for token in list_tokens(database)] == ["alice", "bob"]
     book = TokenBook(database, Settings())
-    assert [book.holder_of(token) for token in (first, second, "nonsense")] == [Holder("bob"), Holder("alice"), None]
+    book.read(time.monotonic())
+    assert [book.recall(token) for token in (first, second, "nonsense")] == [Holder("bob"), Holder("alice"), None]
     revoke_token(database, "bob")
     assert [token.name for token in list_tokens(database)] == ["alice"]
-    assert TokenBook(database, Settings()).holder_of(first) is None
+    book.read(time.monotonic())
+    assert book.recall(first) is None
 
 
 @pytest.mark.parametrize("name", ["", "a b", "ä", "-x", "anonymous", "operator", "x" * 65, "a\n"])
@@ -248,7 +251,8 @@ def test_a_token_ends_when_it_expires(database: Database, serve: Serve, tmp_path
     with database.writing() as session:
         session.get_one(Token, "guest").expires_at = now - 60
     book = TokenBook(database, Settings())
-    holder = book.holder_of(token)
+    book.read(time.monotonic())
+    holder = book.recall(token)
     assert holder is not None
     assert holder.has_expired
     assert book.are_needed()  # the service does not open by itself
@@ -261,7 +265,8 @@ def test_when_a_token_was_last_used_is_written_later(database: Database) -> None
     token = add_token(database, "alice")
     add_token(database, "bob")
     book = TokenBook(database, Settings())
-    assert book.holder_of(token) is not None
+    book.read(time.monotonic())
+    assert book.recall(token) is not None
     assert [each.last_used_at for each in list_tokens(database)] == [None, None]
     book.write_uses()
     alice, bob = list_tokens(database)

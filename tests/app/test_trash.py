@@ -190,7 +190,7 @@ def context(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Context]
 
 def make_drive(context: Context, *, deleted_h: float | None = None) -> tuple[str, str]:
     """Make a drive with a file and a successful job, perhaps deleted some hours ago; returns their ids."""
-    drive = create_drive(context, "somebody", NewDrive(name="town")).id
+    drive = create_drive(context, "somebody", NewDrive(name="town"))[0].id
     intake = Intake(context, "poses.txt", 10)
     intake.write(b"1")
     keep(context, drive, [intake.finish()])

@@ -22,7 +22,7 @@ Interloc = Callable[..., Any]
 def data(tmp_path: Path) -> Path:
     """Data folder of a service with one file."""
     context = Context.open(Settings(data_dir=tmp_path / "data", min_free_bytes=0))
-    drive = create_drive(context, "somebody", NewDrive(name="town"))
+    drive = create_drive(context, "somebody", NewDrive(name="town"))[0]
     received = context.storage.incoming() / "received"
     received.write_bytes(b"1 0 0 0")
     keep(context, drive.id, [Arrival("poses.txt", received, 7, "0" * 64)])

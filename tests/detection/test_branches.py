@@ -12,7 +12,7 @@ from interloc.config import BranchConfig
 from interloc.detection.branches import Branches, inner_radius, segment_all, segment_branches
 from interloc.detection.candidates import Candidates
 from interloc.detection.centerline import Centerline
-from interloc.detection.image import BinaryImage
+from tests.images import binary_image
 
 MIDDLE = (150.0, 150.0)
 PAPER = BranchConfig()
@@ -27,7 +27,7 @@ def arms(*angles_deg: float, length: int = 140) -> Centerline:
             round(150 - length * math.sin(math.radians(angle))),
         )
         cv2.line(image, (150, 150), end, 1)
-    line = BinaryImage.from_array(image)
+    line = binary_image(image)
     return Centerline.of(line, line)
 
 
@@ -99,7 +99,7 @@ def test_arm_that_ends_soon_is_no_branch() -> None:
     line = arms(0, 120, length=140)
     image = line.image.to_array()
     image[150:163, 150] = 1  # 12 pixels downwards
-    short = Centerline.of(BinaryImage.from_array(image), line.occupancy)
+    short = Centerline.of(binary_image(image), line.occupancy)
     assert branches_at_the_middle(short, BranchConfig(min_reach_m=14)).count == 2
     assert branches_at_the_middle(short, BranchConfig(min_reach_m=12)).count == 3
 
@@ -107,9 +107,9 @@ def test_arm_that_ends_soon_is_no_branch() -> None:
 def test_short_arm_must_be_wide_unless_few_scans_saw_it() -> None:
     image = arms(0, 120).image.to_array()
     image[150:171, 150] = 1  # 20 pixels downwards, ten of them outside of the inner circle
-    line = BinaryImage.from_array(image)
+    line = binary_image(image)
     narrow = Centerline.of(line, line)
-    wide = Centerline.of(line, BinaryImage.from_array(cv2.dilate(image, np.ones((5, 5), np.uint8))))
+    wide = Centerline.of(line, binary_image(cv2.dilate(image, np.ones((5, 5), np.uint8))))
     config = BranchConfig(min_surface_m2=40)
     assert branches_at_the_middle(narrow, config).count == 2
     assert branches_at_the_middle(wide, config).count == 3
@@ -160,14 +160,14 @@ def test_two_arms_that_leave_the_circle_as_one_are_one() -> None:
     cv2.line(image, (150, 150), (170, 150), 1)
     cv2.line(image, (170, 150), (290, 90), 1)
     cv2.line(image, (170, 150), (290, 210), 1)
-    line = BinaryImage.from_array(image)
+    line = binary_image(image)
     assert branches_at_the_middle(Centerline.of(line, line), PAPER).count == 1
 
 
 def test_line_through_the_circle_that_misses_the_middle_is_two_branches() -> None:
     image = np.zeros((301, 301), np.uint8)
     image[145, :] = 1
-    line = BinaryImage.from_array(image)
+    line = binary_image(image)
     found = branches_at_the_middle(Centerline.of(line, line), PAPER)
     np.testing.assert_allclose(angles_deg(found), [0, 180], atol=1e-9)
 

@@ -14,7 +14,7 @@ from interloc.arrays import FloatArray, UInt8Array
 from interloc.config import CrossingCandidates, HarrisCandidates
 from interloc.detection.candidates import Candidates, find_candidates, harris_corners, merge_until_stable
 from interloc.detection.centerline import Centerline
-from interloc.detection.image import BinaryImage
+from tests.images import binary_image
 
 
 def line_image(*lines: tuple[int, int, int, int], size: int = 300) -> UInt8Array:
@@ -27,7 +27,7 @@ def line_image(*lines: tuple[int, int, int, int], size: int = 300) -> UInt8Array
 def centerline(lines: UInt8Array, width: int = 21) -> Centerline:
     """Take lines as the axis of roads of a width in pixels."""
     road = cv2.dilate(lines, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)))
-    return Centerline.of(BinaryImage.from_array(lines), BinaryImage.from_array(road))
+    return Centerline.of(binary_image(lines), binary_image(road))
 
 
 # --- merging ---------------------------------------------------------------------------------------------------------
@@ -162,7 +162,7 @@ def test_width_of_a_candidate_is_the_widest_of_its_junctions() -> None:
     line = centerline(STAGGERED, 41)
     road = line.occupancy.to_array()
     road[151:, 131:] = 0  # one side of the second junction is narrow
-    narrowed = Centerline.of(line.image, BinaryImage.from_array(road))
+    narrowed = Centerline.of(line.image, binary_image(road))
     config = CrossingCandidates(merge_widths=1, merge_min_m=40, merge_max_m=100)
     (width,) = find_candidates(narrowed, ONE_M, config).widths
     junctions = np.flatnonzero(narrowed.degrees >= 3).astype(np.int32)

@@ -7,7 +7,7 @@ import numpy as np
 from interloc.arrays import UInt8Array
 from interloc.config import CenterlineConfig
 from interloc.detection.centerline import Centerline, extract_centerline
-from interloc.detection.image import BinaryImage
+from tests.images import binary_image
 
 ALL = CenterlineConfig(spur_widths=0)
 PRUNED = CenterlineConfig(spur_widths=1)
@@ -22,7 +22,7 @@ def road_with_driveway(length: int) -> UInt8Array:
 
 
 def extract(road: UInt8Array, config: CenterlineConfig) -> Centerline:
-    return extract_centerline(BinaryImage.from_array(road), config)
+    return extract_centerline(binary_image(road), config)
 
 
 def test_straight_road_is_its_middle_row() -> None:
@@ -66,7 +66,7 @@ def test_width_is_that_of_the_road() -> None:
 
 
 def test_occupancy_is_left_as_it_was() -> None:
-    occupancy = BinaryImage.from_array(road_with_driveway(9))
+    occupancy = binary_image(road_with_driveway(9))
     before = occupancy.words.copy()
     line = extract_centerline(occupancy, PRUNED)
     np.testing.assert_array_equal(occupancy.words, before)

@@ -10,8 +10,8 @@ import pytest
 from interloc.config import CompoundConfig
 from interloc.detection.branches import Branches
 from interloc.detection.compound import LINK_STD_M, split_compound
-from interloc.detection.image import BinaryImage
 from interloc.detection.refinement import refine
+from tests.images import binary_image
 
 Branch = tuple[tuple[float, float], float]
 
@@ -112,7 +112,7 @@ def test_carriageway_of_which_one_half_is_not_seen_crosses_too() -> None:
 def test_centerline_of_a_wide_blob_says_where_the_link_lies_not_where_on_it_the_roads_meet() -> None:
     core = [(-3.0, 0.0), (-9.0, 0.0)]  # both branch within the blob, off the lines of the carriageways
     bulging = blob(EAST, WEST, FAR_EAST, north(4), south(-4), core=core)
-    road = BinaryImage.from_array(np.ones((9, 9), np.uint8))
+    road = binary_image(np.ones((9, 9), np.uint8))
     rows = {}
     for part in split_compound(bulging, 1.0, CONFIG):
         assert part.is_part

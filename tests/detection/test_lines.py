@@ -17,6 +17,7 @@ from interloc.detection.lines import LIMITS, _fit_circle, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
+from tests.images import binary_image
 
 RING_PX = 4.0
 
@@ -49,7 +50,7 @@ def cross(size: int = 201) -> UInt8Array:
 
 
 def test_branches_point_away_and_are_straight() -> None:
-    table = fit(BinaryImage.from_array(cross()), (100, 100))
+    table = fit(binary_image(cross()), (100, 100))
     directions = table["direction"]
     np.testing.assert_allclose(directions, [[-1, 0], [0, -1], [0, 1], [1, 0]], atol=1e-12)
     np.testing.assert_allclose(table["rms"], 0, atol=1e-6)
@@ -60,7 +61,7 @@ def test_line_is_fitted_to_the_trusted_part_only() -> None:
     image = np.zeros((201, 201), np.uint8)
     image[100, 100:151] = 1
     image[np.arange(93, 100), np.arange(157, 150, -1)] = 1  # the tip bends away, 45 degrees, and ends 57 pixels off
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     bent = fit(packed, (100, 100), trim=0.0)
     assert abs(bent[0]["direction"][0]) > 0.02
     trimmed = fit(packed, (100, 100), trim=12.0)
@@ -74,7 +75,7 @@ def test_line_is_fitted_as_far_as_the_branch_is_straight() -> None:
     image = np.zeros((201, 201), np.uint8)
     image[100, 100:130] = 1
     image[np.arange(80, 100), np.arange(149, 129, -1)] = 1  # turns off by 45 degrees 30 pixels from the candidate
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     (whole,) = fit(packed, (100, 100))
     (straight,) = fit(packed, (100, 100), shortest=8.0, straight=0.3)
     assert abs(whole["direction"][0]) > 0.3
@@ -87,7 +88,7 @@ def test_line_is_fitted_to_the_least_length_however_bent() -> None:
     image = np.zeros((201, 201), np.uint8)
     angles = np.linspace(0, 1.5, 500)  # an arc of 40 pixels' radius
     image[np.round(60 + 40 * np.cos(angles)).astype(int), np.round(100 + 40 * np.sin(angles)).astype(int)] = 1
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     thin(packed.words)
     (row,) = fit(packed, (100, 100), shortest=24.0, straight=0.1)
     assert row["rms"] > 0.1
@@ -100,7 +101,7 @@ def test_line_begins_where_the_road_parts_from_its_neighbours() -> None:
     image[20:101, 100] = 1
     image[100, 100:130] = 0
     image[np.round(100 - 4 * np.linspace(1, 0, 60)).astype(int), np.linspace(100, 130, 60).astype(int)] = 1  # bent
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     early = fit(packed, (100, 100), inner=5.0)
     late = fit(packed, (100, 100), inner=5.0, width=43.0)  # two such roads part at 30 pixels: 43 / 2 / sin 45
     assert abs(early[-1]["direction"][0]) > 0.02
@@ -114,17 +115,17 @@ def test_roads_side_by_side_begin_at_the_inner_circle() -> None:
     for row, sense in ((85, -1), (115, 1)):
         image[100 + sense * diagonal, 100 + diagonal] = 1
         image[row, 115:190] = 1
-    carriageways = fit(BinaryImage.from_array(image), (100, 100), inner=25.0, width=40.0)
+    carriageways = fit(binary_image(image), (100, 100), inner=25.0, width=40.0)
     np.testing.assert_allclose(carriageways["start"], 25.0, atol=RING_PX)
     for row in range(115, 190):  # the lower one turns away by 20 degrees, so that they come from one place
         image[115, row] = 0
         image[115 + round(0.36 * (row - 115)), row] = 1
-    fork = fit(BinaryImage.from_array(image), (100, 100), inner=25.0, width=40.0)
+    fork = fit(binary_image(image), (100, 100), inner=25.0, width=40.0)
     assert fork["start"].min() > 25.0 + 2 * RING_PX
 
 
 def test_longer_line_weighs_more() -> None:
-    image = BinaryImage.from_array(cross())
+    image = binary_image(cross())
     weights = [fit(image, (100, 100), length=length)[0]["weight"] for length in (12.0, 24.0, 48.0)]
     assert 0 < weights[0] < weights[1] < weights[2]
 
@@ -133,7 +134,7 @@ def test_bent_line_weighs_less_than_a_straight_one() -> None:
     image = cross()
     image[100, 131:] = 0
     image[np.arange(101, 131), np.arange(131, 161)] = 1
-    table = fit(BinaryImage.from_array(image), (100, 100))
+    table = fit(binary_image(image), (100, 100))
     assert table[2]["rms"] > 1
     assert 0 < table[2]["weight"] < table[0]["weight"]
 
@@ -141,7 +142,7 @@ def test_bent_line_weighs_less_than_a_straight_one() -> None:
 def test_branch_with_nothing_to_trust_has_no_line() -> None:
     image = np.zeros((201, 201), np.uint8)
     image[100, 100:116] = 1
-    table = fit(BinaryImage.from_array(image), (100, 100), trim=20.0)
+    table = fit(binary_image(image), (100, 100), trim=20.0)
     assert table[0]["length"] == table[0]["weight"] == 0
 
 
@@ -151,7 +152,7 @@ def test_fitted_line_is_that_of_total_least_squares(angle_deg: float) -> None:
     image = np.zeros((201, 201), np.uint8)
     end = np.round(100 + 80 * along).astype(int)
     cv2.line(image, (100, 100), (int(end[1]), int(end[0])), 1)
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     (row,) = fit(packed, (100, 100))
     points = np.column_stack(packed.pixels()).astype(np.float64)
     distance = np.hypot(*(points - 100).T)
@@ -191,7 +192,7 @@ def test_branches_of_one_bend_have_its_tangent() -> None:
     image = np.zeros((201, 201), np.uint8)
     cv2.circle(image, (160, 100), 60, 1)  # through the candidate, around a centre to the right of it
     image[100, :100] = 1
-    thinned = BinaryImage.from_array(image)
+    thinned = binary_image(image)
     thin(thinned.words)
     table = fit(thinned, (100, 100), shortest=20.0)
     up, left, down = table[np.argsort(table["direction"][:, 0])]
@@ -224,13 +225,13 @@ def other_ground(*strips: tuple[int, int]) -> UInt8Array:
 
 def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
     """Fit the line of a road that leaves a candidate to the right."""
-    surface = BinaryImage.from_array(road)
+    surface = binary_image(road)
     thinned = BinaryImage(surface.words.copy(), surface.height, surface.width)
     thin(thinned.words)
     line, place = Centerline.of(thinned, surface), np.array((AXIS, 20.0))
     traced, pieces = trace_branches(line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0)
     limits = np.array((21.0, 10.0, 140.0, 75.0, 75.0, 1.25, 0.0, 99.0, RING_PX, 1.5), LIMITS)[()]
-    against = NOWHERE if other is None else BinaryImage.from_array(other).words
+    against = NOWHERE if other is None else binary_image(other).words
     pixels = line.rows, line.cols, line.border_distance, line.is_tip
     (row,) = fit_lines(surface.words, against, *pixels, traced, pieces, place, limits)
     return row

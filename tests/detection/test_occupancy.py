@@ -8,13 +8,13 @@ import pytest
 
 from interloc.arrays import UInt8Array
 from interloc.config import OccupancyConfig
-from interloc.detection.image import BinaryImage
 from interloc.detection.occupancy import infer_occupancy, odd_pixels
+from tests.images import binary_image
 
 
 def infer(image: UInt8Array, **metres: float) -> UInt8Array:
     """Take 10 cm pixels."""
-    return infer_occupancy(BinaryImage.from_array(image), 0.1, OccupancyConfig(**metres)).to_array()
+    return infer_occupancy(binary_image(image), 0.1, OccupancyConfig(**metres)).to_array()
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_discs_of_no_size_change_nothing() -> None:
 
 
 def test_input_is_left_as_it_was() -> None:
-    bev = BinaryImage.from_array(np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8))
+    bev = binary_image(np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8))
     before = bev.words.copy()
     infer_occupancy(bev, 0.1, OccupancyConfig())
     np.testing.assert_array_equal(bev.words, before)

@@ -14,8 +14,8 @@ from scipy.optimize import least_squares, minimize
 
 from interloc.arrays import FloatArray
 from interloc.detection.branches import Branches
-from interloc.detection.image import BinaryImage
 from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, SIDE_BY_SIDE_COS, TOLERANCE, refine
+from tests.images import binary_image
 
 
 def branches(
@@ -155,7 +155,7 @@ def test_fork_begins_where_the_sides_of_the_one_road_cease_to_be_parallel(stem_h
     road[200 - stem_half : 201 + stem_half, :145] = 1
     road[140:261, 145:] = 1  # the mouth
     fan = branches([(200.0, 100.0), (170.0, 320.0), (230.0, 320.0)], [270, 94, 86], candidate=(200, 220), inner=80)
-    found = refine(replace(fan, spans=np.array([80.0, 60.0, 60.0])), 0.25, BinaryImage.from_array(road))
+    found = refine(replace(fan, spans=np.array([80.0, 60.0, 60.0])), 0.25, binary_image(road))
     np.testing.assert_allclose(found.position, expected, atol=1e-6)
     assert found.residual == math.inf
 
@@ -233,7 +233,7 @@ def test_point_on_the_road_is_that_of_reweighted_least_squares(seed: int, inner:
         branches(points, angles_deg, candidate=(100.0, 100.0), inner=inner, weights=weights),
         spans=generator.uniform(20.0, 90.0, 3),
     )
-    road = BinaryImage.from_array(np.ones((200, 200), np.uint8))
+    road = binary_image(np.ones((200, 200), np.uint8))
     found = refine(lines, 0.25, road)
     assume(math.isfinite(found.residual))  # not near-parallel
     np.testing.assert_allclose(found.position, plain_reweighted(lines, 0.25), atol=1e-9)
@@ -241,7 +241,7 @@ def test_point_on_the_road_is_that_of_reweighted_least_squares(seed: int, inner:
 
 def on_open_road(lines: Branches, prior_weight: float) -> FloatArray:
     """Return the point on road that ends nowhere."""
-    road = BinaryImage.from_array(np.ones((400, 400), np.uint8))
+    road = binary_image(np.ones((400, 400), np.uint8))
     return refine(replace(lines, spans=np.full(lines.count, 60.0)), prior_weight, road).position
 
 
@@ -265,4 +265,4 @@ def test_point_does_not_leave_the_road() -> None:
     lines = branches([(50.0, 75.0), (75.0, 50.0)], [0, 90], candidate=(50.0, 50.0), inner=10.0)
     image = np.zeros((101, 101), np.uint8)
     image[:66, :66] = 1
-    np.testing.assert_allclose(refine(lines, 0.0, BinaryImage.from_array(image)).position, [65.5, 65.5], atol=0.5)
+    np.testing.assert_allclose(refine(lines, 0.0, binary_image(image)).position, [65.5, 65.5], atol=0.5)

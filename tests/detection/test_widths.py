@@ -8,6 +8,7 @@ import pytest
 from interloc.arrays import FloatArray
 from interloc.detection.image import BinaryImage
 from interloc.detection.widths import branch_widths
+from tests.images import binary_image
 
 RESOLUTION_M = 0.16
 MIDDLE = np.array([200.0, 200.0])
@@ -27,7 +28,7 @@ def widths_of(roads: dict[float, float], branches: tuple[float, ...]) -> FloatAr
         along, across = (ROWS - 200) * dr + (COLS - 200) * dc, (ROWS - 200) * dc - (COLS - 200) * dr
         image |= ((along >= 0) & (np.abs(across) * RESOLUTION_M <= width_m / 2)).astype(np.uint8)
     directions = np.array([ray(angle_deg) for angle_deg in branches])
-    return branch_widths(MIDDLE, directions, np.zeros((len(branches), 2)), BinaryImage.from_array(image), RESOLUTION_M)
+    return branch_widths(MIDDLE, directions, np.zeros((len(branches), 2)), binary_image(image), RESOLUTION_M)
 
 
 @pytest.mark.parametrize("angle_deg", [30, 45, 90, 140])

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from interloc.arrays import FloatArray, Int32Array, UInt8Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels.harris import harris_scores, local_maxima
+from tests.images import binary_image
 
 
 def plain_harris(image: UInt8Array, block: int, k: float) -> FloatArray:
@@ -55,7 +56,7 @@ def lines(seed: int, height: int, width: int, count: int) -> UInt8Array:
 @pytest.mark.parametrize("width", [65, 128, 750])
 def test_equals_opencv_away_from_the_border(block: int, k: float, width: int) -> None:
     image = lines(2, 200, width, 12)
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     rows, cols = packed.pixels()
     ours = harris_scores(packed.words, rows, cols, block, k)
     theirs = cv2.cornerHarris(image.astype(np.float32), block, 3, k)[rows, cols]
@@ -69,7 +70,7 @@ def test_equals_opencv_away_from_the_border(block: int, k: float, width: int) ->
 @settings(deadline=None, max_examples=30)
 def test_equals_the_plain_twin_up_to_the_border(seed: int, height: int, width: int, block: int) -> None:
     image = (np.random.default_rng(seed).random((height, width)) < 0.2).astype(np.uint8)
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     rows, cols = packed.pixels()
     scores = harris_scores(packed.words, rows, cols, block, 0.04)
     np.testing.assert_allclose(scores, plain_harris(image, block, 0.04)[rows, cols], rtol=1e-9, atol=1e-12)
@@ -79,7 +80,7 @@ def test_corner_scores_high_and_line_low() -> None:
     image = np.zeros((60, 60), np.uint8)
     image[30, 10:50] = 1
     image[10:31, 30] = 1
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     rows, cols = packed.pixels()
     scores = harris_scores(packed.words, rows, cols, 9, 0.04)
     best = int(np.argmax(scores))

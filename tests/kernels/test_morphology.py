@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from interloc.arrays import UInt8Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels.morphology import dilate, disc_half_widths, erode
+from tests.images import binary_image
 
 WIDTHS = [1, 63, 64, 65, 128, 131]
 
@@ -38,13 +39,13 @@ def plain_erode(image: UInt8Array, diameter: int) -> UInt8Array:
 
 
 def our_dilate(image: UInt8Array, diameter: int) -> UInt8Array:
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     words = dilate(packed.words, disc_half_widths(diameter), packed.width)
     return BinaryImage(words, packed.height, packed.width).to_array()
 
 
 def our_erode(image: UInt8Array, diameter: int) -> UInt8Array:
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     words = erode(packed.words, disc_half_widths(diameter), packed.width)
     return BinaryImage(words, packed.height, packed.width).to_array()
 

@@ -15,13 +15,14 @@ from interloc.arrays import Int32Array, StructuredArray, UInt8Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton as sk
 from interloc.kernels.thinning import thin
+from tests.images import binary_image
 
 Pixel = tuple[int, int]
 
 
 def drawing(*lines: str) -> BinaryImage:
     """Make an image of text: a point is clear, anything else is set."""
-    return BinaryImage.from_array(np.array([[mark != "." for mark in line] for line in lines], np.uint8))
+    return binary_image(np.array([[mark != "." for mark in line] for line in lines], np.uint8))
 
 
 def joined(image: BinaryImage) -> dict[Pixel, set[Pixel]]:
@@ -55,7 +56,7 @@ def plain_joined(image: UInt8Array) -> dict[Pixel, set[Pixel]]:
 def thinned_blobs(seed: int, size: int = 130) -> tuple[BinaryImage, BinaryImage]:
     """Return the axis of random smooth shapes, and the shapes."""
     noise = np.random.default_rng(seed).normal(size=(size, size)).astype(np.float32)
-    shape = BinaryImage.from_array((cv2.GaussianBlur(noise, (0, 0), 4) > 0).astype(np.uint8))
+    shape = binary_image((cv2.GaussianBlur(noise, (0, 0), 4) > 0).astype(np.uint8))
     line = BinaryImage(shape.words.copy(), size, size)
     thin(line.words)
     return line, shape
@@ -95,7 +96,7 @@ def test_pixels_in_different_words_are_joined(width: int) -> None:
     image = np.zeros((5, width), np.uint8)
     image[2, :] = 1
     image[0, -1] = image[1, -2] = 1
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     assert joined(packed) == plain_joined(image)
     assert not any((2, 0) in others for pixel, others in joined(packed).items() if pixel != (2, 1))
 
@@ -104,7 +105,7 @@ def test_pixels_in_different_words_are_joined(width: int) -> None:
 @settings(deadline=None, max_examples=60)
 def test_neighbours_are_those_of_the_plain_twin(seed: int, height: int, width: int, share: float) -> None:
     image = (np.random.default_rng(seed).random((height, width)) < share).astype(np.uint8)
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     expected = plain_joined(image)
     assert joined(packed) == expected
     rows, cols, neighbours = graph(packed)
@@ -118,13 +119,13 @@ def test_width_is_twice_the_way_to_the_nearest_gap() -> None:
     road = np.zeros((40, 40), np.uint8)
     road[10:19, :] = 1  # nine pixels: the gap is five from the middle one
     rows, cols = np.array([14, 14, 11], np.int32), np.array([20, 0, 20], np.int32)
-    words = BinaryImage.from_array(road).words
+    words = binary_image(road).words
     assert sk.widths_at(words, rows, cols, 40, 200).tolist() == [10, 10, 4]
     assert sk.widths_at(words, rows, cols, 40, 3).tolist() == [6, 6, 4]
 
 
 def test_cleared_pixels_are_gone_and_no_others() -> None:
-    image = BinaryImage.from_array(np.ones((3, 130), np.uint8))
+    image = binary_image(np.ones((3, 130), np.uint8))
     sk.clear_pixels(image.words, np.array([0, 1, 2], np.int32), np.array([0, 64, 129], np.int32))
     rows, cols = np.nonzero(image.to_array() == 0)
     assert list(zip(rows.tolist(), cols.tolist(), strict=True)) == [(0, 0), (1, 64), (2, 129)]
@@ -140,7 +141,7 @@ def comb(spur: int, size: int = 100) -> tuple[BinaryImage, BinaryImage]:
     line[50 - spur : 50, 50] = 1
     road = np.zeros((size, size), np.uint8)
     road[40:61, :] = 1
-    return BinaryImage.from_array(line), BinaryImage.from_array(road)
+    return binary_image(line), binary_image(road)
 
 
 def kept(line: BinaryImage, road: BinaryImage, widths: float, border: int) -> list[Pixel]:
@@ -172,8 +173,8 @@ def test_tip_at_the_border_is_kept() -> None:
 def test_line_without_a_junction_is_kept() -> None:
     image = np.zeros((100, 100), np.uint8)
     image[50, 45:55] = 1
-    road = BinaryImage.from_array(np.ones((100, 100), np.uint8))
-    assert len(kept(BinaryImage.from_array(image), road, 10.0, 5)) == 10
+    road = binary_image(np.ones((100, 100), np.uint8))
+    assert len(kept(binary_image(image), road, 10.0, 5)) == 10
 
 
 def test_of_two_spurs_at_the_end_of_a_road_one_becomes_its_end() -> None:
@@ -183,7 +184,7 @@ def test_of_two_spurs_at_the_end_of_a_road_one_becomes_its_end() -> None:
         image[50 - i, 50 + i] = image[50 + i, 50 + i] = 1
     road = np.zeros((100, 100), np.uint8)
     road[40:61, :62] = 1
-    pixels = kept(BinaryImage.from_array(image), BinaryImage.from_array(road), 1.0, 5)
+    pixels = kept(binary_image(image), binary_image(road), 1.0, 5)
     assert len(pixels) == 51 + 8
 
 
@@ -191,7 +192,7 @@ def test_spur_on_a_spur_goes_with_it() -> None:
     line, road = comb(15)
     image = line.to_array()
     image[46, 51:56] = 1
-    assert len(kept(BinaryImage.from_array(image), road, 1.0, 5)) == 100
+    assert len(kept(binary_image(image), road, 1.0, 5)) == 100
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 1.0, 2.0]))
@@ -336,7 +337,7 @@ def cross(size: int = 201) -> UInt8Array:
 
 
 def test_crossing_lines_have_four_pieces_from_circle_to_circle() -> None:
-    _, table = trace(BinaryImage.from_array(cross()), (100, 100))
+    _, table = trace(binary_image(cross()), (100, 100))
     # The ring is open: pixels 11 to 59 away, their mean 35 away.
     assert table["start"].tolist() == [[89, 100], [100, 89], [100, 111], [111, 100]]
     assert table["mean"].tolist() == [[65, 100], [100, 65], [100, 135], [135, 100]]
@@ -346,7 +347,7 @@ def test_crossing_lines_have_four_pieces_from_circle_to_circle() -> None:
 
 
 def test_piece_ends_before_another_candidate() -> None:
-    _, table = trace(BinaryImage.from_array(cross()), (100, 100), (100, 140))
+    _, table = trace(binary_image(cross()), (100, 100), (100, 140))
     assert table["at_candidate"].tolist() == [0, 0, 1, 0]
     assert table["reach"][2] == 35  # the pixel 5 before the other one is the first that does not belong to it any more
     assert lengths(table)[2] == 25
@@ -356,13 +357,13 @@ def test_line_that_does_not_come_from_the_inner_circle_is_no_piece() -> None:
     image = cross()
     image[130, 110:150] = 1  # beside
     image[100, 105:115] = 0  # cut off
-    assert len(trace(BinaryImage.from_array(image), (100, 100))[1]) == 3
+    assert len(trace(binary_image(image), (100, 100))[1]) == 3
 
 
 def test_line_that_forks_outside_of_the_inner_circle_is_one_piece() -> None:
     image = cross()
     image[np.arange(71, 100), 100 + np.arange(49, 20, -1)] = 1  # leaves the right arm at column 120
-    _, table = trace(BinaryImage.from_array(image), (100, 100))
+    _, table = trace(binary_image(image), (100, 100))
     assert len(table) == 4
     assert lengths(table)[2] > 49 + 20
 
@@ -372,7 +373,7 @@ def test_a_star_of_forty_rays_has_forty_pieces() -> None:
     for angle in np.arange(40) * np.pi / 20:
         for r in np.arange(100, 390, 0.5):
             image[round(400 + r * math.sin(angle)), round(400 + r * math.cos(angle))] = 1
-    _, table = trace(BinaryImage.from_array(image), (400, 400), inner=150.0, outer=380.0)
+    _, table = trace(binary_image(image), (400, 400), inner=150.0, outer=380.0)
     assert len(table) == 40
 
 

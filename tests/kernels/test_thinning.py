@@ -11,14 +11,14 @@ from scipy.ndimage import distance_transform_edt
 from skimage.morphology import skeletonize
 
 from interloc.arrays import BoolArray, UInt8Array
-from interloc.detection.image import BinaryImage
 from interloc.kernels.thinning import thin
+from tests.images import binary_image
 
 WIDTHS = [1, 2, 3, 63, 64, 65, 128]
 
 
 def our_thin(image: UInt8Array) -> UInt8Array:
-    packed = BinaryImage.from_array(image)
+    packed = binary_image(image)
     thin(packed.words)
     return packed.to_array()
 

@@ -23,10 +23,12 @@ import shapely
 from interloc.arrays import FloatArray
 from interloc.cli.main import run
 from interloc.drives.open import open_drive
+from interloc.evaluation.published import SEQUENCES
 from interloc.osm.intersections import DRIVABLE
 from interloc.simulate.config import LidarConfig, SceneConfig, SimulationOptions, StreetConfig
 from interloc.simulate.scene import Scene
-from interloc.simulate.twins import TWIN_SEQUENCES, simulate_twin, twin_maps, twin_scene, twin_track
+from interloc.simulate.twins import simulate_twin, twin_maps, twin_track
+from tests.twins import twin_scene
 
 STARTS = {
     "left_out": "junction with",
@@ -243,7 +245,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kitti", type=Path, required=True, help="Folder with oxts/, poses_suma/, osm/, ...")
     parser.add_argument("--twins", type=Path, required=True, help="Folder of the simulated drives.")
-    parser.add_argument("--sequences", nargs="*", default=TWIN_SEQUENCES)
+    parser.add_argument("--sequences", nargs="*", default=SEQUENCES)
     parser.add_argument("--service", nargs="*", default=["05", "06"], help="Sequences with service roads as road.")
     parser.add_argument("--presets", nargs="*", default=["default", "paper"])
     parser.add_argument("--columns", type=int, default=1024)

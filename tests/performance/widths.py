@@ -24,7 +24,8 @@ from interloc.results import DetectionTable, IntersectionTable
 from interloc.simulate.config import SceneConfig
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.town import MAP_FILE, Town
-from interloc.simulate.twins import twin_scene, twin_track
+from interloc.simulate.twins import twin_track
+from tests.twins import twin_scene
 
 ALONG_M = np.arange(NEAR_M, FAR_M + 0.5, 1.0)
 """Where along a branch the street is asked for."""

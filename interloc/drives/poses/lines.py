@@ -12,6 +12,10 @@ from interloc.arrays import FloatArray, IntArray
 from interloc.drives.files import MAX_NUMBER, SourceFile
 from interloc.drives.layouts import INDEXED_LENGTHS
 
+SEPARATED_BY_COMMAS = "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
+CUT_OFF = "a file cut off while it was written or copied, or a line edited by hand"
+"""The usual cause of a line that holds another count of numbers than the others."""
+
 _LENGTHS = (12, 13, 16, 17)
 _ORTHONORMAL = 1e-3
 _MAX_FRAME = 10**15
@@ -59,13 +63,7 @@ def read_poses(file: SourceFile) -> PoseLines:
             "Usual cause: a matrix written column by column.",
             lines[int(np.argmax(wrong))],
         )
-    large = np.abs(poses[:, :3, 3]).max(axis=1) > MAX_NUMBER
-    if large.any():
-        raise file.fault(
-            f"a position is more than {MAX_NUMBER / 1000:,.0f} km from the origin. Expected metres. "
-            "Usual cause: millimetres, or an odometry that diverged.",
-            lines[int(np.argmax(large))],
-        )
+    refuse_far(poses[:, :3, 3], lines, file)
     proper, bad_row = orthonormalised(poses)
     if bad_row is not None:
         raise file.fault(rotation_complaint(poses[bad_row, :3, :3]), lines[bad_row])
@@ -73,6 +71,17 @@ def read_poses(file: SourceFile) -> PoseLines:
         order = np.argsort(frames, kind="stable")
         return PoseLines(proper[order], frames[order])
     return PoseLines(proper, None)
+
+
+def refuse_far(positions: FloatArray, lines: IntArray, file: SourceFile) -> None:
+    """Raise DriveError where one of (P, 3) positions is absurdly far from the origin."""
+    large = np.abs(positions).max(axis=1) > MAX_NUMBER
+    if large.any():
+        raise file.fault(
+            f"a position is more than {MAX_NUMBER / 1000:,.0f} km from the origin. Expected metres. "
+            "Usual cause: millimetres, or an odometry that diverged.",
+            lines[int(np.argmax(large))],
+        )
 
 
 def orthonormalised(poses: FloatArray) -> tuple[FloatArray, int | None]:
@@ -171,11 +180,11 @@ def _plain_table(texts: list[str], lengths: Collection[int]) -> FloatArray | Non
 def _length_complaint(fields: list[str], length: int) -> str:
     """Return what is wrong with the count of numbers in a line."""
     if any("," in field for field in fields):
-        return "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
+        return SEPARATED_BY_COMMAS
     expected = (
         f"{length} as in the lines above" if length else "12 (3x4 matrix), 16 (4x4), 13 or 17 (frame number first)"
     )
-    usual = "a file cut off while it was written or copied, or a line edited by hand"
+    usual = CUT_OFF
     if len(fields) == 8:
         usual = "TUM format (time, position, quaternion); export the poses in KITTI format"
     elif len(fields) == 4 and not length:

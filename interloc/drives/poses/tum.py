@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
-from interloc.drives.files import MAX_NUMBER, SourceFile, is_number
-from interloc.drives.poses.lines import read_rows
+from interloc.drives.files import SourceFile, is_number
+from interloc.drives.poses.lines import CUT_OFF, SEPARATED_BY_COMMAS, read_rows, refuse_far
 from interloc.drives.poses.timed import TimedPoses, rotations_from_quaternions
 
 TUM_FIELDS = 8
@@ -53,13 +53,7 @@ def read_tum(file: SourceFile) -> TimedPoses:
         raise file.fault("is missing. Expected one line per pose: time x y z qx qy qz qw (TUM).")
     values, lines = read_rows(file, (TUM_FIELDS,), _length_complaint)
     values, lines = _without_repetitions(values, lines, file)
-    large = np.abs(values[:, 1:4]).max(axis=1) > MAX_NUMBER
-    if large.any():
-        raise file.fault(
-            f"a position is more than {MAX_NUMBER / 1000:,.0f} km from the origin. Expected metres. "
-            "Usual cause: millimetres, or an odometry that diverged.",
-            lines[int(np.argmax(large))],
-        )
+    refuse_far(values[:, 1:4], lines, file)
     norm = np.linalg.norm(values[:, 4:], axis=1)
     wrong = np.abs(norm - 1) > _OFF_UNIT
     if wrong.any():
@@ -96,8 +90,8 @@ def _without_repetitions(values: FloatArray, lines: IntArray, file: SourceFile) 
 def _length_complaint(fields: list[str], length: int) -> str:
     """Return what is wrong with the count of numbers in a line (all lines before are of the one length)."""
     if any("," in field for field in fields):
-        return "numbers are separated by commas; spaces were expected. Usual cause: a CSV export."
-    usual = "a file cut off while it was written or copied, or a line edited by hand"
+        return SEPARATED_BY_COMMAS
+    usual = CUT_OFF
     if len(fields) in {12, 13, 16, 17} and not length:
         usual = "poses as matrices (KITTI), which are read under their own format"
     return f"{len(fields)} numbers; expected {TUM_FIELDS}: time x y z qx qy qz qw (TUM). Usual cause: {usual}."

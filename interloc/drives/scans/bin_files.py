@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import Float32Array
-from interloc.drives.files import MAX_NAMED, NumberedFiles, SourceFile, list_numbered, others_like_it
+from interloc.drives.files import EMPTY, MAX_NAMED, NumberedFiles, SourceFile, list_numbered, others_like_it
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
@@ -138,7 +138,7 @@ def _bytes_per_point(scans: NumberedFiles) -> int:
 def _size_complaint(size: int, point_bytes: int) -> str:
     """Return what is wrong with the size of a scan."""
     if size == 0:
-        return "is empty. Usual cause: a copy or download that did not finish."
+        return EMPTY
     expected = "four float32 per point (x y z remission)"
     if point_bytes == RING_POINT_BYTES:
         expected = "five float32 per point (x y z intensity ring), as in the other scans"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from interloc.arrays import FloatArray, IntArray, UInt8Array
-from interloc.drives.files import SourceFile, is_number
+from interloc.drives.files import EMPTY, SourceFile, is_number
 from interloc.drives.findings import Findings
 from interloc.drives.layouts import PCD_ENDINGS, DriveParts, pcd_ending
 from interloc.drives.options import DriveOptions
@@ -24,7 +24,7 @@ from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import InterLocError
 from interloc.kernels.lzf import decompress_lzf
-from interloc.results import counted
+from interloc.wording import counted
 
 INTENSITY_FIELDS = ("intensity", "i", "remission", "reflectivity", "reflectance")
 """Names under which drivers and tools write the remission."""
@@ -254,7 +254,7 @@ def _listed(folder: SourceFile) -> tuple[list[str], IntArray]:
 def _parse_header(head: bytes, file: SourceFile) -> PcdHeader:
     """Read the lines of a header up to DATA."""
     if not head:
-        raise file.fault("is empty. Usual cause: a copy or download that did not finish.")
+        raise file.fault(EMPTY)
     entries: dict[str, list[str]] = {}
     at = 0
     while "DATA" not in entries:

@@ -122,6 +122,18 @@ class ChunkStream:
             raise DamagedChunkError("a chunk ends in the middle of a record")
         return data
 
+    def message(self, size: int, limit: int) -> bytes:
+        """Read a message of some size, or as many bytes of it as are enough.
+
+        Raises
+        ------
+        DamagedChunkError
+            No message is so large, or the chunk ends before.
+        """
+        if size > MAX_MESSAGE_BYTES:
+            raise DamagedChunkError(f"announces a message of {size:,} bytes; none is larger than 512 MB")
+        return self.exactly(min(size, limit))
+
     def _take(self, limit: int) -> bytes:
         """Return the next unpacked bytes, at most some; none at the end."""
         if self._used == len(self._buffer):

@@ -276,10 +276,7 @@ def read_messages(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) 
         if kind != _MESSAGE or length < _MESSAGE_HEAD.size:
             raise DamagedChunkError("its index leads to a place where no message is")
         stream.exactly(_MESSAGE_HEAD.size)
-        size = length - _MESSAGE_HEAD.size
-        if size > MAX_MESSAGE_BYTES:
-            raise DamagedChunkError(f"announces a message of {size:,} bytes; none is larger than 512 MB")
-        yield stream.exactly(min(size, limit))
+        yield stream.message(length - _MESSAGE_HEAD.size, limit)
 
 
 def _text(content: bytes, at: int) -> tuple[str, int]:

@@ -107,9 +107,7 @@ def _message(stream: ChunkStream, limit: int) -> bytes:
         kind = _operation(header)
         size = _uint32(stream)
         if kind == _MESSAGE:
-            if size > MAX_MESSAGE_BYTES:
-                raise DamagedChunkError(f"announces a message of {size:,} bytes; none is larger than 512 MB")
-            return stream.exactly(min(size, limit))
+            return stream.message(size, limit)
         if kind != _CONNECTION:
             break
         stream.skip_to(stream.position + size)

@@ -1,0 +1,17 @@
+"""Packed images of arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from interloc.detection.image import BinaryImage
+
+
+def binary_image(image: ArrayLike) -> BinaryImage:
+    """Pack a (H, W) array; non-zero is set."""
+    is_set = np.asarray(image, order="C") != 0
+    found = BinaryImage.empty(*is_set.shape)
+    wide = np.pad(is_set, ((1, 1), (0, 64 * found.words.shape[1] - found.width)))
+    found.words[:] = np.packbits(wide, axis=1, bitorder="little").view("<u8")
+    return found

@@ -1,0 +1,18 @@
+"""The worlds of KITTI twins."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from interloc.simulate.config import SceneConfig
+from interloc.simulate.scene import Scene, build_scene
+from interloc.simulate.tracks import Track
+from interloc.simulate.twins import twin_maps
+
+
+def twin_scene(
+    kitti_dir: Path, sequence: str, track: Track, *, config: SceneConfig | None = None, seed: int = 0
+) -> Scene:
+    """Return the world of a sequence: streets of `osm/NN.osm.gz`, buildings of `osm_buildings/NN.osm.gz`."""
+    roads, buildings = twin_maps(kitti_dir, sequence)
+    return build_scene(track, roads, buildings=buildings, config=config, seed=seed)
