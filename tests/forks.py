@@ -12,7 +12,9 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from multiprocessing import forkserver, get_context, util
 from pathlib import Path
+from typing import Any
 
+import interloc.processes
 from interloc.cli.main import main
 
 context = get_context("forkserver")
@@ -25,6 +27,15 @@ def ready() -> None:
     process = context.Process(target=int)
     process.start()
     process.join()
+
+
+def _ready_context(_: object) -> Any:
+    """Return how processes for some work are started here: from the one process whose imports all tests share."""
+    ready()  # now: later it would inherit that Ctrl-C is held back, and so would the commands
+    return context
+
+
+interloc.processes._context = _ready_context  # type: ignore[assignment]
 
 
 class Command:

@@ -15,7 +15,6 @@ import pytest
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import app.jobs.processes
-import interloc.processes
 from app.main import create_app
 from app.server import Server
 from app.settings import Settings
@@ -25,16 +24,8 @@ from tests.app.processes import NO_TLS
 API = "/api/v1"
 
 
-def _ready_context(_: object) -> Any:
-    """Return how processes for some work are started here: from the one process whose imports all tests share."""
-    forks.ready()  # now: later it would inherit that Ctrl-C is held back
-    return forks.context
-
-
-# Workers of servers and of commands in this process start at once; processes of their own start theirs as they really
-# do, and so do tests that run without those of the service.
+# Workers of servers in this process start at once; servers in processes of their own start theirs as they really do.
 app.jobs.processes._context = forks.context
-interloc.processes._context = _ready_context  # type: ignore[assignment]
 
 
 @contextmanager
