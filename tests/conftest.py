@@ -50,7 +50,10 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Report, once and last, which tests were not run and why: missing tools and missing real data."""
+    """Report, last, why tests were repeated, and which were not run and why: missing tools, missing real data."""
+    for report in terminalreporter.stats.get("rerun", []):
+        said = [line for line in report.longreprtext.splitlines() if line.startswith("E ")]
+        terminalreporter.line("\n".join([f"repeated: {report.nodeid} ({report.when})", *said[:5]]), yellow=True)
     reports = terminalreporter.stats.get("skipped", [])
     reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in reports)
     if reasons:
