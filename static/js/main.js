@@ -40,12 +40,12 @@ async function start() {
   window.addEventListener("dragenter", (event) => {
     if (hasFiles(event)) setState({ panel: "upload" }); // it takes what is dropped
   });
-  window.addEventListener("drop", (event) => {
-    if (hasFiles(event)) event.preventDefault(); // also before that panel is loaded: the page is not left for a file
-  });
-  window.addEventListener("dragover", (event) => {
-    if (hasFiles(event)) event.preventDefault(); // otherwise there is no drop
-  });
+  for (const kind of ["dragover", "drop"]) {
+    window.addEventListener(kind, (event) => {
+      // Also before that panel is loaded: without this there is no drop, and the browser leaves the page for the file.
+      if (hasFiles(/** @type {DragEvent} */ (event))) event.preventDefault();
+    });
+  }
   await loadConfig();
   mountHeader(part("header"));
   mountTabs(PANELS);
