@@ -7,14 +7,14 @@ SERVE ?= yes
 # Tests of real kills, servers and browsers can fail on a machine that is busy. A test that fails is run once more, and
 # is named at the end of the run as one that needed it.
 AGAIN := --reruns 1
-# Which lines were run: it makes tests with a server in their process take half as long again. `make test COVER=` does
-# without it.
-COVER := --cov --cov-report=term:skip-covered
+# Notes which lines are run, in coverage.txt; `make test COVER=` does without it.
+COVER := -m slipcover
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
 PIP_INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt
 # Processes that have done their part help the others; bytecode is kept, for the processes that the tests start.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
+PYTEST := -m pytest -n auto --dist worksteal
+RUN := PYTHONDONTWRITEBYTECODE= $(BIN)/python
 BIOME := static/node_modules/.bin/biome
 
 .PHONY: install serve demo page-tools test test-quick compiled lint format types bench load torture hostile bench-page screenshots attributes clean
@@ -65,11 +65,12 @@ endif
 
 test: page-tools
 	@$(MAKE) --no-print-directory -j 2 lint types compiled
-	$(PYTEST) $(COVER) $(AGAIN)
+	$(RUN) $(COVER) $(PYTEST) $(AGAIN)
+	$(if $(COVER),@awk 'END {print "coverage: " $$NF " % of the lines; the others: coverage.txt"}' coverage.txt)
 
 # What needs neither a server nor a browser: about a minute.
 test-quick: $(READY_TO_TEST)
-	$(PYTEST) -n logical $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
+	$(RUN) $(PYTEST) -n logical $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
 
 # The kernels are compiled once, and not by all processes of the tests at the same time.
 compiled: $(READY_TO_TEST)
@@ -123,4 +124,4 @@ attributes: $(READY)
 	$(BIN)/python -m interloc.output.attributes > docs/attributes.md
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .coverage
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis coverage.txt

@@ -38,6 +38,14 @@ addEventListener("securitypolicyviolation", (event) =>
   console.error(`policy violated: ${event.violatedDirective} by ${event.blockedURI} in ${event.sourceFile}`));
 """
 
+# A copy button says "Copied" for a moment only, which a busy machine may miss from outside.
+_WATCH_WORDS = f"""(button) => {{
+  window.saysCopied = new Promise((done, fail) => {{
+    new MutationObserver(() => button.textContent.includes("Copied") && done()).observe(button, {{ childList: true }});
+    setTimeout(() => fail(new Error("the button did not say that it copied")), {PATIENCE_MS});
+  }});
+}}"""
+
 
 @contextmanager
 def chromium() -> Iterator[Any]:
@@ -47,6 +55,14 @@ def chromium() -> Iterator[Any]:
         browser = running.chromium.launch(executable_path=CHROMIUM, args=_ARGUMENTS)
         yield browser
         browser.close()
+
+
+def copied_by(button: Any) -> str:
+    """Click a button that copies; returns what it has put into the clipboard when it says so."""
+    button.evaluate(_WATCH_WORDS)
+    button.click()
+    button.page.evaluate("saysCopied")
+    return str(button.page.evaluate("navigator.clipboard.readText()"))
 
 
 class Watch:

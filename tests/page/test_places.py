@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.processes import wait_until
-from tests.page.browsers import needs_page
+from tests.page.browsers import copied_by, needs_page
 from tests.page.canvas import NOTE_PATHS, painted, pixels_per_metre, screen_of
 from tests.page.results import Done, Scored, address_of, show
 
@@ -109,12 +108,9 @@ def test_a_place_leads_out_without_a_request(page: Any, scored: Scored) -> None:
         assert link.get_attribute("target") == "_blank"
         assert link.get_attribute("rel") == "noopener"
     assert f"/node/{feature['properties']['osm_id']}" in popup.locator(".why a").get_attribute("href")
-    popup.get_by_role("button", name="Copy coordinates").click()
-    popup.get_by_role("button", name="Copied").wait_for()
-    copied = [float(each) for each in page.evaluate("navigator.clipboard.readText()").split(",")]
-    assert copied == [round(lat, 7), round(lon, 7)]
-    popup.get_by_role("button", name="Copy OSM note").click()
-    wait_until(lambda: "has it as node" in page.evaluate("navigator.clipboard.readText()"), "the note to be copied")
+    coordinates = copied_by(popup.get_by_role("button", name="Copy coordinates"))
+    assert [float(each) for each in coordinates.split(",")] == [round(lat, 7), round(lon, 7)]
+    assert "has it as node" in copied_by(popup.get_by_role("button", name="Copy OSM note"))
 
 
 def test_the_map_tells_coordinates_and_distances(page: Any, done: Done) -> None:
