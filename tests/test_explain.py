@@ -210,14 +210,6 @@ def test_a_candidate_at_the_border_says_so() -> None:
     assert rest == "from the border, 25 m needed"
 
 
-def test_a_road_without_intersection_has_all_pictures(tmp_path: Path) -> None:
-    files = explain(RoadDrive(scans=8, crossing=False), 106, small("paper"), tmp_path / "out")
-    assert all(path.stat().st_size > 0 for path in files)
-    record = json.loads((tmp_path / "out" / "explain.json").read_text())
-    assert record["detections"] == []
-    assert all(candidate["why_not"] for candidate in record["candidates"])
-
-
 def test_the_end_of_the_drive_cuts_the_window_short() -> None:
     evidence = gather(RoadDrive(), 158, small())
     assert evidence.keyframe.frame == 158
@@ -236,18 +228,19 @@ def test_an_empty_drive_is_refused(tmp_path: Path) -> None:
         explain(RoadDrive(scans=0), 0, small(), tmp_path / "out")
 
 
-def test_an_earlier_explanation_is_replaced_without_georeference_by_one_without_map(
+def test_a_road_without_intersection_or_georeference_has_all_pictures_in_the_place_of_earlier_ones(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "out").mkdir()
     for name in ("explain.json", "overview.png"):
         (tmp_path / "out" / name).write_text("{}")
     with caplog.at_level(logging.WARNING):
-        explain(RoadDrive(scans=3), 104, small(), tmp_path / "out", graph=two_roads())
+        files = explain(RoadDrive(scans=8, crossing=False), 106, small("paper"), tmp_path / "out", graph=two_roads())
     assert "without georeference" in caplog.text
-    assert (tmp_path / "out" / "overview.png").stat().st_size > 100
+    assert all(path.stat().st_size > 100 for path in files)
     record = json.loads((tmp_path / "out" / "explain.json").read_text())
-    assert (record["frame"], record["ground_truth"]) == (104, None)
+    assert (record["frame"], record["ground_truth"], record["detections"]) == (106, None, [])
+    assert all(candidate["why_not"] for candidate in record["candidates"])
 
 
 def test_other_folders_stay(tmp_path: Path) -> None:
