@@ -63,6 +63,7 @@ def test_the_list_is_a_queue_that_the_map_follows(page: Any, scored: Scored) -> 
     filtered = address_of(page)
     page.keyboard.press("n")  # the field has the focus: it goes nowhere
     page.locator(".filter-note button").click()
+    assert f"intersection={last}" in address_of(page)  # its details stay open
     popup_of(page, f"Intersection {last}: right")
     search = page.get_by_role("searchbox")
     search.fill(right[0]["uid"])

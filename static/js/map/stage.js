@@ -343,7 +343,10 @@ function makeMap(holder, local, current) {
 
 /** Says on the map that a filter leaves intersections out. @param {any} made */
 function addFilterNote(made) {
-  const box = el("div", { class: "filter-note", role: "status", hidden: true });
+  const count = el("span");
+  // The button stays when the words change: Leaflet takes a click on what is gone by then for one on the map.
+  const all = el("button", { class: "link", onClick: clearFilter }, "Show all");
+  const box = el("div", { class: "filter-note", role: "status", hidden: true }, count, all);
   const note = new Control({ position: "topleft" });
   note.onAdd = () => {
     DomEvent.disableClickPropagation(box);
@@ -352,8 +355,7 @@ function addFilterNote(made) {
   note.addTo(made);
   const update = () => {
     box.hidden = !isFiltering() || !shown.result;
-    const count = `${queue().length} of ${plural(shown.result?.intersections.length ?? 0, "intersection")}`;
-    fill(box, count, el("button", { class: "link", onClick: clearFilter }, "Show all"));
+    fill(count, `${queue().length} of ${plural(shown.result?.intersections.length ?? 0, "intersection")}`);
   };
   return { update };
 }
