@@ -17,6 +17,7 @@ _NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chr
 CHROMIUM = next(filter(None, map(shutil.which, _NAMES)), None)
 LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
 PATIENCE_MS = 90_000
+COPIED_MS = 20_000
 SIZE = {"width": 1280, "height": 800}
 
 needs_page = [
@@ -42,7 +43,9 @@ addEventListener("securitypolicyviolation", (event) =>
 _WATCH_WORDS = f"""(button) => {{
   window.saysCopied = new Promise((done, fail) => {{
     new MutationObserver(() => button.textContent.includes("Copied") && done()).observe(button, {{ childList: true }});
-    setTimeout(() => fail(new Error("the button did not say that it copied")), {PATIENCE_MS});
+    const report = () => fail(new Error(`"${{button.textContent}}" did not say that it copied; it is ` +
+      `${{button.isConnected ? "" : "not "}}on the page, the page has the focus: ${{document.hasFocus()}}`));
+    setTimeout(report, {COPIED_MS});
   }});
 }}"""
 
@@ -58,9 +61,12 @@ def chromium() -> Iterator[Any]:
 
 
 def copied_by(button: Any) -> str:
-    """Click a button that copies; returns what it has put into the clipboard when it says so."""
+    """Press a button that copies; returns what it has put into the clipboard when it says so.
+
+    By key: what stands on the map may move away from under the pointer, which then clicks on the map.
+    """
     button.evaluate(_WATCH_WORDS)
-    button.click()
+    button.press("Enter")
     button.page.evaluate("saysCopied")
     return str(button.page.evaluate("navigator.clipboard.readText()"))
 

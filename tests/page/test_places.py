@@ -102,6 +102,7 @@ def test_a_place_leads_out_without_a_request(page: Any, scored: Scored) -> None:
     (feature, *_) = scored.intersections("right")
     lon, lat = feature["geometry"]["coordinates"]
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    page.emulate_media(reduced_motion="reduce")
     show(page, scored, f"intersection={feature['properties']['uid']}")
     popup = popup_of(page, f"Intersection {feature['properties']['id']}: right")
     for name in ("OpenStreetMap", "iD", "JOSM", "Mapillary"):
