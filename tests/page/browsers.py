@@ -17,7 +17,7 @@ _NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chr
 CHROMIUM = next(filter(None, map(shutil.which, _NAMES)), None)
 LEAFLET = Path(__file__).resolve().parents[2] / "static" / "node_modules" / "leaflet"
 PATIENCE_MS = 90_000
-COPIED_MS = 20_000
+_COPIED_MS = 20_000
 SIZE = {"width": 1280, "height": 800}
 
 needs_page = [
@@ -45,7 +45,7 @@ _WATCH_WORDS = f"""(button) => {{
     new MutationObserver(() => button.textContent.includes("Copied") && done()).observe(button, {{ childList: true }});
     const report = () => fail(new Error(`"${{button.textContent}}" did not say that it copied; it is ` +
       `${{button.isConnected ? "" : "not "}}on the page, the page has the focus: ${{document.hasFocus()}}`));
-    setTimeout(report, {COPIED_MS});
+    setTimeout(report, {_COPIED_MS});
   }});
 }}"""
 
