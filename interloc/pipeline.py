@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from itertools import islice, pairwise
 from typing import Any
@@ -286,5 +286,9 @@ def _find_between(
 
 def versions() -> dict[str, Any]:
     """Return the versions that a result depends on."""
-    packages = {name: version(name) for name in ("interloc", "numpy", "numba", "scipy")}
-    return {**packages, "python": platform.python_version()}
+    return {**_packages(), "python": platform.python_version()}
+
+
+@cache
+def _packages() -> dict[str, str]:
+    return {name: version(name) for name in ("interloc", "numpy", "numba", "scipy")}  # searched for in many folders

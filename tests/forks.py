@@ -19,6 +19,8 @@ from interloc.cli.main import main
 
 context = get_context("forkserver")
 context.set_forkserver_preload(["pytest", "tests.preloaded"])
+# A server within this process would say that its workers need less: then every command and server had to import all.
+context.set_forkserver_preload = lambda _: None  # type: ignore[method-assign]
 
 
 @cache

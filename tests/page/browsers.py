@@ -51,11 +51,11 @@ _WATCH_WORDS = f"""(button) => {{
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """Start the browser of this machine."""
+def chromium(*arguments: str) -> Iterator[Any]:
+    """Start the browser of this machine, with further arguments."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=CHROMIUM, args=_ARGUMENTS)
+        browser = running.chromium.launch(executable_path=CHROMIUM, args=[*_ARGUMENTS, *arguments])
         yield browser
         browser.close()
 

@@ -16,7 +16,8 @@ from tests.page.results import SCANS, SHORT, TOKEN, Done, Scored, run_street, wr
 
 @pytest.fixture(scope="package")
 def launched() -> Iterator[Any]:
-    with chromium() as browser:
+    # To compile for speed what runs a few times takes a tenth of the processor time of these tests.
+    with chromium("--js-flags=--no-opt --max-lazy") as browser:
         yield browser
 
 
