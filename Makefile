@@ -11,13 +11,14 @@ AGAIN := --reruns 1
 COVER := -m slipcover
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
+COMPILED := $(VENV)/.compiled
 PIP_INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt
 # Processes that have done their part help the others; bytecode is kept, for the processes that the tests start.
 PYTEST := -m pytest -n auto --dist worksteal
 RUN := PYTHONDONTWRITEBYTECODE= $(BIN)/python
 BIOME := static/node_modules/.bin/biome
 
-.PHONY: install serve demo page-tools test test-quick compiled lint format types bench load torture hostile bench-page screenshots attributes clean
+.PHONY: install serve demo page-tools test test-quick lint format types bench load torture hostile bench-page screenshots attributes clean
 
 install: $(READY)
 
@@ -64,7 +65,7 @@ ifneq ($(SERVE),)
 endif
 
 test: page-tools
-	@$(MAKE) --no-print-directory -j 2 lint types compiled
+	@$(MAKE) --no-print-directory -j 2 lint types $(COMPILED)
 	$(RUN) $(COVER) $(PYTEST) $(AGAIN)
 	$(if $(COVER),@awk 'END {print "coverage: " $$NF " % of the lines; the others: coverage.txt"}' coverage.txt)
 
@@ -73,8 +74,9 @@ test-quick: $(READY_TO_TEST)
 	$(RUN) $(PYTEST) -n logical $(addprefix --ignore=tests/,app benchmark chain cli client page performance test_demo.py)
 
 # The kernels are compiled once, and not by all processes of the tests at the same time.
-compiled: $(READY_TO_TEST)
+$(COMPILED): $(READY_TO_TEST) $(shell grep -rlE "(import|def) compiled" interloc --include=*.py)
 	$(BIN)/python -m tests.preloaded
+	@touch $(COMPILED)
 
 # Linter, types and tests of the page, where npm is there to install them.
 page-tools: $(READY_TO_TEST)

@@ -17,6 +17,9 @@ from interloc.processes import GARBAGE_THRESHOLD
 settings.register_profile("interloc", deadline=None, max_examples=50, derandomize=bool(os.environ.get("CI")))
 settings.load_profile("interloc")
 
+# Tests of servers, browsers and whole chains. Those of the page come first: few processes need a browser then.
+_SLOW = ("page", "app", "benchmark", "chain", "cli", "client", "test_demo.py", "test_explain.py", "test_reference.py")
+
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
@@ -39,6 +42,22 @@ def pytest_configure(config: pytest.Config) -> None:
     connection = getattr(getattr(config, "failures_db", None), "sock", None)
     if connection is not None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give each of several processes a share of the slow tests first, of the quick ones last: all end together."""
+    processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    if processes == 1:
+        return
+    names = [item.path.relative_to(Path(__file__).parent).parts[0] for item in items]
+    slow = [item for folder in _SLOW for item, name in zip(items, names, strict=True) if name == folder]
+    quick = [item for item, name in zip(items, names, strict=True) if name not in _SLOW]
+    items[:] = [
+        item
+        for number in range(processes)
+        for part in (slow, quick)
+        for item in part[number * len(part) // processes : (number + 1) * len(part) // processes]
+    ]
 
 
 def pytest_collection_finish() -> None:

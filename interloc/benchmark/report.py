@@ -63,7 +63,7 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
         {
             "preset": preset,
             "noise": noise,
-            **{name: asdict(each) for name, each in measured.reliability(preset=preset, noise=noise).items()},
+            **{name: asdict(each) for name, each in measured.reliability[preset, noise].items()},
             "bins": [asdict(each) for each in bins_of(*map_outcomes(measured.of(preset=preset, noise=noise)))],
         }
         for preset in measured.presets

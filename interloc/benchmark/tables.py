@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import product
 
 from interloc.benchmark.metrics import METRICS, Estimate, estimate, map_outcomes, map_squared
 from interloc.benchmark.row import Row
@@ -78,17 +80,21 @@ class Measured:
         """Return a figure of `METRICS`: pooled over the drives, mean and spread over the seeds."""
         return estimate(self.of(preset=preset, noise=noise, drive=drive), METRICS[metric])
 
-    def reliability(self, *, preset: str, noise: str) -> dict[str, Interval]:
-        """Return how true uncertainty and confidence are: all intersections of all drives and seeds, each counted."""
-        rows = self.of(preset=preset, noise=noise)
-        squared = map_squared(rows)
-        confidence, right = map_outcomes(rows)
-        return {
-            "within_95": with_interval(share_within, squared),
-            "nees": with_interval(squared_per_dimension, squared),
-            "calibration_error": with_interval(calibration_error, confidence, right),
-            "calibration_error_by_chance": calibration_error_by_chance(confidence),
-        }
+    @cached_property
+    def reliability(self) -> dict[tuple[str, str], dict[str, Interval]]:
+        """How true uncertainty and confidence are, by preset and level: intersections of all drives and seeds."""
+        found = {}
+        for preset, noise in product(self.presets, self.noises):
+            rows = self.of(preset=preset, noise=noise)
+            squared = map_squared(rows)
+            confidence, right = map_outcomes(rows)
+            found[preset, noise] = {
+                "within_95": with_interval(share_within, squared),
+                "nees": with_interval(squared_per_dimension, squared),
+                "calibration_error": with_interval(calibration_error, confidence, right),
+                "calibration_error_by_chance": calibration_error_by_chance(confidence),
+            }
+        return found
 
     @property
     def is_papers_set(self) -> bool:
@@ -232,7 +238,7 @@ def reliability_table(measured: Measured) -> Table:
     for noise in measured.noises:
         lines: list[tuple[str, ...]] = []
         for preset in measured.presets:
-            found = measured.reliability(preset=preset, noise=noise)
+            found = measured.reliability[preset, noise]
             lines.append(
                 (
                     noise if not lines else "",
