@@ -99,9 +99,10 @@ def send(case: schemathesis.Case, target: Target, sent: set[str]) -> None:
         }
         known = {name: places.get(name, value) for name, value in generated.items()}
     # What leads nowhere is asked for once: the rest of a request makes a difference before the place is looked up,
-    # thus for all places alike, or where there is one.
+    # thus for all places alike, or where there is one. So does a method that the operation has not.
     nowhere = repr((case.method, generated))
-    if known == generated or nowhere not in sent:
+    is_foreign = case.method != case.operation.method.upper()
+    if known == generated or not (is_foreign or nowhere in sent):
         call(case, target)
         sent.add(nowhere)
     case.path_parameters = known
