@@ -99,7 +99,7 @@ def send(case: schemathesis.Case, target: Target, sent: set[str]) -> None:
         }
         known = {name: places.get(name, value) for name, value in generated.items()}
     # What leads nowhere is asked for once: the rest of a request makes a difference before the place is looked up,
-    # thus for all places alike, or where there is one. So does a method that the operation has not.
+    # thus for all places alike, or where there is one. A method that the operation does not have is refused anywhere.
     nowhere = repr((case.method, generated))
     is_foreign = case.method != case.operation.method.upper()
     if known == generated or not (is_foreign or nowhere in sent):
