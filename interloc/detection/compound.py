@@ -1,9 +1,10 @@
 """Several intersections in one blob of road: what the paper's method merges into one point (its section V-D).
 
-Branches that continue each other across the candidate form a through axis, and so does a single branch beside one: a
-carriageway of which the other half is not seen. Axes that run side by side (a dual carriageway) or branches that meet
-an axis at distinct places (a staggered junction) are intersections of their own. The short road that joins two of them
-is a branch of both: in a wide blob the junctions of the centerline say on which line it lies, but not where on it.
+Branches that continue each other across the candidate form a through axis, and so does a single branch beside one, or
+beside another one that leads the same way: a carriageway that is not seen farther, or ends there. Axes that run side by
+side (a dual carriageway) or branches that meet an axis at distinct places (a staggered junction) are intersections of
+their own. The short road that joins two of them is a branch of both: in a wide blob the junctions of the centerline say
+on which line it lies, but not where on it. Where a dual carriageway ends, the road across it is that line.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.config import CompoundConfig
 from interloc.detection.branches import Branches
+from interloc.detection.lines import SIDE_BY_SIDE_COS
 
 SAME_ROAD_RAD = math.radians(30.0)  # two branches nearer than this in direction are one road
 LINK_STD_M = 1.0  # how well the line through the junctions of two intersections is known
@@ -46,7 +48,7 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
     Parameters
     ----------
     branches
-        Of one candidate, at least four: fewer make one intersection.
+        Of one candidate. Three make two intersections only where a dual carriageway ends, fewer never.
     resolution_m
         Side of a pixel.
     config
@@ -57,10 +59,12 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
     list of Branches
         One for each intersection, around its own place; the given ones where there is just one.
     """
-    if branches.count < 4:
-        return [branches]
     axes, stems = _axes(branches, resolution_m, config)
-    if not axes:
+    if branches.count < 3 or not axes:
+        return [branches]
+    if _nothing_leads_on(branches, axes, config):
+        return _split_end(branches, axes, stems, resolution_m, config)
+    if branches.count < 4:
         return [branches]
     crossing = _crossings(branches, axes, stems, config)
     reach = branches.inner + config.separation_m / resolution_m
@@ -74,7 +78,41 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
     if len(np.unique(nearest)) < len(groups):
         return [branches]  # without a junction of the centerline for itself a place was made up by a bent branch
     places = [branches.core[nearest == number].mean(axis=0) for number in range(len(groups))]
-    parts = [branches.select(sorted(members), place) for place, (_, members) in zip(places, groups, strict=True)]
+    return _parts(branches, [members for _, members in groups], places)
+
+
+def _nothing_leads_on(branches: Branches, axes: list[_Axis], config: CompoundConfig) -> bool:
+    """Return whether all axes are single branches that no branch continues: there a dual carriageway ends."""
+    along = np.array([axis.direction for axis in axes]) @ branches.directions.T
+    is_single = all(len(axis.branches) == 1 for axis in axes)
+    return is_single and float(along.min()) > -math.cos(math.radians(config.straight_deg))
+
+
+def _split_end(
+    branches: Branches, halves: list[_Axis], stems: list[_Axis], resolution_m: float, config: CompoundConfig
+) -> list[Branches]:
+    """Split the end of a dual carriageway at the best-known road that crosses all of its carriageways near by."""
+    reach = branches.inner + config.separation_m / resolution_m
+    crossed: list[tuple[_Axis, list[FloatArray]]] = []
+    for stem in stems:
+        met = [half.meets(stem, math.radians(config.crossing_deg)) for half in halves]
+        places = [place for place in met if place is not None and math.dist(place, branches.candidate) < reach]
+        if len(places) == len(halves):
+            crossed.append((stem, places))
+    if not crossed:
+        return [branches]
+    across, places = max(crossed, key=lambda each: branches.weights[each[0].branches[0]])
+    members = [{*half.branches, *across.branches} for half in halves]
+    for stem in stems:
+        if stem is not across:
+            nearest = min(range(len(places)), key=lambda number: math.dist(places[number], stem.point))
+            members[nearest].update(stem.branches)
+    return _parts(branches, members, places)
+
+
+def _parts(branches: Branches, members: list[set[int]], places: list[FloatArray]) -> list[Branches]:
+    """Return the branches of each place, joined by short roads."""
+    parts = [branches.select(sorted(each), place) for each, place in zip(members, places, strict=True)]
     return [replace(_connected(part, places), is_part=True) for part in parts]
 
 
@@ -122,20 +160,22 @@ def _axes(branches: Branches, resolution_m: float, config: CompoundConfig) -> tu
         weights = branches.weights[[i, j]]
         point = (weights[:, None] * branches.points[[i, j]]).sum(axis=0) / weights.sum()
         axes.append(_Axis(point, span / max(math.hypot(*span), 1e-9), [i, j]))
+    alone = [_Axis(branches.points[i], branches.directions[i], [i]) for i in usable if i not in paired]
     halves: list[_Axis] = []
     stems: list[_Axis] = []
-    for i in usable:
-        if i not in paired:
-            alone = _Axis(branches.points[i], branches.directions[i], [i])
-            is_half = any(_is_beside(branches, i, axis, resolution_m, config) for axis in axes)
-            (halves if is_half else stems).append(alone)
+    for each in alone:
+        same_way = [
+            other for other in alone if other is not each and each.direction @ other.direction > SIDE_BY_SIDE_COS
+        ]
+        is_half = any(_is_beside(branches, each, axis, resolution_m, config) for axis in [*axes, *same_way])
+        (halves if is_half else stems).append(each)
     return [*axes, *halves], stems
 
 
-def _is_beside(branches: Branches, i: int, axis: _Axis, resolution_m: float, config: CompoundConfig) -> bool:
-    """Return whether a branch runs beside an axis, farther off than roads that are told apart."""
-    along = abs(float(branches.directions[i] @ axis.direction))
-    gap = _nearest(branches, i) - axis.point
+def _is_beside(branches: Branches, one: _Axis, axis: _Axis, resolution_m: float, config: CompoundConfig) -> bool:
+    """Return whether a single branch runs beside an axis, farther off than roads that are told apart."""
+    along = abs(float(one.direction @ axis.direction))
+    gap = _nearest(branches, one.branches[0]) - axis.point
     off = abs(float(axis.direction[0] * gap[1] - axis.direction[1] * gap[0])) * resolution_m
     return along > math.cos(math.radians(config.crossing_deg)) and off > config.separation_m
 

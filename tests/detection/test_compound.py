@@ -60,7 +60,7 @@ def test_plain_crossing_stays_one() -> None:
     assert split_compound(crossing, 1.0, CONFIG) == [crossing]
 
 
-def test_three_branches_are_one_intersection() -> None:
+def test_three_branches_without_two_carriageways_are_one_intersection() -> None:
     fork = blob(EAST, WEST, north(3), core=[(0, 3)])
     assert split_compound(fork, 1.0, CONFIG) == [fork]
 
@@ -131,6 +131,33 @@ def test_place_without_a_junction_of_the_centerline_does_not_split() -> None:
 def test_harris_corners_are_not_split() -> None:
     crossing = blob(EAST, WEST, north(-6), south(6), core=[])
     assert split_compound(crossing, 1.0, CONFIG) == [crossing]
+
+
+def test_dual_carriageway_ends_at_the_road_across_it() -> None:
+    # The northern carriageways end at a road that comes from the east and bends away to the south west.
+    bend: Branch = ((12.0, -20.0), 215)
+    parts = split_compound(blob(EAST, north(-6), north(6), bend, core=[]), 1.0, CONFIG)
+    assert places(parts) == [[0, -6], [0, 6]]
+    western, eastern = sorted(parts, key=lambda part: float(part.candidate[1]))
+    assert [western.count, eastern.count] == [3, 3]  # the bend leaves at the western one, a short road joins both
+    assert western.points[:, 1].min() == -20
+    assert western.is_part
+    assert eastern.is_part
+
+
+def test_three_branches_are_two_intersections_where_a_dual_carriageway_ends() -> None:
+    assert places(split_compound(blob(EAST, north(-6), north(6), core=[]), 1.0, CONFIG)) == [[0, -6], [0, 6]]
+
+
+def test_carriageways_nearer_than_the_separation_are_one_road_that_ends() -> None:
+    end = blob(EAST, north(-1), north(1), core=[])
+    assert split_compound(end, 1.0, CONFIG) == [end]
+
+
+def test_carriageways_that_lead_on_as_one_road_do_not_end() -> None:
+    leads_on: Branch = ((20.0, 12.0), 270)
+    parting = blob(EAST, north(-6), north(6), leads_on, core=[])
+    assert split_compound(parting, 1.0, CompoundConfig(offset_m=1)) == [parting]
 
 
 def test_branches_of_which_none_continue_each_other_stay_one() -> None:
