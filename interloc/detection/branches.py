@@ -205,7 +205,7 @@ def segment_branches(
     """
     position, width = candidates.positions[index], float(candidates.widths[index])
     inner = inner_radius(candidates, index, blockers, resolution_m, config)
-    traced, pieces = trace_branches(
+    traced, is_main, pieces = trace_branches(
         centerline.rows,
         centerline.cols,
         centerline.neighbours,
@@ -223,7 +223,9 @@ def segment_branches(
     if config.line == "start_and_mean":
         lines = through_start_and_mean(pieces)
     else:
-        lines = least_squares(centerline, traced, pieces, position, width, inner, resolution_m, config, against)
+        lines = least_squares(
+            centerline, traced, is_main, pieces, position, width, inner, resolution_m, config, against
+        )
     branches = Branches(
         index=index,
         candidate=position,

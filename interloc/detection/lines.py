@@ -17,9 +17,11 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    (`straight_m`, `fit_length_m`); of these parts that one counts whose line is known best where the roads meet: a
    longer part would lean towards a bend. A line that nearer road of the same branch lies off has no weight: it is what
    follows a bend (`_is_beyond_bend`).
-4. Two branches that together lie on one circle, and much better so than each on its line, are one road that bends
+4. A branch that ends at a through road is turned towards the right angle, by how badly its direction is known: of a
+   side road that is passed only ten ragged metres are seen (`_square_stems`).
+5. Two branches that together lie on one circle, and much better so than each on its line, are one road that bends
    through the intersection (the arms of a roundabout): their lines are its tangent there (`_join_bends`).
-5. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
+6. A line weighs the inverse of its variance where the roads meet, which grows with the distance from what it was
    fitted to (`_weigh`, and `interloc.detection.refinement`).
 """
 
@@ -55,6 +57,11 @@ INNER_RINGS = 40  # rings that an axis is followed inwards at most, within the i
 SLACK_M, MIN_SLACK_PX = 0.24, 1.5  # what an edge may leave the place by where it belongs
 SIDE_BY_SIDE_COS = math.cos(math.radians(10.0))  # of two roads that do not meet there: two carriageways
 PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part no farther out
+
+LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
+THROUGH_COS, STRAIGHT_ON_COS = math.cos(math.radians(140.0)), math.cos(math.radians(155.0))  # branches of one road
+SQUARE_STD_RAD = math.radians(7.0)  # of the angles at which streets end at others, around the right angle
+SQUARE_SCALE_RAD = math.radians(15.0)  # beyond which an angle is the less likely to be meant as a right one
 
 BEND_SHARE = 0.6  # of the distances of two branches from their lines: what those from one circle must be below
 BEND_RINGS = 6  # that each of the two must have
@@ -97,6 +104,7 @@ def through_start_and_mean(pieces: StructuredArray) -> Lines:
 def least_squares(
     centerline: Centerline,
     traced: Int32Array,
+    is_main: BoolArray,
     pieces: StructuredArray,
     candidate: FloatArray,
     width: float,
@@ -110,7 +118,7 @@ def least_squares(
     Parameters
     ----------
     centerline
-    traced, pieces
+    traced, is_main, pieces
         All pieces around the candidate, see `interloc.kernels.skeleton.trace_branches`.
     candidate : (2,) float64
         Its row and column.
@@ -135,6 +143,7 @@ def least_squares(
         centerline.border_distance,
         centerline.is_tip,
         traced,
+        is_main,
         pieces,
         candidate,
         limits[()],
@@ -177,6 +186,7 @@ def fit_lines(
     border_distance: Int32Array,
     is_tip: BoolArray,
     traced: Int32Array,
+    is_main: BoolArray,
     pieces: StructuredArray,
     candidate: FloatArray,
     limits: Record,
@@ -193,7 +203,8 @@ def fit_lines(
     halves = np.zeros(pieces.size)
     trial = np.zeros(1, LINE)
     for i in range(pieces.size):
-        piece, is_link = traced[pieces[i].begin : pieces[i].end], pieces[i].at_candidate
+        begin, end = pieces[i].begin, pieces[i].end
+        piece, is_link = traced[begin:end][is_main[begin:end]], pieces[i].at_candidate
         some = _sum_rings(samples[i, INNER_RINGS:], rows, cols, border_distance, is_tip, piece, candidate, limits)
         widths = half_widths(some, words, rows, cols, limits)
         begin = int(max(_parting(pieces, i, candidate, limits.width) - limits.inner, 0.0) / limits.ring)
@@ -217,6 +228,7 @@ def fit_lines(
             firsts[i] = follow_edge(samples[i], firsts[i], straight, i, surfaces, words, against, candidate, limits)
             _fit_straight_part(lines[i], samples[i], firsts[i], candidate, limits)
     _weigh(lines, candidate, limits.full)
+    _square_stems(lines)
     _join_bends(lines, samples, firsts, candidate, limits)
     return lines
 
@@ -337,23 +349,62 @@ def _fit_straight_part(
 
 @compiled
 def _weigh(lines: StructuredArray, candidate: FloatArray, full: float) -> None:
-    """Weigh each line by its length, as far as ``full`` counts, over its variance at the candidate.
-
-    The scatter of a short branch may be small by chance, so half of its variance is that of all branches around.
-    """
-    common, total = 0.0, 0.0
-    for i in range(lines.size):
-        scatter = max(lines[i].rms - GRID_PX, 0.0)
-        common += lines[i].length * scatter * scatter
-        total += lines[i].length
+    """Weigh each line by its length, as far as ``full`` counts, over its variance at the candidate."""
+    scatters = _scatters(lines)
     for i in range(lines.size):
         line = lines[i]
         if line.length > 0.0:
-            scatter = max(line.rms - GRID_PX, 0.0)
             off = (candidate[0] - line.point[0]) * line.direction[0]
             off += (candidate[1] - line.point[1]) * line.direction[1]
-            variance = _variance(0.5 * (scatter * scatter + common / total), off, line.length)
-            line.weight = min(line.length, full) / full / variance
+            line.weight = min(line.length, full) / full / _variance(scatters[i], off, line.length)
+
+
+@compiled
+def _scatters(lines: StructuredArray) -> FloatArray:
+    """Return the mean square scatter of each branch around its line, beyond that of the grid, pixels^2.
+
+    That of a short branch may be small by chance, so half of each is that of all branches around.
+    """
+    own = np.maximum(lines["rms"] - GRID_PX, 0.0) ** 2
+    total: float = lines["length"].sum()
+    common = (lines["length"] * own).sum() / total if total > 0.0 else 0.0
+    return 0.5 * (own + common)
+
+
+@compiled
+def _square_stems(lines: StructuredArray) -> None:
+    """Turn branches that end at a through road towards the right angle, by how badly their direction is known.
+
+    A ragged side road leans as a whole, of which its scatter tells only a part. The through road is that of the two
+    best-known branches that continue each other, else the best-known branch. Branches that continue another one are
+    no stems.
+    """
+    if lines["length"].sum() == 0.0:
+        return
+    variances = 12.0 * LEAN**2 * _scatters(lines) / np.maximum(lines["length"], 1e-9) ** 2  # of the directions
+    variances[lines["length"] == 0.0] = np.inf
+    one, other, least = variances.argmin(), -1, np.inf
+    leads_on = np.zeros(lines.size, np.bool_)
+    for i in range(lines.size):
+        for j in range(i):
+            alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
+            if variances[i] + variances[j] < np.inf and alike < STRAIGHT_ON_COS:
+                leads_on[i] = leads_on[j] = True
+            if variances[i] + variances[j] < least and alike < THROUGH_COS:
+                one, other, least = i, j, variances[i] + variances[j]
+    row, col = lines[one].direction[0], lines[one].direction[1]
+    if other >= 0:
+        row, col = row - lines[other].direction[0], col - lines[other].direction[1]
+    road = np.arctan2(row, col)
+    for i in range(lines.size):
+        if lines[i].length == 0.0 or i in (one, other) or leads_on[i]:
+            continue
+        angle = np.arctan2(lines[i].direction[0], lines[i].direction[1])
+        off = (angle - road) % np.pi - 0.5 * np.pi  # from the right angle
+        if abs(off) < 0.25 * np.pi:
+            prior = SQUARE_STD_RAD**2 * (1.0 + (off / SQUARE_SCALE_RAD) ** 2) ** 2
+            angle -= off * variances[i] / (variances[i] + prior)
+            lines[i].direction[0], lines[i].direction[1] = np.sin(angle), np.cos(angle)
 
 
 @compiled

@@ -260,7 +260,7 @@ def trace_branches(
     inner: float,
     outer: float,
     stop: float,
-) -> tuple[Int32Array, StructuredArray]:
+) -> tuple[Int32Array, BoolArray, StructuredArray]:
     """Find the connected pieces of centerline between two circles around a candidate that start at the inner one.
 
     Parameters
@@ -280,6 +280,9 @@ def trace_branches(
     -------
     traced : (N,) int32
         Pixels of all pieces, as positions in ``rows``: piece by piece, each from the inner circle outwards.
+    is_main : (N,) bool
+        Which of them are on the way to the pixel of their piece that is farthest from the candidate; the others lead
+        aside.
     pieces : (P,) PIECE
         In the order of their first pixels in the image.
     """
@@ -301,6 +304,8 @@ def trace_branches(
 
     seen = np.zeros(n, np.bool_)
     traced = np.empty(n, np.int32)
+    came_from = np.empty(n, np.int32)
+    is_main = np.zeros(n, np.bool_)
     pieces = np.zeros(n_starts, PIECE)
     count, end = 0, 0
     for s in starts[:n_starts]:
@@ -311,15 +316,19 @@ def trace_branches(
         count += 1
         piece.begin = here
         traced[end] = s
+        came_from[end] = -1
         end += 1
         seen[s] = True
         first = s
+        farthest = here
         while here < end:
             p = traced[here]
             here += 1
             piece.mean[0] += rows[p]
             piece.mean[1] += cols[p]
-            piece.reach = max(piece.reach, distance[p])
+            if distance[p] > piece.reach:
+                piece.reach = distance[p]
+                farthest = here - 1
             if distance[p] < distance[first]:
                 first = p
             for k in range(4):
@@ -336,9 +345,13 @@ def trace_branches(
                     continue
                 seen[q] = True
                 traced[end] = q
+                came_from[end] = here - 1
                 end += 1
         piece.end = end
+        while farthest >= 0:
+            is_main[farthest] = True
+            farthest = came_from[farthest]
         piece.start[0], piece.start[1] = rows[first], cols[first]
         piece.mean[0] /= end - piece.begin
         piece.mean[1] /= end - piece.begin
-    return traced[:end], pieces[:count]
+    return traced[:end], is_main[:end], pieces[:count]

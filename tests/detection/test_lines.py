@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import LIMITS, _fit_circle, fit_lines
+from interloc.detection.lines import LIMITS, LINE, _fit_circle, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
@@ -35,11 +35,13 @@ def fit(
 ) -> StructuredArray:
     """Fit a line to each branch of a candidate, from its inner circle 60 pixels far; all lengths are pixels."""
     line, place = Centerline.of(image, image), np.array(candidate, np.float64)
-    traced, pieces = trace_branches(line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0)
+    traced, is_main, pieces = trace_branches(
+        line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0
+    )
     limits = np.array((width, inner, length, shortest, 20.0, straight, trim, 99.0, RING_PX, 1.5), LIMITS)[()]
     no_surface = BinaryImage.empty(image.height, image.width)  # so there are no edges to follow
     pixels = line.rows, line.cols, line.border_distance, line.is_tip
-    return fit_lines(no_surface.words, NOWHERE, *pixels, traced, pieces, place, limits)
+    return fit_lines(no_surface.words, NOWHERE, *pixels, traced, is_main, pieces, place, limits)
 
 
 def cross(size: int = 201) -> UInt8Array:
@@ -167,6 +169,80 @@ def test_fitted_line_is_that_of_total_least_squares(angle_deg: float) -> None:
     assert direction @ along > 0.999
 
 
+def test_what_leads_aside_of_a_branch_does_not_pull_its_line() -> None:
+    image = cross()
+    image[85:100, 130] = 1
+    np.testing.assert_allclose(fit(binary_image(image), (100, 100))["direction"][2], [0, 1], atol=0.01)
+
+
+def lines_at(*angles_deg: float, length: float | list[float] = 60.0, rms: float | list[float] = 0.4) -> StructuredArray:
+    """Make lines that lead away at angles."""
+    angles = np.radians(angles_deg)
+    lines = np.zeros(len(angles), LINE)
+    lines["direction"] = np.column_stack([-np.sin(angles), np.cos(angles)])
+    lines["length"], lines["rms"] = length, rms
+    return lines
+
+
+def squared(lines: StructuredArray) -> list[float]:
+    """Turn stems towards the right angle; return the angles of all lines."""
+    _square_stems(lines)
+    row, col = lines["direction"].T
+    np.testing.assert_allclose(np.hypot(row, col), 1.0)
+    return [float(angle) for angle in np.degrees(np.arctan2(-row, col)) % 360.0]
+
+
+def test_ragged_stem_of_a_through_road_is_turned_towards_the_right_angle() -> None:
+    for angle, right in ((70.0, 90.0), (110.0, 90.0), (250.0, 270.0), (290.0, 270.0)):
+        east, stem, west = squared(lines_at(0, angle, 180, length=[80, 20, 80], rms=[0.6, 2.0, 0.6]))
+        assert (east, west) == (0, 180)
+        assert 8 < abs(stem - angle) < 20
+        assert abs(stem - right) < abs(angle - right)
+
+
+def test_well_known_stem_keeps_its_direction() -> None:
+    _, stem, _ = squared(lines_at(0, 70, 180))
+    assert stem == pytest.approx(70, abs=0.1)
+
+
+def test_stem_far_from_the_right_angle_keeps_its_direction() -> None:
+    ragged = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}
+    turns = [squared(lines_at(0, angle, 180, **ragged))[1] - angle for angle in (70, 60, 46, 44)]
+    assert turns[0] > turns[2] > turns[3] == pytest.approx(0)
+
+
+def test_branch_that_leads_on_straight_keeps_its_direction() -> None:
+    oblique = squared(lines_at(0, 70, 180, 250, length=[80, 20, 80, 20], rms=[0.6, 2.0, 0.6, 2.0]))
+    np.testing.assert_allclose(oblique, [0, 70, 180, 250])
+
+
+def test_stem_of_a_road_that_is_not_seen_farther_is_square_to_it() -> None:
+    road, stem = squared(lines_at(0, 70, length=[80, 20], rms=[0.6, 2.0]))
+    assert road == 0
+    assert 75 < stem < 90
+
+
+def test_through_road_that_bends_is_as_it_runs_past() -> None:
+    *_, stem = squared(lines_at(350, 200, 70, length=[80, 80, 20], rms=[0.6, 0.6, 2.0]))  # along 5 degrees less 180
+    assert 85 < stem < 95
+
+
+def test_nothing_is_turned_where_no_direction_is_known() -> None:
+    assert squared(lines_at()) == []
+    assert squared(lines_at(0, 70, length=0.0)) == pytest.approx([0, 70])
+
+
+@given(st.floats(0, 360), st.floats(50, 130), st.floats(2, 60), st.floats(0, 5))
+def test_square_stems_do_not_depend_on_how_the_image_lies(turn: float, angle: float, length: float, rms: float) -> None:
+    shape = {"length": [80.0, 80.0, length], "rms": [0.6, 0.6, rms]}
+    plain = squared(lines_at(0, 180, angle, **shape))[2]
+    turned = squared(lines_at(turn, turn + 180, turn + angle, **shape))[2]
+    mirrored = squared(lines_at(0, 180, -angle, **shape))[2]
+    assert math.remainder(turned - plain - turn, 360) == pytest.approx(0, abs=1e-6)
+    assert math.remainder(mirrored + plain, 360) == pytest.approx(0, abs=1e-6)
+    assert abs(plain - 90) <= abs(angle - 90) + 1e-6
+
+
 @given(
     st.tuples(st.floats(-50, 50), st.floats(-50, 50)),
     st.floats(20, 500),
@@ -229,11 +305,13 @@ def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
     thinned = BinaryImage(surface.words.copy(), surface.height, surface.width)
     thin(thinned.words)
     line, place = Centerline.of(thinned, surface), np.array((AXIS, 20.0))
-    traced, pieces = trace_branches(line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0)
+    traced, is_main, pieces = trace_branches(
+        line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0
+    )
     limits = np.array((21.0, 10.0, 140.0, 75.0, 75.0, 1.25, 0.0, 99.0, RING_PX, 1.5), LIMITS)[()]
     against = NOWHERE if other is None else binary_image(other).words
     pixels = line.rows, line.cols, line.border_distance, line.is_tip
-    (row,) = fit_lines(surface.words, against, *pixels, traced, pieces, place, limits)
+    (row,) = fit_lines(surface.words, against, *pixels, traced, is_main, pieces, place, limits)
     return row
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
 
 import cv2
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from interloc.arrays import Int32Array, StructuredArray, UInt8Array
+from interloc.arrays import BoolArray, Int32Array, StructuredArray, UInt8Array
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton as sk
 from interloc.kernels.thinning import thin
@@ -318,7 +319,7 @@ def test_reach_is_that_of_the_plain_twin(seed: int, count: int) -> None:
 
 def trace(
     image: BinaryImage, *candidates: Pixel, inner: float = 10.0, outer: float = 60.0
-) -> tuple[Int32Array, StructuredArray]:
+) -> tuple[Int32Array, BoolArray, StructuredArray]:
     """Trace the pieces around the first candidate; they end 5 pixels before another one."""
     first, others = np.array(candidates[0], np.float64), np.array(candidates[1:], np.float64).reshape(-1, 2)
     return sk.trace_branches(*graph(image), first, others, inner, outer, 5.0)
@@ -337,7 +338,7 @@ def cross(size: int = 201) -> UInt8Array:
 
 
 def test_crossing_lines_have_four_pieces_from_circle_to_circle() -> None:
-    _, table = trace(binary_image(cross()), (100, 100))
+    *_, table = trace(binary_image(cross()), (100, 100))
     # The ring is open: pixels 11 to 59 away, their mean 35 away.
     assert table["start"].tolist() == [[89, 100], [100, 89], [100, 111], [111, 100]]
     assert table["mean"].tolist() == [[65, 100], [100, 65], [100, 135], [135, 100]]
@@ -347,7 +348,7 @@ def test_crossing_lines_have_four_pieces_from_circle_to_circle() -> None:
 
 
 def test_piece_ends_before_another_candidate() -> None:
-    _, table = trace(binary_image(cross()), (100, 100), (100, 140))
+    *_, table = trace(binary_image(cross()), (100, 100), (100, 140))
     assert table["at_candidate"].tolist() == [0, 0, 1, 0]
     assert table["reach"][2] == 35  # the pixel 5 before the other one is the first that does not belong to it any more
     assert lengths(table)[2] == 25
@@ -357,15 +358,28 @@ def test_line_that_does_not_come_from_the_inner_circle_is_no_piece() -> None:
     image = cross()
     image[130, 110:150] = 1  # beside
     image[100, 105:115] = 0  # cut off
-    assert len(trace(binary_image(image), (100, 100))[1]) == 3
+    assert len(trace(binary_image(image), (100, 100))[-1]) == 3
 
 
 def test_line_that_forks_outside_of_the_inner_circle_is_one_piece() -> None:
     image = cross()
     image[np.arange(71, 100), 100 + np.arange(49, 20, -1)] = 1  # leaves the right arm at column 120
-    _, table = trace(binary_image(image), (100, 100))
+    *_, table = trace(binary_image(image), (100, 100))
     assert len(table) == 4
     assert lengths(table)[2] > 49 + 20
+
+
+def test_main_path_leads_to_the_farthest_pixel_past_what_leads_aside() -> None:
+    image = cross()
+    image[85:100, 120] = 1  # a stub at the right arm
+    traced, is_main, table = trace(binary_image(image), (100, 100))
+    rows, cols, _ = graph(binary_image(image))
+    right = slice(table["begin"][2], table["end"][2])
+    assert cols[traced[right]].max() == 159
+    assert rows[traced[right]].min() == 85
+    main = traced[right][is_main[right]]
+    assert sorted(cols[main]) == list(range(111, 160))
+    assert np.abs(rows[main] - 100).max() <= 1  # where the stub leaves, the thinned line may yield by a pixel
 
 
 def test_a_star_of_forty_rays_has_forty_pieces() -> None:
@@ -373,7 +387,7 @@ def test_a_star_of_forty_rays_has_forty_pieces() -> None:
     for angle in np.arange(40) * np.pi / 20:
         for r in np.arange(100, 390, 0.5):
             image[round(400 + r * math.sin(angle)), round(400 + r * math.cos(angle))] = 1
-    _, table = trace(binary_image(image), (400, 400), inner=150.0, outer=380.0)
+    *_, table = trace(binary_image(image), (400, 400), inner=150.0, outer=380.0)
     assert len(table) == 40
 
 
@@ -384,10 +398,13 @@ def test_pieces_around_a_candidate_are_those_of_the_plain_twin(seed: int, count:
     pixels = list(zip(*(axis.tolist() for axis in line.pixels()), strict=True))
     picks = np.random.default_rng(seed).choice(len(pixels), count, replace=False)
     candidates = [pixels[i] for i in picks]
-    traced, table = trace(line, *candidates, inner=8.0, outer=30.0)
-    expected = plain_pieces(plain_joined(line.to_array()), candidates, 8.0, 30.0, 5.0)
+    traced, is_main, table = trace(line, *candidates, inner=8.0, outer=30.0)
+    neighbours_of = plain_joined(line.to_array())
+    expected = plain_pieces(neighbours_of, candidates, 8.0, 30.0, 5.0)
     for row, (piece, blocked) in zip(table, expected, strict=True):
         assert {pixels[i] for i in traced[row["begin"] : row["end"]]} == piece
+        main = [pixels[i] for i in traced[row["begin"] : row["end"]][is_main[row["begin"] : row["end"]]]]
+        assert all(q in neighbours_of[p] for p, q in itertools.pairwise(main))
         away = {pixel: math.dist(pixel, candidates[0]) for pixel in piece}
         assert away[int(row["start"][0]), int(row["start"][1])] == min(away.values())
         assert row["reach"] == pytest.approx(max(away.values()))
