@@ -34,7 +34,7 @@ class Branches:
         Row and column, pixels.
     inner : float
         Radius of the inner circle, pixels.
-    directions, points, weights, spans, bends : (B, 2), (B, 2), (B,), (B,), (B, 2) float64
+    directions, points, weights, spans, halves, bends : (B, 2), (B, 2), (B,), (B,), (B,), (B, 2) float64
         The line of each branch, see `interloc.detection.lines.Lines`; weights in 1 / m^2.
     lengths : (B,) float64
         Pixels of centerline in each branch.
@@ -53,6 +53,7 @@ class Branches:
     points: FloatArray
     weights: FloatArray
     spans: FloatArray
+    halves: FloatArray
     bends: FloatArray
     lengths: FloatArray
     reaches: FloatArray
@@ -73,6 +74,7 @@ class Branches:
             points=self.points[indices],
             weights=self.weights[indices],
             spans=self.spans[indices],
+            halves=self.halves[indices],
             bends=self.bends[indices],
             lengths=self.lengths[indices],
             reaches=self.reaches[indices],
@@ -234,6 +236,7 @@ def segment_branches(
         points=lines.points[is_branch],
         weights=lines.weights[is_branch],
         spans=lines.spans[is_branch],
+        halves=lines.halves[is_branch],
         bends=lines.bends[is_branch],
         lengths=(pieces["end"] - pieces["begin"])[is_branch].astype(np.float64),
         reaches=pieces["reach"][is_branch],

@@ -130,6 +130,7 @@ def _connected(part: Branches, places: list[FloatArray]) -> Branches:
         points=np.vstack([part.points, part.candidate]),
         weights=np.append(part.weights, LINK_STD_M**-2),
         spans=np.append(part.spans, np.inf),
+        halves=np.append(part.halves, 0.0),
         bends=np.vstack([part.bends, np.zeros(2)]),
         lengths=np.append(part.lengths, length),
         reaches=np.append(part.reaches, length),

@@ -150,17 +150,26 @@ def _move(sums: Record, row: float, col: float) -> None:
 
 
 @compiled
+def usual_half_width(halves: FloatArray, is_link: bool) -> float:
+    """Return the half width that a branch has along most of it, pixels; 0 where none is known."""
+    known = np.sort(halves[halves > 0.0])
+    if known.size == 0:
+        return 0.0
+    # Both ends of a road between two junctions open into mouths.
+    half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (known.size - 1))]
+    return half
+
+
+@compiled
 def keep_parallel(rings: StructuredArray, some: Int32Array, halves: FloatArray, is_link: bool, limits: Record) -> float:
     """Empty the rings where the road is wider or narrower than the branch is, the wider ones in ``some`` too.
 
     Returns its half width, pixels; 0 where too little of it is between parallel sides, and nothing was emptied.
     """
     count = np.count_nonzero(some >= 0)
-    known = np.sort(halves[halves > 0.0])
-    if known.size == 0:
+    half = usual_half_width(halves, is_link)
+    if half == 0.0:
         return 0.0
-    # Both ends of a road between two junctions open into mouths.
-    half: float = known[int((LINK_QUANTILE if is_link else ARM_QUANTILE) * (known.size - 1))]
     slack = max(limits.slack, PARALLEL_SLACK * half)
     parallel = 0
     for i in range(rings.size):

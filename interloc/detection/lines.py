@@ -43,6 +43,7 @@ from interloc.detection.edges import (
     half_widths,
     keep_parallel,
     move_from_unseen_edges,
+    usual_half_width,
 )
 from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
@@ -61,7 +62,7 @@ PARTING_SIN = 0.25  # of half an angle between roads: below 29 degrees they part
 LEAN = 4.0  # by how much a line errs in direction more than its scatter tells
 THROUGH_COS, STRAIGHT_ON_COS = math.cos(math.radians(140.0)), math.cos(math.radians(155.0))  # branches of one road
 SQUARE_STD_RAD = math.radians(7.0)  # of the angles at which streets end at others, around the right angle
-SQUARE_SCALE_RAD = math.radians(15.0)  # beyond which an angle is the less likely to be meant as a right one
+SQUARE_SCALE_RAD = math.radians(25.0)  # beyond which an angle is the less likely to be meant as a right one
 
 BEND_SHARE = 0.6  # of the distances of two branches from their lines: what those from one circle must be below
 BEND_RINGS = 6  # that each of the two must have
@@ -82,6 +83,8 @@ class Lines(NamedTuple):
     spans : (B,) float64
         Length of the part that each line was fitted to, pixels, around its point; infinite in the paper, where lines
         are as well known everywhere.
+    halves : (B,) float64
+        Usual half width of the road of each branch, pixels; 0 in the paper, which does not measure it.
     bends : (B, 2) float64
         From where each line touches its road towards the centre of the circle that the road bends on: unit direction
         (row, column) over the radius, 1 / pixels; 0 for a straight one.
@@ -91,6 +94,7 @@ class Lines(NamedTuple):
     directions: FloatArray
     weights: FloatArray
     spans: FloatArray
+    halves: FloatArray
     bends: FloatArray
 
 
@@ -98,7 +102,7 @@ def through_start_and_mean(pieces: StructuredArray) -> Lines:
     """Lay a line through the start and the mean of each piece (paper, eq. 9); all count alike."""
     n = len(pieces)
     directions = _unit(pieces["mean"] - pieces["start"])
-    return Lines(pieces["start"], directions, np.ones(n), np.full(n, np.inf), np.zeros((n, 2)))
+    return Lines(pieces["start"], directions, np.ones(n), np.full(n, np.inf), np.zeros(n), np.zeros((n, 2)))
 
 
 def least_squares(
@@ -151,7 +155,8 @@ def least_squares(
     has_line = lines["length"] * resolution_m >= config.min_fit_m
     directions = np.where(has_line[:, None], lines["direction"], _unit(pieces["mean"] - candidate))
     weights = np.where(has_line, lines["weight"] / resolution_m**2, 0.0)
-    return Lines(lines["point"], directions, weights, np.where(has_line, lines["length"], np.inf), lines["bend"])
+    spans = np.where(has_line, lines["length"], np.inf)
+    return Lines(lines["point"], directions, weights, spans, lines["half"], lines["bend"])
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
@@ -166,6 +171,7 @@ LINE = np.dtype(
         ("length", np.float64),  # of the fitted part; 0 where there is too little to fit
         ("rms", np.float64),  # root mean square distance of its pixels from the line
         ("weight", np.float64),  # inverse of the variance at the candidate, 1 / pixels^2
+        ("half", np.float64),  # usual half width of the road; 0 where none is known
         ("bend", np.float64, (2,)),  # of the circle that it is a tangent of, see `Lines`
     ]
 )
@@ -221,6 +227,7 @@ def fit_lines(
                 halves[i], firsts[i] = half, first
         if lines[i].length > 0.0 and _is_beyond_bend(lines[i], some[begin:], rows, cols, halves[i]):
             lines[i].length = 0.0
+        lines[i].half = usual_half_width(widths, is_link)
     straight = lines.copy()
     surfaces = np.where(halves > 0.0, halves, 0.5 * limits.width)  # a ragged one as wide as the road at the candidate
     for i in range(pieces.size):

@@ -10,6 +10,7 @@ import numpy as np
 from interloc.arrays import FloatArray, UInt64Array
 from interloc.detection.branches import Branches
 from interloc.detection.edges import to_edge
+from interloc.detection.forks import find_fork
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import SIDE_BY_SIDE_COS
 from interloc.kernels import compiled
@@ -19,8 +20,6 @@ from interloc.kernels import compiled
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
 ACUTE_SIN = 0.1  # of half an angle between roads: below 12 degrees the candidate is known no worse
-FORK_COS = -0.8  # of the angles between the one road of a fork and the two others
-FORK_WIDTH = 0.85  # of the one road, as a share of the width at the candidate, at most
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
@@ -52,7 +51,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     """Move the candidate to the point of least squared distances to the lines of its branches, within the inner disc.
 
     Near-parallel lines do not fix a point: the candidate stays where it is and its residual is infinite. With the road
-    it moves to where a fork begins, if they are those of one.
+    it moves to where it forks, if they are the lines of a fork (`interloc.detection.forks`).
 
     Parameters
     ----------
@@ -60,6 +59,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
         halves an acute angle, and none where the blob holds several intersections: centerlines branch anywhere in it.
+        The place of a fork has as much, along its stem.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc, but not the road.
@@ -76,6 +76,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
         branches.points,
         branches.weights,
         branches.spans,
+        branches.halves,
         branches.candidate,
         branches.inner,
         0.0 if branches.is_part else prior_weight,
@@ -90,25 +91,29 @@ def _meet(
     points: FloatArray,
     weights: FloatArray,
     spans: FloatArray,
+    halves: FloatArray,
     candidate: FloatArray,
     inner: float,
     prior_weight: float,
     words: UInt64Array | None,
 ) -> tuple[float, float, float]:
     """Return by how many rows and columns the candidate moves, and the residual."""
+    stem, row, col = -1, 0.0, 0.0
+    if words is not None:
+        stem, row, col = find_fork(directions, points, halves, candidate, inner, words)
     if not _fix_a_point(directions, weights):
-        if words is None:
-            return 0.0, 0.0, np.inf
-        row, col = _to_fork(directions, points, weights, spans, candidate, MAX_SHIFTS * inner, words)
+        row, col = _within(row, col, MAX_SHIFTS * inner)
         return row, col, np.inf
-    row, col = 0.0, 0.0
     current = weights.copy()
-    prior = prior_weight, 0.0, prior_weight
     if words is None:
+        prior = prior_weight, 0.0, prior_weight, 0.0, 0.0
         row, col = _solve(directions, points, current, candidate, prior)
         row, col = _within(row, col, inner)
     else:
         prior = _prior(directions, weights, prior_weight)
+        if stem >= 0:
+            prior = _with_fork(prior, prior_weight, directions[stem], row, col)
+        row, col = 0.0, 0.0
         for _ in range(ROUNDS):
             for i in range(weights.size):
                 off = _distance(directions[i], points[i], candidate, row, col) / (TOLERANCE * inner)
@@ -142,38 +147,6 @@ def _fix_a_point(directions: FloatArray, weights: FloatArray) -> bool:
 
 
 @compiled
-def _to_fork(
-    directions: FloatArray,
-    points: FloatArray,
-    weights: FloatArray,
-    spans: FloatArray,
-    candidate: FloatArray,
-    limit: float,
-    words: UInt64Array,
-) -> tuple[float, float]:
-    """Return rows and columns from the candidate to where the road of one branch begins to part into two others.
-
-    That is where its parallel sides end. No shift where the lines are not those of a fork, or the road is as wide there
-    as at the candidate.
-    """
-    if weights.size != 3:
-        return 0.0, 0.0
-    for i in range(3):
-        a, b = directions[(i + 1) % 3], directions[(i + 2) % 3]
-        d_row, d_col = directions[i]
-        opposed = max(d_row * a[0] + d_col * a[1], d_row * b[0] + d_col * b[1])
-        if weights[i] > 0.0 and np.isfinite(spans[i]) and opposed < FORK_COS and a[0] * b[0] + a[1] * b[1] > -FORK_COS:
-            row, col = points[i, 0] - 0.5 * spans[i] * d_row, points[i, 1] - 0.5 * spans[i] * d_col
-            width, widest = 0.0, 0.0
-            for sign in (-1.0, 1.0):
-                width += to_edge(words, row, col, -sign * d_col, sign * d_row, limit)
-                widest += to_edge(words, candidate[0], candidate[1], -sign * d_col, sign * d_row, limit)
-            if width < FORK_WIDTH * widest:
-                return _within(row - candidate[0], col - candidate[1], limit)
-    return 0.0, 0.0
-
-
-@compiled
 def _distance(direction: FloatArray, point: FloatArray, candidate: FloatArray, row: float, col: float) -> float:
     """Return the signed distance from a line of a place so many rows and columns from the candidate."""
     distance: float = (candidate[0] - point[0] + row) * direction[1] - (candidate[1] - point[1] + col) * direction[0]
@@ -193,11 +166,10 @@ def _solve(
     points: FloatArray,
     weights: FloatArray,
     candidate: FloatArray,
-    prior: tuple[float, float, float],
+    prior: tuple[float, float, float, float, float],
 ) -> tuple[float, float]:
     """Return rows and columns from the candidate to the point of least squared distances."""
-    a, b, d = prior
-    u, v = 0.0, 0.0
+    a, b, d, u, v = prior
     for i in range(weights.size):
         d_row, d_col = directions[i]
         off = _distance(directions[i], points[i], candidate, 0.0, 0.0)
@@ -218,8 +190,8 @@ def _within(row: float, col: float, limit: float) -> tuple[float, float]:
 
 
 @compiled
-def _prior(directions: FloatArray, weights: FloatArray, weight: float) -> tuple[float, float, float]:
-    """Return the normal matrix of the candidate: the weights of its row, of row with column, and of its column.
+def _prior(directions: FloatArray, weights: FloatArray, weight: float) -> tuple[float, float, float, float, float]:
+    """Return the normal equations of the candidate: the weights of its row, row with column, and column; no shift.
 
     The surfaces of roads at an angle t part at 1 / sin(t / 2) half widths, where their centerline branches. So along
     the line that halves an acute angle the candidate lies off by more than at a right one, and its standard deviation
@@ -237,7 +209,20 @@ def _prior(directions: FloatArray, weights: FloatArray, weight: float) -> tuple[
     half = 0.5 * math.acos(min(cosine, 1.0))
     spread = max(1.0, math.sin(math.pi / 4) / max(math.sin(half), ACUTE_SIN))
     lost = weight * (1.0 - spread**-4) / max(row * row + col * col, 1e-9)
-    return weight - lost * row * row, -lost * row * col, weight - lost * col * col
+    return weight - lost * row * row, -lost * row * col, weight - lost * col * col, 0.0, 0.0
+
+
+@compiled
+def _with_fork(
+    prior: tuple[float, float, float, float, float], weight: float, direction: FloatArray, row: float, col: float
+) -> tuple[float, float, float, float, float]:
+    """Add to normal equations how far along its stem a fork lies, known as well as a candidate is."""
+    a, b, d, u, v = prior
+    along = weight * (row * direction[0] + col * direction[1])
+    a += weight * direction[0] * direction[0]
+    b += weight * direction[0] * direction[1]
+    d += weight * direction[1] * direction[1]
+    return a, b, d, u + along * direction[0], v + along * direction[1]
 
 
 @compiled

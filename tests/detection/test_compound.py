@@ -32,6 +32,7 @@ def blob(*branches: Branch, core: list[tuple[float, float]], inner: float = 15.0
         points=points,
         weights=np.ones(count),
         spans=np.full(count, np.inf),
+        halves=np.zeros(count),
         bends=np.zeros((count, 2)),
         lengths=np.full(count, 30.0),
         reaches=np.full(count, 40.0),

@@ -207,8 +207,8 @@ def test_well_known_stem_keeps_its_direction() -> None:
 
 def test_stem_far_from_the_right_angle_keeps_its_direction() -> None:
     ragged = {"length": [80.0, 20.0, 80.0], "rms": [0.6, 2.0, 0.6]}
-    turns = [squared(lines_at(0, angle, 180, **ragged))[1] - angle for angle in (70, 60, 46, 44)]
-    assert turns[0] > turns[2] > turns[3] == pytest.approx(0)
+    shares = [(squared(lines_at(0, angle, 180, **ragged))[1] - angle) / (90 - angle) for angle in (70, 60, 46, 44)]
+    assert shares[0] > shares[1] > shares[2] > shares[3] == pytest.approx(0)
 
 
 def test_branch_that_leads_on_straight_keeps_its_direction() -> None:

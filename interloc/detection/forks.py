@@ -1,0 +1,121 @@
+"""Forks: where one road parts into others that lead on (beyond the paper).
+
+At a fork, or where a side road joins at an acute angle, the centerline branches far from where the axes meet, and the
+arms are often bent in between, so that their lines meet somewhere else. The surface tells the place: up to it the road
+has parallel sides, and beyond it the outer edges are those of the arms. So each place on the axis of the stem is tried:
+with arms that lead straight on from it to where their own axes are known, the edges must be where they are seen.
+
+Places and directions are rows and columns, lengths pixels; the arrays are those of `interloc.detection.branches`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from interloc.arrays import FloatArray, UInt64Array
+from interloc.detection.edges import to_edge
+from interloc.kernels import compiled
+
+LEADS_ON_COS = math.cos(math.radians(135.0))  # of the angles between the stem of a fork and each of its arms
+ARM_BEGIN = 0.5  # radii of the inner circle from the candidate outwards: from there on the line of an arm is its axis
+BEHIND = 2.0  # half widths by which the stem is looked at beyond the inner circle
+REACH = 4.0  # half widths within which an edge is looked for
+MAX_MISFIT = 0.5  # of a half width: what an edge in the wrong place counts at most, as where a car is parked
+
+
+@compiled
+def find_fork(
+    directions: FloatArray,
+    points: FloatArray,
+    halves: FloatArray,
+    candidate: FloatArray,
+    inner: float,
+    words: UInt64Array,
+) -> tuple[int, float, float]:
+    """Find the place where the road of one branch parts into all others, if that is what they are.
+
+    Returns
+    -------
+    stem : int
+        The branch that parts, -1 for none: all others must lead on within 45 degrees of straight, its sides must be
+        parallel somewhere, and the lines of at least two others be known.
+    row, col : float
+        From the candidate to the place, pixels.
+    """
+    stem = _stem(directions)
+    if stem < 0 or halves[stem] == 0.0:
+        return -1, 0.0, 0.0
+    half, (d_row, d_col) = halves[stem], directions[stem]
+    size = int(inner + BEHIND * half)
+    r, c = _on_line(points[stem], directions[stem], candidate, size)
+    arms = np.empty((directions.shape[0] - 1, 4))
+    count = 0
+    for j in range(directions.shape[0]):
+        if j != stem and (points[j, 0] != 0.0 or points[j, 1] != 0.0):
+            row, col = _on_line(points[j], directions[j], candidate, ARM_BEGIN * inner)
+            along = -(directions[j, 0] * d_row + directions[j, 1] * d_col)
+            arms[count, 0] = (r - row) * d_row + (c - col) * d_col
+            arms[count, 1] = (col - c) * d_row - (row - r) * d_col
+            arms[count, 2] = (directions[j, 1] * d_row - directions[j, 0] * d_col) / along
+            arms[count, 3] = halves[j] if halves[j] > 0.0 else half
+            count += 1
+    if count < 2:
+        return -1, 0.0, 0.0
+    edges = np.empty((size, 2))
+    for s in range(size):
+        for side, sense in enumerate((1.0, -1.0)):
+            edges[s, side] = to_edge(words, r - s * d_row, c - s * d_col, -sense * d_col, sense * d_row, REACH * half)
+    at, least = 0, np.inf
+    for place in range(size):
+        misfit = _misfit(edges, place, half, arms[:count])
+        if misfit < least:
+            at, least = place, misfit
+    return stem, r - at * d_row - candidate[0], c - at * d_col - candidate[1]
+
+
+@compiled
+def _stem(directions: FloatArray) -> int:
+    """Return the branch that all others lead on from, of which there is one at most; -1 for none."""
+    if directions.shape[0] < 3:
+        return -1
+    for i in range(directions.shape[0]):
+        leads_on = True
+        for j in range(directions.shape[0]):
+            alike = directions[i, 0] * directions[j, 0] + directions[i, 1] * directions[j, 1]
+            leads_on &= j == i or alike < LEADS_ON_COS
+        if leads_on:
+            return i
+    return -1
+
+
+@compiled
+def _on_line(point: FloatArray, direction: FloatArray, candidate: FloatArray, away: float) -> tuple[float, float]:
+    """Return the place on a line that lies so far out from the one nearest to the candidate."""
+    along = (candidate[0] - point[0]) * direction[0] + (candidate[1] - point[1]) * direction[1] + away
+    return point[0] + along * direction[0], point[1] + along * direction[1]
+
+
+@compiled
+def _misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> float:
+    """Return by how much the edges lie off if the road parts at a place, summed along the stem.
+
+    ``edges`` are the distances from the axis of the stem to the left and the right edge, inwards pixel by pixel. A row
+    of ``arms`` holds where its line begins, along that axis and to the left of it, its slope, and its half width.
+    """
+    total = 0.0
+    for s in range(edges.shape[0]):
+        left, right = half, half
+        if s > place:
+            left, right = 0.0, 0.0
+            for along, aside, slope, half_width in arms:
+                tangent, axis = slope, aside + (s - along) * slope
+                if place < along and s <= along:  # straight on to where its line begins
+                    tangent = aside / (along - place)
+                    axis = (s - place) * tangent
+                across = half_width * math.sqrt(1.0 + tangent * tangent)
+                left, right = max(left, across + axis), max(right, across - axis)
+        left, right = min(left, REACH * half), min(right, REACH * half)
+        total += min(abs(edges[s, 0] - left), MAX_MISFIT * half) + min(abs(edges[s, 1] - right), MAX_MISFIT * half)
+    return total
