@@ -374,7 +374,7 @@ class CalibrationConfig(_Config):
         description="Standard deviation of the georeference along each axis, where it states none of its own.",
     )
     line_std_m: float = Field(
-        0.26, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
+        0.35, gt=0, le=100, description="Standard deviation of the line of a branch across itself, at a score of 1."
     )
     unclear_line_std_m: float = Field(
         18.32,
@@ -383,14 +383,14 @@ class CalibrationConfig(_Config):
         description="Further standard deviation of that line at a score of 0; in proportion less at higher scores.",
     )
     coarse_line_std_m: float = Field(
-        6.21,
+        7.19,
         ge=0,
         le=1000,
         description="Further standard deviation of that line where the median score of all detections of the drive "
         "is 0 since its labels are coarse; in proportion less at higher ones.",
     )
     shape_limit_m: float = Field(
-        3.4, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
+        2.91, gt=0, le=100, description="Standard deviation of the position where no line of a branch fixes it."
     )
     log_odds: float = Field(
         0.02,
