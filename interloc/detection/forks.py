@@ -106,16 +106,17 @@ def _misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> flo
     """
     total = 0.0
     for s in range(edges.shape[0]):
-        left, right = half, half
-        if s > place:
-            left, right = 0.0, 0.0
-            for along, aside, slope, half_width in arms:
-                tangent, axis = slope, aside + (s - along) * slope
-                if place < along and s <= along:  # straight on to where its line begins
-                    tangent = aside / (along - place)
-                    axis = (s - place) * tangent
-                across = half_width * math.sqrt(1.0 + tangent * tangent)
-                left, right = max(left, across + axis), max(right, across - axis)
+        left = right = half if s <= place else 0.0
+        for along, aside, slope, half_width in arms:
+            tangent, axis = slope, aside + (s - along) * slope
+            if place < along and s <= along:  # straight on to where its line begins
+                tangent = aside / (along - place)
+                axis = (s - place) * tangent
+            across = half_width * math.sqrt(1.0 + tangent * tangent)
+            if s > place or tangent > 0.0:  # the outer edge of an arm meets that of the stem before the place
+                left = max(left, across + axis)
+            if s > place or tangent < 0.0:
+                right = max(right, across - axis)
         left, right = min(left, REACH * half), min(right, REACH * half)
         total += min(abs(edges[s, 0] - left), MAX_MISFIT * half) + min(abs(edges[s, 1] - right), MAX_MISFIT * half)
     return total

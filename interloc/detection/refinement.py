@@ -20,6 +20,7 @@ from interloc.kernels import compiled
 PARALLEL = math.sin(math.radians(10.0)) ** 2 / 2
 
 ACUTE_SIN = 0.1  # of half an angle between roads: below 12 degrees the candidate is known no worse
+FORK_STD_M = 0.8  # how well the place of a fork is known along its stem
 ROUNDS = 4  # the weights of the lines are those at the point of the round before
 TOLERANCE = 1.6  # radii of the inner circle that a line may pass the point at before it counts a quarter
 MAX_SHIFTS = 2.5  # radii of the inner circle by which a point may be moved along the road
@@ -59,7 +60,7 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     prior_weight : float
         Weight of the candidate itself beside the lines; 0 as in the paper. With the road it is less along the line that
         halves an acute angle, and none where the blob holds several intersections: centerlines branch anywhere in it.
-        The place of a fork has as much, along its stem.
+        Only with it the place of a fork counts, along its stem.
     occupancy
         The road. With it each line counts by what is known of it at the point, not at the candidate, and the point may
         leave the inner disc, but not the road.
@@ -111,8 +112,8 @@ def _meet(
         row, col = _within(row, col, inner)
     else:
         prior = _prior(directions, weights, prior_weight)
-        if stem >= 0:
-            prior = _with_fork(prior, prior_weight, directions[stem], row, col)
+        if stem >= 0 and prior_weight > 0.0:
+            prior = _with_fork(prior, directions[stem], row, col)
         row, col = 0.0, 0.0
         for _ in range(ROUNDS):
             for i in range(weights.size):
@@ -214,10 +215,11 @@ def _prior(directions: FloatArray, weights: FloatArray, weight: float) -> tuple[
 
 @compiled
 def _with_fork(
-    prior: tuple[float, float, float, float, float], weight: float, direction: FloatArray, row: float, col: float
+    prior: tuple[float, float, float, float, float], direction: FloatArray, row: float, col: float
 ) -> tuple[float, float, float, float, float]:
-    """Add to normal equations how far along its stem a fork lies, known as well as a candidate is."""
+    """Add to normal equations how far along its stem a fork lies."""
     a, b, d, u, v = prior
+    weight = FORK_STD_M**-2
     along = weight * (row * direction[0] + col * direction[1])
     a += weight * direction[0] * direction[0]
     b += weight * direction[0] * direction[1]

@@ -62,7 +62,7 @@ def test_arms_that_bend_on_their_way_part_where_the_road_widens() -> None:
     by_lines = refine(replace(lines, halves=np.zeros(3)), 2.0, binary_image(road)).position
     by_fork = refine(lines, 2.0, binary_image(road)).position
     assert math.dist(by_lines, NODE) > 50.0
-    assert math.dist(by_fork, NODE) < 40.0  # it weighs two lines
+    assert math.dist(by_fork, NODE) < 45.0  # it weighs one and a half lines
 
 
 def test_carriageways_narrower_than_their_road_part_from_its_axis() -> None:
@@ -103,18 +103,20 @@ def test_stem_of_unknown_width_and_arms_without_lines_make_no_fork() -> None:
 def plain_misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> float:
     """Return the misfit by whole columns."""
     s = np.arange(len(edges), dtype=float)
-    expected = np.full((len(s), 2), half)
-    reached = []
+    reached = [np.where(s <= place, half, 0.0)[:, None] * np.ones(2)]
     for along, aside, slope, half_width in arms:
         chord = aside / (along - place) if along > place else 0.0
         on_chord = (place < along) & (s <= along)
         slopes = np.where(on_chord, chord, slope)
         axis = np.where(on_chord, (s - place) * chord, aside + (s - along) * slope)
         across = half_width * np.hypot(1.0, slopes)
-        reached.append(np.column_stack([across + axis, across - axis]))
-    beyond = s > place
-    expected[beyond] = np.maximum(np.max(reached, axis=0), 0.0)[beyond]
-    off = np.abs(edges - np.minimum(expected, REACH * half))
+        beyond = s > place
+        left, right = (
+            np.where(beyond | (slopes > 0), across + axis, 0),
+            np.where(beyond | (slopes < 0), across - axis, 0),
+        )
+        reached.append(np.column_stack([left, right]))
+    off = np.abs(edges - np.minimum(np.max(reached, axis=0), REACH * half))
     return float(np.minimum(off, MAX_MISFIT * half).sum())
 
 
