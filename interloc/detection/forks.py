@@ -39,13 +39,14 @@ def find_fork(
     Returns
     -------
     stem : int
-        The branch that parts, -1 for none: all others must lead on within 45 degrees of straight, its sides must be
-        parallel somewhere, and the lines of at least two others be known.
+        The branch that parts, -1 for none: all others must lead on within 45 degrees of straight; its line and its
+        width must be known, and the lines of at least two others.
     row, col : float
         From the candidate to the place, pixels.
     """
     stem = _stem(directions)
-    if stem < 0 or halves[stem] == 0.0:
+    has_line = (points != 0.0).sum(axis=1) > 0
+    if stem < 0 or not has_line[stem] or halves[stem] == 0.0:
         return -1, 0.0, 0.0
     half, (d_row, d_col) = halves[stem], directions[stem]
     size = int(inner + BEHIND * half)
@@ -53,7 +54,7 @@ def find_fork(
     arms = np.empty((directions.shape[0] - 1, 4))
     count = 0
     for j in range(directions.shape[0]):
-        if j != stem and (points[j, 0] != 0.0 or points[j, 1] != 0.0):
+        if j != stem and has_line[j]:
             row, col = _on_line(points[j], directions[j], candidate, ARM_BEGIN * inner)
             along = -(directions[j, 0] * d_row + directions[j, 1] * d_col)
             arms[count, 0] = (r - row) * d_row + (c - col) * d_col

@@ -92,12 +92,17 @@ def test_branches_of_which_none_is_led_on_by_all_others_are_no_fork(arms_deg: tu
     assert place.tolist() == list(CROTCH)
 
 
-def test_stem_of_unknown_width_and_arms_without_lines_make_no_fork() -> None:
+@pytest.mark.parametrize("branch", [0, 1])
+def test_stem_and_two_arms_without_lines_make_no_fork(branch: int) -> None:
+    lines, road = fork([(100.0, 330.0)], [(300.0, 330.0)])
+    unknown = lines.points.copy()
+    unknown[branch] = 0.0
+    assert found_at(replace(lines, points=unknown), road)[0] == -1
+
+
+def test_stem_of_unknown_width_makes_no_fork() -> None:
     lines, road = fork([(100.0, 330.0)], [(300.0, 330.0)])
     assert found_at(replace(lines, halves=np.array([0.0, HALF, HALF])), road)[0] == -1
-    unknown = lines.points.copy()
-    unknown[1] = 0.0
-    assert found_at(replace(lines, points=unknown), road)[0] == -1
 
 
 def plain_misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> float:
