@@ -9,45 +9,35 @@ from anyio import to_thread
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
+from app import system
 from app.background import Background
 from app.context import Context
-from app.drives.cleanup import Sweeper
+from app.demo import routes as demo
 from app.drives.finish import finish_drive
 from app.drives.reconcile import reconcile_all
+from app.drives.routes import archive, commit, drives, files, scans
 from app.http.limits import make_room_to_delete
 from app.http.middleware import add_middleware
 from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
-from app.http.page import PageFiles
 from app.http.parameters import refuse_unknown_parameters
 from app.http.problems import ProblemDocument, add_handlers
+from app.http.security import client_of
+from app.jobs import events
+from app.jobs import routes as jobs
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
+from app.networks import routes as networks
+from app.ogc import routes as ogc
+from app.overview import routes as overview
+from app.page import routes as page
+from app.page.files import PageFiles
 from app.results.folder import Results
 from app.results.on_demand import OnDemand
-from app.routes import (
-    archive,
-    commit,
-    compare,
-    demo,
-    drives,
-    events,
-    exports,
-    files,
-    jobs,
-    keyframes,
-    models,
-    ogc,
-    overview,
-    page,
-    results,
-    road,
-    scans,
-    stac,
-    system,
-    trash,
-)
-from app.security import client_of
+from app.results.routes import compare, exports, keyframes, results, road
 from app.settings import Settings
+from app.stac import routes as stac
+from app.trash import routes as trash
+from app.upkeep.cleanup import Sweeper
 from interloc.pipeline import versions
 
 API = "/api/v1"
@@ -60,7 +50,7 @@ def _assemble() -> APIRouter:
         generate_unique_id_function=operation_id,
         responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` lists where."}},
     )
-    of_drives = (drives, overview, files, scans, archive, commit, demo, models)
+    of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
     of_jobs = (jobs, events, results, keyframes, road, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
@@ -129,7 +119,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
         version=str(versions()["interloc"]),
         summary="Find road intersections in LiDAR drives, map them, and score them against OpenStreetMap.",
         lifespan=lifespan,
-        docs_url=None,  # the defaults ask other hosts for their scripts: see app/http/page.py
+        docs_url=None,  # the defaults ask other hosts for their scripts: see app/page/files.py
         redoc_url=None,
         description=DESCRIPTION,
         openapi_tags=TAGS,

@@ -18,8 +18,8 @@ from fastapi import FastAPI
 from app import logs
 from app.context import Context
 from app.http.protocol import Protocol
+from app.http.security import check_exposure
 from app.main import create_app
-from app.security import check_exposure
 from app.settings import Settings
 from interloc.errors import ConfigError, InterLocError
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.work.demo import prepare
-from app.work.demo import run as simulate
+from app.demo.work import prepare
+from app.demo.work import run as simulate
 from app.work.places import UNPACKED
 from app.work.task import Task
 from interloc.cli.main import run

@@ -5,17 +5,17 @@ from __future__ import annotations
 import secrets
 
 from app.context import Context
+from app.drives.models import UnpackedArchive
 from app.drives.records import drive_key, lock_drive
 from app.drives.upload import refuse_unless_open
+from app.drives.work.archive_files import MAGIC_BYTES, archive_kind
 from app.http.intake import Arrival
 from app.http.limits import check_quota, job_limit
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
-from app.schemas.drives import UnpackedArchive
 from app.states import JobKind
 from app.store.models import Job
-from app.work.archive_files import MAGIC_BYTES, archive_kind
 
 
 def check_magic(head: bytes) -> None:

@@ -7,16 +7,16 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from app.context import Context
+from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
 from app.drives.reconcile import reconcile
 from app.drives.records import drive_model, find_drive, lock_drive
 from app.http.limits import check_free_space, job_limit
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import active_job, submit
-from app.schemas.drives import CommitRequest, DriveModel, DriveOptionsModel
+from app.networks import work as models
 from app.states import DriveState, JobKind, JobState
 from app.store.models import Drive, Job
-from app.work import models
 from interloc.drives.inspect import DriveReport
 
 

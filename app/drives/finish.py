@@ -11,7 +11,6 @@ from sqlalchemy import event, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.cleanup import tidy_drive
 from app.drives.commit import queue_commit
 from app.drives.records import drive_key, note_extent, reduced_key
 from app.drives.upload import (
@@ -28,6 +27,7 @@ from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.database import afterwards
 from app.store.models import Drive, DriveFile, Job
+from app.upkeep.cleanup import tidy_drive
 from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
 from app.work.task import Outcome
 from interloc.osm.container import is_map

@@ -17,16 +17,16 @@ from app.context import Context
 from app.http.problems import Problem
 from app.jobs import failures
 from app.jobs.executors import WorkExecutor
-from app.jobs.features import write_chunks
 from app.jobs.folders import place_result, task_of, tidy, without_paths
 from app.jobs.processes import WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
 from app.jobs.worker_limits import WorkerLimitError
+from app.ogc.indexing import write_chunks
+from app.ogc.work import Chunk, chunks_of
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.models import Drive, Job
 from app.work import kinds
-from app.work.features import Chunk, chunks_of
 from app.work.progress import ProgressFiles
 from app.work.task import Cancelled, Outcome, Part, Plan
 

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.http.problems import Problem, disk_full
 from app.jobs.folders import label_folders
-from app.schemas.jobs import NewJob, OsmFile, OsmOverpass
+from app.jobs.models import NewJob, OsmFile, OsmOverpass
 from app.states import DriveState
 from app.store.models import Drive, DriveFile
 from app.work.task import no_georeference

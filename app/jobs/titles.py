@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any
 
-from app.schemas.jobs import NewJob
+from app.jobs.models import NewJob
 from app.states import JobKind
 from app.store.models import Job
 from interloc.config import PRESETS, flatten

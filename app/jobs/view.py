@@ -11,9 +11,9 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.http.problem_types import type_of
 from app.http.problems import Problem, ProblemDocument
+from app.jobs.models import JobModel, Progress
 from app.jobs.outlook import outlook, seconds_left
 from app.jobs.titles import own_settings, title_of
-from app.schemas.jobs import JobModel, Progress
 from app.states import JobKind, JobState
 from app.store.database import moment
 from app.store.models import Drive, Job

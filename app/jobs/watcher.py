@@ -14,8 +14,8 @@ from sqlalchemy import select
 from sqlalchemy.exc import OperationalError
 
 from app.context import Context, part_of_app
+from app.jobs.models import JobModel
 from app.jobs.view import find_job, is_alive, job_models
-from app.schemas.jobs import JobModel
 from app.states import FINAL, JobState
 from app.store.models import Drive, Job
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from app.work.features import FOOTPRINTS, INDEXED, RESULT, collection_id
+from app.ogc.work import FOOTPRINTS, INDEXED, RESULT, collection_id
 from interloc.output.layers import Layer
 from interloc.output.properties import Attribute
 

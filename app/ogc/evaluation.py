@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.ogc.collections import GEOMETRY
+from app.ogc.columns import Texts
 from app.ogc.filters import (
     ARITHMETIC,
     CASES,
@@ -30,7 +31,6 @@ from app.ogc.filters import (
     bad_filter,
     positions_of,
 )
-from app.store.columns import Texts
 from interloc.arrays import FloatArray
 
 _PATIENCE_S = 3.0

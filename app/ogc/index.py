@@ -21,12 +21,12 @@ from sqlalchemy.orm import Session
 
 from app.http.parameters import Box
 from app.ogc.collections import OF_ALL, OF_JOB, Collection
+from app.ogc.columns import Texts, unpack_blobs, unpack_numbers, unpack_texts
 from app.ogc.evaluation import matching
 from app.ogc.filters import Filter
+from app.ogc.work import BOXES, CONTENT, IDS, RESULT, SHAPES, TIMES
 from app.results.newest import newest_results
-from app.store.columns import Texts, unpack_blobs, unpack_numbers, unpack_texts
 from app.store.models import Drive, FeatureChunk, FeatureColumn, Job
-from app.work.features import BOXES, CONTENT, IDS, RESULT, SHAPES, TIMES
 from interloc.arrays import FloatArray
 from interloc.output.geojson import encode
 

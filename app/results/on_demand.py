@@ -13,8 +13,8 @@ from app.context import part_of_app
 from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.results.folder import Result
+from app.results.work import VIEW, draw_keyframe, draw_road_picture, write_export
 from app.states import JobKind
-from app.work.on_demand import VIEW, draw_keyframe, draw_road_picture, write_export
 from app.work.task import Task
 from interloc.errors import DamagedResultError
 

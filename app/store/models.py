@@ -189,7 +189,7 @@ class FeatureChunk(Base):
 
 
 class FeatureColumn(Base):
-    """The values of a property of all features of a chunk: see `app.store.columns`."""
+    """The values of a property of all features of a chunk: see `app.ogc.columns`."""
 
     __tablename__ = "feature_columns"
 
@@ -197,7 +197,7 @@ class FeatureColumn(Base):
         Integer, ForeignKey("feature_chunks.id", ondelete="CASCADE"), primary_key=True, autoincrement=False
     )
     name: Mapped[str] = mapped_column(String(64), primary_key=True)
-    """Of the property; those with an @ are no properties: see `app.work.features`."""
+    """Of the property; those with an @ are no properties: see `app.ogc.work`."""
     content: Mapped[bytes] = mapped_column(LargeBinary)
 
 

@@ -17,11 +17,10 @@ from pydantic import ValidationError
 from sqlalchemy import select
 
 from app.context import Context
-from app.drives.cleanup import unknown_folders
+from app.drives.models import DriveOptionsModel, NewDrive
 from app.drives.reconcile import reconcile
 from app.drives.records import note_extent
-from app.schemas.drives import DriveOptionsModel, NewDrive
-from app.schemas.jobs import NewJob
+from app.jobs.models import NewJob
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.incoming import is_used, size_of
@@ -29,6 +28,7 @@ from app.store.installation import InstallationError, id_of_database, id_of_fold
 from app.store.models import Drive, Job
 from app.store.sidecars import DriveSidecar, JobSidecar
 from app.store.storage import INCOMING, LOST
+from app.upkeep.cleanup import unknown_folders
 from app.upkeep.transfer import Advance, no_progress
 from interloc.drives.inspect import DriveReport
 from interloc.drives.scans.reduced_format import read_manifest

@@ -17,19 +17,19 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.cleanup import remove_incoming, set_unknown_aside, unknown_folders
 from app.drives.reconcile import Difference, counts_of, differences, reconcile, sha256_of
 from app.drives.records import drive_key, files_key, reduced_key
-from app.drives.trash import finish_purges, half_purged
 from app.http.problems import Problem
-from app.jobs.features import index_job, is_indexed, is_indexed_as, read_chunks
 from app.jobs.queue import active_job
+from app.ogc.indexing import index_job, is_indexed, is_indexed_as, read_chunks
 from app.paths import without_folder
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.incoming import dead
 from app.store.models import Drive, DriveFile, Job
 from app.store.storage import INCOMING, LOST
+from app.trash.deletion import finish_purges, half_purged
+from app.upkeep.cleanup import remove_incoming, set_unknown_aside, unknown_folders
 from app.upkeep.transfer import Advance, no_progress
 from app.work.places import TRAJECTORY
 from interloc.drives.findings import Finding as Fault

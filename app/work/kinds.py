@@ -51,11 +51,11 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     JobKind.INTERSECTIONS: Kind(
-        "app.work.intersections", ("preparing", "detecting", "mapping"), urgent=False, changes_drive=False
+        "app.jobs.work.intersections", ("preparing", "detecting", "mapping"), urgent=False, changes_drive=False
     ),
-    JobKind.COMMIT: Kind("app.work.commit", ("checking", "reducing", "storing"), labelling="labelling"),
-    JobKind.UNPACK: Kind("app.work.unpack", ("checking", "unpacking", "storing")),
-    JobKind.DEMO: Kind("app.work.demo", ("preparing", "simulating", "storing")),
+    JobKind.COMMIT: Kind("app.drives.work.commit", ("checking", "reducing", "storing"), labelling="labelling"),
+    JobKind.UNPACK: Kind("app.drives.work.unpack", ("checking", "unpacking", "storing")),
+    JobKind.DEMO: Kind("app.demo.work", ("preparing", "simulating", "storing")),
 }
 
 WARM = "app.work.warm"

@@ -11,7 +11,7 @@ from importlib import import_module
 from interloc.processes import GARBAGE_THRESHOLD
 
 for name in (
-    "app.work.intersections",
+    "app.jobs.work.intersections",
     "interloc.evaluation.evaluate",
     "interloc.evaluation.figures",
     "interloc.evaluation.report",

@@ -54,7 +54,7 @@ def serve(**given: Any) -> None:
       interloc token add alice && interloc serve --host 0.0.0.0
     """
     settings = read_settings(given)
-    from app.http.page import PageFiles
+    from app.page.files import PageFiles
     from app.server import serve as run_server
     from interloc.pipeline import versions
 

@@ -117,7 +117,7 @@ def trash() -> None:
 @DATA_DIR
 def list_(data_dir: Path | None) -> None:
     """List what can be restored, and until when."""
-    from app.drives.trash import list_trash
+    from app.trash.deletion import list_trash
 
     with _context(data_dir) as context:
         after, shown = None, 0
@@ -141,8 +141,8 @@ def list_(data_dir: Path | None) -> None:
 @DATA_DIR
 def restore(item: str, data_dir: Path | None) -> None:
     """Take the drive or the job ID out of the trash, a drive with its jobs and their results."""
-    from app.drives.trash import restore as restore_item
     from app.http.problems import Problem
+    from app.trash.deletion import restore as restore_item
 
     with _context(data_dir) as context:
         try:
@@ -161,7 +161,7 @@ def restore(item: str, data_dir: Path | None) -> None:
 @DATA_DIR
 def empty(older_than: float | None, data_dir: Path | None) -> None:
     """Delete what is in the trash for good."""
-    from app.drives.trash import empty_trash
+    from app.trash.deletion import empty_trash
 
     with _context(data_dir) as context:
         purged = empty_trash(context, older_than_s=3600 * (older_than or 0.0))

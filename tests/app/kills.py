@@ -11,11 +11,11 @@ from typing import Any
 from sqlalchemy import event
 
 from app.context import Context
-from app.drives import trash
 from app.drives.records import delete_file
 from app.drives.upload import keep
 from app.http.intake import Intake
 from app.settings import Settings
+from app.trash import deletion as trash
 from tests import forks
 
 

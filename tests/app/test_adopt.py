@@ -12,11 +12,11 @@ import httpx
 import pytest
 
 from app.context import Context
-from app.drives.cleanup import sweep
 from app.settings import Settings
 from app.store.installation import InstallationError, id_of_folder
 from app.upkeep.adopt import Adoption, adopt
 from app.upkeep.check import check
+from app.upkeep.cleanup import sweep
 from interloc.errors import ConfigError
 from tests.app.conftest import running_server
 from tests.app.processes import NO_TLS, ended, submit, upload

@@ -25,14 +25,14 @@ from sqlalchemy import select, text
 from app.context import RESTORING, Context
 from app.drives.archive import queue_archive
 from app.drives.commit import begin_commit
-from app.drives.trash import empty_trash, list_trash
+from app.drives.models import CommitRequest
 from app.http.intake import Arrival
 from app.jobs import queue
-from app.schemas.drives import CommitRequest
 from app.settings import Settings
 from app.store import database as database_module
 from app.store.database import Database
 from app.store.models import Base, Drive, FeatureChunk, FeatureColumn, Job
+from app.trash.deletion import empty_trash, list_trash
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, BackupReport, back_up
 from app.upkeep.content import DRIVE_TABLES, SHARED_TABLES
 from app.upkeep.restore import RestoreReport, restore

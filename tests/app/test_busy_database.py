@@ -50,7 +50,7 @@ def test_writers_are_given_up_and_readers_go_on(
     monkeypatch.setattr("app.store.database.PATIENCE_S", 2.0)
     monkeypatch.setattr("app.store.database._STUCK_S", 0.2)
     monkeypatch.setattr("app.store.database._PROBE_S", 0.5)
-    monkeypatch.setattr("app.routes.system._BELIEVED_S", 0.0)
+    monkeypatch.setattr("app.system._BELIEVED_S", 0.0)
     url = request.getfixturevalue("postgres_url") if backend == "postgresql" else None
     client = serve(tmp_path / "data", database_url=url)
     drive = client.post("/api/v1/drives", json={"name": "a"}).json()["id"]

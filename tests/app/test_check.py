@@ -13,14 +13,14 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives import trash
+from app.drives.models import NewDrive
 from app.drives.records import create_drive, list_files
 from app.drives.upload import keep
 from app.http.intake import Intake
-from app.schemas.drives import NewDrive
 from app.settings import Settings
 from app.store import sidecars
 from app.store.models import Drive, DriveFile, Job
+from app.trash import deletion as trash
 from app.upkeep.check import Finding, check
 from interloc.output.layout import RUN_FILE
 from interloc.reduction.reduce import reduce_drive

@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.work import intersections, kinds
-from app.work.checkpoints import read_checkpoint, write_checkpoint
+from app.jobs.work import intersections
+from app.jobs.work.checkpoints import read_checkpoint, write_checkpoint
+from app.work import kinds
 from app.work.progress import ProgressFiles
 from app.work.task import Cancelled, Part, Task
 from interloc.config import preset
@@ -87,7 +88,7 @@ def test_a_checkpoint_that_cannot_be_read_is_none(tmp_path: Path, content: bytes
 def test_a_checkpoint_of_another_version_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "range.npz"
     write_checkpoint(path, RangeResult(0, [], {}, 1))
-    monkeypatch.setattr("app.work.checkpoints._made_by", lambda: "interloc 0.0.1")
+    monkeypatch.setattr("app.jobs.work.checkpoints._made_by", lambda: "interloc 0.0.1")
     assert read_checkpoint(path) is None
 
 

@@ -11,18 +11,18 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives.cleanup import Sweeper, sweep
 from app.drives.finish import finish_drive
+from app.drives.models import NewDrive
 from app.drives.records import create_drive, delete_file, drive_model, find_drive, list_drives, list_files
-from app.drives.trash import list_trash, restore
 from app.drives.upload import keep
 from app.http.intake import Arrival
 from app.jobs.queue import submit
-from app.schemas.drives import NewDrive
 from app.settings import Settings
 from app.store.clock import ClockWatch
 from app.store.incoming import LEFT_ALONE_S
 from app.store.models import Drive, Job
+from app.trash.deletion import list_trash, restore
+from app.upkeep.cleanup import Sweeper, sweep
 from app.work.task import Outcome
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 

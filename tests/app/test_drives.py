@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.schemas.drives import DriveOptionsModel
+from app.drives.models import DriveOptionsModel
 
 
 def test_a_new_drive_is_open_for_files(client: httpx.Client) -> None:

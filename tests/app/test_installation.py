@@ -14,16 +14,16 @@ from alembic.config import Config
 from sqlalchemy import inspect, select, text
 
 from app.context import Context, open_database
-from app.drives.cleanup import sweep
+from app.drives.models import NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Intake
-from app.schemas.drives import NewDrive
 from app.settings import Settings
 from app.store import database as database_module
 from app.store.database import Database
 from app.store.installation import InstallationError, id_of_database, id_of_folder
 from app.store.models import Drive, Installation
+from app.upkeep.cleanup import sweep
 from interloc.cli.main import run
 from tests import forks
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture

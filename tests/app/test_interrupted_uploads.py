@@ -17,8 +17,8 @@ from typing import Any
 import httpx
 import pytest
 
+from app.drives.work import unpack
 from app.settings import Settings
-from app.work import unpack
 from app.work.places import LISTING, UNPACKED
 from app.work.task import Part, Task
 from tests.app.processes import (

@@ -21,15 +21,15 @@ from openapi_spec_validator import OpenAPIV30SpecValidator
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives import trash
-from app.jobs.features import index_job, index_missing
 from app.ogc.collections import OF_ALL
 from app.ogc.filters import MAX_CHARACTERS, Language, read_filter
 from app.ogc.index import Area, Query, Source, extents, find_page
+from app.ogc.indexing import index_job, index_missing
+from app.ogc.work import CHUNK, ResultProperties
 from app.settings import Settings
 from app.store.models import Drive, FeatureChunk, FeatureColumn, Job
+from app.trash import deletion as trash
 from app.upkeep.check import check
-from app.work.features import CHUNK, ResultProperties
 from interloc.arrays import FloatArray
 from interloc.output.credits import ODBL, map_credit
 from interloc.output.geojson import write_collection

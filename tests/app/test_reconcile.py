@@ -13,13 +13,13 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
+from app.drives.models import NewDrive
 from app.drives.reconcile import reconcile, reconcile_all
 from app.drives.records import create_drive, list_drives
 from app.drives.upload import keep
 from app.http.intake import Intake
 from app.http.problems import Problem
 from app.jobs.queue import submit
-from app.schemas.drives import NewDrive
 from app.settings import Settings
 from app.store.models import Drive, DriveFile
 from tests.app import kills

@@ -12,15 +12,15 @@ import pytest
 from sqlalchemy import update
 
 from app.context import Context
-from app.drives import trash
-from app.drives.cleanup import sweep
+from app.drives.models import NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Intake
 from app.http.problems import Problem
-from app.schemas.drives import NewDrive
 from app.settings import Settings
 from app.store.models import Drive, Job
+from app.trash import deletion as trash
+from app.upkeep.cleanup import sweep
 from tests.app import kills
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 from tests.app.processes import Gate, ended, job_of, submit, upload, wait_until

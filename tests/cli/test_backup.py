@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from app.context import Context
+from app.drives.models import NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Arrival
-from app.schemas.drives import NewDrive
 from app.settings import Settings
 
 Interloc = Callable[..., Any]

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from app.context import Context
-from app.drives import trash
+from app.drives.models import NewDrive
 from app.drives.records import create_drive
 from app.drives.upload import keep
 from app.http.intake import Intake
-from app.schemas.drives import NewDrive
 from app.settings import Settings
+from app.trash import deletion as trash
 
 
 @pytest.fixture

@@ -23,10 +23,10 @@ import httpx
 import numpy as np
 
 from app.context import Context
-from app.jobs.features import write_chunks
+from app.ogc.indexing import write_chunks
+from app.ogc.work import chunks_of
 from app.settings import Settings
 from app.store.models import Drive, Job
-from app.work.features import chunks_of
 from interloc.arrays import FloatArray
 from interloc.output.geojson import write_collection
 from interloc.output.layers import LAYERS

@@ -12,7 +12,7 @@ import pystac
 import pytest
 import shapely
 
-from app.results.overview import MAX_TRACK_POINTS, simplified
+from app.overview.features import MAX_TRACK_POINTS, simplified
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
 from tests.app.results.conftest import Finished
 

@@ -1,0 +1,1 @@
+"""The demo drive: made on request, to try the service with."""

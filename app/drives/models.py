@@ -1,0 +1,301 @@
+"""Drives and their files."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from app.http.patterns import NETWORK
+from app.http.problems import FileProblem
+from app.http.strict import Flag, Name, Note, Whole, strictly
+from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
+from app.states import DriveState
+from interloc.config import KeyframeConfig
+from interloc.drives.inspect import DriveReport
+from interloc.drives.layouts import ScanFolder
+from interloc.drives.options import LabelFolder, ReadingOptions
+from interloc.drives.scans.reduced_format import MAX_SCANS
+
+LabelCounts = Annotated[
+    dict[Annotated[int, Field(ge=0, le=65535)], Annotated[Whole, Field(ge=1, le=2**62)]], Field(max_length=65536)
+]
+"""Label id -> number of points that carry it."""
+
+
+def _checked_path(path: str) -> str:
+    try:
+        return check_path(path)
+    except BadNameError as error:
+        raise ValueError(str(error)) from error
+
+
+class DriveOptionsModel(ReadingOptions):
+    """How the files are read; the same choices as on the command line."""
+
+    oxts: Path | None = Field(
+        None,
+        description="Georeference among the files: a file of OXTS rows, a geo.csv, the folder of a KITTI raw drive.",
+        examples=["07.txt.gz"],
+        json_schema_extra={"pattern": PATH_PATTERN, "maxLength": MAX_PATH},
+    )
+
+    poses: str | None = Field(
+        None,
+        max_length=MAX_PATH,
+        description="Poses among the files (KITTI, TUM), the trajectory of LAS files, or the topic of a bag, which "
+        "begins with a slash.",
+        examples=["poses.tum", "/odometry"],
+    )
+    model: str | None = Field(
+        None,
+        max_length=255,
+        pattern=NETWORK,
+        description="Network of the service (GET /models) that labels the scans; label files do not count.",
+        examples=["salsanext"],
+    )
+
+    @field_validator("oxts", mode="before")
+    @classmethod
+    def _check_oxts(cls, oxts: object) -> object:
+        return _checked_path(oxts.removesuffix("/")) if isinstance(oxts, str) else oxts
+
+    @field_validator("poses")
+    @classmethod
+    def _check_poses(cls, poses: str | None) -> str | None:
+        return poses if poses is None or poses.startswith("/") else _checked_path(poses)
+
+
+class NewDrive(BaseModel):
+    """A drive to be uploaded."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"name": "2011_09_30_drive_0027"}]})
+
+    name: Name = Field(description="Name shown in lists and results.")
+    keep_raw: Flag = Field(
+        False, description="Keep the scans as uploaded, in addition to what the method needs of them."
+    )
+    options: DriveOptionsModel = Field(default_factory=DriveOptionsModel)
+
+
+class DriveChanges(BaseModel):
+    """What is to change of a drive; what is left out stays as it is."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"examples": [{"name": "town, second run", "note": "Wet road."}]}
+    )
+
+    name: Name = Field(default_factory=str, description="Name shown in lists.")
+    note: Note | None = Field(None, description="Some lines about it; null for none.")
+
+
+class DriveModel(BaseModel):
+    """A drive."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "id": "5f0c2b7d9a41e386",
+                    "name": "town",
+                    "note": None,
+                    "state": "ready",
+                    "owner": "anonymous",
+                    "keep_raw": False,
+                    "options": {"label_scheme": "auto", "pose_frame": "auto", "layout": "auto"},
+                    "files": 849,
+                    "size_bytes": 701124052,
+                    "stored_bytes": 109221678,
+                    "bbox": [8.412, 49.001, 8.431, 49.014],
+                    "created_at": "2026-01-31T12:00:00Z",
+                    "expires_at": None,
+                    "report": None,
+                    "label_folders": ["labels"],
+                    "maps": ["map.osm.gz"],
+                }
+            ]
+        }
+    )
+
+    id: str = Field(examples=["5f0c2b7d9a41e386"])
+    name: str
+    note: str | None = None
+    state: DriveState = Field(
+        description="uploading: takes files. checking: its commit runs. ready: jobs can use it, files are fixed."
+    )
+    owner: str
+    keep_raw: bool
+    options: DriveOptionsModel
+    files: int = Field(description="Number of uploaded files.")
+    size_bytes: int = Field(description="Size of the files as uploaded.")
+    stored_bytes: int = Field(description="Size of what is kept of them.")
+    bbox: list[float] | None = Field(
+        None,
+        description="West, south, east, north of a ready drive, degrees; null without georeference.",
+        examples=[[8.412, 49.001, 8.431, 49.014]],
+    )
+    created_at: datetime
+    expires_at: datetime | None = Field(None, description="When the upload goes to the trash if it is left alone.")
+    report: DriveReport | None = Field(
+        None, description="What the last commit found, in the form of `interloc info --json`."
+    )
+    label_folders: list[LabelFolder] | None = Field(
+        None, description="Labels that jobs can take, of a ready drive; null in lists."
+    )
+    maps: list[str] | None = Field(
+        None, description="Its OpenStreetMap files, by their paths, of a ready drive; null in lists."
+    )
+
+
+class DriveList(BaseModel):
+    """A page of drives, the newest first."""
+
+    drives: list[DriveModel]
+    next: str | None = Field(None, description="Value of `after` for the next page; null on the last page.")
+
+
+class UploadedFile(BaseModel):
+    """A file of a drive."""
+
+    path: str = Field(examples=["velodyne/000000.bin"])
+    size_bytes: int
+    sha256: str = Field(description="SHA-256 of its contents, hexadecimal.")
+
+
+class FileList(BaseModel):
+    """A page of files, in the order of their paths. Send what is missing here to resume an upload."""
+
+    files: list[UploadedFile]
+    next: str | None = Field(None, description="Value of `after` for the next page; null on the last page.")
+
+
+class CommitRequest(BaseModel):
+    """How to read the drive; fields that are left out keep their values."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    options: DriveOptionsModel | None = None
+    keep_raw: Flag | None = None
+    check_only: Flag = Field(False, description="Check and report, but leave the drive open for more files.")
+
+
+class ScanRange(BaseModel):
+    """Scan numbers from the first to the last, without gaps."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    first: Whole = Field(ge=0, le=10**15)
+    last: Whole = Field(ge=0, le=10**15)
+
+
+class PlanRequest(BaseModel):
+    """The scans that a client has, before it sends them."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"examples": [{"scans": {"first": 0, "last": 1100}, "label_folders": ["labels"]}]},
+    )
+
+    scans: ScanRange | Annotated[list[Annotated[Whole, Field(ge=0, le=10**15)]], Field(max_length=MAX_SCANS)] = Field(
+        description="Numbers of all scans of the drive."
+    )
+    label_folders: list[LabelFolder] = Field(["labels"], min_length=1, max_length=2)
+    scan_folder: ScanFolder | None = Field(
+        None, description="Folder of the scans; determined from the small files if null."
+    )
+    label_counts: dict[LabelFolder, LabelCounts] = Field(
+        {},
+        description="For each label folder, how many points of the scans `frames_to_look_into` carry each label id.",
+        examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
+    )
+    options: DriveOptionsModel | None = Field(
+        None, description="How the files are read; the options of the drive by default."
+    )
+    keyframes: Annotated[KeyframeConfig | None, strictly(KeyframeConfig)] = Field(
+        default_factory=KeyframeConfig,
+        description="Scans to send: the keyframes by these settings, those of the default preset if left out; "
+        "null: every scan.",
+    )
+
+    @model_validator(mode="after")
+    def _check_range(self) -> PlanRequest:
+        if isinstance(self.scans, ScanRange) and not 0 <= self.scans.last - self.scans.first < MAX_SCANS:
+            raise ValueError(f"scans: expected first <= last, and {MAX_SCANS:,} scans at most")
+        return self
+
+    def numbers(self) -> list[int]:
+        """Return the scan numbers one by one."""
+        if isinstance(self.scans, ScanRange):
+            return list(range(self.scans.first, self.scans.last + 1))
+        return self.scans
+
+
+class JudgedLabels(BaseModel):
+    """What the label ids of a folder mean."""
+
+    folder: LabelFolder
+    scheme: str | None = Field(description="Name of the label scheme; null if it cannot be determined.")
+    road: list[int] = Field(description="Ids of road.")
+    confusable: list[int] = Field(description="Ids of sidewalk, parking and other ground.")
+    road_share: float | None = Field(description="Share of road among the points counted.")
+    ground_share: float | None = Field(
+        description="Share of road, sidewalk, parking and other ground among the points counted: what is to be sent."
+    )
+    problems: list[FileProblem] = Field(description="Errors, warnings and notes about these labels.")
+
+
+class LabelsRequest(BaseModel):
+    """Label ids of a drive that need not be on the service yet."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    label_counts: dict[LabelFolder, LabelCounts] = Field(
+        description="For each label folder, how many points of some scans carry each label id.",
+        examples=[{"labels": {"40": 90112, "48": 21004, "70": 333120}}],
+    )
+    options: DriveOptionsModel = Field(
+        default_factory=DriveOptionsModel, description="How the drive is to be read: its label scheme and layout."
+    )
+
+
+class LabelsAnswer(BaseModel):
+    """What the label ids mean, for each folder."""
+
+    labels: list[JudgedLabels]
+
+
+class ReductionPlanModel(BaseModel):
+    """Which scans to send, and all that is known of the drive without them."""
+
+    layout: str | None
+    pose_frame: str | None = Field(description="Sensor whose poses the pose file holds.")
+    pose_frame_reason: str | None
+    georeference: str | None = Field(description="Source of the georeference.")
+    georeference_reason: str | None = Field(description="Why there is no georeference.")
+    length_m: float | None = Field(description="Distance driven in metres.")
+    scans: int = Field(description="Number of all scans.")
+    frames: list[int] = Field(description="Numbers of the scans to send.")
+    frames_to_look_into: list[int] = Field(description="Numbers of the scans whose labels determine the label scheme.")
+    labels: list[JudgedLabels] = Field(description="What the label ids mean, for each folder of `label_counts`.")
+    manifest: dict[str, Any] | None = Field(
+        description="reduced.json, to be completed with the label folders that `label_counts` left out; "
+        "null where the poses cannot be read."
+    )
+    problems: list[FileProblem]
+
+
+class UploadedBatch(BaseModel):
+    """The files of a batch."""
+
+    files: list[UploadedFile]
+
+
+class UnpackedArchive(BaseModel):
+    """An archive that was unpacked, or is being unpacked."""
+
+    job_id: str = Field(description="The job that unpacks it.")
+    state: str = Field(examples=["successful"])
+    files: int | None = Field(None, description="Number of its files; null until it is unpacked.")
+    size_bytes: int | None = Field(None, description="Total size of its files; null until it is unpacked.")

@@ -1,0 +1,143 @@
+"""Endpoints: drives."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from sqlalchemy.orm import Session
+
+from app.context import Context, ContextDep
+from app.drives import records
+from app.drives.models import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
+from app.drives.plan import judge_label_counts
+from app.http.delivery import answer_tagged, require_unchanged, tag_of
+from app.http.headers import IdempotencyKey, IfMatch
+from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named
+from app.http.paging import After, answer_page, has_part, made_between
+from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
+from app.http.patterns import ID
+from app.http.problems import ProblemDocument
+from app.http.security import ClientDep
+from app.results.folder import ResultsDep
+from app.states import DriveState
+from app.store import sidecars
+from app.store.models import Drive
+from app.trash import deletion as trash
+
+router = APIRouter(prefix="/drives", tags=["Drives"])
+
+DriveId = Annotated[str, Path(description="Id of the drive, from POST /api/v1/drives.", pattern=ID)]
+NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such drive."}}
+
+
+@router.post(
+    "",
+    status_code=201,
+    summary="Make a drive",
+    responses={
+        200: {
+            "model": DriveModel,
+            "description": "The key was sent before: the drive of that request.",
+            "headers": headers_named("Location"),
+        },
+        201: {"headers": headers_named("Location")},
+        422: {"model": ProblemDocument, "description": "A member is refused, or the key was used for another request."},
+    },
+)
+def create_drive(
+    new: NewDrive, response: Response, context: ContextDep, client: ClientDep, key: IdempotencyKey = None
+) -> DriveModel:
+    """Make a drive without files. Send its files next, then commit it."""
+    drive, is_new = records.create_drive(context, client, new, key)
+    response.status_code = 201 if is_new else 200
+    response.headers["Location"] = f"{context.settings.root_path}/api/v1/drives/{drive.id}"
+    return drive
+
+
+@get_and_head(router, "", response_model=DriveList, summary="List drives", responses=PAGED)
+def list_drives(
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+    box: BoxFilter,
+    state: Annotated[DriveState | None, Query(description="Only those in this state.")] = None,
+    name: NamePart = None,
+    created_after: CreatedAfter = None,
+    created_before: CreatedBefore = None,
+    after: After = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> Response:
+    """List drives, the newest first, without their reports."""
+    conditions = [*made_between(Drive, created_after, created_before)]
+    if state is not None:
+        conditions.append(Drive.state == state)
+    if name is not None:
+        conditions.append(has_part(Drive.name, name))
+    if box is not None:
+        conditions.append(records.lies_in(box))
+    page = records.list_drives(context, after, limit, conditions)
+    return answer_page(request, page)
+
+
+@router.post("/labels", summary="Tell what label ids mean", openapi_extra=CHANGES_NOTHING)
+def judge_labels(request: LabelsRequest, _client: ClientDep) -> LabelsAnswer:
+    """Tell the label scheme from counts of label ids, and what is wrong with them.
+
+    For clients that choose how to read a drive before they send it; the plan of a drive answers the same.
+    """
+    return judge_label_counts(request)
+
+
+@get_and_head(
+    router,
+    "/{drive_id}",
+    response_model=DriveModel,
+    responses={**TAGGED, **NOT_FOUND},
+    summary="Show a drive",
+)
+def show_drive(drive_id: DriveId, request: Request, context: ContextDep, _client: ClientDep) -> Response:
+    """Show a drive, with the report of its last commit."""
+    with context.database.reading() as session:
+        content = _shown(session, context, records.find_drive(session, drive_id))
+    return answer_tagged(request, content)
+
+
+def _shown(session: Session, context: Context, drive: Drive) -> bytes:
+    return records.whole_drive_model(session, context, drive).model_dump_json().encode()
+
+
+@router.patch(
+    "/{drive_id}",
+    response_model=DriveModel,
+    summary="Rename a drive, or note something about it",
+    responses={**NOT_FOUND, **CHANGED},
+)
+def change_drive(
+    drive_id: DriveId, changes: DriveChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None
+) -> Response:
+    """Change the name or the note of a drive, in whatever state it is; what is left out stays as it is."""
+    with context.database.writing() as session:
+        drive = records.lock_drive(session, drive_id)
+        require_unchanged(if_match, _shown(session, context, drive))
+        for name, value in changes.model_dump(exclude_unset=True).items():
+            setattr(drive, name, value)
+        content = _shown(session, context, drive)
+    sidecars.write_drive(context.storage, drive)
+    return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
+
+
+@router.delete("/{drive_id}", status_code=204, responses=NOT_FOUND, summary="Delete a drive")
+def delete_drive(
+    drive_id: DriveId,
+    context: ContextDep,
+    results: ResultsDep,
+    client: ClientDep,
+    purge: Annotated[bool, Query(description="Delete it for good, instead of moving it to the trash.")] = False,
+) -> None:
+    """Move a drive to the trash, with its files, its jobs and their results. Jobs that run are dismissed.
+
+    It can be restored from there for some days (POST /api/v1/trash/drives/{id}/restore).
+    """
+    trash.delete_drive(context, drive_id, client, at_once=purge)
+    results.forget()

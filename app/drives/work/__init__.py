@@ -1,0 +1,1 @@
+"""What workers do for drives: unpacking, checking, reducing. No database, no web."""

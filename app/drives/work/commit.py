@@ -1,0 +1,302 @@
+"""The commit of a drive: all of its files are checked, then its scans are reduced to what the method needs.
+
+A drive that was reduced already, by the client that sent it, is checked scan by scan and taken over unchanged.
+What is wrong with the files is listed in the report, each finding with its path; the outcome then has no result.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from app.networks import work as models
+from app.paths import without_folder
+from app.work.places import REDUCED, TRAJECTORY, link
+from app.work.task import Outcome, Part, Plan, Report, Task
+from interloc.config import DEFAULT
+from interloc.drives.findings import DriveFileError, Finding, Findings
+from interloc.drives.inspect import DriveReport, inspect_drive
+from interloc.drives.open import open_drive
+from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.scans.reduced import GroundFiles
+from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
+from interloc.errors import InterLocError
+from interloc.mapping.georeferencing import trajectory
+from interloc.osm.container import is_map
+from interloc.output.geojson import write_collection
+from interloc.output.write import trajectory_feature
+from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction
+
+PART_SCANS = 200
+PART_LABELLED_SCANS = 20
+"""A scan that a network labels takes a hundred times as long."""
+
+MAX_PROBLEMS = 500
+"""Maximum number of problems in a report: some of 9,000 bad scans are enough."""
+
+_READ_WHOLE = ("pcd", "rosbag", "las")
+"""Layouts whose scans have names of any kind: no file is called needless."""
+
+_PROBLEMS = "problems.json"
+_MAX_NAMES_SHOWN = 3
+
+
+def prepare(task: Task) -> Plan:
+    """Check the files as `interloc info` does; cut the scans into parts if they are valid."""
+    files = task.drive / "files"
+    files.mkdir(parents=True, exist_ok=True)
+    report = check(task)
+    if not report.ok or task.request.get("check_only"):
+        return Plan([], 0, {"report": report.to_dict()})
+    try:
+        frames = _frames(task)
+    except InterLocError as error:  # not covered by the check: files that cannot be gathered
+        return Plan([], 0, {"report": _with_errors(report, _problems_of(error), task).to_dict()})
+    size = PART_SCANS if _model(task) is None else PART_LABELLED_SCANS
+    edges = range(0, len(frames), size)
+    parts = [Part(number, start, min(start + size, len(frames))) for number, start in enumerate(edges)]
+    return Plan(parts, len(frames), {"report": report.to_dict(), "began": time.time()})
+
+
+def run(task: Task, part: Part, report: Report) -> None:
+    """Reduce some scans, or check them if they are reduced already; faults of scans are recorded, not raised."""
+    target = task.scratch / f"part-{part.number}"
+    if target.is_dir():
+        return
+    folder = task.scratch / f"part-{part.number}-{task.attempt}"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    do = _scan_check(task) if is_reduced(task.drive / "files") else _scan_reduction(task, folder)
+    frames = _frames(task)[part.start : part.stop]
+    problems: list[list[str]] = []
+    began = time.monotonic()
+    for done, frame in enumerate(frames, start=1):
+        try:
+            do(frame)
+        except InterLocError as error:
+            if isinstance(error, DriveFileError):
+                problems.append([error.path, error.message])
+            else:
+                raise
+        report(done)
+    if (model := _model(task)) is not None and frames:
+        models.note_time(Path(task.limits["cache"]), model, (time.monotonic() - began) / len(frames))
+    (folder / _PROBLEMS).write_text(json.dumps(problems[:MAX_PROBLEMS]))
+    os.sync()  # the scans themselves will be removed: one wait per part is better than one per file
+    with suppress(OSError):  # another attempt was faster
+        folder.rename(target)
+
+
+def finish(task: Task, plan: Plan) -> Outcome:
+    """Put the reduced drive together."""
+    report = DriveReport.model_validate(plan.notes["report"])
+    if not plan.parts:
+        return Outcome({"ok": report.ok}, report.to_dict())
+    folders = [task.scratch / f"part-{part.number}" for part in plan.parts]
+    problems = [
+        Finding("error", path, message)
+        for folder in folders
+        for path, message in json.loads((folder / _PROBLEMS).read_text())
+    ]
+    if problems:
+        return Outcome({"ok": False}, _with_errors(report, problems, task).to_dict())
+    shutil.rmtree(task.result, ignore_errors=True)
+    reduced = task.result / REDUCED
+    reduced.mkdir(parents=True)
+    if is_reduced(task.drive / "files"):
+        _take_over(task.drive / "files", reduced)
+    else:
+        reduction = _reduction(str(task.drive / "files"), _options(task), task.job_id)
+        for labels in reduction.scans:
+            (reduced / ground_path(labels, 0)).parent.mkdir(parents=True)
+        for folder in folders:
+            _link_tree(folder / "ground", reduced / "ground")
+        reduction.write_rest(reduced)
+    drive = open_drive(reduced, labels=_label_folders(task)[0], check=False)
+    track = trajectory_feature(*trajectory(drive.T_world_lidar, drive.georeference))
+    is_local = drive.georeference is None
+    write_collection(task.result / TRAJECTORY[is_local], [track], local=is_local)
+    os.sync()
+    summary = {
+        "ok": True,
+        "scans": len(drive.frames),
+        "kept_scans": plan.total,
+        "reduced_bytes": sum(file.stat().st_size for file in reduced.rglob("*") if file.is_file()),
+        "seconds": round(time.time() - float(plan.notes["began"]), 3),
+    }
+    return Outcome(summary, report.to_dict())
+
+
+def check(task: Task) -> DriveReport:
+    """Check all label folders of a drive; return one report with the problems of all."""
+    root = task.drive / "files"
+    try:
+        folders = _label_folders(task)
+    except DriveFileError:  # a manifest that cannot be read: the report names it again, with everything else
+        folders = ("labels",)
+    reports = [inspect_drive(root, _options(task), labels=folder) for folder in folders]
+    first = reports[0]
+    problems = list(dict.fromkeys(problem for report in reports for problem in report.problems))
+    if first.layout not in _READ_WHOLE:
+        problems += _unknown_files(task, problems)
+    name = first.name if first.layout else task.drive_name
+    return first.model_copy(update={"path": name, "name": name, "problems": _tidied(problems, root, task.drive_name)})
+
+
+def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
+    """Return a note on files that are not kept because nothing reads them."""
+    root = task.drive / "files"
+    if task.request.get("keep_raw") or any(problem.severity == "error" for problem in problems):
+        return []
+    try:
+        known = _known_files(task)
+    except InterLocError:
+        return []
+    folders = tuple(f"{name}/" for name in ("velodyne", "velodyne_points/data", "labels", "predictions", "ground"))
+    found = (os.path.relpath(Path(folder, name), root) for folder, _, names in os.walk(root) for name in names)
+    unknown = sorted(path for path in found if path not in known and not path.startswith(folders) and not is_map(path))
+    if not unknown:
+        return []
+    names = ", ".join(unknown[:_MAX_NAMES_SHOWN]) + (", ..." if len(unknown) > _MAX_NAMES_SHOWN else "")
+    return [Finding("note", unknown[0], f"not needed, so not kept ({len(unknown):,} in all: {names}).")]
+
+
+def _known_files(task: Task) -> set[str]:
+    """Return the small files that are kept."""
+    root = task.drive / "files"
+    if not is_reduced(root):
+        return set(_reduction(str(root), _options(task), task.job_id).plan.copies.sources)
+    return {path.relative_to(root).as_posix() for path in _small_files(root)}
+
+
+def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:
+    """Sort problems, keep some of very many, and name the files as their owner does."""
+    order = ("error", "warning", "note")
+    problems = sorted(problems, key=lambda problem: order.index(problem.severity))
+    kept = [
+        Finding(each.severity, without_folder(each.path, root, name), without_folder(each.message, root, name))
+        for each in problems[:MAX_PROBLEMS]
+    ]
+    if len(problems) > MAX_PROBLEMS:
+        kept.append(Finding("note", "", f"And {len(problems) - MAX_PROBLEMS:,} more problems."))
+    return kept
+
+
+def _with_errors(report: DriveReport, problems: list[Finding], task: Task) -> DriveReport:
+    every = list(dict.fromkeys([*problems, *report.problems]))
+    return report.model_copy(update={"problems": _tidied(every, task.drive / "files", task.drive_name)})
+
+
+def _problems_of(error: InterLocError) -> list[Finding]:
+    findings = Findings(stop_at_first=False)
+    findings.error(error)
+    return findings.found
+
+
+def reading_options(given: dict[str, Any], root: Path, name: str) -> DriveOptions:
+    """Return how the uploaded files in `root` are read, by the options and the name of the drive."""
+    options = ReadingOptions.model_validate({field: value for field, value in given.items() if field != "model"})
+    changed: DriveArguments = {"name": name.replace("/", "_")}
+    if options.oxts is not None:
+        changed["oxts"] = root / options.oxts
+    if options.poses is not None:
+        if options.poses.startswith("/"):  # a topic: nothing but a bag may look at it, or it would be a path of ours
+            changed["layout"] = "rosbag"
+        else:
+            changed["poses"] = str(root / options.poses)
+    return DriveOptions.of(options, **changed)
+
+
+def _options(task: Task) -> DriveOptions:
+    options = reading_options(task.request["options"], task.drive / "files", task.drive_name)
+    model = _model(task)
+    return options if model is None else DriveOptions.of(options, model=model)
+
+
+def _model(task: Task) -> Path | None:
+    """Return the folder of the network that labels the scans."""
+    name = task.request["options"].get("model")
+    if name is None or is_reduced(task.drive / "files"):
+        return None
+    return models.find(task.limits.get("models"), name)
+
+
+def _label_folders(task: Task) -> tuple[LabelFolder, ...]:
+    root = task.drive / "files"
+    if _model(task) is not None:
+        return ("predictions",)
+    if not is_reduced(root):
+        return label_folders_in(root)
+    return tuple(labels.folder for labels in read_manifest(root).labels) or ("labels",)
+
+
+def _frames(task: Task) -> list[int]:
+    """Return the numbers of the scans that are to be reduced, or are reduced already."""
+    root = task.drive / "files"
+    if is_reduced(root):
+        return [int(frame) for frame in read_manifest(root).kept_frames]
+    return [int(frame) for frame in _reduction(str(root), _options(task), task.job_id).plan.frames_to_send]
+
+
+@lru_cache(maxsize=2)
+def _reduction(root: str, options: DriveOptions, job_id: str) -> Reduction:  # noqa: ARG001 - files may differ for another job
+    """Prepare the reduction of a drive once for all parts of a job in this process."""
+    # A network is asked about the keyframes only; label files are cheap enough to keep every scan.
+    return prepare_reduction(root, options, keyframes=None if options.model is None else DEFAULT.keyframes)
+
+
+def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:
+    """Return the function that reduces one scan."""
+    reduction = _reduction(str(task.drive / "files"), _options(task), task.job_id)
+    for labels in reduction.scans:
+        (folder / ground_path(labels, 0)).parent.mkdir(parents=True)
+    return lambda frame: reduction.write_ground(frame, folder)
+
+
+def _scan_check(task: Task) -> Callable[[int], None]:
+    """Return the function that decodes one reduced scan."""
+    root = task.drive / "files"
+    manifest = read_manifest(root)
+    sources = [GroundFiles(root, labels.folder, manifest.kept_frames, manifest.keyframes) for labels in manifest.labels]
+
+    def check_scan(frame: int) -> None:
+        for source in sources:
+            source.read(frame)
+
+    return check_scan
+
+
+def _take_over(files: Path, reduced: Path) -> None:
+    """Link the files of an upload that was reduced by the client."""
+    manifest = read_manifest(files)
+    for labels in manifest.labels:
+        (reduced / ground_path(labels.folder, 0)).parent.mkdir(parents=True)
+        for frame in manifest.kept_frames:
+            name = ground_path(labels.folder, int(frame))
+            link(files / name, reduced / name)
+    for path in _small_files(files):
+        target = reduced / path.relative_to(files)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        link(path, target)
+
+
+def _small_files(files: Path) -> list[Path]:
+    """Return the manifest of a reduced drive and all files that it names."""
+    found = [files / MANIFEST]
+    for name in read_manifest(files).files.paths:
+        path = files / name
+        found += [each for each in path.rglob("*") if each.is_file()] if path.is_dir() else [path]
+    return found
+
+
+def _link_tree(source: Path, target: Path) -> None:
+    for folder in source.iterdir():
+        for file in folder.iterdir():
+            link(file, target / folder.name / file.name)

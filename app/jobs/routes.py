@@ -1,0 +1,267 @@
+"""Endpoints: jobs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from sqlalchemy import or_, select
+from sqlalchemy.orm import Session
+
+from app.context import Context, ContextDep
+from app.drives.records import lies_in
+from app.http.delivery import answer_tagged, require_unchanged, tag_of
+from app.http.headers import IdempotencyKey, IfMatch, WaitIfAsked
+from app.http.limits import job_limit
+from app.http.openapi import CHANGED, PAGED, TAGGED, get_and_head, headers_named
+from app.http.paging import After, answer_page, cursor_of, has_part, made_between, newest_first, rows_after
+from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
+from app.http.patterns import ID
+from app.http.problems import ProblemDocument
+from app.http.security import ClientDep
+from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
+from app.jobs.queue import cancel, submit
+from app.jobs.submission import check_request
+from app.jobs.view import find_job, is_alive, job_models
+from app.jobs.watcher import wait_for_job
+from app.results.folder import ResultsDep
+from app.states import FINAL, JobKind, JobState
+from app.store import sidecars
+from app.store.models import Drive, Job
+from app.trash.deletion import delete_job as delete_ended_job
+from interloc.config import PRESETS, DetectorConfig
+
+router = APIRouter(tags=["Jobs"])
+
+JobId = Annotated[str, Path(pattern=ID, description="Id of the job, from POST /api/v1/jobs.")]
+NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ProblemDocument, "description": "There is no such job."}}
+
+
+def _problem(description: str) -> dict[str, Any]:
+    return {"model": ProblemDocument, "description": description}
+
+
+@router.post(
+    "/jobs",
+    status_code=202,
+    summary="Start a job",
+    responses={
+        200: {
+            "model": JobModel,
+            "description": "The job has ended within the time of Prefer; or the job that this key has made before.",
+            "headers": headers_named("Location", "Preference-Applied"),
+        },
+        202: {"headers": headers_named("Location", "Preference-Applied")},
+        404: _problem("There is no such drive."),
+        409: _problem("The drive is not committed."),
+        422: _problem(
+            "A setting is refused, the drive lacks the map, the labels or the georeference that the job needs, or the "
+            "key was used for another request."
+        ),
+        429: {
+            **_problem("Too many jobs of this client wait or run."),
+            "headers": headers_named("Retry-After"),
+        },
+        507: _problem("The disk is full."),
+    },
+)
+async def create_job(
+    new: NewJob,
+    response: Response,
+    context: ContextDep,
+    client: ClientDep,
+    wait_s: WaitIfAsked,
+    key: IdempotencyKey = None,
+) -> JobModel:
+    """Find the intersections of a drive, and score them where a map is given.
+
+    The job waits in a queue, and survives restarts of the service. Follow its events, ask for it from time to time,
+    or wait for its end right here with `Prefer: wait=SECONDS`. A job of a drive whose check still runs waits for it.
+    """
+    model, is_new = await run_in_threadpool(_submit, context, client, new, key)
+    if wait_s and model.state not in FINAL:
+        await wait_for_job(context, model.id, wait_s)
+        model = await run_in_threadpool(load_job, model.id, context, client)
+    response.status_code = 202 if is_new and model.state not in FINAL else 200
+    response.headers["Location"] = model.links["self"]
+    return model
+
+
+def _submit(context: Context, client: str, new: NewJob, key: str | None) -> tuple[JobModel, bool]:
+    database = context.database
+    with database.writing() as session:
+        request = check_request(session, context, new)
+        job, is_new = submit(
+            session,
+            database,
+            kind=JobKind.INTERSECTIONS,
+            drive_id=new.drive_id,
+            owner=client,
+            request=request,
+            key=key,
+            limit=job_limit(context, client),
+        )
+        _, drive_name = find_job(session, job.id)
+        (model,) = job_models(session, context, [(job, drive_name)])
+    context.jobs_changed.set()
+    return model, is_new
+
+
+@get_and_head(
+    router,
+    "/jobs",
+    response_model=JobList,
+    summary="List jobs",
+    responses={**PAGED, 422: _problem("A parameter is refused.")},
+)
+def list_jobs(
+    request: Request,
+    context: ContextDep,
+    _client: ClientDep,
+    box: BoxFilter,
+    drive: Annotated[str | None, Query(pattern=ID, description="Only those of this drive.")] = None,
+    state: Annotated[JobState | None, Query(description="Only those in this state.")] = None,
+    kind: Annotated[
+        JobKind | Literal["all"],
+        Query(description="Only those of this kind; commit and unpack are the checks of uploads."),
+    ] = JobKind.INTERSECTIONS,
+    name: NamePart = None,
+    created_after: CreatedAfter = None,
+    created_before: CreatedBefore = None,
+    after: After = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> Response:
+    """List jobs, the newest first; `name` is looked for in the names of jobs and of their drives."""
+    query = select(Job, Drive.name).join(Drive, Drive.id == Job.drive_id).where(is_alive())
+    query = query.order_by(*newest_first(Job)).limit(limit + 1).where(*made_between(Job, created_after, created_before))
+    if kind != "all":
+        query = query.where(Job.kind == kind)
+    if drive is not None:
+        query = query.where(Job.drive_id == drive)
+    if state is not None:
+        query = query.where(Job.state == state)
+    if name is not None:
+        query = query.where(or_(has_part(Drive.name, name), has_part(Job.name, name)))
+    if box is not None:
+        query = query.where(lies_in(box))
+    if after is not None:
+        query = query.where(rows_after(Job, after))
+    with context.database.reading() as session:
+        rows = [(job, drive_name) for job, drive_name in session.execute(query)]
+        jobs = job_models(session, context, rows[:limit])
+    page = JobList(jobs=jobs, next=cursor_of(rows[limit - 1][0]) if len(rows) > limit else None)
+    return answer_page(request, page)
+
+
+def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel:
+    """Return a job as clients see it."""
+    with context.database.reading() as session:
+        (model,) = job_models(session, context, [find_job(session, job_id)])
+    return model
+
+
+@get_and_head(
+    router, "/jobs/{job_id}", response_model=JobModel, responses={**TAGGED, **NOT_FOUND}, summary="Show a job"
+)
+def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
+    """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
+    return answer_tagged(request, job.model_dump_json().encode())
+
+
+@router.patch(
+    "/jobs/{job_id}",
+    response_model=JobModel,
+    summary="Rename a job, or note something about it",
+    responses={**NOT_FOUND, **CHANGED},
+)
+def change_job(
+    job_id: JobId, changes: JobChanges, context: ContextDep, _client: ClientDep, if_match: IfMatch = None
+) -> Response:
+    """Change the name or the note of a job, in whatever state it is; what is left out stays as it is.
+
+    Its request keeps the name that it was sent with, so that the same Idempotency-Key still finds it.
+    """
+    with context.database.writing() as session:
+        job, drive_name = find_job(session, job_id)
+        session.refresh(job, with_for_update=True)
+        require_unchanged(if_match, _shown(session, context, job, drive_name))
+        values = changes.model_dump(exclude_unset=True)
+        if any(getattr(job, name) != value for name, value in values.items()):
+            job.version += 1
+        for name, value in values.items():
+            setattr(job, name, value)
+        content = _shown(session, context, job, drive_name)
+    if job.state == JobState.SUCCESSFUL and job.kind == JobKind.INTERSECTIONS:
+        sidecars.write_job(context.storage, job)
+    return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
+
+
+def _shown(session: Session, context: Context, job: Job, drive_name: str) -> bytes:
+    (model,) = job_models(session, context, [(job, drive_name)])
+    return model.model_dump_json().encode()
+
+
+@router.delete(
+    "/jobs/{job_id}",
+    response_model=JobModel,
+    summary="Cancel a job, or remove one that has ended",
+    responses={
+        **NOT_FOUND,
+        200: {"description": "It has ended, by this request or earlier."},
+        202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
+        204: {"description": "The job and its results are in the trash."},
+        409: _problem("It has not ended, so it cannot be removed."),
+    },
+)
+def delete_job(
+    job_id: JobId,
+    request: Request,
+    response: Response,
+    context: ContextDep,
+    results: ResultsDep,
+    client: ClientDep,
+    purge: Annotated[bool, Query(description="Move a job that has ended to the trash, with its results.")] = False,
+) -> JobModel | Response:
+    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed.
+
+    What is removed can be restored for some days (POST /api/v1/trash/jobs/{id}/restore).
+    """
+    request.state.action = "remove_job" if purge else "cancel_job"
+    if purge:
+        delete_ended_job(context, job_id, client)
+        results.forget()
+        return Response(status_code=204)
+    database = context.database
+    with database.writing() as session:
+        job, name = find_job(session, job_id)
+        cancel(session, database, job)
+        (model,) = job_models(session, context, [(job, name)])
+    context.jobs_changed.set()
+    response.status_code = 200 if model.state in FINAL else 202
+    return model
+
+
+@router.get("/presets", summary="List presets")
+def list_presets(_client: ClientDep) -> PresetList:
+    """List the settings to start from, with the JSON schema of all settings, for a form."""
+    return PresetList(
+        presets=[_preset_model(name) for name in PRESETS],
+        config_schema=DetectorConfig.model_json_schema(),
+    )
+
+
+@router.get("/presets/{name}", summary="Show a preset")
+def show_preset(name: Literal["default", "paper"], _client: ClientDep) -> PresetModel:
+    """Show all settings of a preset: the shape of `config` of a job."""
+    return _preset_model(name)
+
+
+_PRESET_MEANINGS = {
+    "default": "The best settings of this version.",
+    "paper": "Exactly the method of the paper with the parameters of its Table I, as a reference.",
+}
+
+
+def _preset_model(name: str) -> PresetModel:
+    return PresetModel(name=name, description=_PRESET_MEANINGS[name], config=PRESETS[name])

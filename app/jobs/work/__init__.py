@@ -1,0 +1,1 @@
+"""What workers do for jobs that find intersections. No database, no web."""

@@ -1,0 +1,280 @@
+"""Find the intersections of a drive and score them against a map: `interloc run`, cut into ranges of keyframes."""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from app.jobs.work.checkpoints import read_checkpoint, write_checkpoint
+from app.work.places import REDUCED
+from app.work.progress import ProgressFiles
+from app.work.task import Outcome, Part, Plan, Report, Task, no_georeference
+from interloc.arrays import IntArray
+from interloc.config import DetectorConfig
+from interloc.detection.keyframes import select_keyframes
+from interloc.detection.warm import are_cold, warm_up
+from interloc.drive import Drive
+from interloc.drives.folder import FolderDrive
+from interloc.drives.open import open_drive
+from interloc.drives.options import LabelFolder
+from interloc.drives.scans.reduced_format import MANIFEST
+from interloc.errors import DriveError, InterLocError
+from interloc.evaluation.coverage import map_bounds, track_bounds
+from interloc.osm.graph import Bounds, RoadGraph
+from interloc.output.layout import result_folder
+from interloc.output.write import write_results
+from interloc.pipeline import RangeResult, assemble, detect_range
+from interloc.results import DriveResult
+
+_RANGE = 240
+"""Keyframes per part with images of `_CELLS` cells per side: one or two seconds of work, 5 % of it for the halo."""
+
+_MAP_RATIO = 60
+"""Real maps unpack to 10 to 30 times their size; a higher ratio indicates a decompression bomb."""
+
+_MAP_FREE_BYTES = 64 * 1024**2  # small maps may unpack to this much, whatever their ratio
+
+_MIN_RANGE = 40
+_CELLS = 750
+
+
+class DriveGoneError(InterLocError):
+    """A committed drive whose files were removed from outside."""
+
+    http_status = 410
+
+
+def prepare(task: Task) -> Plan:
+    """Open the drive and the map, so that what is wrong with them is reported before the long work."""
+    progress = ProgressFiles(task)
+    if are_cold():  # the service has just been installed and started
+        progress.report_stage("preparing", "Compiling the kernels, once")
+        warm_up(config_of(task))
+    progress.report_stage("preparing")
+    drive, keyframes = open_input(task)
+    if not len(keyframes):
+        raise DriveError(f"{task.drive_name}: the drive holds no scans")
+    if task.request.get("osm") is not None:
+        if drive.georeference is None and not _is_placed_by_map(task):
+            raise no_georeference(task.drive_name)
+        _read_map(task, _map_bounds(task, drive, keyframes))
+    return Plan(_cut(len(keyframes), config_of(task)), len(keyframes), {"began": time.time()})
+
+
+def run(task: Task, part: Part, report: Report) -> None:
+    """Find the intersections around the keyframes of a range."""
+    path = _checkpoint(task, part)
+    if read_checkpoint(path) is not None:
+        report(part.stop - part.start)
+        return
+    drive, keyframes = open_input(task)
+    found = detect_range(drive, keyframes, part.start, part.stop, config_of(task), lambda done, _: report(done))
+    write_checkpoint(path, found)
+
+
+def finish(task: Task, plan: Plan) -> Outcome:
+    """Join the ranges, write the result folder, and score it where a map was given."""
+    progress = ProgressFiles(task)
+    progress.report_stage("mapping")
+    drive, keyframes = open_input(task)
+    result = assemble(
+        drive,
+        keyframes,
+        [_found(task, part) for part in plan.parts],
+        config_of(task),
+        workers=min(int(task.limits.get("workers", 1)), len(plan.parts)),
+        seconds=max(0.0, time.time() - plan.notes["began"]),
+    )
+    scored, graph = result, None
+    if task.request.get("osm") is not None:
+        graph = _read_map(task, _map_bounds(task, drive, keyframes))
+    report = None
+    with result_folder(task.result) as folder:
+        if graph is not None and _is_placed_by_map(task):
+            result, scored = _place(task, drive, result, graph, folder)
+        write_results(result, folder)
+        if graph is not None:
+            progress.report_stage("evaluating")
+            report = _evaluate(task, result, scored, graph, folder)
+        progress.check()
+    return Outcome(_summary(result, report))
+
+
+def open_input(task: Task) -> tuple[Drive, IntArray]:
+    """Return the drive of a task, and the positions of its keyframes.
+
+    Raises
+    ------
+    DriveGoneError
+        Its files are not where the commit has put them.
+    """
+    config = config_of(task)
+    root = task.drive / REDUCED
+    if not (root / MANIFEST).is_file():
+        raise DriveGoneError(
+            f"The files of drive {task.drive_name} are no longer on the disk of the service, though it was committed. "
+            "Upload it again, and tell the operator."
+        )
+    drive, keyframes = _open_once(root, task.drive_name, _label_folder(task, root), config)
+    return drive.without_georeference() if _is_placed_by_map(task) else drive, keyframes
+
+
+@lru_cache(maxsize=4)  # a worker does many parts of few drives; their files do not change any more
+def _open_once(root: Path, name: str, labels: LabelFolder, config: DetectorConfig) -> tuple[FolderDrive, IntArray]:
+    drive = open_drive(root, name=name, labels=labels, check=False)  # the commit has checked it
+    return drive, select_keyframes(drive.T_world_lidar, config.keyframes)
+
+
+def _label_folder(task: Task, root: Path) -> LabelFolder:
+    folders: tuple[LabelFolder, ...] = get_args(LabelFolder)
+    asked: LabelFolder | None = task.request.get("labels")
+    if asked is not None:
+        return asked
+    return next((name for name in folders if (root / "ground" / name).is_dir()), folders[0])
+
+
+def config_of(task: Task) -> DetectorConfig:
+    """Return the settings of a task."""
+    return DetectorConfig.model_validate(task.request["config"])
+
+
+def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:
+    """Cut the keyframes into ranges; the same on every server, so that each finds the checkpoints of the others."""
+    length = max(_MIN_RANGE, min(_RANGE, _RANGE * _CELLS**2 // config.bev.cells**2))
+    count = max(1, round(keyframes / length))
+    edges = [round(i * keyframes / count) for i in range(count + 1)]
+    return [Part(number, start, stop) for number, (start, stop) in enumerate(pairwise(edges))]
+
+
+def _checkpoint(task: Task, part: Part) -> Path:
+    return task.scratch / f"range-{part.start}-{part.stop}.npz"
+
+
+def _found(task: Task, part: Part) -> RangeResult:
+    found = read_checkpoint(_checkpoint(task, part))
+    if found is None:  # another server, of another version, wrote it
+        run(task, part, lambda _: None)
+        found = read_checkpoint(_checkpoint(task, part))
+    assert found is not None
+    return found
+
+
+def _is_placed_by_map(task: Task) -> bool:
+    return bool(task.request.get("georeference") == "map")
+
+
+def _map_bounds(task: Task, drive: Drive, keyframes: IntArray) -> Bounds | None:
+    """Return the part of the map that the task needs; None: all of it."""
+    near = task.request.get("near")
+    if not _is_placed_by_map(task):
+        assert drive.georeference is not None
+        fixes = drive.georeference
+        lonlat = np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1)
+        return track_bounds(lonlat) if _is_fetched(task) else map_bounds(lonlat)
+    if near is None:
+        return None
+    return track_bounds(np.array([[near["lon_deg"], near["lat_deg"]]]), margin_m=1000.0 * near["radius_km"])
+
+
+def _is_fetched(task: Task) -> bool:
+    return "file" not in task.request["osm"]
+
+
+def _read_map(task: Task, bounds: Bounds | None) -> RoadGraph:
+    from interloc.osm.container import MAX_UNPACKED_BYTES  # noqa: PLC0415
+    from interloc.osm.overpass import download_roads  # noqa: PLC0415 - the network only where it is asked for
+    from interloc.osm.reader import read_osm  # noqa: PLC0415
+
+    if not _is_fetched(task):
+        path = task.drive / "files" / task.request["osm"]["file"]
+        max_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
+        return read_osm(path, bounds, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
+    progress = ProgressFiles(task)
+
+    def wait(reason: str, seconds: float) -> None:
+        progress.report_stage("waiting for the map", f"{reason} ({seconds:.0f} s)")
+
+    assert bounds is not None  # the request was checked
+    return download_roads(
+        bounds,
+        cache_dir=Path(task.limits["cache"]) / "overpass",
+        on_wait=wait,
+        url=task.limits["overpass_url"],
+    )
+
+
+def _place(
+    task: Task, drive: Drive, result: DriveResult, graph: RoadGraph, folder: Path
+) -> tuple[DriveResult, DriveResult]:
+    """Return the run on the earth, and the copy of it that is scored; see `interloc.localization.placing`."""
+    from interloc.localization.placing import place_run, write_places  # noqa: PLC0415 - slow to import, used by few
+
+    progress = ProgressFiles(task)
+
+    def report(done: int, total: int) -> None:
+        progress.report_stage("locating", f"Comparing {done} of {total} places")
+
+    near = task.request.get("near")
+    report(0, 1)
+    placed = place_run(
+        result,
+        drive,
+        graph,
+        policy=task.request.get("policy", "drive"),
+        tolerance_m=task.request.get("tolerance_m", 15.0),
+        near=None if near is None else (near["lat_deg"], near["lon_deg"]),
+        radius_m=None if near is None else 1000.0 * near["radius_km"],
+        progress=report,
+    )
+    write_places(placed.location, graph, folder)
+    return placed.result, placed.scored
+
+
+def _evaluate(task: Task, result: DriveResult, scored: DriveResult, graph: RoadGraph, folder: Path) -> dict[str, Any]:
+    from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once per job
+    from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
+
+    evaluation = evaluate(
+        scored, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
+    )
+    write_report(evaluation, folder, result=result)
+    return report_record(evaluation)
+
+
+def _summary(result: DriveResult, report: dict[str, Any] | None) -> dict[str, Any]:
+    return {
+        "keyframes": len(result.keyframes),
+        "detections": len(result.detections),
+        "intersections": len(result.intersections),
+        "georeferenced": result.is_georeferenced,
+        "seconds": result.run["seconds"],
+        "stage_seconds": result.run["stage_seconds"],
+        "peak_memory_bytes": result.run["peak_memory_bytes"],
+        "location": _location(result),
+        "report": None
+        if report is None
+        else {
+            "policy": report["policy"],
+            "ace_m": report["ace_m"],
+            **{f"{name}_at_5": report[name]["5.0"] for name in ("precision", "recall", "f1")},
+            "nodes_in_zone": report["nodes_in_zone"],
+            "nodes_found": report["nodes_found"],
+        },
+    }
+
+
+def _location(result: DriveResult) -> dict[str, Any] | None:
+    """Return where a drive was placed on the map, and how surely; None where it was not."""
+    location = result.run.get("location")
+    if location is None:
+        return None
+    best = location["places"][0]
+    return {
+        **{name: best[name] for name in ("lat_deg", "lon_deg", "heading_deg", "score")},
+        **{name: location[name] for name in ("position_std_m", "heading_std_deg", "seconds")},
+    }

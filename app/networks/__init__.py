@@ -1,0 +1,1 @@
+"""The networks by which drives without labels can be labelled."""

@@ -1,0 +1,248 @@
+"""OGC API - Features: the newest result of every drive at /ogc, and each result by itself."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable
+from functools import wraps
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Request, Response
+from pydantic import BaseModel
+
+from app.context import ContextDep
+from app.http.delivery import DOCUMENT_POLICY, answer_tagged, service_address
+from app.http.openapi import TAGGED, get_and_head
+from app.http.parameters import OF_ITS_DATA, refuse_others
+from app.http.problems import Problem, ProblemDocument
+from app.ogc.collections import Collection
+from app.ogc.description import describe_interface
+from app.ogc.documents import GEOJSON, OPENAPI, SCHEMA, Place
+from app.ogc.index import Extent, Source, extents, find_feature, find_page
+from app.ogc.indexing import index_job, is_indexed
+from app.ogc.models import (
+    OgcCollection,
+    OgcCollections,
+    OgcConformance,
+    OgcFeature,
+    OgcFeatures,
+    OgcInterface,
+    OgcLandingPage,
+    OgcSchema,
+)
+from app.ogc.pages import page_of
+from app.ogc.parameters import AskedDep, Format, FormatDep
+from app.results.folder import ResultsDep
+from app.results.routes.results import PROBLEMS, JobId
+
+of_all = APIRouter(tags=["GIS"])
+"""The newest result of every drive; it has its own address beside the API."""
+
+of_job = APIRouter(tags=["GIS"])
+
+_CollectionId = Annotated[
+    str, Path(description="Name of the collection, as listed.", max_length=100, examples=["intersections"])
+]
+_FeatureId = Annotated[str, Path(description="Id of the feature.", max_length=400)]
+
+
+class _Served:
+    """A source of features, where it is shown, by which path in the description of the service, and its database."""
+
+    def __init__(self, request: Request, context: ContextDep, source: Source, place: Place, path: str) -> None:
+        self.request = request
+        self.path = path
+        self.database = context.database
+        self.source = source
+        self.place = place
+
+    def extents(self) -> dict[str, Extent]:
+        """Return what the collections hold."""
+        with self.database.reading() as session:
+            return extents(session, self.source)
+
+    def collection(self, name: str) -> Collection:
+        """Return a collection.
+
+        Raises
+        ------
+        Problem
+            404.
+        """
+        found = self.source.collections.get(name)
+        if found is None or (self.source.job is not None and name not in self.extents()):
+            known = ", ".join(self.extents())
+            raise Problem(404, "No such collection", f"There is no collection {name[:80]!r}. There are {known}.")
+        return found
+
+    def answer(self, document: dict[str, Any] | str, form: Format, media_type: str = "application/json") -> Response:
+        """Answer with a document, as JSON or as HTML."""
+        headers = {"vary": "Accept"}
+        if form == "html":
+            document = json.loads(document) if isinstance(document, str) else document
+            headers["content-security-policy"] = DOCUMENT_POLICY
+            name = self.request.url.path.rpartition("/")[2].replace("-", " ").capitalize()
+            page = page_of(document, name)
+            return answer_tagged(self.request, page.encode(), "text/html; charset=utf-8", **headers)
+        content = document if isinstance(document, str) else json.dumps(document, ensure_ascii=False)
+        return answer_tagged(self.request, content.encode(), media_type, **headers)
+
+
+def _newest(request: Request, context: ContextDep) -> _Served:
+    place = Place(
+        f"{service_address(request)}/ogc",
+        "InterLoc",
+        "Road intersections found in LiDAR drives: the newest successful job of every drive.",
+    )
+    return _Served(request, context, Source(), place, "/ogc")
+
+
+def _one_job(job_id: JobId, request: Request, context: ContextDep, results: ResultsDep) -> _Served:
+    result = results.open(job_id)
+    result.require_georeference("A GIS cannot show it")
+    with context.database.reading() as session:
+        is_there = is_indexed(session, job_id)
+    if not is_there:  # of an older version, and the clean-up has not come to it yet
+        index_job(context, job_id)
+    description = f"Road intersections found by job {job_id} in drive {result.drive_name}."
+    address = f"{service_address(request)}{result.address}/ogc"
+    place = Place(address, f"InterLoc: {result.drive_name}", description)
+    return _Served(request, context, Source(job_id), place, f"{result.address}/ogc".replace(job_id, "{job_id}"))
+
+
+_HTML = {"text/html": {"schema": {"type": "string"}}}
+
+
+def _answers(model: type[BaseModel], description: str) -> dict[int | str, dict[str, Any]]:
+    return {**TAGGED, 200: {"model": model, "description": description, "content": _HTML, **TAGGED[200]}}
+
+
+def _landing(served: _Served, form: FormatDep) -> Response:
+    """Lead to everything else: give this address to QGIS (OGC API - Features) or to GDAL (`OAPIF:` before it)."""
+    return served.answer(served.place.landing(), form)
+
+
+def _conformance(served: _Served, form: FormatDep) -> Response:
+    """List the classes of OGC API - Features and CQL2 that the interface keeps to."""
+    return served.answer(served.place.conformance(), form)
+
+
+def _interface(request: Request, served: _Served, form: FormatDep) -> Response:
+    """Describe the addresses below this one by OpenAPI 3.0, for GDAL and QGIS."""
+    known = {name: served.source.collections[name] for name in served.extents()}
+    document = describe_interface(request.app.openapi(), served.path, known, served.place.address)
+    return served.answer(document, form, OPENAPI)
+
+
+def _collections(served: _Served, form: FormatDep) -> Response:
+    """List the layers with their extents in space and time."""
+    return served.answer(served.place.collections(served.extents(), served.source.collections), form)
+
+
+def _collection(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+    """Describe a layer: what a feature is, its extent in space and time, whose data it is."""
+    found = served.collection(collection_id)
+    return served.answer(served.place.collection(found, served.extents()[found.id]), form)
+
+
+def _schema(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+    """Describe the properties of the features: type, unit, title and meaning."""
+    found = served.collection(collection_id)
+    return served.answer(found.schema(served.place.of_collection(found, "schema")), form, SCHEMA)
+
+
+def _feature_schema(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+    """Describe the features as they are in GeoJSON, for programs such as GDAL."""
+    found = served.collection(collection_id)
+    return served.answer(found.feature_schema(served.place.of_collection(found, "feature-schema")), form, SCHEMA)
+
+
+def _queryables(collection_id: _CollectionId, served: _Served, form: FormatDep) -> Response:
+    """Describe what filters may name."""
+    found = served.collection(collection_id)
+    return served.answer(found.queryables_schema(served.place.of_collection(found, "queryables")), form, SCHEMA)
+
+
+def _items(
+    collection_id: _CollectionId, request: Request, served: _Served, asked: AskedDep, form: FormatDep
+) -> Response:
+    """Give features as GeoJSON, page by page: follow the link `next`.
+
+    All conditions must hold. A filter that is too large, too deep or takes too long is refused.
+    """
+    found = served.collection(collection_id)
+    refuse_others(request, found.queryables)
+    values = {name: value for name, value in request.query_params.items() if name in found.queryables}
+    query = asked.query(found, values)
+    with served.database.reading() as session:
+        page = find_page(session, served.source, found, query)
+    content = served.place.items(found, page, request.query_params.multi_items())
+    return served.answer(content, form, GEOJSON)
+
+
+def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Served, form: FormatDep) -> Response:
+    """Give one feature; its id stays the same for as long as there is its job."""
+    found = served.collection(collection_id)
+    with served.database.reading() as session:
+        content = find_feature(session, served.source, found, feature_id)
+    if content is None:
+        hint = (
+            ""
+            if served.source.job or "." in feature_id
+            else " Ids of features of all drives begin with the job: JOB.ID."
+        )
+        raise Problem(404, "No such feature", f"{found.id} has no feature {feature_id[:80]!r}.{hint}")
+    return served.answer(served.place.feature(found, feature_id, content), form, GEOJSON)
+
+
+_ONE = "/collections/{collection_id}"
+_ADDRESSES: tuple[tuple[str, Callable[..., Response], type[BaseModel], str], ...] = (
+    ("", _landing, OgcLandingPage, "Where a GIS begins"),
+    ("/api", _interface, OgcInterface, "Describe the interface"),
+    ("/conformance", _conformance, OgcConformance, "What the interface keeps to"),
+    ("/collections", _collections, OgcCollections, "List the layers"),
+    (_ONE, _collection, OgcCollection, "Describe a layer"),
+    (f"{_ONE}/schema", _schema, OgcSchema, "Describe the features of a layer"),
+    (f"{_ONE}/feature-schema", _feature_schema, OgcSchema, "Describe the GeoJSON of a layer"),
+    (f"{_ONE}/queryables", _queryables, OgcSchema, "Describe what filters may name"),
+    (f"{_ONE}/items", _items, OgcFeatures, "Give the features of a layer"),
+    (f"{_ONE}/items/{{feature_id}}", _feature, OgcFeature, "Give one feature"),
+)
+_MISSING = {404: {"model": ProblemDocument, "description": "No such collection or feature."}}
+
+
+def _add(
+    router: APIRouter, prefix: str, name: str, source: Callable[..., _Served], problems: dict[int | str, Any]
+) -> None:
+    """Register all addresses of a source of features."""
+    for path, endpoint, model, summary in _ADDRESSES:
+        missing = _MISSING if "{" in path else {}
+        extra = OF_ITS_DATA if endpoint is _items else None
+        get_and_head(
+            router,
+            f"{prefix}{path}",
+            summary=summary,
+            operation_id=f"read_{name}{endpoint.__name__}",
+            openapi_extra=extra,
+            response_class=Response,
+            responses={**_answers(model, f"{summary}."), **missing, **problems},
+        )(_bound(endpoint, source))
+
+
+def _bound(endpoint: Callable[..., Response], source: Callable[..., _Served]) -> Callable[..., Response]:
+    """Return an endpoint whose `served` comes from a source."""
+
+    @wraps(endpoint)
+    def bound(**arguments: Any) -> Response:  # noqa: ANN401 - those of the endpoint
+        return endpoint(**arguments)
+
+    signature = inspect.signature(endpoint, eval_str=True)
+    own = signature.parameters["served"].replace(annotation=Annotated[_Served, Depends(source)])
+    parameters = {**signature.parameters, "served": own}
+    bound.__signature__ = signature.replace(parameters=list(parameters.values()))  # type: ignore[attr-defined]
+    return bound
+
+
+_add(of_all, "/ogc", "ogc", _newest, {})
+_add(of_job, "/jobs/{job_id}/ogc", "job_ogc", _one_job, PROBLEMS)

@@ -1,0 +1,1 @@
+"""All drives on one map."""

@@ -1,0 +1,213 @@
+"""What the page is told about the service: settings, limits, and the words for what a user chooses and sees."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from pydantic import BaseModel, Field
+
+from app.jobs.models import MAX_COMPARED_JOBS, Near
+from app.paths import ARCHIVE_ENDINGS, RECORDING_ENDINGS
+from app.settings import Settings
+from interloc.drives.georeference import kitti360
+from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
+from interloc.drives.labels import SCHEMES
+from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
+from interloc.drives.options import LabelFolder
+from interloc.drives.scans.pcd import LABEL_FIELDS
+from interloc.osm.container import MAP_ENDINGS, SIMULATOR
+from interloc.osm.intersections import DRIVABLE_OR_SERVICE
+from interloc.osm.policies import POLICIES
+from interloc.output.layers import LAYERS
+from interloc.output.vector_files import suffixes_here
+
+_LIMITS = (
+    "max_file_bytes",
+    "max_recording_bytes",
+    "max_archive_bytes",
+    "max_batch_bytes",
+    "max_batch_files",
+    "max_drive_bytes",
+    "max_drive_files",
+    "max_queued_jobs",
+    "upload_expires_h",
+    "trash_h",
+)
+
+
+class PolicyModel(BaseModel):
+    """A policy: which OSM nodes count as intersections."""
+
+    name: str = Field(examples=["drive"])
+    title: str = Field(examples=["Drivable public roads"])
+    description: str
+
+
+class FieldModel(BaseModel):
+    """A property of the features of a layer."""
+
+    name: str = Field(examples=["error_m"])
+    title: str = Field(examples=["Error"])
+    description: str
+    kind: str = Field(description="int, float, bool, text, time or list.")
+    unit: str | None = Field(description="m, s, rad or degree.")
+
+
+class LayerModel(BaseModel):
+    """A layer of a result."""
+
+    name: str = Field(description="Name of the layer and of its GeoJSON file.", examples=["osm_nodes"])
+    title: str
+    description: str
+    geometry: str = Field(description="Point or LineString.")
+    fields: list[FieldModel] = Field(description="Properties of a feature.")
+    is_osm: bool = Field(description="Whether the layer holds data of OpenStreetMap.")
+    attribution: str = Field(description="Sources to name where the layer is shown.")
+
+
+class LabelSchemeModel(BaseModel):
+    """Meaning of the label ids of a drive."""
+
+    name: str = Field(examples=["semantickitti"])
+    title: str = Field(examples=["SemanticKITTI"])
+    road: list[int] = Field(description="Ids of road.")
+    confusable: list[int] = Field(description="Ids of sidewalk, parking and other ground.")
+    known: list[int] | None = Field(description="All ids of the scheme.")
+
+
+class FileKinds(BaseModel):
+    """Which files of a drive are which, by name."""
+
+    maps: list[str] = Field(description="Endings of OSM files, in lower case.", examples=[[".osm", ".osm.gz"]])
+    archives: list[str] = Field(description="Endings of archives that hold a whole drive.", examples=[[".zip"]])
+    recordings: list[str] = Field(description="Endings of files that hold many scans.", examples=[[".bag", ".mcap"]])
+    scans: list[str] = Field(
+        description="Endings of scans that only the service reads: they are sent as they are.", examples=[[".pcd"]]
+    )
+    label_fields: list[str] = Field(
+        description="Names of the field of PCD files that holds the label of a point, in lower case.",
+        examples=[["label", "class"]],
+    )
+    scan_folders: list[str] = Field(description="Folders of scans.", examples=[["velodyne"]])
+    label_folders: list[str] = Field(description="Folders of labels.", examples=[["labels", "predictions"]])
+
+
+class RangeModel(BaseModel):
+    """Bounds of a number that a user may choose."""
+
+    default: float
+    minimum: float
+    maximum: float
+
+
+class WorldModel(BaseModel):
+    """The world of the poses of KITTI-360: a spherical Mercator projection."""
+
+    lat_deg: float = Field(description="Where x and y are 0, and the scale is 1.")
+    lon_deg: float
+    min_alt_m: float = Field(description="A drive whose median height is lower is not in that world.")
+    max_alt_m: float
+
+
+class PageConfig(BaseModel):
+    """What the page needs to know of the service."""
+
+    version: str = Field(examples=["0.1.0"])
+    tile_url: str | None = Field(description="Address pattern of map tiles that the page may offer; null: none.")
+    tile_attribution: str
+    overpass: bool = Field(description="Whether jobs may fetch the map from Overpass.")
+    needs_token: bool = Field(description="Whether the API expects `Authorization: Bearer TOKEN`.")
+    limits: dict[str, int | float] = Field(description="Limits of uploads, under the names of the settings.")
+    policies: list[PolicyModel] = Field(
+        description="Which OSM nodes can count as intersections; the first is the default."
+    )
+    layers: list[LayerModel] = Field(description="Layers of a result.")
+    exports: list[str] = Field(
+        description="Endings of the exports that this service writes.", examples=[[".gpkg", ".pmtiles"]]
+    )
+    label_schemes: list[LabelSchemeModel] = Field(description="Label schemes with a name.")
+    file_kinds: FileKinds
+    raw_first_frames: dict[str, int] = Field(
+        description="Raw frame at which an odometry sequence begins, where it is not 0, by KITTI raw drive."
+    )
+    raw_sequences: dict[str, str] = Field(description="Odometry sequence by KITTI raw drive.")
+    kitti360_world: WorldModel
+    simulator: str = Field(description="`generator` of OSM files that are made up.", examples=["interloc simulate"])
+    drivable: list[str] = Field(description="Values of `highway` that are drawn as roads for cars.")
+    search_radius_km: RangeModel = Field(description="How far around a place a drive is searched for on the map.")
+    max_compared_jobs: int = Field(description="How many jobs can be compared at once.")
+
+    @classmethod
+    def of(cls, settings: Settings, *, version: str, needs_token: bool) -> PageConfig:
+        """Gather it."""
+        return cls(
+            version=version,
+            tile_url=settings.tile_url or None,
+            tile_attribution=settings.tile_attribution,
+            overpass=settings.overpass,
+            needs_token=needs_token,
+            limits={name: getattr(settings, name) for name in _LIMITS},
+            policies=_POLICIES,
+            layers=_LAYERS,
+            exports=suffixes_here(),
+            label_schemes=_LABEL_SCHEMES,
+            file_kinds=_FILE_KINDS,
+            raw_first_frames={raw: first for raw, (_, first, _) in ODOMETRY_OF_RAW.items() if first},
+            raw_sequences={raw: sequence for raw, (sequence, _, _) in ODOMETRY_OF_RAW.items()},
+            kitti360_world=_KITTI360_WORLD,
+            simulator=SIMULATOR,
+            drivable=sorted(DRIVABLE_OR_SERVICE),
+            search_radius_km=_SEARCH_RADIUS_KM,
+            max_compared_jobs=MAX_COMPARED_JOBS,
+        )
+
+
+_KITTI360_WORLD = WorldModel(
+    lat_deg=kitti360.ORIGIN_LAT_DEG,
+    lon_deg=kitti360.ORIGIN_LON_DEG,
+    min_alt_m=kitti360.MIN_ALT_M,
+    max_alt_m=kitti360.MAX_ALT_M,
+)
+_SEARCH_RADIUS_KM = RangeModel.model_validate(Near.model_json_schema()["properties"]["radius_km"])
+_POLICIES = [
+    PolicyModel(name=name, title=wording.title, description=wording.meaning) for name, wording in POLICIES.items()
+]
+_LAYERS = [
+    LayerModel(
+        name=layer.name,
+        title=layer.title,
+        description=layer.description,
+        geometry=layer.geometry,
+        fields=[
+            FieldModel(**{name: getattr(each, name) for name in FieldModel.model_fields}) for each in layer.attributes
+        ],
+        is_osm=layer.is_osm,
+        attribution=layer.attribution,
+    )
+    for layer in LAYERS.values()
+]
+_SCHEME_TITLES = {
+    "semantickitti": "SemanticKITTI",
+    "learning": "Learning ids 0 to 19",
+    "kitti360": "KITTI-360",
+    "las": "LAS classification",
+}
+_LABEL_SCHEMES = [
+    LabelSchemeModel(
+        name=scheme.name,
+        title=_SCHEME_TITLES[scheme.name],
+        road=sorted(scheme.road),
+        confusable=sorted(scheme.confusable),
+        known=None if scheme.known is None else sorted(scheme.known),
+    )
+    for scheme in SCHEMES.values()
+]
+_FILE_KINDS = FileKinds(
+    maps=list(MAP_ENDINGS),
+    archives=list(ARCHIVE_ENDINGS),
+    recordings=list(RECORDING_ENDINGS),
+    scans=list(PCD_ENDINGS),
+    label_fields=list(LABEL_FIELDS),
+    scan_folders=list(SCAN_FOLDERS),
+    label_folders=list(get_args(LabelFolder)),
+)

@@ -1,0 +1,84 @@
+"""The page, what it needs to know, and the documentation of the API."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Request
+from fastapi.responses import HTMLResponse, RedirectResponse, Response
+
+from app.context import ContextDep, part_of_app
+from app.http.delivery import answer_tagged, deliver, media_type_of
+from app.http.problems import Problem
+from app.page.files import (
+    DOCS_POLICY,
+    INDEX,
+    SWAGGER,
+    SWAGGER_PAGE,
+    SWAGGER_START,
+    VERSION_MARK,
+    PageFiles,
+    list_addresses,
+)
+from app.page.models import PageConfig
+
+router = APIRouter(tags=["System"])
+
+_ASK = "no-cache"
+_KEEP = "public, max-age=31536000, immutable"
+
+
+PageFilesDep = Annotated[PageFiles, part_of_app("page_files")]
+
+
+def _add(path: str, endpoint: Any) -> None:  # noqa: ANN401 - any endpoint
+    for method in ("GET", "HEAD"):
+        router.add_api_route(path, endpoint, methods=[method], include_in_schema=False, response_class=Response)
+
+
+def read_index(request: Request, files: PageFilesDep) -> Response:
+    """Give the page, or redirect to the documentation where it is not installed."""
+    if not files.are_complete():
+        return RedirectResponse(f"{request.scope.get('root_path', '')}/docs")
+    return answer_tagged(request, files.index(), media_type_of(files.root / INDEX), **{"cache-control": _ASK})
+
+
+def read_asset(path: str, request: Request, files: PageFilesDep, context: ContextDep) -> Response:
+    """Give a file of the page; under the address with its version it stays what it is."""
+    cache_control = _ASK
+    if path.startswith(VERSION_MARK):
+        version, _, path = path.removeprefix(VERSION_MARK).partition("/")
+        cache_control = _KEEP if version == files.version() else _ASK
+    found = files.find(path)
+    if found is None:
+        raise Problem(404, "Not found", f"The page has no file {path!r}.")
+    copies = context.storage.folder("cache/page")
+    return deliver(request, found, gzip_copies=copies, cache_control=cache_control, policy=None)
+
+
+def read_docs(request: Request, files: PageFilesDep) -> Response:
+    """Give the documentation of the API."""
+    headers = {"content-security-policy": DOCS_POLICY, "cache-control": _ASK}
+    if files.find(SWAGGER) is not None:
+        return HTMLResponse(SWAGGER_PAGE, headers=headers)
+    return HTMLResponse(list_addresses(request.app.openapi()), headers=headers)
+
+
+def read_docs_start() -> Response:
+    """Give the script that starts Swagger UI: the policy of the service allows none within a page."""
+    return Response(SWAGGER_START, media_type="text/javascript", headers={"cache-control": _ASK})
+
+
+@router.get("/config.json", summary="What the page needs to know", operation_id="read_page_config")
+def read_config(request: Request, context: ContextDep) -> PageConfig:
+    """Give version, tiles, limits, the words for what a user chooses, and whether a token is needed.
+
+    Open to everybody: it holds no secrets.
+    """
+    return PageConfig.of(context.settings, version=request.app.version, needs_token=context.tokens.exist())
+
+
+_add("/", read_index)
+_add("/static/{path:path}", read_asset)
+_add("/docs", read_docs)
+_add("/docs/start.js", read_docs_start)

@@ -1,0 +1,157 @@
+"""Results side by side, and beside the paper's."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel, Field
+
+from app.context import ContextDep
+from app.http.problems import Problem
+from app.jobs.models import MAX_COMPARED_JOBS
+from app.jobs.titles import distinct_titles, own_settings
+from app.jobs.view import find_job
+from app.results.folder import ResultsDep
+from app.results.routes.results import PROBLEMS
+from interloc.output.layout import settings_of
+
+_JOBS = rf"^[A-Za-z0-9_-]{{1,64}}( *, *[A-Za-z0-9_-]{{1,64}}){{1,{MAX_COMPARED_JOBS - 1}}}$"
+
+router = APIRouter(tags=["Results"])
+
+
+class Setting(BaseModel):
+    """A setting in which jobs differ."""
+
+    name: str = Field(examples=["bev.resolution_m"])
+    is_own: bool = Field(description="Whether a job has another value than its preset; else only the presets differ.")
+    values: list[Any] = Field(description="In the order of the jobs.", examples=[[0.16, 0.25]])
+
+
+class Input(BaseModel):
+    """Something that the jobs read in which they differ."""
+
+    name: str = Field(description="`labels` or `georeference`.", examples=["labels"])
+    values: list[str | None] = Field(description="In the order of the jobs.", examples=[["labels", "predictions"]])
+
+
+class Figure(BaseModel):
+    """A figure of the reports."""
+
+    name: str = Field(examples=["ace_m"])
+    values: list[float | None]
+
+
+class ComparedNode(BaseModel):
+    """An OpenStreetMap node with different outcomes."""
+
+    osm_id: int
+    lon: float
+    lat: float
+    degree: int
+    outcomes: list[Literal["found", "missed", "outside"]] = Field(
+        description="In the order of the jobs; outside: it lay in no zone in which a missed node counts."
+    )
+    median_error_m: list[float | None]
+
+
+class Comparison(BaseModel):
+    """Reports of one drive side by side; lists of values are in the order of the jobs."""
+
+    runs: list[str] = Field(description="Ids of the jobs.")
+    names: list[str] = Field(
+        description="What tells the jobs apart: their names, or what was asked for without what they have in common.",
+        examples=[["default", "r = 0.25"]],
+    )
+    drive_id: str
+    inputs: list[Input] = Field(description="Labels and georeference, where the jobs differ in them.")
+    settings: list[Setting] = Field(description="Settings in which the jobs differ.")
+    figures: list[Figure]
+    nodes: list[ComparedNode] = Field(description="Nodes with different outcomes.")
+    found_by_all: int
+    missed_by_all: int
+    found_only_by: list[list[int]] = Field(description="OSM ids of the nodes that only this job found.")
+    warnings: list[str] = Field(description="Why figures may not be comparable.")
+
+
+@router.get(
+    "/compare",
+    summary="Compare jobs of one drive",
+    operation_id="compare_jobs",
+    response_model=Comparison,
+    responses=PROBLEMS,
+)
+def compare_jobs(
+    context: ContextDep,
+    results: ResultsDep,
+    jobs: Annotated[
+        str,
+        Query(
+            description=f"Ids of 2 to {MAX_COMPARED_JOBS} jobs, with commas between.",
+            max_length=1000,
+            examples=["9b1e,44f0"],
+            json_schema_extra={"pattern": _JOBS},
+        ),
+    ],
+) -> dict[str, Any]:
+    """Show what differs of inputs and settings, the figures at D = 5 m, and intersections that only one job found."""
+    from interloc.evaluation.compare import compare_reports  # noqa: PLC0415 - numpy and more
+
+    ids = [each.strip() for each in jobs.split(",")]
+    if re.fullmatch(_JOBS, jobs) is None or len(set(ids)) < len(ids):
+        raise Problem(
+            422, "Request not valid", f"jobs: {jobs!r}. Expected two to {MAX_COMPARED_JOBS} different job ids: a,b"
+        )
+    opened = [results.open(job_id) for job_id in ids]
+    drives = dict.fromkeys(result.drive_id for result in opened)
+    if len(drives) > 1:
+        names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in opened)
+        raise Problem(422, "Different drives", f"Jobs of one drive can be compared; these are {names}.")
+    with context.database.reading() as session:
+        rows = [find_job(session, job_id)[0] for job_id in ids]
+    reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]
+    runs = [json.loads((result.folder / "run.json").read_bytes()) for result in opened]
+    one_drive = {"drive_name": opened[0].drive_id}  # which may have been renamed between the jobs
+    compared = compare_reports(ids, reports, [run | one_drive for run in runs])
+    own = set().union(*(own_settings({"config": settings_of(run)}) for run in runs))
+    for setting in compared["settings"]:
+        setting["is_own"] = setting["name"] in own
+    return {"drive_id": opened[0].drive_id, "names": distinct_titles(rows), **compared}
+
+
+class PublishedFigures(BaseModel):
+    """Figures of the paper."""
+
+    ace_m: float
+    precision: float
+    recall: float
+
+
+class PaperFigures(BaseModel):
+    """What the paper reports."""
+
+    threshold_m: float = Field(5.0, description="D of precision and recall, except in `comparison`.")
+    sequences: dict[str, PublishedFigures] = Field(
+        description="Figures per SemanticKITTI sequence, with RangeNet++ labels."
+    )
+    average: PublishedFigures
+    comparison: dict[str, PublishedFigures] = Field(
+        description="Figures per method: ACE, precision at D = 6.9 m, recall at D = 13.3 m."
+    )
+    noise: dict[str, PublishedFigures] = Field(description="Figures per r-FPR/r-FNR in per cent, with hand labels.")
+
+
+@router.get("/paper", summary="The paper's figures", operation_id="read_paper", response_model=PaperFigures)
+def read_paper() -> dict[str, Any]:
+    """Give the tables of the paper, to stand beside a report of a KITTI sequence."""
+    from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE  # noqa: PLC0415
+
+    tables = {"sequences": PERFORMANCE, "comparison": COMPARISON, "noise": LABEL_ERRORS}
+    plain = {
+        table: {name: dataclasses.asdict(figures) for name, figures in rows.items()} for table, rows in tables.items()
+    }
+    return {**plain, "average": dataclasses.asdict(AVERAGE)}

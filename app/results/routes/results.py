@@ -1,0 +1,242 @@
+"""What a successful job yields: layers, report, files, one archive of all."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.responses import StreamingResponse
+from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
+
+from app.http.delivery import REVALIDATE, answer_tagged, deliver, media_type_of, not_modified
+from app.http.headers import prefers_html
+from app.http.openapi import get_and_head, headers_named
+from app.http.parameters import BoxFilter
+from app.http.patterns import ID
+from app.http.problems import ProblemDocument
+from app.results.folder import Result, ResultsDep
+from app.results.models import MEDIA_TYPE as GEOJSON
+from app.results.models import ResultFile, ResultFileList, collection_model
+from app.results.selection import MAX_FEATURES, select_features
+from interloc.errors import OutputError
+from interloc.files import atomic_write
+from interloc.output.layers import LAYERS, Layer
+from interloc.output.qml import qml
+
+JobId = Annotated[str, Path(description="Id of a successful job of kind intersections.", pattern=ID)]
+
+PROBLEMS: dict[int | str, dict[str, Any]] = {
+    404: {"model": ProblemDocument, "description": "No such job; or its result has no such part, and why."},
+    409: {"model": ProblemDocument, "description": "The job is not successful (yet)."},
+    410: {"model": ProblemDocument, "description": "The result is no longer on disk."},
+}
+_PACKED = frozenset({".png", ".gz", ".zip"})  # they would not become smaller in an archive
+
+_CACHED: dict[int | str, dict[str, Any]] = {
+    206: {
+        "description": "The range that was asked for.",
+        "headers": headers_named("Content-Range", "ETag", "Last-Modified"),
+    },
+    304: {
+        "description": "The client has the current version (If-None-Match, If-Modified-Since).",
+        "headers": headers_named("ETag"),
+    },
+    416: {"model": ProblemDocument, "description": "There is no such range."},
+}
+
+_FILE_HEADERS = headers_named("ETag", "Last-Modified", "Content-Disposition", "Accept-Ranges")
+
+
+def answers(media_type: str, schema: dict[str, Any], description: str) -> dict[int | str, dict[str, Any]]:
+    """Describe the answers of an address that gives a file."""
+    content = {media_type: {"schema": schema}}
+    return {200: {"description": description, "content": content, "headers": _FILE_HEADERS}, **_CACHED, **PROBLEMS}
+
+
+router = APIRouter(tags=["Results"])
+
+
+def _add_layer(layer: Layer) -> None:
+    def read_layer(
+        job_id: JobId,
+        request: Request,
+        results: ResultsDep,
+        box: BoxFilter,
+        limit: Annotated[
+            int | None, Query(ge=1, le=MAX_FEATURES, description="Maximum number of features; all by default.")
+        ] = None,
+    ) -> Response:
+        result = results.open(job_id)
+        path, name = result.layer(layer.address), f"{result.slug}-{layer.address}.geojson"
+        if box is None and limit is None:
+            return deliver(request, path, gzip_copies=result.cache, name=name)
+        return answer_tagged(request, select_features(path, box, limit), GEOJSON)
+
+    properties = "\n".join(f"- `{each.name}`: {each.description}" for each in layer.attributes)
+    get_and_head(
+        router,
+        f"/jobs/{{job_id}}/{layer.address}",
+        summary=layer.title,
+        description=f"{layer.description}\n\n{properties}\n\n{layer.attribution} "
+        "The same bytes as the command line writes, unless `bbox` or `limit` selects: RFC 7946, longitude first.",
+        operation_id=f"read_{layer.name}",
+        response_class=Response,
+        responses={
+            **_CACHED,
+            **PROBLEMS,
+            200: {"model": collection_model(layer), "description": f"{layer.title}.", "headers": _FILE_HEADERS},
+        },
+    )(read_layer)
+
+
+for _layer in LAYERS.values():
+    _add_layer(_layer)
+
+
+@get_and_head(
+    router,
+    "/jobs/{job_id}/report",
+    summary="The evaluation, for programs or for people",
+    operation_id="read_report",
+    response_class=Response,
+    responses={
+        **answers("application/json", {"type": "object"}, "The report."),
+        200: {
+            "description": "The report: `report.json`, or `report.html` as one file with its figures.",
+            "content": {
+                "application/json": {"schema": {"type": "object"}},
+                "text/html": {"schema": {"type": "string"}},
+            },
+        },
+    },
+)
+def read_report(
+    job_id: JobId,
+    request: Request,
+    results: ResultsDep,
+    format: Annotated[  # noqa: A002 - the name in the address
+        Literal["html", "json"] | None,
+        Query(description="Format of the report; takes precedence over the Accept header."),
+    ] = None,
+) -> Response:
+    """Score against OpenStreetMap: ACE, precision, recall and F1 over D, per node and on the map.
+
+    Answers with JSON, or with HTML where the `Accept` header prefers `text/html` (as a browser's does).
+    """
+    result = results.open(job_id)
+    html = format == "html" or (format is None and prefers_html(request.headers))
+    path = result.evaluation_file("report.html" if html else "report.json")
+    name = f"{result.slug}-{path.name}"
+    return deliver(request, path, gzip_copies=result.cache, name=name, vary="Accept")
+
+
+@get_and_head(
+    router,
+    "/jobs/{job_id}/run",
+    summary="What the run was",
+    operation_id="read_run",
+    response_class=Response,
+    responses=answers("application/json", {"type": "object"}, "`run.json`."),
+)
+def read_run(job_id: JobId, request: Request, results: ResultsDep) -> Response:
+    """Give the full configuration, versions, timings per stage and peak memory."""
+    result = results.open(job_id)
+    return deliver(request, result.file("run.json"), gzip_copies=result.cache, name=f"{result.slug}-run.json")
+
+
+@get_and_head(
+    router,
+    "/jobs/{job_id}/files",
+    summary="List the files of the result",
+    operation_id="list_result_files",
+    response_model=ResultFileList,
+    responses=PROBLEMS,
+)
+def list_result_files(job_id: JobId, results: ResultsDep) -> ResultFileList:
+    """List the result folder, exactly as the command line writes it."""
+    result = results.open(job_id)
+    return ResultFileList(
+        files=[
+            ResultFile(
+                name=name.as_posix(),
+                size_bytes=(result.folder / name).stat().st_size,
+                media_type=media_type_of(name),
+                href=f"{result.address}/files/{name.as_posix()}",
+            )
+            for name in result.files()
+        ]
+    )
+
+
+@get_and_head(
+    router,
+    "/jobs/{job_id}/files/{name:path}",
+    summary="Read a file of the result",
+    operation_id="read_result_file",
+    response_class=Response,
+    responses=answers("*/*", {}, "The file, in its own media type."),
+)
+def read_result_file(
+    job_id: JobId,
+    name: Annotated[
+        str, Path(description="Path of the file, as listed.", examples=["figures/map.svg"], max_length=512)
+    ],
+    request: Request,
+    results: ResultsDep,
+) -> Response:
+    """Give any file of the result; without georeference the layers are the files `*.local.json`."""
+    result = results.open(job_id)
+    path = result.file(name)
+    return deliver(request, path, gzip_copies=result.cache, name=f"{result.slug}-{path.name}")
+
+
+@get_and_head(
+    router,
+    "/jobs/{job_id}/archive.zip",
+    summary="Download everything as one archive",
+    operation_id="download_archive",
+    response_class=Response,
+    responses=answers("application/zip", {"type": "string", "format": "binary"}, "The result folder, packed."),
+)
+def download_archive(job_id: JobId, request: Request, results: ResultsDep) -> Response:
+    """Give the whole result folder as a .zip, packed while it is sent; beside each layer its style for QGIS (.qml)."""
+    result = results.open(job_id)
+    folder = f"{result.slug}-{job_id}"
+    archive = ZipStream(compress_type=ZIP_DEFLATED)
+    files = []
+    for name in result.files():
+        path = result.folder / name
+        stat = path.stat()
+        files.append((name.as_posix(), stat.st_mtime_ns, stat.st_size))
+        compress_type = ZIP_STORED if name.suffix in _PACKED else ZIP_DEFLATED
+        archive.add_path(path, f"{folder}/{name.as_posix()}", compress_type=compress_type)
+        style = _style_of(result, name)
+        if style is not None:
+            files.append((style.name, style.stat().st_mtime_ns, style.stat().st_size))
+            archive.add_path(style, f"{folder}/{name.with_suffix('.qml').as_posix()}")
+    headers = {
+        "etag": f'"{hashlib.sha256(repr(files).encode()).hexdigest()[:24]}"',
+        "cache-control": REVALIDATE,
+        "content-disposition": f'attachment; filename="{folder}.zip"',
+    }
+    known = not_modified(request, headers)
+    content = () if request.method == "HEAD" else archive
+    return known or StreamingResponse(content, headers=headers, media_type="application/zip")
+
+
+def _style_of(result: Result, name: FilePath) -> FilePath | None:
+    """Return the style of a layer for QGIS, a file with a time of its own: the same archive has the same bytes."""
+    layer = LAYERS.get(name.name.split(".", 1)[0]) if name.suffix in {".geojson", ".json"} else None
+    if layer is None:
+        return None
+    path, content = result.cache / "styles" / f"{layer.name}.qml", qml(layer).encode()
+    try:
+        if not path.exists() or path.read_bytes() != content:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(path) as file:
+                file.write(content)
+    except (OSError, OutputError):  # as on a full disk
+        return None
+    return path

@@ -1,0 +1,180 @@
+"""Short work that a request waits for: pictures of a keyframe, files for other programs, the plan of an upload."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import interloc.output
+from app.jobs.work.intersections import config_of, open_input
+from app.ogc.work import collection_id
+from app.work.task import Task
+from interloc.drives.findings import Finding
+from interloc.drives.labels import LabelJudgement
+from interloc.drives.options import LabelFolder, ReadingOptions
+from interloc.drives.scans.reduced_format import ReducedLabels
+from interloc.files import atomic_folder, atomic_write
+from interloc.output.qgis_project import Source
+from interloc.output.vector_files import write_live_project, write_vector_file
+from interloc.reduction.plan import ReductionPlan, judge_counts, plan_reduction
+
+VIEW = "view.json"
+"""File with the place of pictures and the numbers behind them; it is written last."""
+
+ROAD_PICTURE = "road.png"
+
+LIVE = "http://service.invalid/job"
+"""What stands in a project of QGIS for the address of its job, which depends on how the service is reached."""
+
+_KEPT = 300  # keyframes per job whose pictures are kept, about 100 kB each
+
+
+def draw_keyframe(task: Task, frame: int, folder: Path) -> int:
+    """Draw all overlays of a keyframe into a folder.
+
+    Parameters
+    ----------
+    task
+        The job, as it was worked on.
+    frame : int
+        Scan number.
+    folder
+        Appears complete or not at all, in a folder of such folders.
+
+    Returns
+    -------
+    int
+        The keyframe nearest to `frame`. Nothing was drawn if it is another one.
+
+    Raises
+    ------
+    InterLocError
+        The drive can no longer be read, or the disk is full.
+    """
+    from interloc.explain.evidence import gather  # noqa: PLC0415 - not needed for jobs
+    from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
+
+    drive, keyframes = open_input(task)
+    frames = drive.frames[keyframes]
+    nearest = int(frames[np.argmin(np.abs(frames - frame))])
+    if nearest != frame:
+        return nearest
+    evidence = gather(drive, frame, config_of(task))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_folder(folder, marker=VIEW) as new:
+        for layer in OVERLAYS:
+            with atomic_write(new / f"{layer}.png") as file:
+                file.write(draw_overlay(evidence, layer))
+        view = describe_overlays(evidence, task.drive_name, drive.georeference)
+        with atomic_write(new / VIEW) as file:
+            file.write(json.dumps(view, allow_nan=False).encode() + b"\n")
+    _forget_oldest(folder.parent)
+    return nearest
+
+
+def _forget_oldest(views: Path) -> None:
+    with suppress(OSError):
+        folders = sorted(views.iterdir(), key=lambda folder: folder.stat().st_mtime)
+        for folder in folders[:-_KEPT]:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def export_path(cache: Path, name: str) -> Path:
+    """Return where an export is kept in the cache of a job: those that other code has written are not taken for it."""
+    return cache / "exports" / _writer() / name
+
+
+@cache
+def _writer() -> str:
+    """Return a fingerprint of the code that writes exports."""
+    modules = [*sorted(Path(interloc.output.__file__).parent.glob("*.py")), Path(__file__)]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in modules)).hexdigest()[:12]
+
+
+def write_export(folder: Path, path: Path, layer: str | None) -> None:
+    """Write a layer of a result, or all of them, as a file for other programs; its suffix says which format.
+
+    What other code has written goes (see `export_path`).
+    """
+    _forget_others(path.parent)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".qgs":
+        write_live_project(
+            folder, path, lambda layer: Source("OAPIF", f"typename='{collection_id(layer)}' url='{LIVE}/ogc'")
+        )
+    else:
+        write_vector_file(folder, path, layer=layer)
+
+
+def _forget_others(folder: Path) -> None:
+    with suppress(OSError):
+        for other in folder.parent.iterdir():
+            if other.is_file():
+                other.unlink()
+            elif other != folder:
+                shutil.rmtree(other, ignore_errors=True)
+
+
+def draw_road_picture(result: Path, folder: Path) -> None:
+    """Draw the road seen by LiDAR into a folder, which appears complete or not at all.
+
+    Raises
+    ------
+    InterLocError
+        The file of the result is damaged, or the disk is full.
+    """
+    from interloc.output.layout import ROAD_FILE  # noqa: PLC0415
+    from interloc.output.road import draw_road, read_road  # noqa: PLC0415
+
+    mosaic = read_road(result / ROAD_FILE)
+    picture = draw_road(mosaic)
+    bounds = list(picture.bounds)
+    view = {
+        "bounds_lonlat": None if mosaic.epsg is None else bounds,
+        "bounds_world_m": bounds if mosaic.epsg is None else None,
+        "size_px": list(picture.size),
+        "picture_resolution_m": picture.cell_m,
+        "resolution_m": mosaic.raster.cell_m,
+        "crs": None if mosaic.epsg is None else f"EPSG:{mosaic.epsg}",
+    }
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_folder(folder, marker=VIEW) as new:
+        with atomic_write(new / ROAD_PICTURE) as file:
+            file.write(picture.png)
+        with atomic_write(new / VIEW) as file:
+            file.write(json.dumps(view, allow_nan=False).encode() + b"\n")
+
+
+def plan_and_judge(
+    root: Path,
+    numbers: Sequence[int],
+    options: ReadingOptions,
+    choices: dict[str, Any],
+    label_counts: dict[LabelFolder, dict[int, int]],
+) -> tuple[ReductionPlan, dict[LabelFolder, tuple[LabelJudgement, list[Finding]]]]:
+    """Plan the reduction of a drive, and judge the label ids that were counted in its scans.
+
+    Parameters
+    ----------
+    root, numbers, options, **choices
+        As of `plan_reduction`.
+    """
+    made = plan_reduction(root, numbers, options, **choices)
+    judged = {folder: judge_counts(made, folder, counts) for folder, counts in label_counts.items()}
+    if made.manifest is not None:
+        known = [
+            ReducedLabels.of(folder, labels.scheme, labels.counts)
+            for folder, (labels, _) in judged.items()
+            if labels.scheme is not None
+        ]
+        made = replace(made, manifest=made.manifest.with_labels(known))
+    return made, judged

@@ -1,1 +1,0 @@
-"""What the service takes and gives, as pydantic models: the source of its OpenAPI."""

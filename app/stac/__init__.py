@@ -1,0 +1,1 @@
+"""Drives and their results for catalogues (STAC 1.1)."""

@@ -1,0 +1,162 @@
+"""Endpoints: health, readiness, metrics."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated, Literal
+
+from anyio import CapacityLimiter, to_thread
+from fastapi import APIRouter, Path, Response
+from pydantic import BaseModel, Field
+from sqlalchemy.exc import SQLAlchemyError
+
+from app.context import Context, ContextDep, part_of_app
+from app.http.problem_types import MEANINGS, slug_of, type_of
+from app.http.problems import Problem, ProblemDocument
+from app.http.security import ClientDep
+from app.jobs.runner import Runner
+from app.metrics import CONTENT_TYPE
+
+_BELIEVED_S = 1.0  # a probe cannot be used to load the database
+
+router = APIRouter(tags=["System"])
+
+
+class Health(BaseModel):
+    """The process runs."""
+
+    status: Literal["ok"] = "ok"
+
+
+class Readiness(BaseModel):
+    """Whether requests can be answered and jobs can be done."""
+
+    ready: bool
+    reasons: dict[str, str] = Field(
+        description="What is wrong, by part; empty if nothing is.",
+        examples=[{"disk": "0.4 GB free, 1.0 GB must stay free (INTERLOC_MIN_FREE_BYTES)"}],
+    )
+
+
+class Probe:
+    """Finds out whether the service can work; many who ask at the same time are answered by one look.
+
+    It has a thread of its own, so that it answers where all others wait for the database.
+    """
+
+    def __init__(self, context: Context, runner: Runner) -> None:
+        self._context = context
+        self._runner = runner
+        self._thread = CapacityLimiter(1)
+        self._found: dict[str, str] = {}
+        self._looked_at = float("-inf")
+
+    async def reasons(self) -> dict[str, str]:
+        """Return why the service cannot work, by part; empty if it can."""
+        if self._context.stopping.is_set():
+            return {"server": "it is being stopped"}
+        await to_thread.run_sync(self._look, limiter=self._thread)
+        return self._found
+
+    def _look(self) -> None:
+        if time.monotonic() < self._looked_at + _BELIEVED_S:
+            return
+        ailments = {
+            "database": self._ailment_of_database(),
+            "disk": self._ailment_of_disk(),
+            "workers": self._runner.ailment(),
+        }
+        self._found = {part: reason for part, reason in ailments.items() if reason is not None}
+        self._looked_at = time.monotonic()
+
+    def _ailment_of_database(self) -> str | None:
+        try:
+            self._context.database.check_writable()
+        except SQLAlchemyError as error:
+            cause = getattr(error, "orig", None) or error
+            # What PostgreSQL says may name its host; this answer is open to everybody.
+            return f"nothing can be written ({cause if self._context.database.is_sqlite else type(cause).__name__})"
+        return None
+
+    def _ailment_of_disk(self) -> str | None:
+        floor = self._context.settings.min_free_bytes
+        try:
+            free = self._context.storage.free_bytes()
+        except OSError as error:
+            return f"the data folder cannot be reached ({error.strerror})"
+        if free >= floor:
+            return None
+        return f"{free / 1e9:.1f} GB free, {floor / 1e9:.1f} GB must stay free (INTERLOC_MIN_FREE_BYTES)"
+
+
+@router.get("/healthz", summary="Show that the process runs")
+async def show_health() -> Health:
+    """Answer without any check. For the probe that restarts a container that hangs."""
+    return Health()
+
+
+@router.get(
+    "/readyz",
+    summary="Show whether the service can work",
+    responses={503: {"model": Readiness, "description": "It cannot; `reasons` lists why."}},
+)
+async def show_readiness(probe: Annotated[Probe, part_of_app("probe")], response: Response) -> Readiness:
+    """Check the database by a write, the disk and the workers. For load balancers: while this is 503, none is sent."""
+    reasons = await probe.reasons()
+    if reasons:
+        response.status_code = 503
+    return Readiness(ready=not reasons, reasons=reasons)
+
+
+class ProblemType(BaseModel):
+    """A kind of problem."""
+
+    type: str = Field(description="The `type` of its problem documents.", examples=["/problems/drive-not-usable"])
+    title: str = Field(examples=["Drive not usable"])
+    meaning: str = Field(description="What has happened; `detail` of a problem says what was found in each case.")
+
+
+class ProblemTypeList(BaseModel):
+    """The kinds of problems."""
+
+    problems: list[ProblemType]
+
+
+@router.get("/problems", summary="List the kinds of problems")
+async def list_problem_types() -> ProblemTypeList:
+    """List every `type` that a problem document of this service can have, except about:blank."""
+    return ProblemTypeList(problems=list(_PROBLEM_TYPES.values()))
+
+
+@router.get(
+    "/problems/{name}",
+    summary="Explain a kind of problem",
+    responses={404: {"model": ProblemDocument, "description": "There is no such kind."}},
+)
+async def show_problem_type(
+    name: Annotated[str, Path(description="Last part of a `type`.", examples=["drive-not-usable"], max_length=100)],
+) -> ProblemType:
+    """Explain a `type`: it is the address of this, below that of the service."""
+    if name not in _PROBLEM_TYPES:
+        raise Problem(404, "Not found", f"There is no kind of problem {name!r}; GET /problems lists all.")
+    return _PROBLEM_TYPES[name]
+
+
+_PROBLEM_TYPES = {
+    slug_of(title): ProblemType(type=type_of(title), title=title, meaning=meaning)
+    for title, meaning in MEANINGS.items()
+}
+
+
+@router.get(
+    "/metrics",
+    summary="Show figures for Prometheus",
+    response_class=Response,
+    responses={
+        200: {"content": {"text/plain": {}}, "description": "Prometheus text format."},
+        401: {"model": ProblemDocument, "description": "The service needs an API token."},
+    },
+)
+def show_metrics(context: ContextDep, _client: ClientDep) -> Response:
+    """Show requests, uploads, jobs by state, queue wait, time of the stages, worker restarts, free disk."""
+    return Response(context.metrics.render(context.database, context.storage), media_type=CONTENT_TYPE)
