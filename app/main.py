@@ -28,6 +28,7 @@ from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
 from app.networks import routes as networks
 from app.ogc import routes as ogc
+from app.ogc.indexing import index_result
 from app.overview import routes as overview
 from app.page import routes as page
 from app.page.files import PageFiles
@@ -55,7 +56,8 @@ def _assemble() -> APIRouter:
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)
-    router.include_router(ogc.of_job, prefix=API, dependencies=shared)
+    for more in (ogc.of_job, trash.of_items):
+        router.include_router(more, prefix=API, dependencies=shared)
     router.include_router(ogc.of_all, dependencies=shared)
     router.include_router(stac.router, dependencies=shared)
     for module in (system, page):
@@ -88,7 +90,7 @@ def create_app(settings: Settings | None = None, context: Context | None = None)
             parts.context = opened
             await run_in_threadpool(opened.storage.incoming)  # its lock shows that a server is at work here
             await run_in_threadpool(reconcile_all, opened)  # before the first request: what a kill has left apart
-            parts.runner = runner = Runner(opened, finish_drive)
+            parts.runner = runner = Runner(opened, finish_drive=finish_drive, index_result=index_result)
             parts.watcher = JobWatcher(opened)
             parts.results = Results(opened)
             parts.on_demand = OnDemand(runner)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import secrets
 from contextlib import suppress
+from pathlib import Path
 
 from sqlalchemy import event, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
 from app.drives.commit import queue_commit
-from app.drives.records import drive_key, note_extent, reduced_key
+from app.drives.records import drive_key, files_key, note_extent, reduced_key
 from app.drives.upload import (
     Placement,
     lock_counts,
@@ -26,8 +28,8 @@ from app.http.problems import Problem
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.database import afterwards
+from app.store.incoming import size_of
 from app.store.models import Drive, DriveFile, Job
-from app.upkeep.cleanup import tidy_drive
 from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
 from app.work.task import Outcome
 from interloc.osm.container import is_map
@@ -145,3 +147,34 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
         for arrival in arrivals:
             with suppress(OSError):
                 arrival.temporary.unlink(missing_ok=True)
+
+
+def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
+    """Remove the uploaded files of a ready drive except maps, which jobs read from there.
+
+    Small files and reduced scans are in its reduced folder. Doing it again changes nothing.
+    """
+    if keep_raw:
+        return
+    root = context.storage.folder(files_key(drive_id))
+    if not context.storage.folder(reduced_key(drive_id)).is_dir():
+        _log.error("drive %s is ready, but its reduced folder is not there", drive_id)
+        return
+    raw = [
+        path
+        for folder, _, names in os.walk(root)
+        for path in (Path(folder, name) for name in names)
+        if not is_map(path.relative_to(root).as_posix())
+    ]
+    if raw:
+        os.sync()  # what replaces them, and the row in the database, must survive a power failure
+        size = sum(size_of(path) for path in raw)
+        _log.info("drive %s: %d raw files are reduced, %d bytes removed", drive_id, len(raw), size)
+        context.metrics.count_removal("reduced", size, len(raw))
+    for path in raw:
+        with suppress(OSError):
+            path.unlink()
+    for folder, folders, _ in os.walk(root, topdown=False):
+        for name in folders:
+            with suppress(OSError):
+                Path(folder, name).rmdir()

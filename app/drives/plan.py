@@ -11,10 +11,10 @@ from app.context import Context
 from app.drives.models import JudgedLabels, LabelsAnswer, LabelsRequest, PlanRequest, ReductionPlanModel
 from app.drives.records import files_key, find_drive
 from app.drives.work.commit import reading_options
+from app.drives.work.plan import plan_and_judge
 from app.http.problems import FileProblem
 from app.jobs.runner import Runner
 from app.paths import without_folder
-from app.results.work import plan_and_judge
 from interloc.drives.findings import Finding, Findings
 from interloc.drives.labels import LabelJudgement, judge_labels
 from interloc.drives.options import LabelFolder

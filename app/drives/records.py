@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from sqlalchemy import ColumnElement, and_, func, or_, select
+from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session, defer
 
 from app.context import Context
 from app.drives.models import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.http.paging import cursor_of, newest_first, rows_after
-from app.http.parameters import Box
 from app.http.problems import Problem
 from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
@@ -130,14 +129,6 @@ def list_drives(
     return DriveList(
         drives=[drive_model(drive, context.settings, report=False) for drive in page],
         next=cursor_of(page[-1]) if len(drives) > limit else None,
-    )
-
-
-def lies_in(box: Box) -> ColumnElement[bool]:
-    """Return the condition that a drive touches a box; one that is not ready or has no georeference touches none."""
-    join = and_ if box.west <= box.east else or_  # across the 180th meridian
-    return and_(
-        Drive.south <= box.north, Drive.north >= box.south, join(Drive.east >= box.west, Drive.west <= box.east)
     )
 
 

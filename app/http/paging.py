@@ -13,6 +13,7 @@ from sqlalchemy import ColumnElement, and_, func, or_
 
 from app.http.delivery import answer_tagged
 from app.http.gate import path_of
+from app.http.parameters import Box
 from app.http.problems import Problem
 from app.store.models import Drive, Job
 
@@ -94,6 +95,14 @@ def has_part(column: Any, part: str) -> ColumnElement[bool]:  # noqa: ANN401 - a
     """Return the condition that a text holds a part, in upper or lower case."""
     found: ColumnElement[bool] = func.lower(column).contains(part.lower(), autoescape=True)
     return found
+
+
+def lies_in(box: Box) -> ColumnElement[bool]:
+    """Return the condition that a drive touches a box; one that is not ready or has no georeference touches none."""
+    join = and_ if box.west <= box.east else or_  # across the 180th meridian
+    return and_(
+        Drive.south <= box.north, Drive.north >= box.south, join(Drive.east >= box.west, Drive.west <= box.east)
+    )
 
 
 def newest_first(table: type[Drive | Job]) -> tuple[Any, Any]:

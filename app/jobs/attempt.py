@@ -8,6 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Literal
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -21,8 +22,6 @@ from app.jobs.folders import place_result, task_of, tidy, without_paths
 from app.jobs.processes import WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
 from app.jobs.worker_limits import WorkerLimitError
-from app.ogc.indexing import write_chunks
-from app.ogc.work import Chunk, chunks_of
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.models import Drive, Job
@@ -32,6 +31,10 @@ from app.work.task import Cancelled, Outcome, Part, Plan
 
 FinishDrive = Callable[[Session, Context, Job, Outcome | Problem], None]
 """Writes what the end of a job, successful or not, means for its drive, in the transaction that ends the job."""
+
+WriteFeatures = Callable[[Session, Job], None]
+IndexResult = Callable[[Path], WriteFeatures]
+"""Reads a new result ahead of the transaction that ends the job; what it returns writes its features within that."""
 
 Stop = Literal["cancelled", "lost", "shutdown"]
 
@@ -53,15 +56,25 @@ class Attempt:
     claim
     finish_drive
         Called at the end of a job that changes its drive.
+    index_result
+        Called at the end of a job that has a result.
     """
 
     def __init__(
-        self, context: Context, queue: JobQueue, executor: WorkExecutor, claim: Claim, finish_drive: FinishDrive
+        self,
+        context: Context,
+        queue: JobQueue,
+        executor: WorkExecutor,
+        claim: Claim,
+        *,
+        finish_drive: FinishDrive,
+        index_result: IndexResult,
     ) -> None:
         self._context = context
         self._queue = queue
         self._executor = executor
         self._finish_drive = finish_drive
+        self._index_result = index_result
         self.claim = claim
         self._kind = kinds.KINDS[claim.job.kind]
         self._task = task_of(context, claim, executor.slots)
@@ -237,10 +250,10 @@ class Attempt:
     def _end(self, outcome: Outcome | Problem) -> str:
         """Write how the job ended, and put its result in place: both or neither."""
         job_id, storage = self.claim.job.id, self._context.storage
-        chunks = self._chunks() if isinstance(outcome, Outcome) else []
+        write_features = self._features() if isinstance(outcome, Outcome) else None
         for wait_s in (0.5, 1, 2, 4, 8, 0):
             try:
-                state = None if self._stop == "lost" else self._finish(outcome, chunks)
+                state = None if self._stop == "lost" else self._finish(outcome, write_features)
                 break
             except SQLAlchemyError as error:
                 _log.warning("job %s: its end could not be written: %s", job_id, error)
@@ -255,17 +268,17 @@ class Attempt:
                 self._write_sidecar()
         return state
 
-    def _chunks(self) -> list[Chunk]:
-        """Return the features of the result for the index; without them the clean-up tries again."""
+    def _features(self) -> WriteFeatures | None:
+        """Return what writes the features of the result into the index; without it the clean-up tries again."""
         if self.claim.job.kind != JobKind.INTERSECTIONS:
-            return []
+            return None
         try:
-            return list(chunks_of(self._task.result))
+            return self._index_result(self._task.result)
         except Exception:  # noqa: BLE001 - the result is there all the same
             _log.exception("job %s: its features could not be indexed", self.claim.job.id)
-            return []
+            return None
 
-    def _finish(self, outcome: Outcome | Problem, chunks: list[Chunk]) -> JobState | None:
+    def _finish(self, outcome: Outcome | Problem, write_features: WriteFeatures | None) -> JobState | None:
         """Write the end of the job, with all that it means; returns its state, None where the lease is lost."""
         job_id = self.claim.job.id
         with self._context.database.writing(patient=True) as session:
@@ -281,8 +294,8 @@ class Attempt:
                 return None
             if state == JobState.SUCCESSFUL:
                 place_result(self._context.storage, self._task)
-                if chunks:
-                    write_chunks(session, self.claim.job, chunks)
+                if write_features is not None:
+                    write_features(session, self.claim.job)
             if self._kind.changes_drive:
                 job = session.get(Job, job_id)
                 assert job is not None

@@ -10,26 +10,23 @@ from sqlalchemy import or_, select
 from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
-from app.drives.records import lies_in
 from app.http.delivery import answer_tagged, require_unchanged, tag_of
 from app.http.headers import IdempotencyKey, IfMatch, WaitIfAsked
 from app.http.limits import job_limit
 from app.http.openapi import CHANGED, PAGED, TAGGED, get_and_head, headers_named
-from app.http.paging import After, answer_page, cursor_of, has_part, made_between, newest_first, rows_after
+from app.http.paging import After, answer_page, cursor_of, has_part, lies_in, made_between, newest_first, rows_after
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
 from app.http.problems import ProblemDocument
 from app.http.security import ClientDep
 from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, PresetModel
-from app.jobs.queue import cancel, submit
+from app.jobs.queue import submit
 from app.jobs.submission import check_request
 from app.jobs.view import find_job, is_alive, job_models
 from app.jobs.watcher import wait_for_job
-from app.results.folder import ResultsDep
 from app.states import FINAL, JobKind, JobState
 from app.store import sidecars
 from app.store.models import Drive, Job
-from app.trash.deletion import delete_job as delete_ended_job
 from interloc.config import PRESETS, DetectorConfig
 
 router = APIRouter(tags=["Jobs"])
@@ -200,46 +197,6 @@ def change_job(
 def _shown(session: Session, context: Context, job: Job, drive_name: str) -> bytes:
     (model,) = job_models(session, context, [(job, drive_name)])
     return model.model_dump_json().encode()
-
-
-@router.delete(
-    "/jobs/{job_id}",
-    response_model=JobModel,
-    summary="Cancel a job, or remove one that has ended",
-    responses={
-        **NOT_FOUND,
-        200: {"description": "It has ended, by this request or earlier."},
-        202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
-        204: {"description": "The job and its results are in the trash."},
-        409: _problem("It has not ended, so it cannot be removed."),
-    },
-)
-def delete_job(
-    job_id: JobId,
-    request: Request,
-    response: Response,
-    context: ContextDep,
-    results: ResultsDep,
-    client: ClientDep,
-    purge: Annotated[bool, Query(description="Move a job that has ended to the trash, with its results.")] = False,
-) -> JobModel | Response:
-    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed.
-
-    What is removed can be restored for some days (POST /api/v1/trash/jobs/{id}/restore).
-    """
-    request.state.action = "remove_job" if purge else "cancel_job"
-    if purge:
-        delete_ended_job(context, job_id, client)
-        results.forget()
-        return Response(status_code=204)
-    database = context.database
-    with database.writing() as session:
-        job, name = find_job(session, job_id)
-        cancel(session, database, job)
-        (model,) = job_models(session, context, [(job, name)])
-    context.jobs_changed.set()
-    response.status_code = 200 if model.state in FINAL else 202
-    return model
 
 
 @router.get("/presets", summary="List presets")

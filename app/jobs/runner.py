@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any, TypeVar
 
 from sqlalchemy import select
@@ -14,7 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, part_of_app
 from app.http.problems import Problem
-from app.jobs.attempt import Attempt, FinishDrive
+from app.jobs.attempt import Attempt, FinishDrive, IndexResult
 from app.jobs.executors import WorkExecutor, open_executor
 from app.jobs.failures import limit_reached
 from app.jobs.folders import jobs_with_scratch, tidy
@@ -39,11 +40,13 @@ class Runner:
     context
     finish_drive
         Writes what the end of a job means for its drive (`app.drives.finish`).
+    index_result
+        Reads what live layers show of a new result (`app.ogc.indexing`).
     """
 
-    def __init__(self, context: Context, finish_drive: FinishDrive) -> None:
+    def __init__(self, context: Context, *, finish_drive: FinishDrive, index_result: IndexResult) -> None:
         self._context = context
-        self._finish_drive = finish_drive
+        self._attempt = partial(Attempt, finish_drive=finish_drive, index_result=index_result)
         self._queue = JobQueue(context.database, context.settings.lease_s)
         self._threads: list[threading.Thread] = []
         self._attempts: dict[str, tuple[Attempt, threading.Thread]] = {}
@@ -135,7 +138,7 @@ class Runner:
         if claim is None:
             return False
         assert self._executor is not None
-        attempt = Attempt(self._context, self._queue, self._executor, claim, self._finish_drive)
+        attempt = self._attempt(self._context, self._queue, self._executor, claim)
         thread = threading.Thread(target=self._work, args=(attempt,), name=f"job-{claim.job.id}", daemon=True)
         with self._lock:
             self._attempts[claim.lease] = attempt, thread

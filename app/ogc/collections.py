@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from app.ogc.work import FOOTPRINTS, INDEXED, RESULT, collection_id
+from app.ogc.work import FOOTPRINTS, INDEXED, RESULT
+from app.results.models import collection_id
 from interloc.output.layers import Layer
 from interloc.output.properties import Attribute
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import logging
 import zlib
+from collections.abc import Callable
+from pathlib import Path
 
 from sqlalchemy import delete, insert, select
 from sqlalchemy.exc import SQLAlchemyError
@@ -61,6 +63,12 @@ def write_chunks(session: Session, job: Job, chunks: list[Chunk]) -> None:
                 {"chunk_id": row.id, "name": name, "content": content} for name, content in chunk.columns.items()
             ]
             session.execute(insert(FeatureColumn), columns)
+
+
+def index_result(result: Path) -> Callable[[Session, Job], None]:
+    """Read the features of a new result; what is returned writes them into the index."""
+    chunks = list(chunks_of(result))
+    return lambda session, job: write_chunks(session, job, chunks)
 
 
 def index_job(context: Context, job_id: str) -> None:

@@ -111,11 +111,6 @@ class Chunk:
     columns: dict[str, bytes]
 
 
-def collection_id(layer: Layer) -> str:
-    """Return the name of a layer in the addresses of OGC API - Features, which are those of several tracks."""
-    return "trajectories" if layer.name == "trajectory" else layer.name
-
-
 def is_on_earth(folder: Path) -> bool:
     """Return whether a result has longitude and latitude, without which it has nothing to index."""
     return (folder / file_names(georeferenced=True)["trajectory"]).is_file()

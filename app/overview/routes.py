@@ -10,7 +10,7 @@ from app.context import ContextDep
 from app.drives import records
 from app.http.delivery import answer_tagged
 from app.http.openapi import TAGGED, get_and_head, headers_named
-from app.http.paging import After, next_link
+from app.http.paging import After, lies_in, next_link
 from app.http.parameters import BoxFilter
 from app.http.security import ClientDep
 from app.overview.features import drive_features
@@ -47,7 +47,7 @@ def show_overview(
     A drive without georeference has no geometry, unless that job has placed it on the map. `bbox` selects drives by
     their own georeference.
     """
-    conditions = [Drive.state == DriveState.READY, *([] if box is None else [records.lies_in(box)])]
+    conditions = [Drive.state == DriveState.READY, *([] if box is None else [lies_in(box)])]
     page = records.list_drives(context, after, limit, conditions)
     with context.database.reading() as session:
         jobs = {job.drive_id: job for job in session.scalars(newest_results(Drive.id.in_([d.id for d in page.drives])))}

@@ -77,3 +77,8 @@ class ResultFileList(BaseModel):
     """All files of a result: the result folder exactly as the command line writes it."""
 
     files: list[ResultFile]
+
+
+def collection_id(layer: Layer) -> str:
+    """Return the name of a layer in the addresses of OGC API - Features, which are those of several tracks."""
+    return "trajectories" if layer.name == "trajectory" else layer.name

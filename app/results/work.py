@@ -5,27 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import interloc.output
 from app.jobs.work.intersections import config_of, open_input
-from app.ogc.work import collection_id
+from app.results.models import collection_id
 from app.work.task import Task
-from interloc.drives.findings import Finding
-from interloc.drives.labels import LabelJudgement
-from interloc.drives.options import LabelFolder, ReadingOptions
-from interloc.drives.scans.reduced_format import ReducedLabels
 from interloc.files import atomic_folder, atomic_write
 from interloc.output.qgis_project import Source
 from interloc.output.vector_files import write_live_project, write_vector_file
-from interloc.reduction.plan import ReductionPlan, judge_counts, plan_reduction
 
 VIEW = "view.json"
 """File with the place of pictures and the numbers behind them; it is written last."""
@@ -152,29 +144,3 @@ def draw_road_picture(result: Path, folder: Path) -> None:
             file.write(picture.png)
         with atomic_write(new / VIEW) as file:
             file.write(json.dumps(view, allow_nan=False).encode() + b"\n")
-
-
-def plan_and_judge(
-    root: Path,
-    numbers: Sequence[int],
-    options: ReadingOptions,
-    choices: dict[str, Any],
-    label_counts: dict[LabelFolder, dict[int, int]],
-) -> tuple[ReductionPlan, dict[LabelFolder, tuple[LabelJudgement, list[Finding]]]]:
-    """Plan the reduction of a drive, and judge the label ids that were counted in its scans.
-
-    Parameters
-    ----------
-    root, numbers, options, **choices
-        As of `plan_reduction`.
-    """
-    made = plan_reduction(root, numbers, options, **choices)
-    judged = {folder: judge_counts(made, folder, counts) for folder, counts in label_counts.items()}
-    if made.manifest is not None:
-        known = [
-            ReducedLabels.of(folder, labels.scheme, labels.counts)
-            for folder, (labels, _) in judged.items()
-            if labels.scheme is not None
-        ]
-        made = replace(made, manifest=made.manifest.with_labels(known))
-    return made, judged

@@ -1,4 +1,4 @@
-"""Endpoints: the trash."""
+"""Endpoints: deleting of drives and jobs, and the trash to which they go."""
 
 from __future__ import annotations
 
@@ -7,14 +7,22 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from app.context import ContextDep
+from app.drives.routes import drives
 from app.http.openapi import PAGED
 from app.http.paging import answer_page
 from app.http.problems import ProblemDocument
 from app.http.security import ClientDep
+from app.jobs import routes as jobs
+from app.jobs.models import JobModel
+from app.jobs.queue import cancel
+from app.jobs.view import find_job, job_models
+from app.results.folder import ResultsDep
+from app.states import FINAL
 from app.trash import deletion as trash
 from app.trash.models import TrashItem, TrashKind, TrashList
 
 router = APIRouter(prefix="/trash", tags=["Trash"])
+of_items = APIRouter()
 
 Kind = Annotated[TrashKind, Path(description="What it is.")]
 Id = Annotated[str, Path(max_length=64, description="Id of the drive or job.")]
@@ -23,6 +31,65 @@ NOT_THERE: dict[int | str, dict[str, Any]] = {
     404: {"model": ProblemDocument, "description": "It is not in the trash."},
     409: {"model": ProblemDocument, "description": "The drive of the job is in the trash itself."},
 }
+
+
+@of_items.delete(
+    "/drives/{drive_id}", tags=["Drives"], status_code=204, responses=drives.NOT_FOUND, summary="Delete a drive"
+)
+def delete_drive(
+    drive_id: drives.DriveId,
+    context: ContextDep,
+    results: ResultsDep,
+    client: ClientDep,
+    purge: Annotated[bool, Query(description="Delete it for good, instead of moving it to the trash.")] = False,
+) -> None:
+    """Move a drive to the trash, with its files, its jobs and their results. Jobs that run are dismissed.
+
+    It can be restored from there for some days (POST /api/v1/trash/drives/{id}/restore).
+    """
+    trash.delete_drive(context, drive_id, client, at_once=purge)
+    results.forget()
+
+
+@of_items.delete(
+    "/jobs/{job_id}",
+    tags=["Jobs"],
+    response_model=JobModel,
+    summary="Cancel a job, or remove one that has ended",
+    responses={
+        **jobs.NOT_FOUND,
+        200: {"description": "It has ended, by this request or earlier."},
+        202: {"model": JobModel, "description": "It is being cancelled; it ends within seconds."},
+        204: {"description": "The job and its results are in the trash."},
+        409: {"model": ProblemDocument, "description": "It has not ended, so it cannot be removed."},
+    },
+)
+def delete_job(
+    job_id: jobs.JobId,
+    request: Request,
+    response: Response,
+    context: ContextDep,
+    results: ResultsDep,
+    client: ClientDep,
+    purge: Annotated[bool, Query(description="Move a job that has ended to the trash, with its results.")] = False,
+) -> JobModel | Response:
+    """Cancel a job that waits or runs; one that has ended stays as it is, unless it is to be removed.
+
+    What is removed can be restored for some days (POST /api/v1/trash/jobs/{id}/restore).
+    """
+    request.state.action = "remove_job" if purge else "cancel_job"
+    if purge:
+        trash.delete_job(context, job_id, client)
+        results.forget()
+        return Response(status_code=204)
+    database = context.database
+    with database.writing() as session:
+        job, name = find_job(session, job_id)
+        cancel(session, database, job)
+        (model,) = job_models(session, context, [(job, name)])
+    context.jobs_changed.set()
+    response.status_code = 200 if model.state in FINAL else 202
+    return model
 
 
 @router.get("", response_model=TrashList, summary="List the trash", responses=PAGED)

@@ -8,19 +8,18 @@ be somebody's only copy, whatever became of the row: it goes to ``lost+found/``,
 from __future__ import annotations
 
 import logging
-import os
 import threading
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 
 from sqlalchemy import ColumnElement, and_, exists, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.drives.records import drive_key, files_key, lock_drive, note_extent, reduced_key
+from app.drives.finish import tidy_drive
+from app.drives.records import drive_key, lock_drive, note_extent
 from app.http.problems import Problem
 from app.metrics import Removal
 from app.ogc.indexing import index_missing
@@ -34,7 +33,6 @@ from app.store.storage import INCOMING
 from app.trash.deletion import delete_drive, empty_trash, finish_purges
 from app.work.places import TRAJECTORY
 from interloc.errors import InterLocError
-from interloc.osm.container import is_map
 
 PERIOD_S = 3600.0
 _STEADY_S = 3500.0  # one period, for which the clock must not have jumped before anything goes for its age
@@ -75,37 +73,6 @@ def sweep(context: Context, *, by_age: bool = True) -> Counter[Removal]:
         text = ", ".join(f"{count} {reason}" for reason, count in swept.items() if count)
         _log.info("clean-up: %s", text)
     return swept
-
-
-def tidy_drive(context: Context, drive_id: str, *, keep_raw: bool) -> None:
-    """Remove the uploaded files of a ready drive except maps, which jobs read from there.
-
-    Small files and reduced scans are in its reduced folder. Doing it again changes nothing.
-    """
-    if keep_raw:
-        return
-    root = context.storage.folder(files_key(drive_id))
-    if not context.storage.folder(reduced_key(drive_id)).is_dir():
-        _log.error("drive %s is ready, but its reduced folder is not there", drive_id)
-        return
-    raw = [
-        path
-        for folder, _, names in os.walk(root)
-        for path in (Path(folder, name) for name in names)
-        if not is_map(path.relative_to(root).as_posix())
-    ]
-    if raw:
-        os.sync()  # what replaces them, and the row in the database, must survive a power failure
-        size = sum(size_of(path) for path in raw)
-        _log.info("drive %s: %d raw files are reduced, %d bytes removed", drive_id, len(raw), size)
-        context.metrics.count_removal("reduced", size, len(raw))
-    for path in raw:
-        with suppress(OSError):
-            path.unlink()
-    for folder, folders, _ in os.walk(root, topdown=False):
-        for name in folders:
-            with suppress(OSError):
-                Path(folder, name).rmdir()
 
 
 def unknown_folders(context: Context) -> Iterator[str]:

@@ -14,16 +14,14 @@ from app.drives.plan import judge_label_counts
 from app.http.delivery import answer_tagged, require_unchanged, tag_of
 from app.http.headers import IdempotencyKey, IfMatch
 from app.http.openapi import CHANGED, CHANGES_NOTHING, PAGED, TAGGED, get_and_head, headers_named
-from app.http.paging import After, answer_page, has_part, made_between
+from app.http.paging import After, answer_page, has_part, lies_in, made_between
 from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
 from app.http.problems import ProblemDocument
 from app.http.security import ClientDep
-from app.results.folder import ResultsDep
 from app.states import DriveState
 from app.store import sidecars
 from app.store.models import Drive
-from app.trash import deletion as trash
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
 
@@ -75,7 +73,7 @@ def list_drives(
     if name is not None:
         conditions.append(has_part(Drive.name, name))
     if box is not None:
-        conditions.append(records.lies_in(box))
+        conditions.append(lies_in(box))
     page = records.list_drives(context, after, limit, conditions)
     return answer_page(request, page)
 
@@ -125,19 +123,3 @@ def change_drive(
         content = _shown(session, context, drive)
     sidecars.write_drive(context.storage, drive)
     return Response(content, headers={"ETag": tag_of(content)}, media_type="application/json")
-
-
-@router.delete("/{drive_id}", status_code=204, responses=NOT_FOUND, summary="Delete a drive")
-def delete_drive(
-    drive_id: DriveId,
-    context: ContextDep,
-    results: ResultsDep,
-    client: ClientDep,
-    purge: Annotated[bool, Query(description="Delete it for good, instead of moving it to the trash.")] = False,
-) -> None:
-    """Move a drive to the trash, with its files, its jobs and their results. Jobs that run are dismissed.
-
-    It can be restored from there for some days (POST /api/v1/trash/drives/{id}/restore).
-    """
-    trash.delete_drive(context, drive_id, client, at_once=purge)
-    results.forget()
