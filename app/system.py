@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, ContextDep, part_of_app
-from app.http.problem_types import MEANINGS, slug_of, type_of
+from app.http.problem_types import NOT_FOUND, TYPES
 from app.http.problems import Problem, ProblemDocument
 from app.http.security import ClientDep
 from app.jobs.runner import Runner
@@ -138,13 +138,12 @@ async def show_problem_type(
 ) -> ProblemType:
     """Explain a `type`: it is the address of this, below that of the service."""
     if name not in _PROBLEM_TYPES:
-        raise Problem(404, "Not found", f"There is no kind of problem {name!r}; GET /problems lists all.")
+        raise Problem(NOT_FOUND, f"There is no kind of problem {name!r}; GET /problems lists all.")
     return _PROBLEM_TYPES[name]
 
 
 _PROBLEM_TYPES = {
-    slug_of(title): ProblemType(type=type_of(title), title=title, meaning=meaning)
-    for title, meaning in MEANINGS.items()
+    name: ProblemType(type=kind.type, title=kind.title, meaning=kind.meaning) for name, kind in TYPES.items()
 }
 
 

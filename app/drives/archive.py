@@ -11,6 +11,7 @@ from app.drives.upload import refuse_unless_open
 from app.drives.work.archive_files import MAGIC_BYTES, archive_kind
 from app.http.intake import Arrival
 from app.http.limits import check_quota, job_limit
+from app.http.problem_types import NOT_AN_ARCHIVE
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
@@ -28,8 +29,7 @@ def check_magic(head: bytes) -> None:
     """
     if archive_kind(head[:MAGIC_BYTES]) is None:
         raise Problem(
-            415,
-            "Not an archive",
+            NOT_AN_ARCHIVE,
             "The body is neither .zip nor .tar, .tar.gz or .tar.zst by its first bytes. Send the archive as it is, or "
             "as part `archive` of multipart/form-data.",
         )

@@ -11,6 +11,7 @@ from app.drives.models import CommitRequest, DriveModel, DriveOptionsModel
 from app.drives.reconcile import reconcile
 from app.drives.records import drive_model, find_drive, lock_drive
 from app.http.limits import check_free_space, job_limit
+from app.http.problem_types import ARCHIVE_IS_BEING_UNPACKED, DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, DRIVE_NOT_USABLE
 from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import active_job, submit
@@ -49,8 +50,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
             return running
         if (unpacking := active_job(session, drive_id, JobKind.UNPACK)) is not None:
             raise Problem(
-                409,
-                "Archive is being unpacked",
+                ARCHIVE_IS_BEING_UNPACKED,
                 f"Job {unpacking.id} still unpacks an archive of the drive. Commit it when "
                 f"GET /api/v1/jobs/{unpacking.id} shows that it has ended.",
                 headers={"Retry-After": "5"},
@@ -86,15 +86,13 @@ def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) ->
     others = "; ".join(f"{name} is {in_force[name]!r}, not {given[name]!r}" for name in differing)
     if others and running is None:
         raise Problem(
-            409,
-            "Drive is closed",
+            DRIVE_IS_CLOSED,
             f"Drive {drive.id} was committed with other options: {others}. Make a new drive to read its files in "
             "another way.",
         )
     if others and running is not None:
         raise Problem(
-            409,
-            "Drive is being checked",
+            DRIVE_IS_BEING_CHECKED,
             f"Drive {drive.id} is being checked with other options: {others}. Send this again when "
             f"GET /api/v1/jobs/{running.id} shows that the check has ended, or cancel it (DELETE).",
             headers={"Retry-After": "5"},
@@ -156,8 +154,7 @@ def not_sound(drive: Drive) -> Problem:
     first = f"{errors[0].path}: {errors[0].message}" if errors else "see its report."
     more = f" And {len(errors) - 1} more." if len(errors) > 1 else ""
     return Problem(
-        422,
-        "Drive not usable",
+        DRIVE_NOT_USABLE,
         f"{first}{more} The drive is open again: mend the files, and commit it once more.",
         problems=report.problems,
         report=report.to_dict(),

@@ -13,6 +13,15 @@ from sqlalchemy.orm import Session, defer
 from app.context import Context
 from app.drives.models import DriveList, DriveModel, DriveOptionsModel, FileList, NewDrive, UploadedFile
 from app.http.paging import cursor_of, newest_first, rows_after
+from app.http.problem_types import (
+    DRIVE_IS_CLOSED,
+    DRIVE_NOT_READY,
+    DRIVE_NOT_WHOLE,
+    FILE_MISSING,
+    FILE_NOT_FOUND,
+    FILE_NOT_KEPT,
+    MAP_IN_USE,
+)
 from app.http.problems import Problem
 from app.jobs.folders import label_folders
 from app.jobs.queue import key_used, no_drive
@@ -165,21 +174,19 @@ def find_file(context: Context, drive_id: str, path: str) -> tuple[Path, Uploade
         row = session.get(DriveFile, (drive_id, path))
     if row is None:
         raise Problem(
-            404, "File not found", f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
+            FILE_NOT_FOUND, f"The drive has no file {path!r}. GET /api/v1/drives/{drive_id}/files lists them."
         )
     folders = (context.storage.folder(key(drive_id)) for key in (files_key, reduced_key))
     file = next((folder / path for folder in folders if (folder / path).is_file()), None)
     if file is None and stays_uploaded(drive, path):
         raise Problem(
-            410,
-            "File missing",
+            FILE_MISSING,
             f"{path} is listed, but it is no longer on the disk of the service. Send it again if the drive still takes "
             "files; the operator finds what else is missing with `interloc check`.",
         )
     if file is None:
         raise Problem(
-            410,
-            "File not kept",
+            FILE_NOT_KEPT,
             f"{path} was reduced to what the method needs when the drive was committed. "
             "Make the drive with keep_raw to keep its scans as they come.",
         )
@@ -202,13 +209,11 @@ def find_trajectory(context: Context, drive_id: str) -> Path:
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     if drive.state != DriveState.READY:
-        raise Problem(
-            409, "Drive not ready", f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed."
-        )
+        raise Problem(DRIVE_NOT_READY, f"Drive {drive_id} is {drive.state}; it has a trajectory once it is committed.")
     folder = context.storage.folder(drive_key(drive_id))
     path = next((path for name in TRAJECTORY if (path := folder / name).is_file()), None)
     if path is None:
-        raise Problem(410, "Drive not whole", f"The trajectory of drive {drive_id} is no longer on disk.")
+        raise Problem(DRIVE_NOT_WHOLE, f"The trajectory of drive {drive_id} is no longer on disk.")
     return path
 
 
@@ -225,14 +230,13 @@ def delete_file(context: Context, drive_id: str, path: str) -> None:
         drive = lock_drive(session, drive_id)
         if drive.state != DriveState.UPLOADING and not (drive.state == DriveState.READY and is_map(path)):
             raise Problem(
-                409,
-                "Drive is closed",
+                DRIVE_IS_CLOSED,
                 f"Drive {drive_id} is {drive.state}; files are removed only while it is uploading, and of a ready "
                 "drive maps only.",
             )
         row = session.get(DriveFile, (drive_id, path))
         if row is None:
-            raise Problem(404, "File not found", f"The drive has no file {path!r}.")
+            raise Problem(FILE_NOT_FOUND, f"The drive has no file {path!r}.")
         _refuse_map_in_use(session, drive_id, path)
         drive.file_count -= 1
         drive.size_bytes -= row.size_bytes
@@ -251,8 +255,7 @@ def _refuse_map_in_use(session: Session, drive_id: str, path: str) -> None:
     using = next((job for job in active if (job.request.get("osm") or {}).get("file") == path), None)
     if using is not None:
         raise Problem(
-            409,
-            "Map in use",
+            MAP_IN_USE,
             f"Job {using.id} is {using.state} and needs {path}. Delete the map when the job has ended, or cancel the "
             f"job (DELETE /api/v1/jobs/{using.id}).",
         )

@@ -18,6 +18,7 @@ from app.context import Context
 from app.drives.records import files_key, find_drive, remove_empty
 from app.http.intake import Arrival
 from app.http.limits import check_drive, check_free_space, check_quota
+from app.http.problem_types import DRIVE_IS_BEING_CHECKED, DRIVE_IS_CLOSED, NAMES_IN_CONFLICT
 from app.http.problems import Problem
 from app.jobs.queue import no_drive
 from app.paths import folded, folded_hash, hash_of
@@ -114,16 +115,14 @@ def refuse_unless_open(drive: Drive | DriveCounts, paths: Iterable[str]) -> None
     """
     if drive.state == DriveState.CHECKING:
         raise Problem(
-            409,
-            "Drive is being checked",
+            DRIVE_IS_BEING_CHECKED,
             f"Drive {drive.id} is being checked after its commit and takes no files meanwhile. "
             "Try again when its state is uploading or ready.",
             headers={"Retry-After": "5"},
         )
     if drive.state == DriveState.READY and not all(is_map(path) for path in paths):
         raise Problem(
-            409,
-            "Drive is closed",
+            DRIVE_IS_CLOSED,
             f"Drive {drive.id} was committed; it takes maps only (.osm, .osm.gz, .osm.bz2, .osm.pbf). "
             "Make a new drive for other files.",
         )
@@ -185,8 +184,7 @@ def refuse_similar_names(session: Session, drive_id: str, paths: Sequence[str]) 
 
 def _too_similar(path: str, other: str) -> Problem:
     return Problem(
-        409,
-        "Names in conflict",
+        NAMES_IN_CONFLICT,
         f"{path} and {other} differ only in upper and lower case or in the way their letters are composed; many file "
         "systems take them for one file. Nothing of this request was kept; rename one of them, or DELETE it first.",
     )
@@ -263,8 +261,7 @@ class Placement:
                 arrival.temporary.replace(target)  # fails where a folder has the name
             except (NotADirectoryError, FileExistsError, IsADirectoryError):
                 raise Problem(
-                    409,
-                    "Names in conflict",
+                    NAMES_IN_CONFLICT,
                     f"{arrival.path}: the drive has a folder of this name, or a file that has the name of one of its "
                     "folders. Nothing of this request was kept; DELETE what is in the way first.",
                 ) from None

@@ -16,6 +16,7 @@ from starlette.staticfiles import NotModifiedResponse, StaticFiles
 from starlette.types import Message, Receive, Scope, Send
 
 from app.http.headers import accepts_gzip
+from app.http.problem_types import CHANGED_MEANWHILE, NO_SUCH_RANGE
 from app.http.problems import Problem
 from interloc.errors import OutputError
 from interloc.files import atomic_write
@@ -83,8 +84,7 @@ class WholeFile(FileResponse):
             if error.status == 416:
                 size = int(self.headers["content-length"])
                 raise Problem(
-                    416,
-                    "No such range",
+                    NO_SUCH_RANGE,
                     f"Range: {Headers(scope=scope)['range'][:80]!r} lies outside of the file of {size:,} bytes.",
                     headers={"Content-Range": f"bytes */{size}"},
                 ) from None
@@ -214,8 +214,7 @@ def require_unchanged(if_match: str | None, content: bytes) -> None:
     if if_match is None or given & {"*", tag_of(content)}:
         return
     raise Problem(
-        412,
-        "Changed meanwhile",
+        CHANGED_MEANWHILE,
         f"If-Match: {if_match[:80]} is not its current version, which is {tag_of(content)}. Get it again, and send the "
         "change with that ETag if it is still wanted.",
     )

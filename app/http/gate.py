@@ -30,6 +30,14 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app import logs
 from app.context import Context
+from app.http.problem_types import (
+    HOST_NOT_CLEAR,
+    REQUEST_OF_ANOTHER_SITE,
+    TOKEN_NEEDED,
+    TOO_MANY_HEADERS,
+    TOO_MANY_WRONG_TOKENS,
+    UNKNOWN_HOST_NAME,
+)
 from app.http.problems import Problem, respond
 from app.settings import Settings
 from app.store.database import moment
@@ -88,7 +96,7 @@ class Gate:
 
     async def _problem(self, scope: Scope) -> Problem | None:
         if len(scope["headers"]) > _MAX_HEADERS:
-            return Problem(431, "Too many headers", f"A request may have {_MAX_HEADERS} headers.")
+            return Problem(TOO_MANY_HEADERS, f"A request may have {_MAX_HEADERS} headers.")
         path = path_of(scope)
         scope.setdefault("state", {})["holder"] = Holder(ANONYMOUS)
         if path in _PROBES:
@@ -97,7 +105,7 @@ class Gate:
         hosts = headers.getlist("host")
         if len(hosts) > 1 or (not hosts and scope["http_version"] == "1.1"):
             found = "Its headers name no Host." if not hosts else f"Its headers name {len(hosts)} of them."
-            return Problem(400, "Host not clear", f"{found} A request names one Host (RFC 9112, section 3.2).")
+            return Problem(HOST_NOT_CLEAR, f"{found} A request names one Host (RFC 9112, section 3.2).")
         context: Context = scope["app"].state.context
         if not context.tokens.need_is_known:
             await self._read(context.tokens, time.monotonic())
@@ -112,8 +120,7 @@ class Gate:
         host = _name_of(headers.get("host", ""))
         if self._checks_hosts and not (_is_this_machine(host) or host in self._hosts):
             return Problem(
-                421,
-                "Unknown host name",
+                UNKNOWN_HOST_NAME,
                 "The service answers under the names of this machine only: localhost, 127.0.0.1. "
                 "INTERLOC_ALLOWED_HOSTS takes the name under which a reverse proxy shows it.",
             )
@@ -126,7 +133,7 @@ class Gate:
             site = "same-origin" if is_own else "cross-site"
         if site in {"same-origin", "none"}:
             return None
-        return Problem(403, "Request of another site", "Pages of other sites may not change anything here.")
+        return Problem(REQUEST_OF_ANOTHER_SITE, "Pages of other sites may not change anything here.")
 
     async def _identify(self, scope: Scope, headers: Headers, context: Context, *, needed: bool) -> Problem | None:
         """Find out whose token it is. One that is known is never refused, whatever else comes from its address."""
@@ -153,8 +160,7 @@ class Gate:
             if wait_s > 0:
                 context.metrics.refused_tokens.labels("too many").inc()
                 return Problem(
-                    429,
-                    "Too many wrong tokens",
+                    TOO_MANY_WRONG_TOKENS,
                     "This token is not known, and too many such came within a minute. Valid ones are answered "
                     "meanwhile; one that was made just now is within seconds.",
                     headers={"Retry-After": str(int(wait_s) + 1)},
@@ -192,7 +198,7 @@ def _unauthorized(found: str, parameter: str = "", *, basic: bool = False) -> Pr
     if basic:
         challenge = f'Basic realm="interloc", charset="UTF-8", {challenge}'
     detail = f"{found} Send it as `Authorization: Bearer TOKEN`, or to read as the password of any user."
-    return Problem(401, "Token needed", detail, headers={"WWW-Authenticate": challenge})
+    return Problem(TOKEN_NEEDED, detail, headers={"WWW-Authenticate": challenge})
 
 
 def _password_of(credentials: str) -> str:

@@ -9,6 +9,7 @@ import http_sf
 from fastapi import Depends, Header, Response
 from starlette.datastructures import Headers
 
+from app.http.problem_types import BAD_DIGEST
 from app.http.problems import Problem
 
 DEFAULT_WAIT_S = 50
@@ -122,8 +123,7 @@ def _sha256(field: str, text: str) -> str:
 
 def _bad_digest(field: str, what: str) -> Problem:
     return Problem(
-        422,
-        "Bad digest",
+        BAD_DIGEST,
         f"{field}: {what}. Expected sha-256=:BASE64: with the 32 bytes of the SHA-256 of the body in base64. Usual "
         "mistake: hexadecimal digits, or the colons left out.",
         headers={"Want-Content-Digest": "sha-256=10"},

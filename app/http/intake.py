@@ -17,6 +17,7 @@ from starlette.requests import ClientDisconnect, Request
 
 from app.context import Context
 from app.http.limits import too_large
+from app.http.problem_types import BODY_NOT_COMPLETE, WRONG_DIGEST
 from app.http.problems import Problem
 
 PIECE_BYTES = 1 << 20
@@ -100,8 +101,7 @@ class Intake:
         digest = self._hash.hexdigest()
         if sha256 not in {None, digest}:
             raise Problem(
-                422,
-                "Wrong digest",
+                WRONG_DIGEST,
                 f"{self.path}: {self.size_bytes:,} bytes came with SHA-256 {digest}, not {sha256} as announced. "
                 "Nothing was kept. Usual cause: the file changed while it was read, or a fault on the way; "
                 "send it again.",
@@ -155,7 +155,7 @@ async def receive(request: Request, take: Callable[[bytes], None], finish: Calla
                 await run_in_threadpool(take, last)
             last = piece
     except ClientDisconnect:
-        raise Problem(400, "Body not complete", "The connection ended before the body did. Nothing was kept.") from None
+        raise Problem(BODY_NOT_COMPLETE, "The connection ended before the body did. Nothing was kept.") from None
     return await run_in_threadpool(take_last, last)
 
 

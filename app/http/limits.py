@@ -8,6 +8,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from app.context import Context
+from app.http.problem_types import COMPRESSED_BODY, PART_OF_A_FILE, QUOTA_USED_UP, TOO_LARGE, TOO_MANY_FILES
 from app.http.problems import Problem, disk_full
 from app.settings import MB
 from app.store.models import Drive, Token
@@ -26,8 +27,7 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
     """
     if "content-range" in request.headers:  # RFC 9110, section 14.5: it may not be ignored
         raise Problem(
-            400,
-            "Part of a file",
+            PART_OF_A_FILE,
             "Content-Range: files are taken whole only. To resume an upload, send the files that "
             "GET /api/v1/drives/{id}/files does not list.",
             headers=CLOSE,
@@ -37,8 +37,7 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
     is_plain = coding in {"", "identity"}
     if not is_plain or transfer != "chunked":
         raise Problem(
-            415,
-            "Compressed body",
+            COMPRESSED_BODY,
             f"{f'Transfer-Encoding: {transfer}' if is_plain else f'Content-Encoding: {coding}'}. Send the file as it "
             "is; files that are compressed themselves (map.osm.gz) need no Content-Encoding.",
             headers={"Accept-Encoding": "identity", **CLOSE},
@@ -55,7 +54,7 @@ def declared_length(request: Request, limit: int, what: str) -> int | None:
 def too_large(what: str, limit: int) -> Problem:
     """Return the problem that a body is larger than allowed."""
     size = f"{limit / MB:,.0f} MB" if limit >= MB else f"{limit:,} bytes"
-    return Problem(413, "Too large", f"{what} may have {size} at most. Nothing was kept.", headers=CLOSE)
+    return Problem(TOO_LARGE, f"{what} may have {size} at most. Nothing was kept.", headers=CLOSE)
 
 
 def check_free_space(context: Context, needed: int) -> None:
@@ -67,8 +66,7 @@ def check_free_space(context: Context, needed: int) -> None:
         507.
     """
     if context.storage.free_bytes() - needed < context.settings.min_free_bytes:
-        problem = disk_full()
-        raise Problem(problem.status, problem.title, problem.detail, headers=CLOSE)
+        raise disk_full(headers=CLOSE)
 
 
 async def make_room_to_delete(request: Request) -> None:
@@ -97,8 +95,7 @@ def check_drive(context: Context, files: int, size: int) -> None:
         raise too_large("All files of a drive together", settings.max_drive_bytes)
     if files > settings.max_drive_files:
         raise Problem(
-            413,
-            "Too many files",
+            TOO_MANY_FILES,
             f"A drive may have {settings.max_drive_files:,} files at most. Leave out what the method does not need "
             "(images), or cut the drive.",
             headers=CLOSE,
@@ -130,8 +127,7 @@ def check_quota(context: Context, session: Session, owner: str, more: int) -> No
     kept = int(session.scalar(select(func.sum(Drive.stored_bytes)).where(Drive.owner == owner)) or 0)
     if kept + more > allowed:
         raise Problem(
-            413,
-            "Quota used up",
+            QUOTA_USED_UP,
             f"The drives of {owner} keep {kept / MB:,.0f} MB; with {more / MB:,.1f} MB more they would exceed the "
             f"{allowed / MB:,.0f} MB that its token allows. Nothing was kept; delete drives that are no longer needed.",
             headers=CLOSE,

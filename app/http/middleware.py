@@ -18,6 +18,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from app import logs
 from app.http.gate import Gate, is_api, path_of
 from app.http.openapi import HEADERS
+from app.http.problem_types import BODY_REFUSED
 from app.http.problems import Problem, problem_of, respond
 from app.metrics import Metrics
 from app.settings import Settings
@@ -269,7 +270,7 @@ class Bodies:
             try:
                 receive_in_time = await _read(scope, receive_in_time)
             except HTTPException as error:
-                problem = Problem(error.status_code, "Body refused", error.detail, headers={"Connection": "close"})
+                problem = Problem(BODY_REFUSED, error.detail, status=error.status_code, headers={"Connection": "close"})
                 await respond(problem, scope["path"])(scope, receive, send)
                 return
         await self._app(scope, receive_in_time, send)

@@ -11,6 +11,7 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from app.context import Context
 from app.http.intake import Arrival, Intake
 from app.http.limits import CLOSE, too_large
+from app.http.problem_types import BAD_PART, BODY_MALFORMED, NOT_MULTIPART_FORM_DATA, TOO_MANY_FILES
 from app.http.problems import Problem
 from app.paths import check_path
 
@@ -57,7 +58,7 @@ FIELDS: dict[str, Place] = {
 
 def bad_part(what: str) -> Problem:
     """Return the problem that a part has."""
-    return Problem(422, "Bad part", f"{what} Nothing of this request was kept.", headers=CLOSE)
+    return Problem(BAD_PART, f"{what} Nothing of this request was kept.", headers=CLOSE)
 
 
 def boundary_of(content_type: str | None) -> bytes:
@@ -71,8 +72,7 @@ def boundary_of(content_type: str | None) -> bytes:
     kind, options = parse_options_header(content_type or "")
     if kind != b"multipart/form-data" or not options.get(b"boundary"):
         raise Problem(
-            415,
-            "Not multipart/form-data",
+            NOT_MULTIPART_FORM_DATA,
             f"Content-Type {content_type or '(none)'!r}. Expected multipart/form-data with its boundary.",
             headers=CLOSE,
         )
@@ -166,8 +166,7 @@ class BatchReader:
     def _begin_part(self) -> None:
         if len(self._intakes) >= self._max_files:
             raise Problem(
-                413,
-                "Too many files",
+                TOO_MANY_FILES,
                 f"One request may have {self._max_files:,} files at most. Send several. Nothing of this one was kept.",
                 headers=CLOSE,
             )
@@ -216,4 +215,4 @@ def _text(value: bytes) -> str:
 
 
 def _malformed(what: str) -> Problem:
-    return Problem(400, "Body malformed", f"multipart/form-data: {what}. Nothing of it was kept.", headers=CLOSE)
+    return Problem(BODY_MALFORMED, f"multipart/form-data: {what}. Nothing of it was kept.", headers=CLOSE)

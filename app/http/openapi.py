@@ -9,10 +9,12 @@ from typing import Any, ClassVar, TypeVar
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from app.http.problem_types import types_listed
+from app.http.problem_types import TYPES
 from app.http.problems import MEDIA_TYPE, ProblemDocument
 
 Endpoint = TypeVar("Endpoint", bound=Callable[..., Any])
+
+_TYPES_LISTED = "\n".join(f"- `{kind.type}`: {kind.meaning}" for kind in TYPES.values())
 
 DESCRIPTION = f"""
 A *drive* is uploaded file by file, checked and reduced by its *commit*; a *job* finds the intersections in it, and
@@ -38,7 +40,7 @@ Every error is a problem document (RFC 9457) whose `detail` says what was found,
 `type` tells programs what has happened. It is the same in every version and under every address of the service
 (`GET /problems` lists the same); `about:blank` stands where the HTTP status says all:
 
-{types_listed()}
+{_TYPES_LISTED}
 """
 
 TAGS = [

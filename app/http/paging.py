@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, and_, func, or_
 from app.http.delivery import answer_tagged
 from app.http.gate import path_of
 from app.http.parameters import Box
+from app.http.problem_types import REQUEST_NOT_VALID
 from app.http.problems import Problem
 from app.store.models import Drive, Job
 
@@ -119,8 +120,7 @@ def _after(time: Any, id_: Any, cursor: str) -> ColumnElement[bool]:  # noqa: AN
     match = re.fullmatch(_CURSOR, cursor)
     if match is None:
         raise Problem(
-            422,
-            "Request not valid",
+            REQUEST_NOT_VALID,
             f"after={cursor[:80]!r} is not the `next` of a list. Leave it out to begin with the first page.",
         )
     last_time, last_id = float(match[1]), match[2]

@@ -10,6 +10,7 @@ from fastapi.dependencies.models import Dependant
 from pydantic import AwareDatetime
 
 from app.http.patterns import BOX, EXPECTED, TEXT
+from app.http.problem_types import REQUEST_NOT_VALID, UNKNOWN_PARAMETER, ProblemType
 from app.http.problems import FileProblem, Problem
 
 NamePart = Annotated[
@@ -53,7 +54,7 @@ async def _box(
     box = Box(*(float(part) for part in bbox.split(",")))
     is_on_earth = all(abs(lon) <= 180 for lon in (box.west, box.east)) and -90 <= box.south <= box.north <= 90
     if not is_on_earth:
-        raise refusal(422, "Request not valid", "query.bbox", f"found {bbox!r}; expected {EXPECTED[BOX]}.")
+        raise refusal(REQUEST_NOT_VALID, "query.bbox", f"found {bbox!r}; expected {EXPECTED[BOX]}.")
     return box
 
 
@@ -84,7 +85,7 @@ def refuse_others(request: Request, names: Iterable[str]) -> None:
     for name in request.query_params:
         if name not in known:
             expected = f"Expected one of {', '.join(known)}" if known else "Expected none"
-            raise refusal(400, "Unknown parameter", f"query.{name[:80]}", f"There is no such parameter. {expected}.")
+            raise refusal(UNKNOWN_PARAMETER, f"query.{name[:80]}", f"There is no such parameter. {expected}.")
 
 
 def _names(dependant: Dependant) -> Iterator[str]:
@@ -94,7 +95,7 @@ def _names(dependant: Dependant) -> Iterator[str]:
         yield from _names(each)
 
 
-def refusal(status: int, title: str, path: str, message: str) -> Problem:
+def refusal(kind: ProblemType, path: str, message: str, *, status: int | None = None) -> Problem:
     """Return the problem of a parameter, given as ``query.NAME``."""
     problem = FileProblem(severity="error", path=path, message=message)
-    return Problem(status, title, f"{path}: {message}", problems=[problem])
+    return Problem(kind, f"{path}: {message}", status=status, problems=[problem])

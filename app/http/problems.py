@@ -20,13 +20,32 @@ from starlette.requests import ClientDisconnect
 from starlette.routing import Match
 
 from app.http.patterns import EXPECTED
-from app.http.problem_types import UNTYPED, type_of
+from app.http.problem_types import (
+    BAD_FILE_NAME,
+    BAD_SETTING,
+    BODY_MALFORMED,
+    DATABASE_BUSY,
+    DISK_FULL,
+    DRIVE_NOT_USABLE,
+    DRIVE_NOT_WHOLE,
+    FAULT_OF_THE_SERVICE,
+    MODEL_NOT_USABLE,
+    NOT_JSON,
+    NOT_POSSIBLE,
+    REQUEST_NOT_VALID,
+    TYPES,
+    UNTYPED,
+    UPLOAD_BROKEN_OFF,
+    ProblemType,
+)
+from app.paths import BadNameError
 from app.store.database import is_disk_full
-from interloc.errors import InterLocError
+from app.work.task import DriveGoneError
+from interloc.errors import ConfigError, DriveError, InterLocError, ModelError
 
 MEDIA_TYPE = "application/problem+json"
 
-DISK_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+OUT_OF_SPACE = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """Of errors of the system: what was written does not fit, by the disk or by a quota."""
 
 _log = logging.getLogger(__name__)
@@ -78,12 +97,12 @@ class Problem(Exception):  # noqa: N818 - the name of RFC 9457
 
     Parameters
     ----------
-    status
-        HTTP status.
-    title
-        A few words, the same for every problem of this kind.
+    kind
+        Its type, title and status.
     detail
         What was found, what was expected, what to do.
+    status
+        HTTP status, where it is another one than usual for this kind.
     headers
         For example ``Retry-After``.
     **more
@@ -92,53 +111,62 @@ class Problem(Exception):  # noqa: N818 - the name of RFC 9457
 
     def __init__(
         self,
-        status: int,
-        title: str,
+        kind: ProblemType,
         detail: str,
         *,
+        status: int | None = None,
         headers: dict[str, str] | None = None,
         **more: Any,  # noqa: ANN401 - whatever JSON can hold
     ) -> None:
         super().__init__(detail)
-        self.status = status
-        self.title = title
+        self.kind = kind
         self.detail = detail
+        self.status = kind.status if status is None else status
         self.headers = headers
         self.more = more
 
     def document(self) -> dict[str, Any]:
         """Return the document, without its instance."""
         return {
-            "type": type_of(self.title),
-            "title": self.title,
+            "type": self.kind.type,
+            "title": self.kind.title,
             "status": self.status,
             "detail": self.detail,
             **jsonable_encoder(self.more),
         }
 
 
+_OF_LIBRARY: dict[type[InterLocError], ProblemType] = {
+    BadNameError: BAD_FILE_NAME,
+    ConfigError: BAD_SETTING,
+    DriveError: DRIVE_NOT_USABLE,
+    DriveGoneError: DRIVE_NOT_WHOLE,
+    ModelError: MODEL_NOT_USABLE,
+}
+
+
 def from_error(error: InterLocError) -> Problem:
     """Turn an error of the library into a problem."""
-    titles = {
-        "DriveError": "Drive not usable",
-        "DriveFileError": "Drive not usable",
-        "ConfigError": "Bad setting",
-        "ModelError": "Model not usable",
-        "BadNameError": "Bad file name",
-        "DriveGoneError": "Drive not whole",
-    }
-    return Problem(error.http_status, titles.get(type(error).__name__, "Not possible"), str(error))
+    return Problem(_OF_LIBRARY.get(type(error), NOT_POSSIBLE), str(error), status=error.http_status)
 
 
-def disk_full() -> Problem:
+def disk_full(headers: dict[str, str] | None = None) -> Problem:
     """Return the problem that the disk of the service is full."""
     return Problem(
-        507,
-        "Disk full",
+        DISK_FULL,
         "The service has no disk space left. Nothing of this request was kept; empty the trash (DELETE /api/v1/trash), "
         "delete drives that are no longer needed for good (DELETE /api/v1/drives/{id}?purge=true) or ask its operator, "
         "then send it again.",
+        headers=headers,
     )
+
+
+def stored(document: dict[str, Any]) -> Problem:
+    """Make a problem again from its document; what the first versions stored has no type, so its title tells it."""
+    members = {name: value for name, value in document.items() if name not in {"type", "instance"}}
+    status, title, detail = (members.pop(name) for name in ("status", "title", "detail"))
+    kind = next((kind for kind in TYPES.values() if kind.title == title), ProblemType("", status, title, ""))
+    return Problem(kind, detail, status=status, **members)
 
 
 def add_handlers(app: FastAPI) -> None:
@@ -172,9 +200,7 @@ async def _handle(request: Request, error: Exception) -> JSONResponse:
 
 def _not_json(found: str | None) -> Problem:
     given = "The body has no Content-Type" if found is None else f"The Content-Type of the body is {found[:80]}"
-    return Problem(
-        415, "Not JSON", f"{given}; expected application/json. Usual cause: `curl -d`; `curl --json` sends JSON."
-    )
+    return Problem(NOT_JSON, f"{given}; expected application/json. Usual cause: `curl -d`; `curl --json` sends JSON.")
 
 
 def _methods_at(request: Request) -> list[str]:
@@ -198,14 +224,15 @@ _DETAILS_OF_FRAMEWORK = {
 def _of_http_error(error: HTTPException) -> Problem:
     headers = dict(error.headers) if error.headers else None
     detail = _DETAILS_OF_FRAMEWORK.get(str(error.detail), str(error.detail))
-    return Problem(error.status_code, HTTPStatus(error.status_code).phrase, detail, headers=headers)
+    status = HTTPStatus(error.status_code)
+    return Problem(ProblemType("", status, status.phrase, ""), detail, headers=headers)
 
 
 def _of_validation_error(error: RequestValidationError) -> Problem:
     broken = next((each for each in error.errors() if each["type"] == "json_invalid"), None)
     if broken is not None:
         where, why = broken["loc"][-1], broken.get("ctx", {}).get("error", "")
-        return Problem(400, "Body malformed", f"The body is not JSON: {why}, at character {where}.")
+        return Problem(BODY_MALFORMED, f"The body is not JSON: {why}, at character {where}.")
     problems = [
         FileProblem(severity="error", path=".".join(str(part) for part in each["loc"]), message=_in_words(each))
         for each in error.errors()
@@ -213,7 +240,7 @@ def _of_validation_error(error: RequestValidationError) -> Problem:
     detail = f"{problems[0].path}: {problems[0].message}."
     if len(problems) > 1:
         detail += f" And {len(problems) - 1} more."
-    return Problem(422, "Request not valid", detail, problems=problems)
+    return Problem(REQUEST_NOT_VALID, detail, problems=problems)
 
 
 def _in_words(error: dict[str, Any]) -> str:
@@ -230,12 +257,12 @@ def _in_words(error: dict[str, Any]) -> str:
 
 
 def _of_os_error(error: OSError) -> Problem:
-    return disk_full() if error.errno in DISK_FULL else _of_fault(error)
+    return disk_full() if error.errno in OUT_OF_SPACE else _of_fault(error)
 
 
 def _of_disconnect(_: ClientDisconnect) -> Problem:
     return Problem(
-        400, "Upload broken off", "The client closed the connection before the body was complete. Nothing was kept."
+        UPLOAD_BROKEN_OFF, "The client closed the connection before the body was complete. Nothing was kept."
     )
 
 
@@ -244,20 +271,18 @@ def _of_database_error(error: SQLAlchemyError) -> Problem:
         return disk_full()
     _log.warning("database: %s", error)
     detail = "The database did not answer in time. Send the request again in a moment."
-    return Problem(503, "Database busy", detail, headers={"Retry-After": "5"})
+    return Problem(DATABASE_BUSY, detail, headers={"Retry-After": "5"})
 
 
 def _of_data_error(error: DataError) -> Problem:
     if "NUL" not in str(error.orig):
         return _of_fault(error)
-    return Problem(422, "Request not valid", "An id or a name holds a zero character. Expected text without it.")
+    return Problem(REQUEST_NOT_VALID, "An id or a name holds a zero character. Expected text without it.")
 
 
 def _of_fault(error: Exception) -> Problem:
     _log.error("a fault of the service itself", exc_info=error)
-    return Problem(
-        500, "Fault of the service", "A fault of the service itself; its log has the details. Please report it."
-    )
+    return Problem(FAULT_OF_THE_SERVICE, "A fault of the service itself; its log has the details. Please report it.")
 
 
 _TO_PROBLEM: dict[type[Exception], Callable[[Any], Problem]] = {

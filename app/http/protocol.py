@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
+from app.http.problem_types import HEAD_TOO_LARGE, REQUEST_MALFORMED, TOO_MANY_CONNECTIONS
 from app.http.problems import MEDIA_TYPE, Problem
 
 MAX_HEAD_BYTES = 64 * 1024
@@ -34,7 +35,7 @@ class Protocol(HttpToolsProtocol):
         self._head_bytes = 0
         self._head_timer: asyncio.TimerHandle | None = self._start_timer()
         if len(self.connections) > self.max_connections:
-            self._answer(Problem(503, "Too many connections", "Try again in a moment."))
+            self._answer(Problem(TOO_MANY_CONNECTIONS, "Try again in a moment."))
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Wait no longer."""
@@ -68,7 +69,7 @@ class Protocol(HttpToolsProtocol):
     def send_400_response(self, msg: str) -> None:
         """Refuse what is not HTTP, by a problem document as everywhere else."""
         what = self._complaint or f"{msg.rstrip('.')}: it does not keep to HTTP/1.1."
-        self._answer(Problem(400, "Request malformed", what))
+        self._answer(Problem(REQUEST_MALFORMED, what))
 
     def _check_target(self) -> None:
         """Refuse a target that names another host than the header Host: which one is meant is not clear."""
@@ -93,7 +94,7 @@ class Protocol(HttpToolsProtocol):
 
     def _refuse(self) -> None:
         detail = f"The headers of a request may have {MAX_HEAD_BYTES // 1024} kB."
-        self._answer(Problem(431, "Head too large", detail))
+        self._answer(Problem(HEAD_TOO_LARGE, detail))
 
     def _answer(self, problem: Problem) -> None:
         content = json.dumps(problem.document()).encode()

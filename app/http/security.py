@@ -12,6 +12,7 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from app.context import Context
 from app.http.openapi import changes_something
+from app.http.problem_types import TOKEN_MAY_ONLY_READ
 from app.http.problems import Problem
 from app.states import Scope
 from app.store.tokens import Holder
@@ -39,8 +40,7 @@ async def client_of(request: Request, _: Annotated[HTTPAuthorizationCredentials 
             context: Context = request.app.state.context
             context.metrics.refused_tokens.labels("read only").inc()
             raise Problem(
-                403,
-                "Token may only read",
+                TOKEN_MAY_ONLY_READ,
                 f"The token of {holder.name} has the scope {holder.scope}, and {request.method} {request.url.path} "
                 "changes something. The operator makes one that may with `interloc token add NAME`.",
                 headers={"WWW-Authenticate": 'Bearer realm="interloc", error="insufficient_scope", scope="write"'},

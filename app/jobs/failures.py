@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from app.http.problems import DISK_FULL, Problem, disk_full, from_error
+from app.http.problem_types import CANCELLED, FAULT_OF_THE_SERVICE, LIMIT_REACHED, SERVER_LOST, WORKER_LOST
+from app.http.problems import OUT_OF_SPACE, Problem, disk_full, from_error, stored
 from app.jobs.worker_limits import WorkerLimitError
 from app.states import JobState
 from app.store.models import Job
@@ -12,7 +13,7 @@ from interloc.errors import InterLocError
 def is_final(error: BaseException) -> bool:
     """Return whether another try would fail the same way: bad input, a limit that was reached, a full disk."""
     return isinstance(error, InterLocError | Problem | WorkerLimitError) or (
-        isinstance(error, OSError) and error.errno in DISK_FULL
+        isinstance(error, OSError) and error.errno in OUT_OF_SPACE
     )
 
 
@@ -33,11 +34,10 @@ def problem_of(error: BaseException, what: str, tries: int) -> Problem:
         return from_error(error)
     if isinstance(error, WorkerLimitError):
         return limit_reached(error, what, "job_stage_s")
-    if isinstance(error, OSError) and error.errno in DISK_FULL:
+    if isinstance(error, OSError) and error.errno in OUT_OF_SPACE:
         return disk_full()
     return Problem(
-        500,
-        "Fault of the service",
+        FAULT_OF_THE_SERVICE,
         f"The service failed at {what}, {_times(tries)}. This is a fault of the service, and its log has the details; "
         "please report it.",
     )
@@ -66,8 +66,7 @@ def limit_reached(error: WorkerLimitError, what: str, time_setting: str) -> Prob
     amount = _duration if error.limit == "time" else _size
     verb = "took longer than the" if error.limit == "time" else f"needed {_size(error.used)} of memory, more than the"
     return Problem(
-        422,
-        "Limit reached",
+        LIMIT_REACHED,
         f"{what[0].upper()}{what[1:]} {verb} {amount(error.bound)} that {_MEANINGS[setting]}, so it was ended. "
         "Usual cause: a file that is far larger than the drive needs, such as the map of a country; cut it to the area "
         f"of the drive. Who runs the service can raise the limit: INTERLOC_{setting.upper()}, now {error.bound:.0f}.",
@@ -80,8 +79,7 @@ def limit_reached(error: WorkerLimitError, what: str, time_setting: str) -> Prob
 def lost_workers(reason: str, what: str, tries: int) -> Problem:
     """Return the problem of a piece of work that killed its workers."""
     return Problem(
-        500,
-        "Worker lost",
+        WORKER_LOST,
         f"The worker at {what} died {_times(tries)} ({reason}), so the service gave up. Usual cause: too little memory "
         "on the machine of the worker; fewer workers at a time (INTERLOC_WORKERS) need less of it.",
     )
@@ -90,8 +88,7 @@ def lost_workers(reason: str, what: str, tries: int) -> Problem:
 def lost_servers(attempts: int) -> Problem:
     """Return the problem of a job whose servers were ended too often."""
     return Problem(
-        500,
-        "Server lost",
+        SERVER_LOST,
         f"The server that worked on the job was ended {_times(attempts)}, so the service gave up. Usual cause: too "
         "little memory on its machine. Start the job again when there is more.",
     )
@@ -99,17 +96,13 @@ def lost_servers(attempts: int) -> Problem:
 
 def cancelled() -> Problem:
     """Return the problem of a job that a client cancelled."""
-    return Problem(409, "Cancelled", "The job was cancelled before it ended.")
+    return Problem(CANCELLED, "The job was cancelled before it ended.")
 
 
 def raise_failure(job: Job) -> None:
     """Raise the problem of a job that has failed or was cancelled."""
     if job.state in {JobState.FAILED, JobState.DISMISSED}:
-        document = dict(job.error or {"title": "Cancelled", "status": 409, "detail": "The job was cancelled."})
-        status, title, detail = (document.pop(name) for name in ("status", "title", "detail"))
-        for name in ("type", "instance"):
-            document.pop(name, None)
-        raise Problem(status, title, detail, **document)
+        raise cancelled() if job.error is None else stored(job.error)
 
 
 def _duration(seconds: float) -> str:

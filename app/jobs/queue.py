@@ -18,6 +18,7 @@ from typing import Any, Literal
 from sqlalchemy import CursorResult, Float, bindparam, case, func, or_, select, update
 from sqlalchemy.orm import Session, aliased
 
+from app.http.problem_types import DRIVE_NOT_FOUND, DRIVE_NOT_READY, IDEMPOTENCY_KEY_USED_BEFORE, TOO_MANY_JOBS
 from app.http.problems import Problem
 from app.jobs.leases import LeaseClock
 from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
@@ -306,8 +307,7 @@ def active_job(session: Session, drive_id: str, kind: JobKind) -> Job | None:
 def no_drive(drive_id: str) -> Problem:
     """Return the problem of a drive that does not exist."""
     return Problem(
-        404,
-        "Drive not found",
+        DRIVE_NOT_FOUND,
         f"There is no drive {drive_id[:64]}; it may have been deleted, or an upload that was left alone has expired. "
         "GET /api/v1/drives lists those that there are, GET /api/v1/trash those that can be restored.",
     )
@@ -316,8 +316,7 @@ def no_drive(drive_id: str) -> Problem:
 def not_ready(drive: Drive) -> Problem:
     """Return the problem of a drive that must be committed first."""
     return Problem(
-        409,
-        "Drive not ready",
+        DRIVE_NOT_READY,
         f"{drive.name} (drive {drive.id}) is still open for files. Commit it first (POST /api/v1/drives/{drive.id}"
         "/commit); where that finds errors, its report lists them.",
     )
@@ -363,8 +362,7 @@ def _same(job: Job, kind: str, drive_id: str, request: dict[str, Any], key: str)
 def key_used(key: str, what: str) -> Problem:
     """Return the problem of an idempotency key that was sent with another request, which made something."""
     return Problem(
-        422,
-        "Idempotency key used before",
+        IDEMPOTENCY_KEY_USED_BEFORE,
         f"The key {key!r} was sent with another request before; that made {what}. Send a new key with a new request.",
     )
 
@@ -379,8 +377,7 @@ def _check_room(session: Session, kind: str, owner: str, limit: int) -> None:
     )
     if waiting is not None and waiting >= limit:
         raise Problem(
-            429,
-            "Too many jobs",
+            TOO_MANY_JOBS,
             f"{waiting} jobs of {owner} wait or run, and that is the limit. Wait until one has ended, or cancel one "
             "(DELETE /api/v1/jobs/{id}).",
             headers={"Retry-After": "30"},

@@ -14,6 +14,7 @@ from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.context import Context, part_of_app
+from app.http.problem_types import WORKER_LOST
 from app.http.problems import Problem
 from app.jobs.attempt import Attempt, FinishDrive, IndexResult
 from app.jobs.executors import WorkExecutor, open_executor
@@ -98,7 +99,7 @@ class Runner:
             except WorkerLostError as error:
                 if attempt == 2:
                     detail = f"The work for this request could not be done: {error}. Usual cause: too little memory."
-                    raise Problem(503, "Worker lost", detail, headers={"Retry-After": "5"}) from error
+                    raise Problem(WORKER_LOST, detail, status=503, headers={"Retry-After": "5"}) from error
         raise AssertionError
 
     def stop(self) -> None:

@@ -7,6 +7,15 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from app.context import Context
+from app.http.problem_types import (
+    LABELS_NOT_FOUND,
+    MAP_NEEDED,
+    MAP_NOT_FOUND,
+    NOT_A_MAP,
+    NOT_USED,
+    OVERPASS_SWITCHED_OFF,
+    PLACE_NEEDED,
+)
 from app.http.problems import Problem, disk_full
 from app.jobs.folders import label_folders
 from app.jobs.models import NewJob, OsmFile, OsmOverpass
@@ -34,19 +43,17 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
     if isinstance(new.osm, OsmFile):
         if session.get(DriveFile, (new.drive_id, new.osm.file)) is None:
             raise Problem(
-                422,
-                "Map not found",
+                MAP_NOT_FOUND,
                 f"osm.file: there is no {new.osm.file!r} among the files of drive {new.drive_id}. Upload it first: "
                 f"PUT /api/v1/drives/{new.drive_id}/files/{{path}}.",
             )
         if not is_map(new.osm.file):
             raise Problem(
-                422, "Not a map", f"osm.file: {new.osm.file!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}."
+                NOT_A_MAP, f"osm.file: {new.osm.file!r}; expected a name that ends in {', '.join(MAP_ENDINGS)}."
             )
     elif new.osm is not None and not context.settings.overpass:
         raise Problem(
-            422,
-            "Overpass switched off",
+            OVERPASS_SWITCHED_OFF,
             "osm.overpass: this service does not ask Overpass servers. Upload the map as a file and name it: "
             '{"file": "map.osm.gz"}.',
         )
@@ -59,18 +66,16 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
 def _check_placing(new: NewJob) -> None:
     if new.georeference != "map":
         if new.near is not None:
-            raise Problem(422, "Not used", 'near: it says where to search with "georeference": "map"; give both.')
+            raise Problem(NOT_USED, 'near: it says where to search with "georeference": "map"; give both.')
         return
     if new.osm is None:
         raise Problem(
-            422,
-            "Map needed",
+            MAP_NEEDED,
             'georeference: the drive is to be placed on the map, and osm names none. Give it: {"file": "map.osm.gz"}.',
         )
     if isinstance(new.osm, OsmOverpass) and new.near is None:
         raise Problem(
-            422,
-            "Place needed",
+            PLACE_NEEDED,
             "near: the map of which place is to be fetched? Say roughly where the drive was, or upload a map.",
         )
 
@@ -83,8 +88,7 @@ def _check_drive(session: Session, context: Context, new: NewJob) -> None:
     folders = [] if new.labels is None else label_folders(context.storage, new.drive_id)
     if folders and new.labels not in folders:
         raise Problem(
-            422,
-            "Labels not found",
+            LABELS_NOT_FOUND,
             f"labels: drive {new.drive_id} has no {new.labels!r}. Expected one of its label_folders: "
             f"{', '.join(folders)}; or leave `labels` out.",
         )

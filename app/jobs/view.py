@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
 from app.context import Context
-from app.http.problem_types import type_of
-from app.http.problems import Problem, ProblemDocument
+from app.http.problem_types import JOB_NOT_FOUND
+from app.http.problems import Problem, ProblemDocument, stored
 from app.jobs.models import JobModel, Progress
 from app.jobs.outlook import outlook, seconds_left
 from app.jobs.titles import own_settings, title_of
@@ -47,7 +46,7 @@ def is_alive() -> ColumnElement[bool]:
 
 def no_job(job_id: str) -> Problem:
     """Return the problem of a job that does not exist."""
-    return Problem(404, "Job not found", f"There is no job {job_id}. GET /api/v1/jobs lists them.")
+    return Problem(JOB_NOT_FOUND, f"There is no job {job_id}. GET /api/v1/jobs lists them.")
 
 
 def job_models(session: Session, context: Context, rows: Iterable[tuple[Job, str]]) -> list[JobModel]:
@@ -85,16 +84,13 @@ def _job_model(job: Job, drive_name: str, links: _Links, now: float, message: st
         started_at=None if job.started_at is None else moment(job.started_at),
         finished_at=None if job.finished_at is None else moment(job.finished_at),
         attempts=job.attempts,
-        error=None if job.error is None else _error_of(job.error),
+        error=None
+        if job.error is None
+        else ProblemDocument.model_validate({**job.error, **stored(job.error).document()}),
         summary=job.summary,
         links=links.of(job),
         version=job.version,
     )
-
-
-def _error_of(stored: dict[str, Any]) -> ProblemDocument:
-    """Return why a job failed; what older versions stored has no type of its own."""
-    return ProblemDocument.model_validate({**stored, "type": type_of(str(stored.get("title")))})
 
 
 def _progress(job: Job, now: float) -> Progress:

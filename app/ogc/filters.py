@@ -16,6 +16,7 @@ from typing import Any, Literal
 import cql2
 
 from app.http.parameters import refusal
+from app.http.problem_types import FILTER_NOT_VALID
 from app.http.problems import Problem
 from app.ogc.collections import GEOMETRY, Collection
 
@@ -140,7 +141,7 @@ def read_filter(
 
 def bad_filter(found: str) -> Problem:
     """Return the problem of a filter that cannot be used."""
-    return refusal(400, "Filter not valid", "query.filter", found)
+    return refusal(FILTER_NOT_VALID, "query.filter", found)
 
 
 def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON

@@ -14,6 +14,7 @@ from fastapi import Depends, Query, Request
 from app.http.headers import prefers_html
 from app.http.parameters import refusal
 from app.http.patterns import BOX, EXPECTED
+from app.http.problem_types import REQUEST_NOT_VALID
 from app.http.problems import Problem
 from app.ogc import index
 from app.ogc.collections import Collection
@@ -149,7 +150,7 @@ AskedDep = Annotated[Asked, Depends(_asked)]
 
 
 def _wrong(name: str, value: str, expected: str) -> Problem:
-    return refusal(400, "Request not valid", f"query.{name}", f"{value[:80]!r} is not valid. Expected {expected}.")
+    return refusal(REQUEST_NOT_VALID, f"query.{name}", f"{value[:80]!r} is not valid. Expected {expected}.", status=400)
 
 
 def _limit(text: str | None) -> int:

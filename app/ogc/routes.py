@@ -15,6 +15,7 @@ from app.context import ContextDep
 from app.http.delivery import DOCUMENT_POLICY, answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head
 from app.http.parameters import OF_ITS_DATA, refuse_others
+from app.http.problem_types import NO_SUCH_COLLECTION, NO_SUCH_FEATURE
 from app.http.problems import Problem, ProblemDocument
 from app.ogc.collections import Collection
 from app.ogc.description import describe_interface
@@ -73,7 +74,7 @@ class _Served:
         found = self.source.collections.get(name)
         if found is None or (self.source.job is not None and name not in self.extents()):
             known = ", ".join(self.extents())
-            raise Problem(404, "No such collection", f"There is no collection {name[:80]!r}. There are {known}.")
+            raise Problem(NO_SUCH_COLLECTION, f"There is no collection {name[:80]!r}. There are {known}.")
         return found
 
     def answer(self, document: dict[str, Any] | str, form: Format, media_type: str = "application/json") -> Response:
@@ -192,7 +193,7 @@ def _feature(collection_id: _CollectionId, feature_id: _FeatureId, served: _Serv
             if served.source.job or "." in feature_id
             else " Ids of features of all drives begin with the job: JOB.ID."
         )
-        raise Problem(404, "No such feature", f"{found.id} has no feature {feature_id[:80]!r}.{hint}")
+        raise Problem(NO_SUCH_FEATURE, f"{found.id} has no feature {feature_id[:80]!r}.{hint}")
     return served.answer(served.place.feature(found, feature_id, content), form, GEOJSON)
 
 

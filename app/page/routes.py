@@ -9,6 +9,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from app.context import ContextDep, part_of_app
 from app.http.delivery import answer_tagged, deliver, media_type_of
+from app.http.problem_types import NOT_FOUND
 from app.http.problems import Problem
 from app.page.files import (
     DOCS_POLICY,
@@ -51,7 +52,7 @@ def read_asset(path: str, request: Request, files: PageFilesDep, context: Contex
         cache_control = _KEEP if version == files.version() else _ASK
     found = files.find(path)
     if found is None:
-        raise Problem(404, "Not found", f"The page has no file {path!r}.")
+        raise Problem(NOT_FOUND, f"The page has no file {path!r}.")
     copies = context.storage.folder("cache/page")
     return deliver(request, found, gzip_copies=copies, cache_control=cache_control, policy=None)
 

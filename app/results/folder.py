@@ -9,6 +9,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from app.context import Context, part_of_app
+from app.http.problem_types import (
+    FILE_NOT_FOUND,
+    NO_RESULTS,
+    NOT_GEOREFERENCED,
+    NOT_IN_THIS_RESULT,
+    NOT_SCORED,
+    RESULT_IS_GONE,
+    RESULT_NOT_READY,
+)
 from app.http.problems import Problem
 from app.jobs.view import find_job
 from app.states import JobKind, JobState
@@ -77,15 +86,14 @@ class Result:
         path = self.folder / f"{name.replace('-', '_')}.geojson"
         if not path.exists():
             self.evaluation_file("report.json")
-            raise Problem(404, "Not in this result", f"The result of job {self.job_id} has no {path.name}.")
+            raise Problem(NOT_IN_THIS_RESULT, f"The result of job {self.job_id} has no {path.name}.")
         return path
 
     def require_georeference(self, hint: str) -> None:
         """Raise a 404 where the drive has no georeference."""
         if not self.is_georeferenced:
             raise Problem(
-                404,
-                "Not georeferenced",
+                NOT_GEOREFERENCED,
                 f"Drive {self.drive_name} has no georeference (neither oxts/ nor geo.csv), so nothing of it has "
                 f"longitude and latitude. {hint}.",
             )
@@ -102,8 +110,7 @@ class Result:
         if not path.exists():
             self.require_georeference("Only a drive with one can be scored")
             raise Problem(
-                404,
-                "Not scored",
+                NOT_SCORED,
                 f"Job {self.job_id} was submitted without a map, so it has no evaluation. Submit one with "
                 '"osm": {"file": "map.osm.gz"} or {"overpass": true}.',
             )
@@ -123,7 +130,7 @@ class Result:
                 f"The result of job {self.job_id} has no {ROAD_FILE}: no road was seen, or an older version of the "
                 "service made it. Submit the job again."
             )
-            raise Problem(404, "Not in this result", detail)
+            raise Problem(NOT_IN_THIS_RESULT, detail)
         return path
 
     def file(self, name: str) -> Path:
@@ -141,7 +148,7 @@ class Result:
         except OSError:  # no file system has names so long
             is_there = False
         if not is_there:
-            raise Problem(404, "File not found", f"The result has no file {name!r}; {self.address}/files lists them.")
+            raise Problem(FILE_NOT_FOUND, f"The result has no file {name!r}; {self.address}/files lists them.")
         return path
 
     def files(self) -> list[Path]:
@@ -185,12 +192,10 @@ class Results:
             job, drive_name = find_job(session, job_id)
         address = f"/api/v1/jobs/{job_id}"
         if job.kind != JobKind.INTERSECTIONS:
-            raise Problem(
-                404, "No results", f"Job {job_id} is a {job.kind}; only jobs of kind intersections have results."
-            )
+            raise Problem(NO_RESULTS, f"Job {job_id} is a {job.kind}; only jobs of kind intersections have results.")
         if job.state != JobState.SUCCESSFUL:
             detail = f"Job {job_id} is {job.state}. {_STATES[JobState(job.state)].format(job=address)}"
-            raise Problem(409, "Result not ready", detail, state=job.state)
+            raise Problem(RESULT_NOT_READY, detail, state=job.state)
         storage = self._context.storage
         result = Result(
             job_id=job_id,
@@ -204,7 +209,7 @@ class Results:
         )
         if not (result.folder / RUN_FILE).exists():
             detail = f"The result of job {job_id} is no longer on disk. Submit the job again."
-            raise Problem(410, "Result is gone", detail)
+            raise Problem(RESULT_IS_GONE, detail)
         return result
 
 

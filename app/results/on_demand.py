@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from app.context import part_of_app
+from app.http.problem_types import BUSY, NO_SUCH_KEYFRAME, RESULT_DAMAGED
 from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.results.folder import Result
@@ -69,12 +70,11 @@ class OnDemand:
         if (folder / VIEW).exists():
             return folder
         if folder not in self._running and len(self._running) >= _MAX_RUNNING:
-            raise Problem(503, "Busy", "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
+            raise Problem(BUSY, "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
         nearest = await self._once(folder, lambda: self._draw(_task_of(result), frame, folder, client))
         if nearest != frame:
             raise Problem(
-                404,
-                "No such keyframe",
+                NO_SUCH_KEYFRAME,
                 f"Scan {frame} is not a keyframe of job {result.job_id}; the nearest one is {nearest}. "
                 f"GET {result.address}/keyframes lists them.",
                 nearest=nearest,
@@ -92,8 +92,7 @@ class OnDemand:
         except DamagedResultError as error:
             _log.error("job %s: %s", result.job_id, error)
             raise Problem(
-                500,
-                "Result damaged",
+                RESULT_DAMAGED,
                 f"A file of the result of job {result.job_id} is damaged or missing; the log of the service has the "
                 "details. Submit the job again.",
             ) from error

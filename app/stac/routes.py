@@ -13,6 +13,7 @@ from app.drives.routes.drives import DriveId
 from app.http.delivery import answer_tagged, service_address
 from app.http.openapi import TAGGED, get_and_head, headers_named
 from app.http.paging import newest_first
+from app.http.problem_types import NO_RESULTS
 from app.http.problems import Problem, ProblemDocument
 from app.results.folder import ResultsDep
 from app.results.newest import newest_results
@@ -64,7 +65,7 @@ def read_item(drive_id: DriveId, request: Request, context: ContextDep, results:
         find_drive(session, drive_id)
         job = session.scalars(newest_results(Drive.id == drive_id)).first()
     if job is None:
-        raise Problem(404, "No results", f"Drive {drive_id} has no successful job of kind intersections yet.")
+        raise Problem(NO_RESULTS, f"Drive {drive_id} has no successful job of kind intersections yet.")
     made = stac.item(service_address(request), context.storage, job, results.open(job.id))
     unset = {"bbox"} if made.bbox is None else set()
     return answer_tagged(request, made.model_dump_json(exclude=unset).encode(), "application/geo+json")

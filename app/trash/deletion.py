@@ -18,6 +18,7 @@ from sqlalchemy.orm import Session, defer
 from app.context import Context
 from app.drives.records import lock_drive
 from app.http.paging import deleted_after, deletion_cursor_of, last_deleted_first
+from app.http.problem_types import DRIVE_IN_THE_TRASH, JOB_NOT_ENDED, NOT_IN_THE_TRASH
 from app.http.problems import Problem
 from app.jobs.queue import cancel, no_drive
 from app.jobs.view import no_job
@@ -116,8 +117,7 @@ def delete_job(context: Context, job_id: str, client: str) -> None:
         assert isinstance(job, Job)
         if job.state not in FINAL:
             raise Problem(
-                409,
-                "Job not ended",
+                JOB_NOT_ENDED,
                 f"Job {job.id} is {job.state}. Cancel it first (DELETE without purge), then remove it.",
             )
         job.deleted_at = context.database.clock(session)
@@ -273,8 +273,7 @@ def _find(session: Session, kind: TrashKind, id_: str, *, is_deleted: bool) -> D
     of_drive = session.get(Drive, row.drive_id) if isinstance(row, Job) else None
     if of_drive is not None and of_drive.deleted_at is not None and is_deleted:
         raise Problem(
-            409,
-            "Drive in the trash",
+            DRIVE_IN_THE_TRASH,
             f"The drive of job {id_} is in the trash itself. Restore it first "
             f"(POST /api/v1/trash/drives/{of_drive.id}/restore): its jobs come with it.",
         )
@@ -284,8 +283,7 @@ def _find(session: Session, kind: TrashKind, id_: str, *, is_deleted: bool) -> D
         return row
     if is_deleted:
         raise Problem(
-            404,
-            "Not in the trash",
+            NOT_IN_THE_TRASH,
             f"There is no {kind[:-1]} {id_[:64]} in the trash; it may have been restored, or deleted for good. "
             "GET /api/v1/trash lists what is there.",
         )

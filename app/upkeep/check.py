@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session
 from app.context import Context
 from app.drives.reconcile import Difference, counts_of, differences, reconcile, sha256_of
 from app.drives.records import drive_key, files_key, reduced_key
+from app.http.problem_types import RESULT_IS_GONE
 from app.http.problems import Problem
 from app.jobs.queue import active_job
 from app.ogc.indexing import index_job, is_indexed, is_indexed_as, read_chunks
@@ -364,9 +365,7 @@ def _fault_of_result(folder: Path) -> str | None:
 
 
 def _fail(job: Job, fault: str) -> None:
-    problem = Problem(
-        410, "Result is gone", f"{fault[:1].upper()}{fault[1:]} Found by `interloc check`; submit it again."
-    )
+    problem = Problem(RESULT_IS_GONE, f"{fault[:1].upper()}{fault[1:]} Found by `interloc check`; submit it again.")
     job.state = JobState.FAILED
     job.error = problem.document() | {"instance": f"/api/v1/jobs/{job.id}"}
     job.version += 1

@@ -31,6 +31,12 @@ class Cancelled(InterLocError):  # noqa: N818 - it is not a fault
     """The job was cancelled while it ran."""
 
 
+class DriveGoneError(InterLocError):
+    """A committed drive whose files were removed from outside."""
+
+    http_status = 410
+
+
 @dataclass(frozen=True)
 class Task:
     """What is to be done.

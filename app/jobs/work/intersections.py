@@ -13,7 +13,7 @@ import numpy as np
 from app.jobs.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work.places import REDUCED
 from app.work.progress import ProgressFiles
-from app.work.task import Outcome, Part, Plan, Report, Task, no_georeference
+from app.work.task import DriveGoneError, Outcome, Part, Plan, Report, Task, no_georeference
 from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
@@ -23,7 +23,7 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.open import open_drive
 from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import MANIFEST
-from interloc.errors import DriveError, InterLocError
+from interloc.errors import DriveError
 from interloc.evaluation.coverage import map_bounds, track_bounds
 from interloc.osm.graph import Bounds, RoadGraph
 from interloc.output.layout import result_folder
@@ -41,12 +41,6 @@ _MAP_FREE_BYTES = 64 * 1024**2  # small maps may unpack to this much, whatever t
 
 _MIN_RANGE = 40
 _CELLS = 750
-
-
-class DriveGoneError(InterLocError):
-    """A committed drive whose files were removed from outside."""
-
-    http_status = 410
 
 
 def prepare(task: Task) -> Plan:

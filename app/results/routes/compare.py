@@ -11,6 +11,7 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
 from app.context import ContextDep
+from app.http.problem_types import DIFFERENT_DRIVES, REQUEST_NOT_VALID
 from app.http.problems import Problem
 from app.jobs.models import MAX_COMPARED_JOBS
 from app.jobs.titles import distinct_titles, own_settings
@@ -103,14 +104,12 @@ def compare_jobs(
 
     ids = [each.strip() for each in jobs.split(",")]
     if re.fullmatch(_JOBS, jobs) is None or len(set(ids)) < len(ids):
-        raise Problem(
-            422, "Request not valid", f"jobs: {jobs!r}. Expected two to {MAX_COMPARED_JOBS} different job ids: a,b"
-        )
+        raise Problem(REQUEST_NOT_VALID, f"jobs: {jobs!r}. Expected two to {MAX_COMPARED_JOBS} different job ids: a,b")
     opened = [results.open(job_id) for job_id in ids]
     drives = dict.fromkeys(result.drive_id for result in opened)
     if len(drives) > 1:
         names = ", ".join(f"{result.job_id} of {result.drive_id}" for result in opened)
-        raise Problem(422, "Different drives", f"Jobs of one drive can be compared; these are {names}.")
+        raise Problem(DIFFERENT_DRIVES, f"Jobs of one drive can be compared; these are {names}.")
     with context.database.reading() as session:
         rows = [find_job(session, job_id)[0] for job_id in ids]
     reports = [json.loads(result.evaluation_file("report.json").read_bytes()) for result in opened]

@@ -10,6 +10,7 @@ from fastapi.concurrency import run_in_threadpool
 
 from app.http.delivery import MEDIA_TYPES, answer_tagged, deliver, service_address
 from app.http.openapi import get_and_head
+from app.http.problem_types import FORMAT_NOT_INSTALLED
 from app.http.problems import Problem, ProblemDocument
 from app.results.folder import Results, ResultsDep
 from app.results.on_demand import OnDemand, OnDemandDep
@@ -182,7 +183,7 @@ async def _deliver(
     result = await run_in_threadpool(results.open, job_id)
     if suffix == ".parquet" and not has_parquet():
         detail = 'GeoParquet needs pyarrow, which the operator installs: pip install "interloc[parquet]".'
-        raise Problem(501, "Format not installed", detail)
+        raise Problem(FORMAT_NOT_INSTALLED, detail)
     name = layer or "all"
     path = export_path(result.cache, f"{name}{suffix}")
     if not path.exists():
