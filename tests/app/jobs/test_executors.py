@@ -210,7 +210,7 @@ def test_workers_end_with_their_server(tmp_path: Path) -> None:
     code = (
         "import sys, pathlib, time\n"
         "from app.jobs.processes import ProcessExecutor\n"
-        "from tests.app.test_executors import sleep_for_ever\n"
+        "from tests.app.jobs.test_executors import sleep_for_ever\n"
         "if __name__ == '__main__':\n"
         "    executor = ProcessExecutor(1)\n"
         "    executor.submit(sleep_for_ever, pathlib.Path(sys.argv[1]))\n"
@@ -219,7 +219,7 @@ def test_workers_end_with_their_server(tmp_path: Path) -> None:
     path = tmp_path / "pid"
     script = tmp_path / "server.py"
     script.write_text(code)
-    root = str(Path(__file__).parents[2])
+    root = str(Path(__file__).parents[3])
     server = subprocess.Popen([sys.executable, str(script), str(path)], env={**os.environ, "PYTHONPATH": root})
     try:
         pid = int(wait_until(lambda: path.exists() and path.read_text(), "the worker to be at work"))

@@ -27,7 +27,7 @@ from app.upkeep.cleanup import sweep
 from interloc.cli.main import run
 from tests import forks
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
-from tests.app.test_cleanup import make_old
+from tests.app.upkeep.test_cleanup import make_old
 
 
 def settings(data: Path, url: str | None = None) -> Settings:

@@ -234,7 +234,7 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
 
 
 def test_the_page_takes_intersections_for_the_same_where_the_score_does() -> None:
-    script = Path(__file__).resolve().parents[2] / "static" / "js" / "data" / "compared.js"
+    script = Path(__file__).resolve().parents[3] / "static" / "js" / "data" / "compared.js"
     assert f"const GATE_M = {GATE_M:g};" in script.read_text()  # not in config.json: its module needs half of SciPy
 
 

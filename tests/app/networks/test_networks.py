@@ -14,9 +14,9 @@ from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.reduction.reduce import reduce_drive
 from tests.app.conftest import running_server
+from tests.app.drives.test_commit import commit, refused, upload
 from tests.app.processes import ended
 from tests.app.street import write_street
-from tests.app.test_commit import commit, refused, upload
 from tests.bags import write_bag
 from tests.drives.scans.test_pcd import as_pcd
 from tests.las_files import write_mapping
