@@ -33,7 +33,7 @@ from app.trash.deletion import finish_purges, half_purged
 from app.upkeep.cleanup import remove_incoming, set_unknown_aside, unknown_folders
 from app.upkeep.transfer import Advance, no_progress
 from app.work.places import TRAJECTORY
-from interloc.drives.findings import Finding as Fault
+from interloc.drives.findings import Finding
 from interloc.drives.inspect import DriveReport
 from interloc.drives.scans.reduced import GroundFiles
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, read_manifest
@@ -49,7 +49,7 @@ _KINDS = {
 
 
 @dataclass(frozen=True)
-class Finding:
+class Discrepancy:
     """Something that is not as it should be.
 
     Attributes
@@ -72,7 +72,7 @@ class Finding:
 
 def check(
     context: Context, *, repair: bool = False, quick: bool = False, progress: Advance = no_progress
-) -> list[Finding]:
+) -> list[Discrepancy]:
     """Compare rows and files; a server may go on meanwhile.
 
     Parameters
@@ -90,7 +90,7 @@ def check(
         jobs = session.scalars(
             select(Job.id).where(Job.kind == JobKind.INTERSECTIONS, Job.state == JobState.SUCCESSFUL)
         ).all()
-    found: list[Finding] = []
+    found: list[Discrepancy] = []
     total = len(drives) + len(jobs)
     for number, (drive_id, name) in enumerate(drives):
         progress(number, total, name)
@@ -111,7 +111,7 @@ class _DriveCheck:
         self._repair = repair
         self._quick = quick
 
-    def run(self) -> list[Finding]:
+    def run(self) -> list[Discrepancy]:
         drive = self._look()
         if drive is None:  # deleted meanwhile
             return []
@@ -126,7 +126,7 @@ class _DriveCheck:
     def _may_repair(self, drive: Drive) -> bool:
         return self._repair and drive.deleted_at is None
 
-    def _state(self, drive: Drive) -> Iterator[Finding]:
+    def _state(self, drive: Drive) -> Iterator[Discrepancy]:
         """Find a drive that waits for a check that nobody does."""
         if drive.state != DriveState.CHECKING:
             return
@@ -138,9 +138,11 @@ class _DriveCheck:
                 locked.state = DriveState.UPLOADING
                 drive.state = DriveState.UPLOADING
         repair = "it is open again: commit it once more" if self._may_repair(drive) else None
-        yield Finding("drive-waits", drive_key(self._id), f"{drive.name} waits for a check that no job does.", repair)
+        yield Discrepancy(
+            "drive-waits", drive_key(self._id), f"{drive.name} waits for a check that no job does.", repair
+        )
 
-    def _reduced(self, drive: Drive) -> Iterator[Finding]:
+    def _reduced(self, drive: Drive) -> Iterator[Discrepancy]:
         """Find a ready drive that jobs cannot use."""
         if drive.state != DriveState.READY:
             return
@@ -154,13 +156,13 @@ class _DriveCheck:
             self._reopen(faults)
             repair = "the drive is open again: send what is missing of it, and commit it once more"
         for name, message in faults:
-            yield Finding("reduced", f"{reduced_key(self._id)}/{name}".rstrip("/"), message, repair)
+            yield Discrepancy("reduced", f"{reduced_key(self._id)}/{name}".rstrip("/"), message, repair)
 
     def _reopen(self, faults: list[tuple[str, str]]) -> None:
         """Open a drive whose reduced scans are damaged, with the files listed that are left of it."""
         name, message = faults[0]
         more = f" And {len(faults) - 1} more." if len(faults) > 1 else ""
-        fault = Fault("error", name or "reduced", f"{message}{more} Send the drive again, or restore a backup.")
+        fault = Finding("error", name or "reduced", f"{message}{more} Send the drive again, or restore a backup.")
         with self._context.database.writing() as session:
             drive = _lock(session, self._id)
             if drive is None:
@@ -171,7 +173,7 @@ class _DriveCheck:
             drive.touched_at = self._context.database.clock(session)
         reconcile(self._context, self._id, is_news=False)
 
-    def _files(self) -> Iterator[Finding]:
+    def _files(self) -> Iterator[Discrepancy]:
         """Find files whose rows say something else."""
         root = self._context.storage.folder(files_key(self._id))
         drive, differing = self._differing()
@@ -187,7 +189,7 @@ class _DriveCheck:
         for each in differing:
             kind, text = _KINDS[each.listed is not None, each.found is not None]
             listed, found = (stamp.size_bytes if stamp is not None else 0 for stamp in (each.listed, each.found))
-            yield Finding(kind, self._place(each.path), f"{text.format(listed=listed, found=found)}.", repair)
+            yield Discrepancy(kind, self._place(each.path), f"{text.format(listed=listed, found=found)}.", repair)
         if not self._quick:
             yield from self._digests(root, {each.path for each in differing})
         yield from self._counts()
@@ -202,7 +204,7 @@ class _DriveCheck:
             drive = _lock(session, self._id)
             return drive, [] if drive is None else differences(session, self._context, drive)
 
-    def _digests(self, root: Path, known: set[str]) -> Iterator[Finding]:
+    def _digests(self, root: Path, known: set[str]) -> Iterator[Discrepancy]:
         """Find files that have the size and the time of their rows, but other bytes."""
         with self._context.database.reading() as session:
             rows = session.execute(select(DriveFile.path, DriveFile.sha256).where(DriveFile.drive_id == self._id)).all()
@@ -214,7 +216,7 @@ class _DriveCheck:
             if digest != sha256 and (finding := self._damage(root, path, digest)) is not None:
                 yield finding
 
-    def _damage(self, root: Path, path: str, digest: str) -> Finding | None:
+    def _damage(self, root: Path, path: str, digest: str) -> Discrepancy | None:
         """Look once more under the lock: the file may have been replaced while it was read."""
         with self._context.database.writing() as session:
             drive, row = _lock(session, self._id), session.get(DriveFile, (self._id, path), populate_existing=True)
@@ -224,11 +226,11 @@ class _DriveCheck:
                 f"its bytes have the SHA-256 {digest}, its row says {row.sha256}: the file was damaged or changed."
             )
             if not self._may_repair(drive) or drive.state != DriveState.UPLOADING:
-                return Finding("file-damaged", self._place(path), f"{message} Restore it from a backup.")
+                return Discrepancy("file-damaged", self._place(path), f"{message} Restore it from a backup.")
             row.sha256 = digest
-        return Finding("file-damaged", self._place(path), message, "it is listed with its digest: send it again")
+        return Discrepancy("file-damaged", self._place(path), message, "it is listed with its digest: send it again")
 
-    def _counts(self) -> Iterator[Finding]:
+    def _counts(self) -> Iterator[Discrepancy]:
         """Find a drive whose totals are not those of its files."""
         with self._context.database.reading() as session:
             drive = session.get(Drive, self._id)
@@ -247,16 +249,16 @@ class _DriveCheck:
                 if drive.state != DriveState.READY:
                     drive.stored_bytes = counts[1]
                 drive.file_count, drive.size_bytes = counts
-        yield Finding("count", drive_key(self._id), message, "counted again" if self._may_repair(drive) else None)
+        yield Discrepancy("count", drive_key(self._id), message, "counted again" if self._may_repair(drive) else None)
 
-    def _sidecar(self) -> Iterator[Finding]:
+    def _sidecar(self) -> Iterator[Discrepancy]:
         folder = self._context.storage.folder(drive_key(self._id))
         if not folder.is_dir() or sidecars.read_drive(folder) is not None:
             return
         current = self._look()
         if self._repair and current is not None:
             sidecars.write_drive(self._context.storage, current)
-        yield _sidecar_finding(f"{drive_key(self._id)}/{sidecars.DRIVE_FILE}", repair=self._repair)
+        yield _sidecar_discrepancy(f"{drive_key(self._id)}/{sidecars.DRIVE_FILE}", repair=self._repair)
 
     def _place(self, path: str) -> str:
         return f"{files_key(self._id)}/{path}"
@@ -267,13 +269,13 @@ def _lock(session: Session, drive_id: str) -> Drive | None:
     return session.get(Drive, drive_id, with_for_update=True, populate_existing=True)
 
 
-def _in_trash(finding: Finding) -> Finding:
+def _in_trash(finding: Discrepancy) -> Discrepancy:
     return replace(finding, message=f"{finding.message} The drive is in the trash.")
 
 
-def _sidecar_finding(place: str, *, repair: bool) -> Finding:
+def _sidecar_discrepancy(place: str, *, repair: bool) -> Discrepancy:
     message = "missing or not readable: without the database nobody could tell what this is."
-    return Finding("sidecar", place, message, "written anew" if repair else None)
+    return Discrepancy("sidecar", place, message, "written anew" if repair else None)
 
 
 def _faults_of(root: Path, *, quick: bool) -> Iterator[tuple[str, str]]:
@@ -309,7 +311,7 @@ def _fault_of_scan(scans: GroundFiles, frame: int, path: Path, *, quick: bool) -
     return None
 
 
-def _check_job(context: Context, job_id: str, *, repair: bool) -> list[Finding]:
+def _check_job(context: Context, job_id: str, *, repair: bool) -> list[Discrepancy]:
     """Find a successful job whose result is gone."""
     folder = context.storage.folder(f"jobs/{job_id}")
     fault = _fault_of_result(folder / "result")
@@ -323,13 +325,13 @@ def _check_job(context: Context, job_id: str, *, repair: bool) -> list[Finding]:
             _fail(job, fault)
     if fault is not None:
         done = "the job is failed now: submit it again" if repair else None
-        return [Finding("result", f"jobs/{job_id}/result", fault, done)]
+        return [Discrepancy("result", f"jobs/{job_id}/result", fault, done)]
     if repair:
         sidecars.write_job(context.storage, job)
-    return [_sidecar_finding(f"jobs/{job_id}/{sidecars.JOB_FILE}", repair=repair)]
+    return [_sidecar_discrepancy(f"jobs/{job_id}/{sidecars.JOB_FILE}", repair=repair)]
 
 
-def _check_features(context: Context, job_id: str, *, repair: bool, quick: bool) -> Iterator[Finding]:
+def _check_features(context: Context, job_id: str, *, repair: bool, quick: bool) -> Iterator[Discrepancy]:
     """Find a result whose features are in the index otherwise than in its files; those that it lacks are written."""
     with context.database.reading() as session:
         job = session.get(Job, job_id)
@@ -343,7 +345,7 @@ def _check_features(context: Context, job_id: str, *, repair: bool, quick: bool)
     except InterLocError as error:
         folder = context.storage.folder(f"jobs/{job_id}/result")
         message = f"{without_folder(str(error), folder, 'result')} A GIS sees what the index of features still holds."
-        yield Finding("result", f"jobs/{job_id}/result", message)
+        yield Discrepancy("result", f"jobs/{job_id}/result", message)
         return
     with context.database.reading() as session:
         agrees = is_indexed_as(session, job_id, chunks)
@@ -351,7 +353,7 @@ def _check_features(context: Context, job_id: str, *, repair: bool, quick: bool)
         index_job(context, job_id)
     if not agrees and indexed:
         message = "the index of features holds something else than its files, which is what a GIS sees."
-        yield Finding("features", f"jobs/{job_id}/result", message, "indexed anew" if repair else None)
+        yield Discrepancy("features", f"jobs/{job_id}/result", message, "indexed anew" if repair else None)
 
 
 def _fault_of_result(folder: Path) -> str | None:
@@ -371,26 +373,26 @@ def _fail(job: Job, fault: str) -> None:
     job.version += 1
 
 
-def _check_folders(context: Context, *, repair: bool) -> Iterator[Finding]:
+def _check_folders(context: Context, *, repair: bool) -> Iterator[Discrepancy]:
     """Find what belongs to no row."""
     storage = context.storage
     for key in sorted(unknown_folders(context)):
         message = "no row knows this folder. `interloc adopt` makes a row for it."
         moved = dict(set_unknown_aside(context, only=key)) if repair else {}
-        yield Finding("folder-unknown", key, message, f"moved to {moved[key]}" if key in moved else None)
+        yield Discrepancy("folder-unknown", key, message, f"moved to {moved[key]}" if key in moved else None)
     lost = storage.folder(LOST)
     for path in sorted(lost.glob("*/*")):
         key = path.relative_to(storage.root).as_posix()
-        yield Finding("lost", key, "a folder that no row knows. `interloc adopt` makes a row for it, or remove it.")
+        yield Discrepancy("lost", key, "a folder that no row knows. `interloc adopt` makes a row for it, or remove it.")
     for path, kind, id_ in half_purged(context):
         message = f"the deletion of {kind[:-1]} {id_} has begun and not ended. A running server completes it."
         key = path.relative_to(storage.root).as_posix()
-        yield Finding("purge", key, message, "completed" if repair else None)
+        yield Discrepancy("purge", key, message, "completed" if repair else None)
     if repair:
         finish_purges(context)
     left = dead(storage.folder(INCOMING))
     for path in left:
         message = "what a server was receiving that is dead. The next start of a server removes it."
-        yield Finding("incoming", f"{INCOMING}/{path.name}", message, "removed" if repair else None)
+        yield Discrepancy("incoming", f"{INCOMING}/{path.name}", message, "removed" if repair else None)
     if left and repair:
         remove_incoming(context)

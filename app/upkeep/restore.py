@@ -25,7 +25,7 @@ from app.store.installation import id_of_database, remark_folder
 from app.store.models import Drive, Installation, Job, Token
 from app.store.storage import Storage
 from app.upkeep.backup import DATABASE, RECORD, BackupRecord, refuse_unless_empty
-from app.upkeep.check import Finding, check
+from app.upkeep.check import Discrepancy, check
 from app.upkeep.content import (
     DriveContent,
     find_files,
@@ -55,7 +55,7 @@ class RestoreReport:
         Number of them that the service has now.
     files, size_bytes : int
         What was brought from the backup.
-    findings : list of Finding
+    findings : list of Discrepancy
         What the quick check at the end has found: something only where the backup is not whole.
     """
 
@@ -64,7 +64,7 @@ class RestoreReport:
     jobs: int = 0
     files: int = 0
     size_bytes: int = 0
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[Discrepancy] = field(default_factory=list)
 
 
 def restore(

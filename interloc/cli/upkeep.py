@@ -17,7 +17,7 @@ from interloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from app.context import Context
-    from app.upkeep.check import Finding
+    from app.upkeep.check import Discrepancy
 
 _SHOWN = 10  # findings of one kind in one folder
 
@@ -41,14 +41,14 @@ def check(data_dir: Path | None, *, repair: bool, quick: bool, as_json: bool, qu
     settings = read_settings({"data_dir": data_dir})
     from app.context import Context
     from app.store.installation import InstallationError
-    from app.upkeep.check import Finding
+    from app.upkeep.check import Discrepancy
     from app.upkeep.check import check as check_all
 
     try:
         with _closing(Context.open_existing(settings)) as context, progress("checking", " folders", quiet=quiet) as bar:
             found = check_all(context, repair=repair, quick=quick, progress=bar)
     except InstallationError as error:
-        found = [Finding("installation", ".", str(error))]
+        found = [Discrepancy("installation", ".", str(error))]
     if as_json:
         say_json({"ok": not found, "findings": [asdict(each) for each in found]})
     else:
@@ -56,7 +56,7 @@ def check(data_dir: Path | None, *, repair: bool, quick: bool, as_json: bool, qu
     return int(bool(found))
 
 
-def _say_findings(found: list[Finding]) -> None:
+def _say_findings(found: list[Discrepancy]) -> None:
     if not found:
         click.echo("nothing found: rows and files agree")
         return

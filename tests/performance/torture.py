@@ -40,7 +40,7 @@ from app.context import Context
 from app.settings import Settings
 from app.store.models import Job
 from app.upkeep.backup import BackupReport, back_up
-from app.upkeep.check import Finding, check
+from app.upkeep.check import Discrepancy, check
 from app.upkeep.restore import restore
 from tests import forks
 from tests.app.postgres import new_database
@@ -73,7 +73,7 @@ def look_through(fleet: Fleet, ledger: Ledger, where: str) -> None:
         context.close()
 
 
-def _checked(context: Context) -> list[Finding | str]:
+def _checked(context: Context) -> list[Discrepancy | str]:
     try:
         return list(check(context))
     except SQLAlchemyError as error:  # of a database that was just killed

@@ -21,7 +21,7 @@ from app.settings import Settings
 from app.store import sidecars
 from app.store.models import Drive, DriveFile, Job
 from app.trash import deletion as trash
-from app.upkeep.check import Finding, check
+from app.upkeep.check import Discrepancy, check
 from interloc.output.layout import RUN_FILE
 from interloc.reduction.reduce import reduce_drive
 from tests.app import kills
@@ -80,7 +80,7 @@ def finished_job(context: Context, drive: str) -> str:
     return job.id
 
 
-def kinds(found: list[Finding]) -> list[tuple[str, str]]:
+def kinds(found: list[Discrepancy]) -> list[tuple[str, str]]:
     return sorted((each.kind, each.place) for each in found)
 
 
