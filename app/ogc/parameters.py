@@ -17,6 +17,7 @@ from app.http.patterns import BOX, EXPECTED
 from app.http.problem_types import REQUEST_NOT_VALID
 from app.http.problems import Problem
 from app.ogc import index
+from app.ogc.candidates import Key
 from app.ogc.collections import Collection
 from app.ogc.filters import CRS84, Language, read_filter
 
@@ -210,8 +211,8 @@ def _language(asked: str | None, text: str | None) -> Language:
     return cast("Language", asked)
 
 
-def _key(text: str) -> index.Key:
+def _key(text: str) -> Key:
     match = _KEY.fullmatch(text)
     if match is None:
         raise _wrong("after", text, "what the links `next` and `prev` hold; leave it out to begin with the first page")
-    return index.Key(int(match[1]), int(match[2]))
+    return Key(int(match[1]), int(match[2]))
