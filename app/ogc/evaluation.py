@@ -292,7 +292,6 @@ def _span_of(node: dict[str, Any]) -> _Span:
 
 
 def _geometry(literal: dict[str, Any]) -> Any:  # noqa: ANN401 - a geometry of shapely
-    """Return a geometry of a filter."""
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
     corners = list(positions_of(literal))

@@ -145,7 +145,6 @@ def bad_filter(found: str) -> Problem:
 
 
 def _parse(content: str, language: Language) -> Any:  # noqa: ANN401 - JSON
-    """Return the tree of a filter."""
     if len(content) > MAX_CHARACTERS:
         raise BadFilterError(f"It has {len(content):,} characters, more than {MAX_CHARACTERS:,}.")
     if language == "cql-text":

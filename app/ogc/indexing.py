@@ -38,8 +38,6 @@ def write_chunks(session: Session, job: Job, chunks: list[Chunk]) -> None:
     """Write the features of a job into the index, in the place of those that it had."""
     session.execute(delete(FeatureChunk).where(FeatureChunk.job_id == job.id))
     for chunk in chunks:
-        west, south, east, north = chunk.box or (None,) * 4
-        first_time, last_time = chunk.times or (None,) * 2
         row = FeatureChunk(
             job_id=job.id,
             layer=chunk.layer,
@@ -47,14 +45,9 @@ def write_chunks(session: Session, job: Job, chunks: list[Chunk]) -> None:
             count=chunk.count,
             preset=job.request.get("preset"),
             labels=chunk.labels or job.request.get("labels"),
-            west=west,
-            south=south,
-            east=east,
-            north=north,
-            first_time=first_time,
-            last_time=last_time,
             attribution=chunk.attribution,
             license=chunk.license,
+            **chunk.extent,
         )
         session.add(row)
         session.flush()

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from app.ogc.columns import pack_blobs, pack_numbers, pack_texts
@@ -89,25 +90,23 @@ class Chunk:
         From 0 within the layer.
     count : int
         Number of features.
-    box : tuple of float or None
-        West, south, east, north around all; None: none has a geometry.
-    times : tuple of float or None
-        First and last time, seconds since 1970.
     labels : str or None
         Labels that the run used.
     attribution, license : str, str or None
         Of the layer.
+    extent : dict
+        ``west``, ``south``, ``east``, ``north`` around all, where one has a geometry; ``first_time``, ``last_time``,
+        seconds since 1970, where one has a time.
     columns : dict
     """
 
     layer: str
     number: int
     count: int
-    box: tuple[float, ...] | None
-    times: tuple[float, ...] | None
     labels: str | None
     attribution: str
     license: str | None
+    extent: dict[str, float]
     columns: dict[str, bytes]
 
 
@@ -161,16 +160,15 @@ def _cut(layer: Layer, collection: dict[str, Any], run: dict[str, Any]) -> Itera
     for number, start in enumerate(range(0, max(len(features), 1), CHUNK)):
         places = order[start : start + CHUNK]
         some = [features[place] for place in places]
-        box, times, columns = _columns(layer, some, places, run) if some else (None, None, {})
+        extent, columns = _columns(layer, some, places, run) if some else ({}, {})
         yield Chunk(
             layer=layer.name,
             number=number,
             count=len(some),
-            box=box,
-            times=times,
             labels=labels if isinstance(labels, str) else None,
             attribution=collection.get("attribution", credit.attribution),
             license=collection.get("license", credit.license),
+            extent=extent,
             columns=columns,
         )
 
@@ -191,7 +189,7 @@ def _typed_first(layer: Layer, features: list[dict[str, Any]]) -> list[int]:
 
 def _columns(
     layer: Layer, features: list[dict[str, Any]], places: list[int], run: dict[str, Any]
-) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None, dict[str, bytes]]:
+) -> tuple[dict[str, float], dict[str, bytes]]:
     own = [each for each in layer.attributes if each.name != "drive"]  # its name now, not as it was: see `RESULT`
     rows = [{each.name: feature["properties"].get(each.name) for each in own} for feature in features]
     columns = {}
@@ -206,7 +204,7 @@ def _columns(
     shapes, boxes = _shapes([feature["geometry"] for feature in features])
     columns[BOXES] = boxes.astype("<f8").tobytes()
     if layer.geometry != "Point":
-        columns[SHAPES] = pack_blobs([b"" if each is None else each.wkb for each in shapes])
+        columns[SHAPES] = pack_blobs([b"" if each is None else each.wkb for each in shapes.tolist()])
     times = _times(rows, run)
     if np.isfinite(times).any():
         columns[TIMES] = times.astype("<f8").tobytes()
@@ -216,7 +214,7 @@ def _columns(
         for feature, row in zip(features, rows, strict=True)
     ]
     columns[CONTENT] = zlib.compress("\n".join(lines).encode(), _PACKED)
-    return _around(boxes), _span(times), columns
+    return _extent(boxes, times), columns
 
 
 def _ids(layer: Layer, features: list[dict[str, Any]], rows: list[dict[str, Any]], places: list[int]) -> list[str]:
@@ -242,28 +240,27 @@ def _times(rows: list[dict[str, Any]], run: dict[str, Any]) -> FloatArray:
     return np.array(spans, dtype=np.float64).reshape(-1, 2)
 
 
-def _shapes(geometries: list[dict[str, Any] | None]) -> tuple[list[Any], FloatArray]:
+def _shapes(geometries: list[dict[str, Any] | None]) -> tuple[NDArray[np.object_], FloatArray]:
     """Return geometries, and (N, 4) west, south, east, north of each; NaN where there is none."""
     import shapely  # noqa: PLC0415 - an eighth of a second of start-up time
 
-    shapes = [None if each is None else shapely.from_geojson(json.dumps(each)) for each in geometries]
-    boxes = shapely.bounds(np.array(shapes, dtype=object)).reshape(-1, 4)
+    shapes = shapely.from_geojson([None if each is None else json.dumps(each) for each in geometries])
+    boxes = shapely.bounds(shapes).reshape(-1, 4)
     for row in np.flatnonzero(boxes[:, 2] - boxes[:, 0] > 180.0).tolist():  # across the 180th meridian
         shape = shapely.transform(shapes[row], lambda xy: xy + [360.0, 0.0] * (xy[:, :1] < 0))
         shapes[row], boxes[row] = shape, shapely.bounds(shape)
     return shapes, boxes
 
 
-def _around(boxes: FloatArray) -> tuple[float, ...] | None:
-    known = boxes[np.isfinite(boxes[:, 0])]
-    if not len(known):
-        return None
-    return (*known[:, :2].min(axis=0).tolist(), *known[:, 2:].max(axis=0).tolist())
-
-
-def _span(times: FloatArray) -> tuple[float, ...] | None:
-    known = times[np.isfinite(times).all(axis=1)]
-    return (float(known[:, 0].min()), float(known[:, 1].max())) if len(known) else None
+def _extent(boxes: FloatArray, times: FloatArray) -> dict[str, float]:
+    """Return what is around those boxes and those times that are known."""
+    found: dict[str, float] = {}
+    for names, values in ((("west", "south", "east", "north"), boxes), (("first_time", "last_time"), times)):
+        known, half = values[np.isfinite(values).all(axis=1)], len(names) // 2
+        if len(known):
+            around = np.concatenate([known[:, :half].min(axis=0), known[:, half:].max(axis=0)])
+            found |= dict(zip(names, around.tolist(), strict=True))
+    return found
 
 
 def _footprint(collections: dict[str, dict[str, Any]], run: dict[str, Any]) -> dict[str, Any]:
