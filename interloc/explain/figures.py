@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from interloc.config import DetectorConfig
 from interloc.drawing import INK, MUTED, entitle, image, write_image
 from interloc.drive import Drive
-from interloc.explain import panels
+from interloc.explain import steps as panels
 from interloc.explain.evidence import Evidence, GroundTruth, Verdict, gather, ground_truth
 from interloc.explain.record import record
 from interloc.files import atomic_folder, atomic_write

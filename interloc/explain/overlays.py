@@ -16,7 +16,7 @@ from interloc.config import HarrisCandidates
 from interloc.drawing import BLUE, GREEN, INK, MUTED, PAPER, PURPLE, SKY, VERMILION, YELLOW
 from interloc.drive import Georeference
 from interloc.explain.evidence import Evidence
-from interloc.explain.panels import (
+from interloc.explain.steps import (
     BRANCH_COLOURS,
     CLOSED,
     ROAD,
