@@ -19,7 +19,7 @@ from interloc.drive import Drive, Georeference, GroundPoints
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError, OutputError
 from interloc.explain import explain
-from interloc.explain.evidence import Evidence, gather
+from interloc.explain.evidence import ExplainedKeyframe, gather
 from interloc.geometry import lonlat_from_enu, rotate_2d
 from interloc.osm.graph import RoadGraph, Ways
 
@@ -110,7 +110,7 @@ def explained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path
 
 
 @pytest.fixture(scope="module")
-def seen() -> dict[str, Evidence]:
+def seen() -> dict[str, ExplainedKeyframe]:
     return {name: gather(RoadDrive(), 124, small(name)) for name in PRESETS}
 
 
@@ -140,7 +140,7 @@ def test_refinement_and_overview_are_not_blank(explained: tuple[Path, list[Path]
 
 
 def test_a_cell_of_the_bev_image_is_a_pixel_of_the_picture(
-    explained: tuple[Path, list[Path]], seen: dict[str, Evidence]
+    explained: tuple[Path, list[Path]], seen: dict[str, ExplainedKeyframe]
 ) -> None:
     picture = cv2.imread(str(explained[0] / "3_bev.png"), cv2.IMREAD_GRAYSCALE)
     assert picture is not None
@@ -176,26 +176,26 @@ def test_the_map_is_laid_over_the_pictures_by_the_fix_of_the_keyframe(explained:
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
-def test_the_pixels_shown_are_those_that_the_method_used(seen: dict[str, Evidence], preset: str) -> None:
-    for verdict in seen[preset].verdicts:
+def test_the_pixels_shown_are_those_that_the_method_used(seen: dict[str, ExplainedKeyframe], preset: str) -> None:
+    for verdict in seen[preset].candidates:
         branches = [piece for piece in verdict.pieces if piece.is_branch]
         assert [len(piece.pixels) for piece in branches] == verdict.branches.lengths.tolist()
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
-def test_every_detection_belongs_to_one_candidate(seen: dict[str, Evidence], preset: str) -> None:
+def test_every_detection_belongs_to_one_candidate(seen: dict[str, ExplainedKeyframe], preset: str) -> None:
     evidence = seen[preset]
-    shown = sorted(i for verdict in evidence.verdicts for i in verdict.detections)
+    shown = sorted(i for verdict in evidence.candidates for i in verdict.detections)
     assert shown == list(range(len(evidence.steps.junctions)))
     assert len(shown) >= 1
-    for verdict in evidence.verdicts:
+    for verdict in evidence.candidates:
         assert verdict.is_kept == (verdict.why_not is None)
         assert verdict.merged.mean(axis=0) == pytest.approx(verdict.position)
 
 
 def test_a_rejected_candidate_says_why() -> None:
     config = with_settings(small(), ["branches.min_branches=5", "branches.min_reach_m=200", "branches.margin_m=0"])
-    verdict = gather(RoadDrive(), 124, config).verdicts[0]
+    verdict = gather(RoadDrive(), 124, config).candidates[0]
     assert verdict.why_not is not None
     assert verdict.why_not.startswith("0 branches, 5 needed; 4 too short (")
     assert verdict.why_not.endswith(" of 200 m)")
@@ -203,7 +203,7 @@ def test_a_rejected_candidate_says_why() -> None:
 
 def test_a_candidate_at_the_border_says_so() -> None:
     config = with_settings(small(), ["branches.margin_m=25"])
-    (verdict,) = [v for v in gather(RoadDrive(), 100, config).verdicts if v.branches.count >= 3]
+    (verdict,) = [v for v in gather(RoadDrive(), 100, config).candidates if v.branches.count >= 3]
     assert verdict.why_not is not None
     distance, _, rest = verdict.why_not.partition(" m ")
     assert float(distance) == pytest.approx(60.0 - CROSSING[0], abs=1.0)

@@ -14,7 +14,7 @@ from interloc.arrays import FloatArray, UInt8Array
 from interloc.config import DetectorConfig, preset
 from interloc.drive import Drive
 from interloc.drives.open import open_drive
-from interloc.explain.evidence import Evidence, gather
+from interloc.explain.evidence import ExplainedKeyframe, gather
 from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay
 from interloc.geometry import enu_from_lonlat
 from interloc.pipeline import detect
@@ -39,11 +39,11 @@ def config(request: pytest.FixtureRequest) -> DetectorConfig:
 
 
 @pytest.fixture(scope="module")
-def evidence(drive: Drive, config: DetectorConfig) -> Evidence:
+def evidence(drive: Drive, config: DetectorConfig) -> ExplainedKeyframe:
     return gather(drive, FRAME, config)
 
 
-def draw(evidence: Evidence, layer: str) -> UInt8Array:
+def draw(evidence: ExplainedKeyframe, layer: str) -> UInt8Array:
     """Draw a layer and read it back: rows, columns, red green blue alpha."""
     picture = np.array(Image.open(io.BytesIO(draw_overlay(evidence, layer))).convert("RGBA"))
     assert picture.shape[0] == picture.shape[1]
@@ -52,13 +52,13 @@ def draw(evidence: Evidence, layer: str) -> UInt8Array:
     return picture
 
 
-def test_bev_and_occupancy_are_the_images_of_the_method(evidence: Evidence) -> None:
+def test_bev_and_occupancy_are_the_images_of_the_method(evidence: ExplainedKeyframe) -> None:
     assert np.array_equal(draw(evidence, "bev")[..., 3] > 0, evidence.steps.bev.to_array() > 0)
     shown = (evidence.steps.bev.to_array() | evidence.steps.occupancy.to_array()) > 0
     assert np.array_equal(draw(evidence, "occupancy")[..., 3] > 0, shown)
 
 
-def test_the_centerline_is_drawn_on_its_own_cells(evidence: Evidence) -> None:
+def test_the_centerline_is_drawn_on_its_own_cells(evidence: ExplainedKeyframe) -> None:
     picture = draw(evidence, "centerline")[..., 3] > 0
     scale = len(picture) // evidence.roi.size
     cells = picture.reshape(evidence.roi.size, scale, evidence.roi.size, scale).any(axis=(1, 3))
@@ -68,13 +68,13 @@ def test_the_centerline_is_drawn_on_its_own_cells(evidence: Evidence) -> None:
     assert near[cells].all()
 
 
-def test_overlays_are_transparent_and_the_sheet_is_not(evidence: Evidence) -> None:
+def test_overlays_are_transparent_and_the_sheet_is_not(evidence: ExplainedKeyframe) -> None:
     for layer in OVERLAYS:
         alpha = draw(evidence, layer)[..., 3]
         assert set(np.unique(alpha)) == ({255} if layer == "all" else {0, 255})
 
 
-def test_marks_lie_at_candidates_and_detections(evidence: Evidence) -> None:
+def test_marks_lie_at_candidates_and_detections(evidence: ExplainedKeyframe) -> None:
     told = describe_overlays(evidence, "town", None)
     assert len(told["detections"]) > 0
     for layer, table in (("candidates", "candidates"), ("branches", "detections")):
@@ -86,7 +86,7 @@ def test_marks_lie_at_candidates_and_detections(evidence: Evidence) -> None:
 
 
 def test_corners_and_detections_lie_where_the_result_has_them(
-    drive: Drive, config: DetectorConfig, evidence: Evidence
+    drive: Drive, config: DetectorConfig, evidence: ExplainedKeyframe
 ) -> None:
     assert drive.georeference is not None
     told = describe_overlays(evidence, "town", drive.georeference)
@@ -112,7 +112,7 @@ def _turns_right(corners: FloatArray) -> bool:
     return bool(first[0] * second[1] - first[1] * second[0] < 0)
 
 
-def test_without_georeference_there_are_no_longitudes(evidence: Evidence) -> None:
+def test_without_georeference_there_are_no_longitudes(evidence: ExplainedKeyframe) -> None:
     told = describe_overlays(evidence, "town", None)
     assert told["corners_lonlat"] is None
     assert {row["lonlat"] for row in told["candidates"] + told["detections"]} == {None}

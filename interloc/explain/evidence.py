@@ -24,7 +24,7 @@ from interloc.processes import cores
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ExplainedCandidate:
     """One candidate and what became of it.
 
     Attributes
@@ -61,16 +61,16 @@ class Verdict:
         return bool(self.detections)
 
 
-def judge(steps: Steps, vehicle: FloatArray, config: BranchConfig) -> list[Verdict]:
+def explain_candidates(steps: Steps, vehicle: FloatArray, config: BranchConfig) -> list[ExplainedCandidate]:
     """Explain all candidates of a keyframe, the nearest to the vehicle (x, y in W, metres) first."""
     candidates, segmentation = steps.candidates, steps.segmentation
     order = np.argsort(np.hypot(*(candidates.positions - steps.roi.image(vehicle)).T), kind="stable")
-    verdicts = []
+    explained = []
     for number, index in enumerate(order.tolist(), start=1):
         branches, pieces = segmentation.branches[index], list(segmentation.pieces[index])
         detections = [i for i, junction in enumerate(steps.junctions) if junction.branches.index == index]
-        verdicts.append(
-            Verdict(
+        explained.append(
+            ExplainedCandidate(
                 number=number,
                 position=candidates.positions[index],
                 width=float(candidates.widths[index]),
@@ -81,7 +81,7 @@ def judge(steps: Steps, vehicle: FloatArray, config: BranchConfig) -> list[Verdi
                 why_not=None if detections else _why_not(branches, pieces, steps.roi, config),
             )
         )
-    return verdicts
+    return explained
 
 
 def _why_not(branches: Branches, pieces: list[Piece], roi: Roi, config: BranchConfig) -> str:
@@ -122,7 +122,7 @@ class WindowScan:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ExplainedKeyframe:
     """One keyframe, explained.
 
     Attributes
@@ -141,7 +141,7 @@ class Evidence:
         All keyframes accumulated, in the order of the drive.
     steps
         What the detector did.
-    verdicts
+    candidates
         What became of each candidate, the nearest to the vehicle first.
     detections
         In the order of ``steps.junctions``.
@@ -156,7 +156,7 @@ class Evidence:
     points: GroundPoints
     window: list[WindowScan]
     steps: Steps
-    verdicts: list[Verdict]
+    candidates: list[ExplainedCandidate]
     detections: KeyframeDetections
 
     @property
@@ -174,12 +174,17 @@ class Evidence:
         """Heading in W, counter-clockwise from +x."""
         return float(yaw_of(self.keyframe.T_world_lidar[:3, :3]))
 
-    def around(self, rows: FloatArray, cols: FloatArray) -> FloatArray:
-        """Return x, y along the axes of W from the vehicle, metres, (..., 2), of image positions."""
-        return self.roi.world(rows, cols) - self.vehicle
+    def around(self, places: FloatArray) -> FloatArray:
+        """Return x, y along the axes of W from the vehicle, metres, (..., 2), of (..., 2) rows and columns."""
+        return self.roi.world(places[..., 0], places[..., 1]) - self.vehicle
+
+    @property
+    def kept(self) -> list[ExplainedCandidate]:
+        """The candidates that became intersections."""
+        return [each for each in self.candidates if each.is_kept]
 
 
-def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
+def gather(drive: Drive, frame: int, config: DetectorConfig) -> ExplainedKeyframe:
     """Run the method on the keyframe nearest to a scan number, and keep everything.
 
     Parameters
@@ -210,7 +215,7 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
 
     window = next(islice(Detector(config).completed(scans), number - first, None))
     steps, keyframe = window.steps(), window.keyframe
-    return Evidence(
+    return ExplainedKeyframe(
         asked=frame,
         index=scan.index,
         number=number,
@@ -220,7 +225,7 @@ def gather(drive: Drive, frame: int, config: DetectorConfig) -> Evidence:
         points=drive.ground_points(scan.index),
         window=[_window_scan(other, first + i - number, config) for i, other in enumerate(scans)],
         steps=steps,
-        verdicts=judge(steps, keyframe.T_world_lidar[:2, 3], config.branches),
+        candidates=explain_candidates(steps, keyframe.T_world_lidar[:2, 3], config.branches),
         detections=locate(steps, keyframe, config.score),
     )
 
@@ -255,7 +260,9 @@ class GroundTruth:
     osm_id: IntArray
 
 
-def ground_truth(evidence: Evidence, georeference: Georeference, graph: RoadGraph, policy: Policy) -> GroundTruth:
+def ground_truth(
+    explained: ExplainedKeyframe, georeference: Georeference, graph: RoadGraph, policy: Policy
+) -> GroundTruth:
     """Bring the map into W by the keyframe's own fix: the errors of the poses along the drive play no part.
 
     Raises
@@ -263,14 +270,14 @@ def ground_truth(evidence: Evidence, georeference: Georeference, graph: RoadGrap
     ConfigError
         There is no such policy.
     """
-    i = evidence.index
+    i = explained.index
     lat_deg, lon_deg = georeference.lat_deg[i], georeference.lon_deg[i]
-    turn = evidence.yaw_rad - yaw_of(georeference.R_enu_lidar[i])
+    turn = explained.yaw_rad - yaw_of(georeference.R_enu_lidar[i])
 
     def place(lonlat: FloatArray) -> FloatArray:
         return rotate_2d(enu_from_lonlat(lat_deg, lon_deg, lonlat), turn)
 
-    half_m = evidence.roi.size * evidence.roi.resolution_m / 2
+    half_m = explained.roi.size * explained.roi.resolution_m / 2
     ends = graph.lonlat[graph.edges_of(road_ways(graph, policy))]
     ends = ends[(np.abs(ends - (lon_deg, lat_deg)) < _NEAR_DEG).all(axis=(1, 2))]
     roads = place(ends)

@@ -1,10 +1,9 @@
-"""The panels: what one step of the method did, drawn with matplotlib on a square of W around the vehicle."""
+"""What each step of the method draws, and what it says beside that (paper, Fig. 2 and 5)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,221 +11,69 @@ from interloc.arrays import BoolArray, FloatArray, Int32Array
 from interloc.config import HarrisCandidates
 from interloc.detection.candidates import harris_corners
 from interloc.detection.image import BinaryImage, Roi
-from interloc.drawing import BLUE, GREEN, INK, MUTED, PAPER, PURPLE, SKY, VERMILION, YELLOW, new_figure
-from interloc.explain.evidence import Evidence, Verdict, WindowScan
+from interloc.drawing import BLUE, GREEN, INK, MUTED, PAPER, PURPLE, SKY, VERMILION, YELLOW
+from interloc.explain.canvas import Canvas
+from interloc.explain.evidence import ExplainedCandidate, ExplainedKeyframe, GroundTruth, WindowScan
 from interloc.explain.record import pixels
 from interloc.geometry import rotate_2d
 
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+Draw = Callable[[Canvas, ExplainedKeyframe], None]
+"""Draws a part of a step; sizes are metres of a picture of the whole region."""
 
+GROUND, ROAD, CLOSED = "#c3c8ce", "#dfe5ea", "#a9c9e2"  # other ground points; road below what is drawn on it; gaps
+OSM = "#6a2c91"
+BRANCH_COLOURS = (BLUE, "#E69F00", GREEN, VERMILION, "#7a5c00", INK)
 
-# --- the sheet: a square of W, a key beside it -----------------------------------------------------------------------
-
-DPI = 100
-WIDTH, HEIGHT = 1120, 860  # pixels: a picture fits a laptop screen at 100 %
-MAP_LEFT, MAP_BOTTOM, MAP_SIDE = 66, 54, 750  # one cell of the usual image is one pixel
-_KEY_LEFT = MAP_LEFT + MAP_SIDE + 18
-_TICK_M = 20.0
 _CAR_M = np.array([[3.4, 0.0], [-2.2, 1.9], [-1.0, 0.0], [-2.2, -1.9]])  # an arrow head as long as a car, in L
-
-
-def sheet(width: int, height: int) -> Figure:
-    """Return an empty figure of a size in pixels whose axes are placed by hand."""
-    figure = new_figure(width / DPI, height / DPI)
-    figure.set_layout_engine("none")
-    return figure
-
-
-def add_axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Add axes at a place given in pixels from the lower left corner."""
-    w, h = figure.get_size_inches() * DPI
-    return figure.add_axes((left / w, bottom / h, width / w, height / h))
-
-
-def title(figure: Figure, text: str, subtitle: str) -> None:
-    """Write the name of the picture, and below it what it is of, into the upper left corner."""
-    w, h = figure.get_size_inches() * DPI
-    figure.text(MAP_LEFT / w, 1 - 10 / h, text, fontsize=14, color=INK, va="top", weight="bold")
-    figure.text(MAP_LEFT / w, 1 - 34 / h, subtitle, fontsize=9, color=MUTED, va="top", parse_math=False)
-
-
-def frame_map(axes: Axes, evidence: Evidence, *, labels: bool = True) -> None:
-    """Lay the region of interest out in metres along the axes of W, the vehicle in the origin."""
-    left, right, bottom, top = extent(evidence)
-    frame_square(axes, (left + right) / 2, (bottom + top) / 2, (right - left) / 2, tick_m=_TICK_M)
-    if labels:
-        axes.set_xlabel("x of W, from the vehicle [m]", fontsize=9, color=INK)
-        axes.set_ylabel("y of W, from the vehicle [m]", fontsize=9, color=INK, labelpad=0)
-    else:
-        axes.tick_params(labelbottom=False, labelleft=False)
-
-
-def frame_square(axes: Axes, x: float, y: float, half_m: float, *, tick_m: float) -> None:
-    """Show a square of the map, with a tick every so many metres."""
-    axes.set(xlim=(x - half_m, x + half_m), ylim=(y - half_m, y + half_m), aspect="equal")
-    for axis, middle in ((axes.xaxis, x), (axes.yaxis, y)):
-        first, last = math.ceil((middle - half_m) / tick_m), math.floor((middle + half_m) / tick_m)
-        axis.set_ticks([tick_m * i for i in range(first, last + 1)])
-    axes.tick_params(labelsize=8, color=MUTED, labelcolor=INK, length=3)
-    axes.spines[:].set_color(MUTED)
-
-
-def extent(evidence: Evidence) -> tuple[float, float, float, float]:
-    """Return left, right, bottom, top of the region of interest, metres from the vehicle."""
-    roi = evidence.roi
-    left, top = evidence.around(np.array(-0.5), np.array(-0.5))
-    side = roi.size * roi.resolution_m
-    return left, left + side, top - side, top
-
-
-def paint(axes: Axes, evidence: Evidence, layers: Sequence[tuple[BoolArray, str]]) -> None:
-    """Draw (H, W) masks in a colour each, later ones on top."""
-    from matplotlib.colors import to_rgb  # noqa: PLC0415 - slow to import
-
-    picture = np.full((evidence.roi.size, evidence.roi.size, 3), 255, np.uint8)
-    for mask, colour in layers:
-        picture[mask] = np.round(255 * np.array(to_rgb(colour)))
-    axes.imshow(picture, extent=extent(evidence), origin="upper", zorder=0)
-
-
-def is_set(image: BinaryImage) -> BoolArray:
-    """Return the set pixels of an image as (H, W) bool."""
-    return image.to_array().astype(np.bool_)
-
-
-def swatch(axes: Axes, colour: str, text: str) -> None:
-    """Add a colour to the key."""
-    axes.plot([], [], linestyle="none", marker="s", markersize=9, color=colour, label=text)
-
-
-def vehicle_outline(evidence: Evidence) -> FloatArray:
-    """Return the outline of the vehicle's mark, (4, 2), from the vehicle along the axes of W."""
-    return rotate_2d(_CAR_M, evidence.yaw_rad)
-
-
-def mark_vehicle(axes: Axes, evidence: Evidence, *, outlined: bool = False) -> None:
-    """Draw the vehicle, pointing where it heads; as an outline where it must not hide what is below."""
-    outline = vehicle_outline(evidence)
-    face, edge = ("none", VERMILION) if outlined else (VERMILION, PAPER)
-    axes.fill(*outline.T, facecolor=face, edgecolor=edge, linewidth=1.0 + outlined, zorder=8)
-    axes.plot(
-        [],
-        [],
-        linestyle="none",
-        marker=">",
-        markersize=9,
-        markerfacecolor=face,
-        markeredgecolor=VERMILION,
-        label="vehicle and its heading",
-    )
-
-
-def write_key(figure: Figure, axes: Axes, facts: Sequence[str]) -> None:
-    """Put the legend and some numbers beside the map, where they cover nothing."""
-    w, h = figure.get_size_inches() * DPI
-    legend(figure, [axes], _KEY_LEFT / w, (MAP_BOTTOM + MAP_SIDE) / h)
-    figure.text(
-        _KEY_LEFT / w,
-        MAP_BOTTOM / h,
-        "\n".join(facts),
-        fontsize=9,
-        color=INK,
-        va="bottom",
-        linespacing=1.5,
-        parse_math=False,
-    )
-
-
-def legend(figure: Figure, drawn: Sequence[Axes], x: float, y: float, **options: Any) -> None:  # noqa: ANN401
-    """Put the legend of some axes, each name once, with its upper left corner at a place of the figure."""
-    entries: dict[str, Artist] = {}
-    for axes in drawn:
-        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(name, handle)
-    style = {"frameon": False, "fontsize": 9, "labelcolor": INK, "borderpad": 0, "borderaxespad": 0} | options
-    figure.legend(
-        list(entries.values()),
-        list(entries),
-        loc="upper left",
-        bbox_to_anchor=(x, y),
-        labelspacing=0.7,
-        **style,
-    )
-
-
-def scale_bar(axes: Axes, x: float, y: float, length_m: float) -> None:
-    """Draw a length from a place to the right."""
-    axes.plot([x, x + length_m], [y, y], color=INK, linewidth=3, solid_capstyle="butt")
-    axes.annotate(
-        f"{length_m:g} m", (x + length_m / 2, y), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=9
-    )
+_DASHES = (1.1, 0.8)
+_SHADES = 64
+_BEST_CORNER_M = 2.6  # radius of the circle of the best score
+_LISTED = 16
 
 
 # --- the steps of the candidate detection (paper, Fig. 2) ------------------------------------------------------------
 
-GROUND, ROAD = "#c3c8ce", "#dfe5ea"  # other ground points; the occupancy below what is drawn on it
-CLOSED = "#a9c9e2"
 
-
-def road_points(axes: Axes, evidence: Evidence) -> list[str]:
+def road_points(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the road points of the keyframe's own scan, and the other ground faintly (paper, III-B.1)."""
-    pose, points = evidence.keyframe.T_world_lidar, evidence.points
-    left, right, bottom, top = extent(evidence)
-    for xyz, colour, size, name in (
-        (points.confusable, GROUND, 1.0, "other ground"),
-        (points.road, BLUE, 1.4, "road point of this scan"),
+    pose, points = explained.keyframe.T_world_lidar, explained.points
+    for xyz, colour, name in (
+        (points.confusable, GROUND, "other ground"),
+        (points.road, BLUE, "road point of this scan"),
     ):
-        x, y = (xyz.astype(np.float64) @ pose[:2, :3].T).T
-        shown = (x > left) & (x < right) & (y > bottom) & (y < top)
-        axes.scatter(x[shown], y[shown], s=size, color=colour, linewidths=0, zorder=2)
-        swatch(axes, colour, name)
-    return [f"{points.road_count:,} road points", f"{len(points.confusable):,} points of other ground"]
+        canvas.dots(xyz.astype(np.float64) @ pose[:2, :3].T, colour, 0.24, name)
+    canvas.facts += [f"{points.road_count:,} road points", f"{len(points.confusable):,} points of other ground"]
 
 
-def panoramic_scan(axes: Axes, evidence: Evidence) -> list[str]:
+def panoramic_scan(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the road points of all keyframes of the window, coloured by keyframe (paper, III-B.2)."""
     from matplotlib import colormaps  # noqa: PLC0415 - slow to import
     from matplotlib.colors import to_hex  # noqa: PLC0415
 
-    roi, config = evidence.roi, evidence.config.keyframes
-    colours = colormaps["viridis"]
-    near = [scan.age for scan in evidence.window if len(_in_roi(scan, roi)[0])]
+    roi, window, config = explained.roi, explained.window, explained.config.keyframes
+    in_roi = {scan.age: _in_roi(scan, roi) for scan in window}
+    near = [age for age, (rows, _) in in_roi.items() if len(rows)]
     low, high = min(near, default=0), max(near, default=0)
-    picture = np.full((roi.size, roi.size, 3), 255, np.uint8)
 
-    def colour(age: int) -> tuple[float, float, float]:
-        return colours(0.97 * (age - low) / max(high - low, 1))[:3]
+    def shade(age: int) -> int:
+        return min(max(round(_SHADES * (age - low) / max(high - low, 1)), 0), _SHADES)
 
-    inside = 0
-    for scan in sorted(evidence.window, key=lambda scan: -abs(scan.age)):  # the nearest keyframe on top
-        rows, cols = _in_roi(scan, roi)
-        inside += len(rows)
-        picture[rows, cols] = np.round(255 * np.array(colour(scan.age)))
-    axes.imshow(picture, extent=extent(evidence), origin="upper", zorder=0)
+    colours = [to_hex(colormaps["viridis"](0.97 * i / _SHADES)) for i in range(_SHADES + 1)]
+    numbers = np.zeros((roi.size, roi.size), np.uint8)
+    for age in sorted(near, key=lambda age: -abs(age)):  # the nearest keyframe on top
+        numbers[in_roi[age]] = 1 + shade(age)
+    canvas.paint(numbers, colours)
     for age in dict.fromkeys((low, -(-low // 2), 0, high // 2, high)):
         name = "this keyframe" if age == 0 else f"{abs(age)} keyframes {'later' if age > 0 else 'earlier'}"
-        swatch(axes, to_hex(colour(age)), f"road point, {name}")
-    track = np.array([scan.world_xy for scan in evidence.window]) - evidence.vehicle
-    axes.plot(
-        *track.T,
-        linestyle="none",
-        marker="o",
-        markersize=4,
-        markerfacecolor=PAPER,
-        markeredgecolor=INK,
-        markeredgewidth=0.8,
-        zorder=6,
-        label="LiDAR at a keyframe",
-    )
-    before = sum(scan.age < 0 for scan in evidence.window)
-    return [
+        canvas.swatch(colours[shade(age)], f"road point, {name}")
+    track = np.array([scan.world_xy for scan in window]) - explained.vehicle
+    canvas.mark("disc", track, PAPER, 0.35, "LiDAR at a keyframe", edge=INK)
+    before = sum(scan.age < 0 for scan in window)
+    canvas.facts += [
         f"window: {before} of {config.window} keyframes before,",
-        f"{len(evidence.window) - before - 1} of {config.after} after",
+        f"{len(window) - before - 1} of {config.after} after",
         f"{len(near)} of them see this region",
-        f"{inside:,} road points in the region",
+        f"{sum(len(rows) for rows, _ in in_roi.values()):,} road points in the region",
     ]
 
 
@@ -237,337 +84,239 @@ def _in_roi(scan: WindowScan, roi: Roi) -> tuple[Int32Array, Int32Array]:
     return rows[shown], cols[shown]
 
 
-def bev(axes: Axes, evidence: Evidence) -> list[str]:
+def bev(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the binary image (paper, III-B.3)."""
-    image = evidence.steps.bev
-    paint(axes, evidence, [(is_set(image), INK)])
-    m, full = evidence.steps.min_points, evidence.config.bev.min_points
-    points = "point" if m == 1 else "points"
-    swatch(axes, INK, f"cell with {m} road {points} or more")
-    metre = evidence.roi.resolution_m
-    facts = [f"{pixels(image):,} of {image.height:,} x {image.width:,} cells", f"cells of {metre:g} m"]
-    return facts if m == full else [*facts, f"m = {m}; {full} in a full window"]
+    image, m = explained.steps.bev, explained.steps.min_points
+    full, metre = explained.config.bev.min_points, explained.roi.resolution_m
+    canvas.fill(_is_set(image), INK, f"cell with {m} road {'point' if m == 1 else 'points'} or more")
+    canvas.facts += [f"{pixels(image):,} of {image.height:,} x {image.width:,} cells", f"cells of {metre:g} m"]
+    if m != full:
+        canvas.facts.append(f"m = {m}; {full} in a full window")
 
 
-def occupancy(axes: Axes, evidence: Evidence) -> list[str]:
+def occupancy(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the road, and what closing and opening did to make it (paper, III-B.4)."""
-    cells, road = is_set(evidence.steps.bev), is_set(evidence.steps.occupancy)
-    paint(axes, evidence, [(road, CLOSED), (road & cells, BLUE), (cells & ~road, VERMILION)])
-    swatch(axes, BLUE, "road: cell of the BEV image")
-    swatch(axes, CLOSED, "road: gap filled")
-    swatch(axes, VERMILION, "cell removed by opening")
-    config, area_m2 = evidence.config.occupancy, evidence.roi.resolution_m**2
-    facts = [
+    cells, road = _is_set(explained.steps.bev), _is_set(explained.steps.occupancy)
+    canvas.fill(road & cells, BLUE, "road: cell of the BEV image")
+    canvas.fill(road & ~cells, CLOSED, "road: gap filled")
+    canvas.fill(cells & ~road, VERMILION, "cell removed by opening")
+    config, area_m2 = explained.config.occupancy, explained.roi.resolution_m**2
+    canvas.facts += [
         f"{road.sum() * area_m2:,.0f} m² of road",
         f"closing {config.closing_m:g} m, opening {config.opening_m:g} m",
     ]
-    return [*facts, f"islands up to {config.island_m2:g} m²"] if config.island_m2 > 0 else facts
+    if config.island_m2 > 0:
+        canvas.facts.append(f"islands up to {config.island_m2:g} m²")
 
 
-def centerline(axes: Axes, evidence: Evidence) -> list[str]:
+def centerline(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the axis of the road, and the dead ends that were dropped (paper, III-B.5)."""
-    steps = evidence.steps
-    paint(axes, evidence, [(is_set(steps.occupancy), ROAD)])
-    swatch(axes, ROAD, "road")
-    facts = []
-    line = segments(evidence, np.ones(len(steps.centerline.rows), np.bool_))
-    if evidence.config.centerline.spur_widths > 0:
-        x, y = evidence.around(*steps.centerline.spurs.T.astype(np.float64)).T
-        axes.scatter(x, y, s=5, marker="s", linewidths=0, color=VERMILION, zorder=3)
-        axes.plot([], [], color=VERMILION, linewidth=2.2, label="dead end dropped: no road")
-        facts = [f"dead ends up to {evidence.config.centerline.spur_widths:g} x road width dropped"]
-    draw_lines(axes, line, color=INK, linewidth=1.8, label="centerline")
-    length_m = float(np.hypot(*(line[:, 1] - line[:, 0]).T).sum())
-    return [f"{length_m:,.0f} m of centerline", *facts]
+    line = _joints(explained)
+    canvas.facts.append(f"{np.hypot(*(line[:, 1] - line[:, 0]).T).sum():,.0f} m of centerline")
+    spur_widths = explained.config.centerline.spur_widths
+    if spur_widths > 0:
+        gone = explained.around(explained.steps.centerline.spurs.astype(np.float64))
+        canvas.dots(gone, VERMILION, 0.35, "dead end dropped: no road")
+        canvas.facts.append(f"dead ends up to {spur_widths:g} x road width dropped")
+    canvas.lines(line, INK, 0.35, "centerline")
 
 
-def backdrop(axes: Axes, evidence: Evidence) -> None:
-    """Draw road and centerline faintly, for what stands on them."""
-    steps = evidence.steps
-    paint(axes, evidence, [(is_set(steps.occupancy), ROAD)])
-    line = segments(evidence, np.ones(len(steps.centerline.rows), np.bool_))
-    draw_lines(axes, line, color=MUTED, linewidth=1.0, label="centerline")
+def road(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw the road faintly, for what stands on it."""
+    canvas.fill(_is_set(explained.steps.occupancy), ROAD, "road")
 
 
-def segments(evidence: Evidence, mask: BoolArray) -> FloatArray:
-    """Return the joints, (S, 2, 2), between pixels of the centerline that are all in a (P,) mask."""
-    line = evidence.steps.centerline
-    place = evidence.around(line.rows.astype(np.float64), line.cols.astype(np.float64))
-    here, which = np.nonzero((line.neighbours >= 0) & mask[:, None])
-    there = line.neighbours[here, which]
-    wanted = (there > here) & mask[there]
-    joints: FloatArray = np.stack([place[here[wanted]], place[there[wanted]]], axis=1)
-    return joints
+def road_cells(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw the road faintly, its cells of the BEV image a little darker."""
+    road(canvas, explained)
+    canvas.fill(_is_set(explained.steps.bev) & _is_set(explained.steps.occupancy), CLOSED)
 
 
-def draw_lines(
-    axes: Axes, lines: FloatArray, *, color: str, linewidth: float, label: str = "", zorder: int = 3
-) -> None:
-    """Draw (S, 2, 2) straight pieces, with one entry in the key."""
-    from matplotlib.collections import LineCollection  # noqa: PLC0415 - slow to import
-
-    axes.add_collection(
-        LineCollection(list(lines), colors=color, linewidths=linewidth, capstyle="round", zorder=zorder),
-        autolim=False,
-    )
-    if label:
-        axes.plot([], [], color=color, linewidth=max(linewidth, 1.2), label=label)
+def faint_centerline(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw the centerline faintly, for what stands on it."""
+    canvas.lines(_joints(explained), MUTED, 0.25, "centerline")
 
 
 # --- the candidates (paper, Fig. 2f) ---------------------------------------------------------------------------------
 
-_BEST_CORNER_M = 2.6  # radius of the circle of the best score
-_LISTED = 16
 
-
-def candidates(axes: Axes, evidence: Evidence) -> list[str]:
-    """Draw what the candidates were made of, the candidates, and which of them became intersections."""
-    backdrop(axes, evidence)
-    if isinstance(evidence.config.candidates, HarrisCandidates):
-        _draw_corners(axes, evidence, evidence.config.candidates)
-    else:
-        _draw_junctions(axes, evidence)
-    _draw_merging(axes, evidence)
-    _draw_short(axes, evidence)
-    _draw_margin(axes, evidence)
-    for kept in (True, False):
-        _draw_candidates(axes, evidence, kept=kept)
-    harris = isinstance(evidence.config.candidates, HarrisCandidates)
-    facts = ["radius of a corner: its score,", "in per cent of the best one", ""] if harris else []
-    rows = [f"{v.number:>2}  {v.why_not or _kept(v)}" for v in evidence.verdicts]
-    rows = [part for row in rows for part in _wrapped(row)]
-    more = [f"... {len(rows) - _LISTED} more lines: explain.json"] if len(rows) > _LISTED else []
-    return [*facts, "candidates:", *rows[:_LISTED], *more] if rows else ["no candidates"]
-
-
-def label_points(axes: Axes, evidence: Evidence, verdicts: list[Verdict]) -> None:
-    """Write the number of each candidate beside it, towards the middle of the picture."""
-    from matplotlib.patheffects import withStroke  # noqa: PLC0415 - slow to import
-
-    right = extent(evidence)[1]
-    for verdict in verdicts:
-        x, y = evidence.around(verdict.position[0], verdict.position[1])
-        flip = x > right - 8.0
-        axes.annotate(
-            str(verdict.number),
-            (x, y),
-            xytext=(-9 if flip else 9, 6),
-            textcoords="offset points",
-            ha="right" if flip else "left",
-            fontsize=11,
-            weight="bold",
-            color=INK,
-            path_effects=[withStroke(linewidth=3, foreground=PAPER)],
-            zorder=10,
-        )
-
-
-def _draw_corners(axes: Axes, evidence: Evidence, config: HarrisCandidates) -> None:
-    line = evidence.steps.centerline
-    corners, scores = harris_corners(line, config.model_copy(update={"min_score": 0.0}))
-    if not len(corners):
+def corners(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw the Harris corners of the centerline by their scores, where candidates are made of them."""
+    line, config = explained.steps.centerline, explained.config.candidates
+    if not isinstance(config, HarrisCandidates):
         return
-    best = scores[corners].max()
-    taken = scores[corners] >= config.min_score * best
-    for mask, colour, name in (
-        (~taken, YELLOW, f"Harris corner under {config.min_score:.0%}"),
-        (taken, GREEN, "Harris corner taken"),
-    ):
-        chosen = corners[mask]
-        place = evidence.around(line.rows[chosen].astype(np.float64), line.cols[chosen].astype(np.float64))
-        _circles(axes, place, _BEST_CORNER_M * scores[chosen] / best, colour)
-        axes.plot(
-            [],
-            [],
-            linestyle="none",
-            marker="o",
-            markersize=9,
-            markerfacecolor=colour,
-            markeredgecolor=INK,
-            markeredgewidth=0.6,
-            label=name,
-        )
+    found, scores = harris_corners(line, config.model_copy(update={"min_score": 0.0}))
+    canvas.facts += ["radius of a corner: its score,", "in per cent of the best one", ""]
+    best = max(scores[found], default=0.0)
+    for corner in found[np.argsort(scores[found], kind="stable")].tolist():
+        is_taken = scores[corner] >= config.min_score * best
+        place = explained.around(np.array([line.rows[corner], line.cols[corner]], np.float64))
+        radius_m = max(_BEST_CORNER_M * scores[corner] / best, 0.4)
+        canvas.disc(place, radius_m, GREEN if is_taken else YELLOW, edge=INK)
+    if len(found):
+        for colour, name in ((YELLOW, f"under {config.min_score:.0%}"), (GREEN, "taken")):
+            canvas.swatch(colour, f"Harris corner {name}", "o", markeredgecolor=INK)
 
 
-def _circles(axes: Axes, place: FloatArray, radii: FloatArray, colour: str) -> None:
-    from matplotlib.collections import EllipseCollection  # noqa: PLC0415 - slow to import
-
-    sizes = np.maximum(2 * radii, 0.8)
-    axes.add_collection(
-        EllipseCollection(
-            sizes,
-            sizes,
-            np.zeros(len(sizes)),
-            units="xy",
-            offsets=place,
-            offset_transform=axes.transData,
-            facecolors=colour,
-            edgecolors=INK,
-            linewidths=0.6,
-            alpha=0.85,
-            zorder=4,
-        ),
-        autolim=False,
-    )
-
-
-def _draw_junctions(axes: Axes, evidence: Evidence) -> None:
-    points = np.concatenate([np.zeros((0, 2)), *(v.merged for v in evidence.verdicts)])
-    axes.plot(
-        *evidence.around(points[:, 0], points[:, 1]).T,
-        linestyle="none",
-        marker="s",
-        markersize=4,
-        markerfacecolor=YELLOW,
-        markeredgecolor=INK,
-        markeredgewidth=0.6,
-        zorder=9.5,
-        label="junction of the centerline",
-    )
-
-
-def _draw_merging(axes: Axes, evidence: Evidence) -> None:
-    lines = [
-        np.stack([evidence.around(point[0], point[1]), evidence.around(v.position[0], v.position[1])])
-        for v in evidence.verdicts
-        if len(v.merged) > 1
-        for point in v.merged
-    ]
-    if lines:
-        draw_lines(axes, np.array(lines), color=INK, linewidth=1.3, label="merged into one", zorder=5)
-
-
-def _draw_short(axes: Axes, evidence: Evidence) -> None:
-    """Mark what would have been a branch of a rejected candidate, were it longer."""
-    short = np.zeros(len(evidence.steps.centerline.rows), np.bool_)
-    for verdict in evidence.verdicts:
-        for piece in verdict.pieces:
-            short[piece.pixels] |= not verdict.is_kept and not piece.is_branch
-    if short.any():
-        draw_lines(axes, segments(evidence, short), color=VERMILION, linewidth=2.4, label="too short to be a branch")
-
-
-def _draw_margin(axes: Axes, evidence: Evidence) -> None:
+def margin(canvas: Canvas, explained: ExplainedKeyframe) -> None:
     """Draw the line beyond which candidates are left out, where there is one."""
-    margin_m = evidence.config.branches.margin_m
+    margin_m = explained.config.branches.margin_m
     if margin_m > 0:
-        left, right, bottom, top = extent(evidence)
+        left, right, bottom, top = canvas.square.extent
         x, y = (left + margin_m, right - margin_m), (bottom + margin_m, top - margin_m)
-        corners = ([x[0], x[1], x[1], x[0], x[0]], [y[0], y[0], y[1], y[1], y[0]])
-        axes.plot(*corners, color=MUTED, linewidth=0.8, linestyle=(0, (6, 4)), zorder=2, label="no candidates beyond")
+        edges = np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]], [x[0], y[0]]])
+        pieces = np.stack([edges[:-1], edges[1:]], axis=1)
+        canvas.lines(pieces, MUTED, 0.2, "no candidates beyond", dashes=_DASHES)
 
 
-def _draw_candidates(axes: Axes, evidence: Evidence, *, kept: bool) -> None:
-    chosen = [v for v in evidence.verdicts if v.is_kept == kept]
-    marker, colour, name = ("o", BLUE, "candidate kept") if kept else ("X", VERMILION, "candidate rejected")
-    points = np.array([v.position for v in chosen]).reshape(-1, 2)
-    axes.plot(
-        *evidence.around(points[:, 0], points[:, 1]).T,
-        linestyle="none",
-        markeredgecolor=PAPER,
-        markeredgewidth=1.0,
-        zorder=9 if kept else 9.8,
-        marker=marker,
-        markersize=9 if kept else 11,
-        color=colour,
-        label=name,
-    )
-    label_points(axes, evidence, chosen)
+def short_branches(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Mark what would have been a branch of a rejected candidate, were it longer."""
+    short = [
+        piece.pixels
+        for each in explained.candidates
+        if not each.is_kept
+        for piece in each.pieces
+        if not piece.is_branch
+    ]
+    if short:
+        canvas.lines(_joints(explained, np.concatenate(short)), VERMILION, 0.5, "too short to be a branch")
 
 
-def _kept(verdict: Verdict) -> str:
-    split = len(verdict.detections)
-    return f"{verdict.branches.count} branches: " + ("kept" if split == 1 else f"split into {split} intersections")
+def candidates(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw what the candidates were made of, the candidates, and which of them became intersections."""
+    harris = isinstance(explained.config.candidates, HarrisCandidates)
+    for each in explained.candidates:
+        if len(each.merged) > 1:
+            ends = np.stack([each.merged, np.broadcast_to(each.position, each.merged.shape)], axis=1)
+            canvas.lines(explained.around(ends), INK, 0.25, "merged into one")
+    canvas.mark("disc", _places(explained, explained.kept), BLUE, 1.3, "candidate kept", edge=PAPER)
+    for each in explained.candidates:
+        place, name = explained.around(each.merged), "Harris corner taken" if harris else "junction of the centerline"
+        canvas.mark("disc" if harris else "square", place, GREEN if harris else YELLOW, 0.5, name, edge=INK)
+        canvas.notes.append((explained.around(each.position), str(each.number)))
+    rejected_candidates(canvas, explained)
+    rows = [
+        f"{each.number:>2}  {each.why_not or _kept(each)}".replace("; ", "\n      ", 1) for each in explained.candidates
+    ]
+    rows = "\n".join(rows).splitlines()
+    more = [f"... {len(rows) - _LISTED} more lines: explain.json"] if len(rows) > _LISTED else []
+    canvas.facts += ["candidates:", *rows[:_LISTED], *more] if rows else ["no candidates"]
 
 
-def _wrapped(row: str) -> list[str]:
-    first, _, rest = row.partition("; ")
-    return [first, f"      {rest}"] if rest else [first]
+def rejected_candidates(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw the candidates that did not become intersections."""
+    rejected = [each for each in explained.candidates if not each.is_kept]
+    canvas.mark("cross", _places(explained, rejected), VERMILION, 1.4, "candidate rejected", edge=PAPER)
+
+
+def _kept(candidate: ExplainedCandidate) -> str:
+    split = len(candidate.detections)
+    return f"{candidate.branches.count} branches: " + ("kept" if split == 1 else f"split into {split} intersections")
 
 
 # --- the branches and the point where they meet (paper, Fig. 5) ------------------------------------------------------
 
-BRANCH_COLOURS = (BLUE, "#E69F00", GREEN, VERMILION, "#7a5c00", INK)
+
+def outer_circles(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw how far branches are followed."""
+    for each in explained.kept:
+        radius_m = explained.config.branches.outer_radius_m
+        canvas.circle(explained.around(each.position), radius_m, MUTED, 0.2, "outer circle", dotted=True)
 
 
-def refinement(axes: Axes, evidence: Evidence) -> list[str]:
-    """Draw all intersections of the region (paper, III-C)."""
-    backdrop(axes, evidence)
-    kept = [v for v in evidence.verdicts if v.is_kept]
-    for verdict in kept:
-        draw_intersection(axes, evidence, verdict)
-    label_points(axes, evidence, kept)
-    return [describe(evidence, v) for v in kept] or ["no candidate became an intersection"]
+def branches(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw inner circles, branches and their lines of the intersections (paper, III-C)."""
+    for each in explained.kept:
+        inner_m = each.branches.inner * explained.roi.resolution_m
+        canvas.circle(explained.around(each.position), inner_m, MUTED, 0.2, "inner circle")
+        for number, piece in enumerate(piece for piece in each.pieces if piece.is_branch):
+            colour = BRANCH_COLOURS[number % len(BRANCH_COLOURS)]
+            canvas.lines(_joints(explained, piece.pixels), colour, 0.65, f"branch {number + 1}")
+        canvas.lines(_branch_lines(explained, each), INK, 0.25, "line of a branch", dashes=_DASHES)
 
 
-def describe(evidence: Evidence, verdict: Verdict) -> str:
+def refined_points(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Draw the candidates and the points that they were moved to, and say what the refinement did."""
+    for each in explained.kept:
+        canvas.mark("disc", explained.around(each.position), SKY, 0.8, "candidate", edge=INK)
+        refined = np.array([explained.steps.junctions[i].position for i in each.detections])
+        canvas.mark("star", explained.around(refined), PURPLE, 1.9, "refined point", edge=INK)
+        canvas.facts.append(_describe(explained, each))
+    if not explained.kept:
+        canvas.facts.append("no candidate became an intersection")
+
+
+def numbers_of_intersections(canvas: Canvas, explained: ExplainedKeyframe) -> None:
+    """Write the number of its candidate beside each intersection."""
+    canvas.notes += [(explained.around(each.position), str(each.number)) for each in explained.kept]
+
+
+def _describe(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> str:
     """Describe in one line what the refinement did."""
-    metre = evidence.roi.resolution_m
+    metre = explained.roi.resolution_m
     parts = []
-    for i in verdict.detections:
-        junction = evidence.steps.junctions[i]
+    for i in candidate.detections:
+        junction = explained.steps.junctions[i]
         if not math.isfinite(junction.residual):
             parts.append("the lines do not fix a point, the candidate stays")
             continue
-        moved_m = float(np.hypot(*(junction.position - verdict.position))) * metre
+        moved_m = float(np.hypot(*(junction.position - candidate.position))) * metre
         parts.append(f"moved {moved_m:.2f} m, lines pass within {junction.residual * metre:.2f} m (rms)")
     split = "" if len(parts) == 1 else f", split into {len(parts)}"
-    without = int((verdict.branches.weights <= 0).sum())
+    without = int((candidate.branches.weights <= 0).sum())
     lineless = f" ({without} too short for a line)" if without else ""
-    return f"Candidate {verdict.number}: {verdict.branches.count} branches{lineless}{split}; {'; '.join(parts)}"
+    return f"Candidate {candidate.number}: {candidate.branches.count} branches{lineless}{split}; {'; '.join(parts)}"
 
 
-def draw_intersection(axes: Axes, evidence: Evidence, verdict: Verdict) -> None:
-    """Draw circles, branches, their lines, the candidate and the refined point."""
-    from matplotlib.patches import Circle  # noqa: PLC0415 - slow to import
-
-    metre = evidence.roi.resolution_m
-    here = evidence.around(verdict.position[0], verdict.position[1])
-    outer_m = evidence.config.branches.outer_radius_m
-    inner_m = verdict.branches.inner * metre
-    for radius, style, name in ((inner_m, "-", "inner circle"), (outer_m, (0, (1, 2)), "outer circle")):
-        axes.add_patch(Circle((here[0], here[1]), radius, fill=False, edgecolor=MUTED, linestyle=style, zorder=2))
-        axes.plot([], [], color=MUTED, linewidth=1.0, linestyle=style, label=name)
-    inside = np.zeros(len(evidence.steps.centerline.rows), np.bool_)
-    branches = [piece for piece in verdict.pieces if piece.is_branch]
-    for i, piece in enumerate(branches):
-        inside[:] = False
-        inside[piece.pixels] = True
-        colour = BRANCH_COLOURS[i % len(BRANCH_COLOURS)]
-        draw_lines(axes, segments(evidence, inside), color=colour, linewidth=3.2, label=f"branch {i + 1}")
-    for i, ends in enumerate(branch_lines(evidence, verdict)):
-        axes.plot(*ends.T, color=INK, linewidth=1.2, linestyle=(0, (4, 3)), zorder=5)
-        if i == 0:
-            axes.plot([], [], color=INK, linewidth=1.2, linestyle=(0, (4, 3)), label="line of a branch")
-    refined = np.array([evidence.steps.junctions[i].position for i in verdict.detections])
-    points = (
-        (here[None], "o", SKY, 9, "candidate"),
-        (evidence.around(refined[:, 0], refined[:, 1]), "*", PURPLE, 15, "refined point"),
-    )
-    for place, marker, colour, size, name in points:
-        axes.plot(
-            *place.T,
-            linestyle="none",
-            marker=marker,
-            markersize=size,
-            markerfacecolor=colour,
-            markeredgecolor=INK,
-            markeredgewidth=0.9,
-            zorder=9,
-            label=name,
-        )
-
-
-def branch_lines(evidence: Evidence, verdict: Verdict) -> list[FloatArray]:
-    """Return the ends, (2, 2), of the lines: from a little behind the refined point to the end of the branch."""
-    lines = []
-    for i in verdict.detections:
-        junction = evidence.steps.junctions[i]
+def _branch_lines(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> FloatArray:
+    """Return the ends, (N, 2, 2), of the lines: from a little behind the refined point to the end of the branch."""
+    lines = [np.empty((0, 2, 2))]
+    for i in candidate.detections:
+        junction = explained.steps.junctions[i]
         branches = junction.branches
         for k in np.flatnonzero(branches.weights > 0):
             point, outwards = branches.points[k], branches.directions[k]
             middle = point + ((junction.position - point) @ outwards) * outwards
-            far = point + (branches.reaches[k] - (point - verdict.position) @ outwards) * outwards
-            ends = np.stack([middle - 0.7 * branches.inner * outwards, far])
-            lines.append(evidence.around(ends[:, 0], ends[:, 1]))
-    return lines
+            far = point + (branches.reaches[k] - (point - candidate.position) @ outwards) * outwards
+            lines.append(np.stack([middle - 0.7 * branches.inner * outwards, far])[None])
+    return explained.around(np.concatenate(lines))
+
+
+# --- what every picture has ------------------------------------------------------------------------------------------
+
+
+def osm(canvas: Canvas, truth: GroundTruth) -> None:
+    """Draw the roads and intersections of the map."""
+    canvas.lines(truth.roads, OSM, 0.22, f"OSM road (policy {truth.policy})")
+    canvas.box(truth.nodes, OSM, 1.4, 0.4, "OSM intersection")
+
+
+def vehicle(canvas: Canvas, explained: ExplainedKeyframe, *, outlined: bool = False) -> None:
+    """Draw the vehicle, pointing where it heads; as an outline where it must not hide what is below."""
+    outline = rotate_2d(_CAR_M, explained.yaw_rad)
+    face, edge = (None, VERMILION) if outlined else (VERMILION, PAPER)
+    canvas.polygon(outline, face, edge, 0.4 if outlined else 0.22)
+    fill = {"fillstyle": "none"} if outlined else {}
+    canvas.swatch(VERMILION, "vehicle and its heading", ">", **fill)
+
+
+def _places(explained: ExplainedKeyframe, candidates: list[ExplainedCandidate]) -> FloatArray:
+    return explained.around(np.array([each.position for each in candidates]).reshape(-1, 2))
+
+
+def _is_set(image: BinaryImage) -> BoolArray:
+    return image.to_array().astype(np.bool_)
+
+
+def _joints(explained: ExplainedKeyframe, chosen: Int32Array | None = None) -> FloatArray:
+    """Return the joints, (S, 2, 2), between pixels of the centerline; of some of the pixels by their positions."""
+    line = explained.steps.centerline
+    mask = np.ones(len(line.rows), np.bool_)
+    if chosen is not None:
+        mask[:] = False
+        mask[chosen] = True
+    here, which = np.nonzero((line.neighbours >= 0) & mask[:, None])
+    there = line.neighbours[here, which]
+    wanted = (there > here) & mask[there]
+    pixel = np.stack([line.rows, line.cols], axis=-1).astype(np.float64)
+    return explained.around(np.stack([pixel[here[wanted]], pixel[there[wanted]]], axis=1))
