@@ -73,7 +73,7 @@ measuring_options = options.together(
 """Options that all benchmarks share."""
 
 
-def twin_options(sequences: str) -> Callable[[options.Command], options.Command]:
+def twin_options(sequences: str) -> Callable[[options.Function], options.Function]:
     """Return the options of benchmarks on simulated drives along tracks of KITTI; `sequences` is the default."""
     return options.together(
         click.option(
@@ -256,7 +256,7 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
     )
 
 
-@command.command()
+@command.command(cls=options.Command)
 @click.argument("drives", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--osm",

@@ -11,7 +11,7 @@ import click
 from interloc.cli import console, options
 
 
-@click.command(short_help="Write a drive of any format in SemanticKITTI's layout.")
+@click.command(cls=options.Command, short_help="Write a drive of any format in SemanticKITTI's layout.")
 @options.DRIVE
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder of the new drive.")
 @options.drive_options
@@ -47,7 +47,7 @@ def convert(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) 
         console.say_facts(rows)
 
 
-@click.command(short_help="Label the scans of a drive by a network.")
+@click.command(cls=options.Command, short_help="Label the scans of a drive by a network.")
 @options.DRIVE
 @click.option(
     "--model",

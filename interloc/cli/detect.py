@@ -11,7 +11,7 @@ from click.core import ParameterSource
 from interloc.cli import console, options, summary
 
 
-@click.command(short_help="Find the intersections along a drive.")
+@click.command(cls=options.Command, short_help="Find the intersections along a drive.")
 @options.DRIVE
 @options.OUT
 @options.config_options

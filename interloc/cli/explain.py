@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from interloc.osm.policies import Policy
 
 
-@click.command(short_help="Draw the steps of the method for one keyframe.")
+@click.command(cls=options.Command, short_help="Draw the steps of the method for one keyframe.")
 @options.DRIVE
 @click.option("--frame", required=True, type=int, help="Scan number; the nearest keyframe is taken.")
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the pictures.")

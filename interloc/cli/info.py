@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 
 
-@click.command(short_help="What is in a drive, and what is wrong with it.")
+@click.command(cls=options.Command, short_help="What is in a drive, and what is wrong with it.")
 @options.DRIVE
 @options.drive_options
 @click.option("--thorough", is_flag=True, help="Read every scan and label, not only some.")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from interloc.drives.folder import FolderDrive
 
 
-@click.command(short_help="Place a drive on the map without GNSS.")
+@click.command(cls=options.Command, short_help="Place a drive on the map without GNSS.")
 @options.DRIVE
 @options.OSM
 @locating.near_options

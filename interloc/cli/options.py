@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 import click
 
@@ -12,6 +12,8 @@ from interloc.cli import console
 from interloc.osm.policies import POLICIES, POLICY_HELP, TOLERANCE_HELP
 
 if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
     from interloc.arrays import FloatArray
     from interloc.config import DetectorConfig
     from interloc.drive import Drive
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from interloc.osm.graph import RoadGraph
     from interloc.results import DriveResult
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 DRIVE = click.argument("drive", type=click.Path(path_type=Path))
 OUT = click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Result folder to write.")
@@ -41,74 +43,66 @@ SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
 OVERPASS = click.option("--overpass", is_flag=True, help="Fetch the map from a public Overpass server instead.")
 
 
-def together(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
+def together(*decorators: Callable[[Any], Any]) -> Callable[[Function], Function]:
     """Return a decorator that adds several options, in this order."""
 
-    def decorate(command: Command) -> Command:
+    def decorate(function: Function) -> Function:
         for decorator in reversed(decorators):
-            command = decorator(command)
-        return command
+            function = decorator(function)
+        return function
 
     return decorate
 
 
-reading_options = together(
-    click.option(
-        "--label-scheme",
-        default="auto",
-        show_default=True,
-        help="auto, semantickitti, learning, kitti360, or the ids of road, as 40,60.",
-    ),
-    click.option(
-        "--pose-frame",
-        type=click.Choice(["auto", "camera", "lidar"]),
-        default="auto",
-        show_default=True,
-        help="Whose poses poses.txt holds.",
-    ),
-    click.option(
-        "--layout",
-        type=click.Choice(["auto", "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"]),
-        default="auto",
-        show_default=True,
-        help="Layout of the folder, or format.",
-    ),
-    click.option(
-        "--oxts",
-        type=click.Path(path_type=Path),
-        help="Georeference: a KITTI raw drive, a file of OXTS rows (.txt, .txt.gz), or a geo.csv.",
-    ),
-    click.option(
-        "--poses", help="File of poses (KITTI, TUM), trajectory of LAS files, or topic of the poses in a bag."
-    ),
-    click.option("--points", metavar="TOPIC", help="Topic of the scans in a bag."),
-    click.option("--fix", metavar="TOPIC", help="Topic of the GNSS fixes in a bag."),
-    click.option("--crs", help="Coordinate system of LAS files that do not name theirs, as EPSG:25832."),
-)
+class Command(click.Command):
+    """A command some of whose options are made from `DriveOptions` as soon as they are needed: it imports slowly."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return the parameters, each placeholder replaced by the options that it stands for."""
+        params = super().get_params(ctx)
+        return [each for param in params for each in (param.made() if isinstance(param, _OfModel) else [param])]
+
+
+class _OfModel(click.Option):
+    """Stands for the options of some fields of `DriveOptions`."""
+
+    def __init__(self, *args: Any, fields: tuple[str, ...]) -> None:
+        super().__init__(*args)
+        self._fields = fields
+
+    def made(self) -> list[click.Option]:
+        from interloc.drives.options import DriveOptions
+
+        return [_option_of(name, DriveOptions.model_fields[name]) for name in self._fields]
+
+
+def _option_of(name: str, field: FieldInfo) -> click.Option:
+    """Return the option of a field: its choices, its default and its description."""
+    choices = get_args(field.annotation)
+    is_choice = bool(choices) and all(isinstance(each, str) for each in choices)
+    text = field.description or ""
+    if str in choices and field.examples:
+        text = f"{text.removesuffix('.')}, such as {field.examples[0]}."
+    return click.Option(
+        [f"--{name.replace('_', '-')}"],
+        type=click.Choice(list(choices)) if is_choice else click.Path(path_type=Path) if Path in choices else str,
+        default=field.default,
+        show_default=field.default is not None,
+        help=text,
+    )
+
+
+def _of_model(*fields: str) -> Callable[[Function], Function]:
+    return click.option(f"--{fields[0]}", cls=_OfModel, fields=fields)
+
+
+reading_options = _of_model("label_scheme", "pose_frame", "layout", "oxts", "poses", "points", "fix", "crs")
 """How a drive is to be read, whatever its labels."""
 
-model_options = together(
-    click.option(
-        "--model",
-        type=click.Path(path_type=Path),
-        help="Folder of a network (model.onnx, arch_cfg.yaml, data_cfg.yaml) that labels the scans; label files do not "
-        "count.",
-    ),
-    click.option("--provider", default="cpu", show_default=True, help="What the network runs on: cpu, cuda, ..."),
-)
+model_options = _of_model("model", "provider")
 """Labels by a network instead of label files."""
 
-drive_options = together(
-    click.option(
-        "--labels",
-        type=click.Choice(["labels", "predictions"]),
-        default="labels",
-        show_default=True,
-        help="Folder of the labels.",
-    ),
-    reading_options,
-    model_options,
-)
+drive_options = together(_of_model("labels"), reading_options, model_options)
 
 label_folders_option = click.option(
     "--labels",

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _THREADS = 8
 
 
-@click.command(short_help="Send a drive to a server, and have it processed there.")
+@click.command(cls=options.Command, short_help="Send a drive to a server, and have it processed there.")
 @options.DRIVE
 @options.server_options
 @options.label_folders_option

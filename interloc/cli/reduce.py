@@ -10,7 +10,7 @@ import click
 from interloc.cli import console, options
 
 
-@click.command(short_help="Make a small copy of a drive that gives the same results.")
+@click.command(cls=options.Command, short_help="Make a small copy of a drive that gives the same results.")
 @options.DRIVE
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder of the reduced drive.")
 @click.option(

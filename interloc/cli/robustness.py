@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from interloc.osm.policies import Policy
 
 
-@click.command(short_help="Repeat the experiment on label errors.")
+@click.command(cls=options.Command, short_help="Repeat the experiment on label errors.")
 @options.evaluation_options
 @click.option(
     "--levels",

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from interloc.results import DriveResult
 
 
-@click.command(short_help="Detect, map and evaluate in one go.")
+@click.command(cls=options.Command, short_help="Detect, map and evaluate in one go.")
 @options.evaluation_options
 @click.option("--locate", is_flag=True, help="Place the drive on the map by its roads; a georeference is not used.")
 @locating.near_options

@@ -98,7 +98,11 @@ class DriveOptions(ReadingOptions):
     """Options of `open_drive` and `inspect_drive`."""
 
     labels: LabelFolder = Field("labels", description="Folder of the labels.")
-    model: Path | None = Field(None, description="Folder of a network that labels the scans, instead of label files.")
+    model: Path | None = Field(
+        None,
+        description="Folder of a network (model.onnx, arch_cfg.yaml, data_cfg.yaml) that labels the scans; label files "
+        "do not count.",
+    )
     provider: str = Field("cpu", max_length=100, description="What the network runs on: cpu, cuda, ...")
     name: str | None = Field(None, description="Name of the drive, where it is not that of the folder.")
     check: bool = Field(

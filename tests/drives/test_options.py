@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
-import click
 import pytest
 
-from interloc.cli import info
 from interloc.drives.options import DriveOptions
 from interloc.errors import ConfigError
 
@@ -41,13 +39,3 @@ def test_ids_of_road_are_kept_as_text() -> None:
 def test_arguments_come_before_given_options() -> None:
     given = DriveOptions(labels="predictions", layout="kitti_raw", name="08")
     assert DriveOptions.of(given, labels="labels") == DriveOptions(layout="kitti_raw", name="08")
-
-
-def test_the_command_line_has_the_same_options() -> None:
-    defaults = info.command.make_context("info", ["07"]).params
-    parameters = {parameter.name: parameter for parameter in info.command.params}
-    for name, field in DriveOptions.model_fields.items():
-        if name not in {"name", "check"}:  # the command line has none of these
-            assert defaults[name] == field.default
-            kind = parameters[name].type
-            assert not isinstance(kind, click.Choice) or tuple(kind.choices) == get_args(field.annotation)
