@@ -23,7 +23,7 @@ from interloc.evaluation.metrics import (
     summarize_errors,
     tabulate_nodes,
 )
-from interloc.evaluation.verdicts import RunVerdicts, judge
+from interloc.evaluation.verdicts import RunVerdicts, give_verdicts
 from interloc.osm.graph import RoadGraph, within
 from interloc.osm.intersections import IntersectionNodes, intersection_nodes
 from interloc.osm.policies import Policy
@@ -41,23 +41,14 @@ class Evaluation:
 
     Attributes
     ----------
-    drive : str
-        Name of the drive.
     roi_m, relevant_zone_m : float
         Sides of the two squares, metres.
     graph : RoadGraph
         The map.
     nodes : IntersectionNodes
         Its ground truth intersections, with the policy that chose them.
-    keyframes : KeyframeTable
-    intersections : IntersectionTable
-        All that the run fused.
-    detections : DetectionTable
-        Those that were scored: all that lie on the map.
     detection_row : (E,) int64
-        Rows of them in the result.
-    detections_outside_map : int
-        Detections beyond the declared bounds of the map, where nothing is known about them.
+        Rows of the detections that were scored: all that lie on the map.
     matching : Matching
         Of `detections` with `nodes`.
     errors : ErrorSummary
@@ -65,9 +56,6 @@ class Evaluation:
     node_table : NodeTable
     map_level : MapLevel
         Of the fused intersections with `nodes`.
-    georeference : dict
-        Where longitude and latitude come from: `source` ("drive" or "map"), and what `run.json` says of their
-        uncertainty where it is the map.
     track_to_road_m : float
         Median distance of the track from the nearest drivable road, metres.
     warnings : tuple of str
@@ -76,25 +64,52 @@ class Evaluation:
         The run that was scored.
     """
 
-    drive: str
     roi_m: float
     relevant_zone_m: float
     graph: RoadGraph
     nodes: IntersectionNodes
-    keyframes: KeyframeTable
-    intersections: IntersectionTable
-    detections: DetectionTable
     detection_row: IntArray
-    detections_outside_map: int
     matching: Matching
     errors: ErrorSummary
     scores: Scores
     node_table: NodeTable
     map_level: MapLevel
-    georeference: dict[str, Any]
     track_to_road_m: float
     warnings: tuple[str, ...]
     result: DriveResult
+
+    @property
+    def drive(self) -> str:
+        """Name of the drive."""
+        return self.result.drive
+
+    @property
+    def keyframes(self) -> KeyframeTable:
+        """The keyframes of the run."""
+        return self.result.keyframes
+
+    @property
+    def intersections(self) -> IntersectionTable:
+        """All that the run fused."""
+        return self.result.intersections
+
+    @cached_property
+    def detections(self) -> DetectionTable:
+        """The detections that were scored: all that lie on the map."""
+        return self.result.detections.select(self.detection_row)
+
+    @property
+    def detections_outside_map(self) -> int:
+        """Number of detections beyond the declared bounds of the map, where nothing is known about them."""
+        return len(self.result.detections) - len(self.detection_row)
+
+    @property
+    def georeference(self) -> dict[str, Any]:
+        """Where longitude and latitude come from: `source` ("drive" or "map"), and how uncertain a map makes them."""
+        location = self.result.run.get("location")
+        if location is None:
+            return {"source": "drive"}
+        return {"source": "map", **{name: location.get(name) for name in ("position_std_m", "heading_std_deg")}}
 
     @property
     def ace_m(self) -> float | None:
@@ -180,7 +195,7 @@ class Evaluation:
     @cached_property
     def verdicts(self) -> RunVerdicts:
         """Right or wrong, found or missed, and why: of every detection, intersection and node."""
-        return judge(self.graph, self.nodes, self.result, self.detection_row, self.matching, self.map_level)
+        return give_verdicts(self.graph, self.nodes, self.result, self.detection_row, self.matching, self.map_level)
 
 
 def evaluate(
@@ -253,22 +268,16 @@ def evaluate(
             f"No intersection of policy {policy} lies in the relevant zone of any keyframe: recall is undefined.",
         )
     return Evaluation(
-        drive=result.drive,
         roi_m=roi_m,
         relevant_zone_m=relevant_zone_m,
         graph=graph,
         nodes=nodes,
-        keyframes=result.keyframes,
-        intersections=result.intersections,
-        detections=detections,
         detection_row=on_map,
-        detections_outside_map=len(result.detections) - len(on_map),
         matching=matching,
         errors=summarize_errors(matching),
         scores=score(matching),
         node_table=node_table,
         map_level=map_level,
-        georeference=_georeference(result.run),
         track_to_road_m=track_to_road_m,
         warnings=warnings,
         result=result,
@@ -289,13 +298,6 @@ def _as_printed(result: DriveResult) -> DriveResult:
 
 def _percent(value: float | None) -> str:
     return "–" if value is None else f"{100.0 * value:.3g} %"  # noqa: RUF001 - a dash, not a minus
-
-
-def _georeference(run: dict[str, Any]) -> dict[str, Any]:
-    location = run.get("location")
-    if location is None:
-        return {"source": "drive"}
-    return {"source": "map", **{name: location.get(name) for name in ("position_std_m", "heading_std_deg")}}
 
 
 def _zones(run: dict[str, Any], roi_m: float | None, relevant_zone_m: float | None) -> tuple[float, float]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from interloc.arrays import BoolArray, IntArray
+from interloc.arrays import BoolArray, FloatArray, IntArray
 from interloc.evaluation.map_level import MapLevel, assign_one_to_one
 from interloc.evaluation.matching import UNMATCHED, Matching
 from interloc.evaluation.metrics import STANDARD_THRESHOLD_M
@@ -68,7 +66,7 @@ class RunVerdicts:
     counts: dict[str, dict[str, int]]
 
 
-def judge(
+def give_verdicts(
     graph: RoadGraph,
     nodes: IntersectionNodes,
     result: DriveResult,
@@ -91,75 +89,56 @@ def judge(
     map_level
         Of all fused intersections with the nodes.
     """
-    keyframes, intersections = result.keyframes, result.intersections
-    detections = result.detections.select(detection_row)
+    keyframes, intersections, every = result.keyframes, result.intersections, result.detections
     assert keyframes.lonlat is not None
-    assert detections.lonlat is not None
+    assert every.lonlat is not None
     assert intersections.lonlat is not None
     evidence = MapEvidence(graph, nodes, keyframes.lonlat)
-    osm_ids: list[int | None] = [*nodes.osm_id.tolist(), None]  # row -1: none
 
-    true = matching.error_m < STANDARD_THRESHOLD_M
-    false_rows = np.flatnonzero(~true)
-    false = explain_false(
-        evidence,
-        evidence.plane(detections.lonlat[false_rows]),
-        detections.keyframe[false_rows].tolist(),
-        zip(detections.keyframe[true].tolist(), matching.node[true].tolist(), strict=True),
-        STANDARD_THRESHOLD_M,
+    node = np.full(len(every), UNMATCHED, dtype=np.int64)
+    error_m = np.full(len(every), np.nan)
+    is_scored = np.zeros(len(every), dtype=np.bool_)
+    node[detection_row], error_m[detection_row], is_scored[detection_row] = matching.node, matching.error_m, True
+    is_right = error_m < STANDARD_THRESHOLD_M
+    detections, false = _verdicts(
+        evidence, every.lonlat, every.keyframe, node, error_m, is_scored, is_right, STANDARD_THRESHOLD_M
     )
-    scored = Verdicts(
-        ["right" if each else "wrong" for each in true.tolist()],
-        [osm_ids[row] for row in matching.node.tolist()],
-        matching.error_m,
-        _spread(len(detections), false_rows, _sentences(false)),
-    )
-
-    wrong_rows = np.flatnonzero(map_level.wrong)
-    wrong = explain_false(
+    is_node = map_level.node != UNMATCHED
+    once = np.zeros(len(intersections), dtype=np.int64)  # a map is seen at once, not keyframe by keyframe
+    fused, wrong = _verdicts(
         evidence,
-        evidence.plane(intersections.lonlat[wrong_rows]),
-        [0] * len(wrong_rows),
-        ((0, row) for row in map_level.node[map_level.node != UNMATCHED].tolist()),
+        intersections.lonlat,
+        once,
+        map_level.node,
+        map_level.error_m,
+        map_level.counts,
+        is_node,
         map_level.gate_m,
     )
-    fused = Verdicts(
-        [
-            ("unscored" if not counts else "right" if node != UNMATCHED else "wrong")
-            for counts, node in zip(map_level.counts.tolist(), map_level.node.tolist(), strict=True)
-        ],
-        [osm_ids[row] for row in map_level.node.tolist()],
-        map_level.error_m,
-        _spread(len(intersections), wrong_rows, _sentences(wrong)),
-    )
-    inside = within(graph.bounds, intersections.lonlat)
-    for row in np.flatnonzero(~map_level.counts).tolist():
-        fused.reason[row] = OUTSIDE_ZONE if inside[row] else OUTSIDE_MAP
 
-    missed_rows = np.flatnonzero(map_level.missed)
     seen = Sightings(
         keyframe_xy=evidence.plane(keyframes.lonlat),
-        detection_xy=evidence.plane(detections.lonlat),
-        detection_keyframe=detections.keyframe,
-        detection_intersection=detections.intersection,
+        detection_xy=evidence.plane(every.lonlat[detection_row]),
+        detection_keyframe=every.keyframe[detection_row],
+        detection_intersection=every.intersection[detection_row],
         intersection_xy=evidence.plane(intersections.lonlat),
         intersection_id=intersections.id,
         intersection_node=map_level.node,
         gate_m=map_level.gate_m,
     )
-    missed = [explain_missed(evidence, seen, row) for row in missed_rows.tolist()]
-    assigned = np.flatnonzero(map_level.node != UNMATCHED)
+    missed = [explain_missed(evidence, seen, row) if each else None for row, each in enumerate(map_level.missed)]
+    assigned = np.flatnonzero(is_node)
     node_intersection = np.full(len(nodes), UNMATCHED, dtype=np.int64)
     node_intersection[map_level.node[assigned]] = assigned
     return RunVerdicts(
-        detections=_of_all(scored, detection_row, len(result.detections)),
+        detections=detections,
         intersections=fused,
-        uids=_uids(graph, intersections, map_level, osm_ids),
+        uids=_uids(graph, intersections, map_level, fused.osm_id),
         node_outcome=_node_outcomes(map_level.node_found, map_level.node_in_zone),
         node_intersection=node_intersection,
-        node_reason=_spread(len(nodes), missed_rows, _sentences(missed)),
-        false_kind=_spread(len(detections), false_rows, [reason.kind for reason in false]),
-        miss_kind=_spread(len(nodes), missed_rows, [reason.kind for reason in missed]),
+        node_reason=[each and each.sentence for each in missed],
+        false_kind=[each and each.kind for each in (false[row] for row in detection_row.tolist())],
+        miss_kind=[each and each.kind for each in missed],
         counts={
             "detections": count_kinds(false, FalseKind),
             "intersections": count_kinds(wrong, FalseKind),
@@ -168,26 +147,34 @@ def judge(
     )
 
 
-def _sentences(reasons: Iterable[Reason]) -> list[str]:
-    return [reason.sentence for reason in reasons]
+def _verdicts(
+    evidence: MapEvidence,
+    lonlat: FloatArray,
+    keyframe: IntArray,
+    node: IntArray,
+    error_m: FloatArray,
+    is_scored: BoolArray,
+    is_right: BoolArray,
+    gate_m: float,
+) -> tuple[Verdicts, list[Reason | None]]:
+    """Give the verdicts on the rows of a table, and the reasons of those that are scored and wrong.
 
-
-def _spread(count: int, rows: IntArray, values: Sequence[str]) -> list[str | None]:
-    """Return the values of some rows of a table as a column of all of them."""
-    column: list[str | None] = [None] * count
-    for row, value in zip(rows.tolist(), values, strict=True):
-        column[row] = value
-    return column
-
-
-def _of_all(scored: Verdicts, rows: IntArray, count: int) -> Verdicts:
-    """Return the verdicts of all detections of a run: those that were not scored lie beyond the map."""
-    every = Verdicts.unscored(count)
-    every.reason[:] = [OUTSIDE_MAP] * count
-    every.error_m[rows] = scored.error_m
-    for row, outcome, osm_id, reason in zip(rows.tolist(), scored.outcome, scored.osm_id, scored.reason, strict=True):
-        every.outcome[row], every.osm_id[row], every.reason[row] = outcome, osm_id, reason
-    return every
+    `node`: row of the node that each was compared with, -1 for none.
+    """
+    wrong = np.flatnonzero(is_scored & ~is_right)
+    claims = zip(keyframe[is_right].tolist(), node[is_right].tolist(), strict=True)
+    found = explain_false(evidence, evidence.plane(lonlat[wrong]), keyframe[wrong].tolist(), claims, gate_m)
+    reasons: list[Reason | None] = [None] * len(lonlat)
+    for row, reason in zip(wrong.tolist(), found, strict=True):
+        reasons[row] = reason
+    beyond = np.where(within(evidence.graph.bounds, lonlat), OUTSIDE_ZONE, OUTSIDE_MAP)
+    sentences = [
+        str(outside) if not scored else reason and reason.sentence
+        for scored, outside, reason in zip(is_scored, beyond, reasons, strict=True)
+    ]
+    outcome = np.select([~is_scored, is_right], ["unscored", "right"], "wrong").tolist()
+    osm_ids: list[int | None] = [*evidence.nodes.osm_id.tolist(), None]  # row -1: none
+    return Verdicts(outcome, [osm_ids[row] for row in node.tolist()], error_m, sentences), reasons
 
 
 def _node_outcomes(found: BoolArray, in_zone: BoolArray) -> list[str]:
@@ -195,12 +182,10 @@ def _node_outcomes(found: BoolArray, in_zone: BoolArray) -> list[str]:
     return ["outside" if not is_in else "found" if is_found else "missed" for is_found, is_in in pairs]
 
 
-def _uids(
-    graph: RoadGraph, intersections: IntersectionTable, level: MapLevel, osm_ids: Sequence[int | None]
-) -> list[str]:
+def _uids(graph: RoadGraph, intersections: IntersectionTable, level: MapLevel, osm_ids: list[int | None]) -> list[str]:
     """Name the places of intersections by the map: their node, else a junction of roads that no other stands for."""
     assert intersections.lonlat is not None
-    names: list[Any] = [osm_ids[row] for row in level.node.tolist()]
+    names = list(osm_ids)
     junctions = intersection_nodes(graph, "drive+service")
     free = np.flatnonzero(~np.isin(junctions.osm_id, [name for name in names if name is not None]))
     open_rows = np.flatnonzero(level.node == UNMATCHED)

@@ -141,7 +141,8 @@ def test_the_page_tells_the_story(folder: Path) -> None:
 def test_names_cannot_smuggle_markup_into_the_page(scored: Scored, tmp_path: Path) -> None:
     evaluation, result = scored
     evil = "<script>alert(1)</script> a $b_{ 2 $ 高速"  # nor confuse what draws text
-    evaluation = replace(evaluation, drive=evil, graph=replace(evaluation.graph, source=evil), warnings=(evil,))
+    evil_run = replace(evaluation.result, drive=evil)
+    evaluation = replace(evaluation, result=evil_run, graph=replace(evaluation.graph, source=evil), warnings=(evil,))
     run = {"config": {"a": evil, "ids": {40}}, "host": evil}
     write_report(evaluation, tmp_path, result=replace(result, drive=evil, run=run))
     assert written(tmp_path) == FILES
