@@ -15,6 +15,7 @@ import sqlite3
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
@@ -31,38 +32,6 @@ from interloc.output.layers import BUILDINGS, DERIVED, LAYERS, PLACES, Layer, Ro
 from interloc.output.layout import RUN_FILE, file_names, refuse_result_file
 from interloc.output.qgis_project import Source, project, write_qgz
 from interloc.output.vector_tiles import TiledLayer, write_tiles
-
-DRIVERS = {".gpkg": "GPKG", ".fgb": "FlatGeobuf", ".kml": "LIBKML"}
-"""Suffix -> driver of GDAL."""
-
-
-class Format(NamedTuple):
-    """What a file of a format holds.
-
-    Attributes
-    ----------
-    layers : {"one", "any", "all"}
-        One layer; all, unless one is named; or always all that belong into it.
-    only_on_earth : str
-        Its name, where it knows longitude and latitude only.
-    """
-
-    layers: Literal["one", "any", "all"] = "one"
-    only_on_earth: str = ""
-
-
-FORMATS = {
-    ".gpkg": Format("any"),
-    ".qgz": Format("all"),
-    ".fgb": Format(),
-    ".kml": Format("one", "KML"),
-    ".kmz": Format("any", "KML"),
-    ".csv": Format(),
-    ".geojson": Format(),
-    ".parquet": Format(),
-    ".pmtiles": Format("any", "PMTiles"),
-    ".gpx": Format("all", "GPX"),
-}
 
 EXPORTS = LAYERS | DERIVED
 
@@ -124,38 +93,8 @@ def write_vector_file(result: Path, out: Path, *, layer: str | None = None) -> l
     if suffix == ".parquet":
         require_parquet()
     names = _choose(result, layer, suffix)
-    layers = [(EXPORTS[name], _read(result, name)) for name in names]
-    if suffix in {".gpkg", ".qgz"}:
-        _write_database(out, layers, read_file(result / RUN_FILE).decode(), _name_of(result))
-    elif suffix == ".pmtiles":
-        tiled = [TiledLayer(each, rows.credit, _table_of_texts(each, rows)) for each, rows in layers]
-        with _folder_beside(out) as folder, atomic_write(out) as file:
-            write_tiles(file, _name_of(result), tiled, folder)
-    elif suffix == ".geojson":
-        ((only, rows),) = layers
-        write_collection(out, _features(only, rows), local=_in_metres(rows), credit=rows.credit)
-    else:
-        content = _content(result, suffix, layers)
-        with atomic_write(out) as file:
-            file.write(content)
+    FORMATS[suffix].write(_Export(result, out, [(EXPORTS[name], _read(result, name)) for name in names]))
     return names
-
-
-def _content(result: Path, suffix: str, layers: list[tuple[Layer, Rows]]) -> bytes:
-    """Return a file that is made in memory."""
-    if suffix == ".kmz":
-        return pack_kmz([(_kml(each, rows), each, rows) for each, rows in layers], _name_of(result))
-    if suffix == ".gpx":
-        (_, track), (_, intersections) = layers
-        return write_gpx(_name_of(result), (track, _read(result, "keyframes")), intersections).encode()
-    ((only, rows),) = layers
-    if suffix == ".csv":
-        return _csv(only, rows).encode()
-    if suffix == ".kml":
-        return style_kml(_kml(only, rows), only, rows)
-    if suffix == ".parquet":
-        return parquet_bytes(_table(only, rows), only.description, rows.credit)
-    return _layer_bytes(DRIVERS[suffix], only, rows)
 
 
 def suffixes_here() -> list[str]:
@@ -201,19 +140,68 @@ def _in_metres(rows: Rows) -> bool:
     return rows.path.name in file_names(georeferenced=False).values()
 
 
-def _write_database(out: Path, layers: list[tuple[Layer, Rows]], run: str, name: str) -> None:
+class _Export(NamedTuple):
+    """Layers of a result folder, and the file that is made of them."""
+
+    result: Path
+    out: Path
+    layers: list[tuple[Layer, Rows]]
+
+    @property
+    def name(self) -> str:
+        return _name_of(self.result)
+
+    def save(self, content: bytes) -> None:
+        with atomic_write(self.out) as file:
+            file.write(content)
+
+
+def _write_database(export: _Export) -> None:
     """Write a GeoPackage or the project around it: SQLite needs a file to seek in, and others beside it."""
-    with _folder_beside(out) as folder:
+    layers, run = export.layers, read_file(export.result / RUN_FILE).decode()
+    with _folder_beside(export.out) as folder:
         database = folder / "result.gpkg"
         for number, (layer, rows) in enumerate(layers):
             _write_layer(database, "GPKG", layer, rows, append=number > 0)
         describe(database, [(layer, rows.credit) for layer, rows in layers], run)
-        if out.suffix.lower() == ".qgz":
+        if export.out.suffix.lower() == ".qgz":
             data, database = database, database.with_name("project")
-            write_qgz(database, data, layers, name, local=_in_metres(layers[0][1]))
+            write_qgz(database, data, layers, export.name, local=_in_metres(layers[0][1]))
         with database.open("rb") as file:
             os.fsync(file.fileno())
-        database.replace(out)
+        database.replace(export.out)
+
+
+def _write_tiles(export: _Export) -> None:
+    tiled = [TiledLayer(each, rows.credit, _table_of_texts(each, rows)) for each, rows in export.layers]
+    with _folder_beside(export.out) as folder, atomic_write(export.out) as file:
+        write_tiles(file, export.name, tiled, folder)
+
+
+def _write_geojson(export: _Export) -> None:
+    ((layer, rows),) = export.layers
+    write_collection(export.out, _features(layer, rows), local=_in_metres(rows), credit=rows.credit)
+
+
+def _write_kmz(export: _Export) -> None:
+    export.save(
+        pack_kmz([(_layer_bytes("LIBKML", each, rows), each, rows) for each, rows in export.layers], export.name)
+    )
+
+
+def _write_gpx(export: _Export) -> None:
+    (_, track), (_, intersections) = export.layers
+    export.save(write_gpx(export.name, (track, _read(export.result, "keyframes")), intersections).encode())
+
+
+def _of_one_layer(content: Callable[[Layer, Rows], bytes]) -> Callable[[_Export], None]:
+    """Return the writer of a format whose files hold one layer and are made in memory."""
+
+    def write(export: _Export) -> None:
+        ((layer, rows),) = export.layers
+        export.save(content(layer, rows))
+
+    return write
 
 
 @contextmanager
@@ -278,11 +266,6 @@ def _file_of(result: Path, name: str) -> Path:
     return local if local.is_file() else result / f"{name}.geojson"
 
 
-def _kml(layer: Layer, rows: Rows) -> bytes:
-    """Return a layer as GDAL writes it."""
-    return _layer_bytes(DRIVERS[".kml"], layer, rows)
-
-
 def _layer_bytes(driver: str, layer: Layer, rows: Rows) -> bytes:
     buffer = io.BytesIO()  # GDAL's KML driver does not report a full disk
     _write_layer(buffer, driver, layer, rows)
@@ -323,7 +306,7 @@ def _features(layer: Layer, rows: Rows) -> list[dict[str, Any]]:
     return layer.features(places, **{name: rows.column(name) for name in layer.fields})
 
 
-def _csv(layer: Layer, rows: Rows) -> str:
+def _csv(layer: Layer, rows: Rows) -> bytes:
     """Return rows as RFC 4180 with a head: points with `lon`, `lat` or `x_m`, `y_m`, others with `wkt`; null is empty.
 
     Where the rows hold data of OpenStreetMap, the last column says so.
@@ -337,7 +320,7 @@ def _csv(layer: Layer, rows: Rows) -> str:
     for feature, where in zip(rows.features, _places(layer, rows), strict=True):
         values = [_cell(getattr(feature.properties, name)) for name in layer.fields]
         writer.writerow([*where, *values, *credit])
-    return text.getvalue()
+    return text.getvalue().encode()
 
 
 def _places(layer: Layer, rows: Rows) -> list[list[Any]]:
@@ -394,3 +377,40 @@ def _table_of_texts(layer: Layer, rows: Rows) -> Any:  # noqa: ANN401 - geopanda
     """Return the same with times as text, for formats that have no times."""
     times = [name for name, kind in layer.fields.items() if kind == "time"]
     return _table(layer, rows).assign(**{name: rows.column(name) for name in times})
+
+
+class Format(NamedTuple):
+    """How a file of a format is written, and what it holds.
+
+    Attributes
+    ----------
+    write
+        Writes it, whole or not at all.
+    layers : {"one", "any", "all"}
+        One layer; all, unless one is named; or always all that belong into it.
+    only_on_earth : str
+        Its name, where it knows longitude and latitude only.
+    """
+
+    write: Callable[[_Export], None]
+    layers: Literal["one", "any", "all"] = "one"
+    only_on_earth: str = ""
+
+
+FORMATS = {
+    ".gpkg": Format(_write_database, "any"),
+    ".qgz": Format(_write_database, "all"),
+    ".fgb": Format(_of_one_layer(partial(_layer_bytes, "FlatGeobuf"))),
+    ".kml": Format(
+        _of_one_layer(lambda layer, rows: style_kml(_layer_bytes("LIBKML", layer, rows), layer, rows)), "one", "KML"
+    ),
+    ".kmz": Format(_write_kmz, "any", "KML"),
+    ".csv": Format(_of_one_layer(_csv)),
+    ".geojson": Format(_write_geojson),
+    ".parquet": Format(
+        _of_one_layer(lambda layer, rows: parquet_bytes(_table(layer, rows), layer.description, rows.credit))
+    ),
+    ".pmtiles": Format(_write_tiles, "any", "PMTiles"),
+    ".gpx": Format(_write_gpx, "all", "GPX"),
+}
+"""Suffix -> format."""
