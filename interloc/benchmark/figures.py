@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from interloc.arrays import FloatArray
-from interloc.benchmark.metrics import errors_m, estimate, f1, map_outcomes, map_squared
+from interloc.benchmark.metrics import estimate, f1, map_outcomes, pooled
 from interloc.benchmark.row import MapPicture, Point, Row
 from interloc.benchmark.tables import Measured, ours
 from interloc.drawing import (
@@ -126,7 +126,7 @@ def drive_boxes_figure(measured: Measured) -> Figure:
     noise = measured.noises[0]
     names = [*measured.drives, *(["all"] if len(measured.drives) > 1 else [])]
     samples = {
-        preset: [errors_m(measured.of(preset=preset, noise=noise, drive=name)) for name in names]
+        preset: [pooled(measured.of(preset=preset, noise=noise, drive=name), "errors_m") for name in names]
         for preset in measured.presets
     }
     figure = new_figure(max(5.7, 1.0 + 0.95 * len(names)), 4.2)
@@ -157,7 +157,7 @@ def noise_figure(measured: Measured) -> Figure:
     top = 0.0
     for (boxes, curves), preset in zip(grid, measured.presets, strict=True):
         levels = {noise: measured.of(preset=preset, noise=noise) for noise in measured.noises}
-        _draw_boxes(boxes, {preset: [errors_m(rows) for rows in levels.values()]})
+        _draw_boxes(boxes, {preset: [pooled(rows, "errors_m") for rows in levels.values()]})
         boxes.set(xticks=range(len(levels)), xticklabels=list(levels), xlim=(-0.6, len(levels) - 0.4))
         boxes.set(xlabel="label errors r-FPR / r-FNR [%]", ylabel="center error [m]")
         top = max(top, boxes.get_ylim()[1])
@@ -197,7 +197,7 @@ def reliability_figure(measured: Measured) -> Figure:
             marker=style["marker"],
             alpha=0.8,
         )
-        if len(squared := np.sort(map_squared(rows))):
+        if len(squared := np.sort(pooled(rows, "map_squared"))):
             within = np.searchsorted(squared, -2.0 * np.log1p(-levels[:-1]), side="right") / len(squared)
             right.plot(100.0 * levels[:-1], 100.0 * within, **style, markevery=20, label=preset)
     left.set(xlabel="confidence [%]", ylabel="right [%]")

@@ -31,7 +31,7 @@ _TRACK_STEP_M = 3.0
 
 
 @dataclass(frozen=True)
-class GroundTruth:
+class Scoring:
     """How detections are scored.
 
     Attributes
@@ -51,7 +51,7 @@ def measure(
     drive: Drive,
     graph: RoadGraph,
     config: DetectorConfig,
-    truth: GroundTruth,
+    truth: Scoring,
     explain: Explain,
     *,
     progress: Progress | None = None,

@@ -40,19 +40,19 @@ class Estimate:
     seeds: int = 1
 
 
-def errors_m(rows: Sequence[Row]) -> FloatArray:
-    """Return the center errors of all matched detections, metres."""
-    return np.concatenate([np.asarray(row.errors_m, dtype=np.float64) for row in rows] or [np.empty(0)])
+def pooled(rows: Sequence[Row], column: str) -> FloatArray:
+    """Return the values of all rows, one after the other, of a field of `Row` that holds several."""
+    return np.array([each for row in rows for each in getattr(row, column)], dtype=np.float64)
 
 
 def ace_m(rows: Sequence[Row]) -> float | None:
     """Return the average center error over all matched pairs (paper, eq. 14)."""
-    return _mean(errors_m(rows))
+    return _mean(pooled(rows, "errors_m"))
 
 
 def ace_under_10_m(rows: Sequence[Row]) -> float | None:
     """Return the average center error of the pairs under 10 m."""
-    errors = errors_m(rows)
+    errors = pooled(rows, "errors_m")
     return _mean(errors[errors < NEAR_PAIR_M])
 
 
@@ -75,14 +75,9 @@ def f1(rows: Sequence[Row], threshold_m: float = STANDARD_THRESHOLD_M) -> float 
     return _ratio(2 * true, true + detections + sum(row.fn for row in rows))
 
 
-def nodes_found(rows: Sequence[Row]) -> float | None:
-    """Return how many nodes had a detection within 5 m."""
-    return float(sum(row.nodes_found for row in rows))
-
-
-def nodes_in_zone(rows: Sequence[Row]) -> float | None:
-    """Return how many nodes came into the relevant zone."""
-    return float(sum(row.nodes_in_zone for row in rows))
+def total(rows: Sequence[Row], column: str) -> float | None:
+    """Return the sum of a field of `Row`."""
+    return float(sum(getattr(row, column) for row in rows))
 
 
 def map_precision(rows: Sequence[Row]) -> float | None:
@@ -99,30 +94,24 @@ def map_recall(rows: Sequence[Row]) -> float | None:
 
 def map_median_m(rows: Sequence[Row]) -> float | None:
     """Return the median error of the fused intersections that have a node."""
-    errors = np.concatenate([np.asarray(row.map_errors_m, dtype=np.float64) for row in rows] or [np.empty(0)])
+    errors = pooled(rows, "map_errors_m")
     return None if len(errors) == 0 else float(np.median(errors))
-
-
-def map_squared(rows: Sequence[Row]) -> FloatArray:
-    """Return the squared errors of the fused intersections that have a node, in units of their covariances."""
-    return np.concatenate([np.asarray(row.map_squared, dtype=np.float64) for row in rows] or [np.empty(0)])
 
 
 def map_outcomes(rows: Sequence[Row]) -> tuple[FloatArray, BoolArray]:
     """Return the confidences of the fused intersections in the zone, and whether each has a node."""
-    confidence = np.array([each for row in rows for each in row.map_confidence], dtype=np.float64)
-    return confidence, np.array([each for row in rows for each in row.map_right], dtype=np.bool_)
+    return pooled(rows, "map_confidence"), pooled(rows, "map_right").astype(np.bool_)
 
 
 def map_within_95(rows: Sequence[Row]) -> float | None:
     """Return the share of the fused intersections with a node whose node lies in their ellipse of 95 %."""
-    squared = map_squared(rows)
+    squared = pooled(rows, "map_squared")
     return share_within(squared) if len(squared) else None
 
 
 def map_nees(rows: Sequence[Row]) -> float | None:
     """Return the normalised estimation error squared per degree of freedom: 1 where errors are as large as said."""
-    squared = map_squared(rows)
+    squared = pooled(rows, "map_squared")
     return squared_per_dimension(squared) if len(squared) else None
 
 
@@ -146,8 +135,8 @@ METRICS: dict[str, Metric] = {
     "f1_at_5": f1,
     "precision_at_6_9": partial(precision, threshold_m=PRECISION_THRESHOLD_M),
     "recall_at_13_3": partial(recall, threshold_m=RECALL_THRESHOLD_M),
-    "nodes_found": nodes_found,
-    "nodes_in_zone": nodes_in_zone,
+    "nodes_found": partial(total, column="nodes_found"),
+    "nodes_in_zone": partial(total, column="nodes_in_zone"),
     "map_precision": map_precision,
     "map_recall": map_recall,
     "map_median_m": map_median_m,
@@ -182,7 +171,7 @@ def estimate(rows: Sequence[Row], metric: Metric) -> Estimate:
 
 
 def _true(rows: Sequence[Row], threshold_m: float) -> int:
-    return int(np.count_nonzero(errors_m(rows) < threshold_m))
+    return int(np.count_nonzero(pooled(rows, "errors_m") < threshold_m))
 
 
 def _ratio(part: int, whole: int) -> float | None:

@@ -18,9 +18,8 @@ from interloc.benchmark.figures import (
 )
 from interloc.benchmark.metrics import METRICS, Estimate, map_outcomes
 from interloc.benchmark.row import Row
-from interloc.benchmark.run import NO_NOISE
-from interloc.benchmark.tables import ALL, Measured, Table, ours, performance_table, tables, text
-from interloc.config import DetectorConfig
+from interloc.benchmark.run import Benchmark
+from interloc.benchmark.tables import ALL, NO_NOISE, Measured, Table, ours, performance_table, tables, text
 from interloc.drawing import image, write_image
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE
 from interloc.evaluation.reasons import KINDS
@@ -35,7 +34,7 @@ _MEANINGS = {str(kind): meaning for kind, meaning in KINDS.items()}
 _WORST = 40  # places of each preset on the page
 
 
-def benchmark_record(title: str, measured: Measured, configs: dict[str, DetectorConfig], policy: str) -> dict[str, Any]:
+def benchmark_record(benchmark: Benchmark, measured: Measured) -> dict[str, Any]:
     """Return the figures of a benchmark as plain values for JSON; what is undefined is None.
 
     Returns
@@ -70,8 +69,8 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
         for noise in measured.noises
     ]
     return {
-        "benchmark": title,
-        "policy": policy,
+        "benchmark": benchmark.title,
+        "policy": benchmark.truth.policy,
         "labels": measured.labels,
         "drives": list(measured.drives),
         "presets": list(measured.presets),
@@ -84,7 +83,7 @@ def benchmark_record(title: str, measured: Measured, configs: dict[str, Detector
             "comparison": {name: asdict(value) for name, value in COMPARISON.items()},
             "noise": {name: asdict(value) for name, value in LABEL_ERRORS.items()},
         },
-        "config": {name: config.model_dump(mode="json") for name, config in configs.items()},
+        "config": {each.name: each.config.model_dump(mode="json") for each in benchmark.configs},
         **_credit(measured.rows).members,
         **({"sensors": {name: list(drives) for name, drives in measured.sensors.items()}} if measured.sensors else {}),
         "versions": versions(),
@@ -124,22 +123,8 @@ def _row(row: Row) -> dict[str, Any]:
 PAGE = "benchmark.html"
 
 
-def write_benchmark(
-    measured: Measured, configs: dict[str, DetectorConfig], out: Path, *, title: str, about: str, policy: str
-) -> None:
+def write_benchmark(benchmark: Benchmark, measured: Measured, out: Path) -> None:
     """Write the outcome of a benchmark into its folder, each file whole or not at all.
-
-    Parameters
-    ----------
-    measured
-    configs
-        Settings of each preset.
-    out
-        Folder of the benchmark.
-    title, about
-        What was measured, for the head of the page.
-    policy
-        Which OSM nodes were intersections.
 
     Raises
     ------
@@ -155,12 +140,12 @@ def write_benchmark(
                 record["note"] = "`see` draws the frame without the label errors"
             record |= {**row.failures, **map_credit(is_made_up=row.picture.is_made_up).members}
             handle.write(encode(record, indent=1).encode() + b"\n")
-    record = benchmark_record(title, measured, configs, policy)
+    record = benchmark_record(benchmark, measured)
     *results, reliability = tables(measured)
     page = template("benchmark.html", "interloc.benchmark").render(
-        title=title,
-        about=about,
-        policy=policy,
+        title=benchmark.title,
+        about=benchmark.about,
+        policy=benchmark.truth.policy,
         warnings=_warnings(measured.rows),
         tables=results,
         reliability=reliability,
@@ -170,7 +155,7 @@ def write_benchmark(
         pictures=pictures,
         maps=maps,
         made_up_maps=sorted({row.picture.is_made_up for row in measured.rows}),
-        configs=[(name, json.dumps(config.model_dump(mode="json"), indent=2)) for name, config in configs.items()],
+        configs=[(name, json.dumps(config, indent=2)) for name, config in record["config"].items()],
         versions=", ".join(f"{name} {version}" for name, version in record["versions"].items()),
     )
     with atomic_write(out / PAGE) as handle:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from interloc.benchmark.cases import Case
 from interloc.benchmark.fingerprint import fingerprint, measuring_program
-from interloc.benchmark.measure import GroundTruth, measure
+from interloc.benchmark.measure import Scoring, measure
 from interloc.benchmark.metrics import ace_m, precision, recall
 from interloc.benchmark.row import Cell, Row, read_row, write_row
+from interloc.benchmark.tables import NO_NOISE, Measured
 from interloc.config import DetectorConfig
 from interloc.errors import InterLocError, OutputError
 from interloc.files import reason_of
@@ -26,8 +27,7 @@ from interloc.processes import Progress, run_in_processes, send_message
 logger = logging.getLogger(__name__)
 
 ROWS = "rows"
-NO_NOISE = "0/0"
-_DRIVE_POLICY = GroundTruth()
+_DRIVE_POLICY = Scoring()
 _REPORT_EVERY = 10  # keyframes or scans: the progress of a worker process is not sent more often
 
 Report = Callable[[str, str, int, int], None]
@@ -71,19 +71,34 @@ class Benchmark:
         Levels of label errors, r-FPR / r-FNR in percent; "0/0": without.
     seeds : int
         Number of seeds of the label errors on recorded drives; a simulated drive has its own seed.
-    truth : GroundTruth
+    truth : Scoring
+    title, about : str
+        What is measured, for the head of the page.
+    labels : str
+        "labels" (by hand, or exact) or "predictions" (of a network).
+    sensors : dict of str to tuple of str
+        Drives by the sensor that they are simulated with, where several sensors are compared.
     """
 
     cases: tuple[Case, ...]
     configs: tuple[NamedConfig, ...]
     noises: tuple[str, ...] = (NO_NOISE,)
     seeds: int = 1
-    truth: GroundTruth = _DRIVE_POLICY
+    truth: Scoring = _DRIVE_POLICY
+    title: str = ""
+    about: str = ""
+    labels: str = "labels"
+    sensors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def drives(self) -> list[str]:
         """Names of the drives, each once, in order."""
         return list(dict.fromkeys(case.name for case in self.cases))
+
+    def measured(self, rows: Iterable[Row]) -> Measured:
+        """Return the rows of this benchmark for its tables."""
+        presets = tuple(each.name for each in self.configs)
+        return Measured(tuple(rows), tuple(self.drives), presets, self.noises, self.labels, self.sensors)
 
     def cells(self, case: Case) -> list[tuple[Cell, NamedConfig]]:
         """Return what is to be measured on a drive."""
@@ -102,7 +117,7 @@ class _Task:
 
     case: Case
     cells: tuple[tuple[Cell, NamedConfig, str], ...]
-    truth: GroundTruth
+    truth: Scoring
     out: Path
 
     @property

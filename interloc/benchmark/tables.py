@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
+from typing import NamedTuple
 
-from interloc.benchmark.metrics import METRICS, Estimate, estimate, map_outcomes, map_squared
+from interloc.benchmark.metrics import METRICS, Estimate, estimate, map_outcomes, pooled
 from interloc.benchmark.row import Row
 from interloc.evaluation.published import AVERAGE, COMPARISON, LABEL_ERRORS, PERFORMANCE, RANGENET, SEQUENCES, Published
 from interloc.evaluation.reliability import (
@@ -21,6 +22,7 @@ from interloc.evaluation.reliability import (
 
 MISSING = "–"  # noqa: RUF001 - a dash, not a minus
 PUBLISHED = "published"
+NO_NOISE = "0/0"
 ALL = "all"
 
 
@@ -86,7 +88,7 @@ class Measured:
         found = {}
         for preset, noise in product(self.presets, self.noises):
             rows = self.of(preset=preset, noise=noise)
-            squared = map_squared(rows)
+            squared = pooled(rows, "map_squared")
             confidence, right = map_outcomes(rows)
             found[preset, noise] = {
                 "within_95": with_interval(share_within, squared),
@@ -100,202 +102,6 @@ class Measured:
     def is_papers_set(self) -> bool:
         """True where the drives are the eight of the paper, so that "all" is its average."""
         return sorted(self.drives) == sorted(SEQUENCES)
-
-
-def performance_table(measured: Measured, noise: str) -> Table:
-    """Return the performance per drive (paper, Table "Performance on SemanticKITTI sequences") at a level of errors."""
-    is_pooled = len(measured.drives) > 1 and not measured.sensors
-    columns = [*measured.drives, *([ALL] if is_pooled else [])]
-    groups = []
-    for title, metric, write, published in (
-        ("ACE [m]", "ace_m", metres, "ace_m"),
-        ("ACE, pairs < 10 m [m]", "ace_under_10_m", metres, ""),
-        ("Pre@5 [%]", "precision_at_5", percent, "precision"),
-        ("Rec@5 [%]", "recall_at_5", percent, "recall"),
-        ("nodes found / in zone", "nodes_found", None, ""),
-        ("map precision [%]", "map_precision", percent, ""),
-        ("map recall [%]", "map_recall", percent, ""),
-        ("map median error [m]", "map_median_m", metres, ""),
-        ("ms per keyframe", "ms_a_keyframe", one_decimal, ""),
-    ):
-        group = []
-        if published and noise == "0/0":
-            values = [getattr(_published(measured, column), published, None) for column in columns]
-            if any(value is not None for value in values):
-                group.append(("", PUBLISHED, *(_write(Estimate(value), write) for value in values)))
-        for preset in measured.presets:
-            cells = []
-            for column in columns:
-                value = measured.estimate(metric, preset=preset, noise=noise, drive=column)
-                if metric == "nodes_found":
-                    total = measured.estimate("nodes_in_zone", preset=preset, noise=noise, drive=column)
-                    cells.append(counted(value, total))
-                else:
-                    cells.append(_write(value, write))
-            group.append(("", ours(preset), *cells))
-        group[0] = (title, *group[0][1:])
-        groups.append(tuple(group))
-    level = "" if noise == "0/0" else f", label errors {noise} %"
-    notes = ["All: detections, misses, errors and nodes of all drives taken together, as the paper's average is."]
-    if noise == "0/0" and any(drive in PERFORMANCE for drive in measured.drives):
-        notes.append("Published: SemanticKITTI with RangeNet++ labels.")
-    return Table(
-        title=f"II. Performance per drive{level}",
-        header=("", "", *columns),
-        groups=tuple(groups),
-        labels=2,
-        notes=(*notes[len(columns) == len(measured.drives) :], *_seed_note(measured)),
-    )
-
-
-def sensor_table(measured: Measured, noise: str) -> Table:
-    """Return the performance per sensor, over all drives with it, at a level of label errors."""
-    groups = []
-    for sensor, drives in measured.sensors.items():
-        lines: list[tuple[str, ...]] = []
-        for preset in measured.presets:
-            rows = [row for row in measured.of(preset=preset, noise=noise) if row.cell.drive in drives]
-            found, total = (estimate(rows, METRICS[name]) for name in ("nodes_found", "nodes_in_zone"))
-            cells = (
-                _write(estimate(rows, METRICS[metric]), write)
-                for metric, write in (
-                    ("ace_m", metres),
-                    ("precision_at_5", percent),
-                    ("recall_at_5", percent),
-                    ("ms_a_keyframe", one_decimal),
-                )
-            )
-            ace, pre, rec, ms = cells
-            lines.append((sensor if not lines else "", ours(preset), ace, pre, rec, counted(found, total), ms))
-        groups.append(tuple(lines))
-    return Table(
-        title=f"Performance per sensor{'' if noise == '0/0' else f', label errors {noise} %'}",
-        header=("", "", "ACE [m]", "Pre@5 [%]", "Rec@5 [%]", "nodes found / in zone", "ms per keyframe"),
-        groups=tuple(groups),
-        labels=2,
-        notes=(
-            "Detections, misses, errors and nodes of all tracks taken together.",
-            "Causal: no keyframe after the current one is accumulated.",
-            *_seed_note(measured),
-        ),
-    )
-
-
-def comparison_table(measured: Measured) -> Table:
-    """Return the comparison with MMInsectDet (paper, Table "Performance comparison with MMInsectDet")."""
-    published = tuple(
-        (name, metres(value.ace_m), percent(value.precision), percent(value.recall))
-        for name, value in COMPARISON.items()
-    )
-    noise = measured.noises[0]
-    lines = []
-    for preset in measured.presets:
-        values = (
-            _write(measured.estimate(metric, preset=preset, noise=noise), write)
-            for metric, write in (("ace_m", metres), ("precision_at_6_9", percent), ("recall_at_13_3", percent))
-        )
-        lines.append((f"InterLoc, {ours(preset)}", *values))
-    return Table(
-        title="III. Comparison with MMInsectDet",
-        header=("", "ACE [m]", "Pre@6.9 [%]", "Rec@13.3 [%]"),
-        groups=(published, tuple(lines)),
-        notes=_other_set_note(measured),
-    )
-
-
-def noise_table(measured: Measured) -> Table:
-    """Return the performance at each level of label errors (paper, Table "... different segmentation error levels")."""
-    groups = []
-    for noise in measured.noises:
-        published = RANGENET if noise == "0/0" and measured.labels == "predictions" else LABEL_ERRORS.get(noise)
-        lines: list[tuple[str, ...]] = []
-        if published is not None:
-            lines.append((PUBLISHED, metres(published.ace_m), percent(published.precision), percent(published.recall)))
-        for preset in measured.presets:
-            values = (
-                _write(measured.estimate(metric, preset=preset, noise=noise), write)
-                for metric, write in (("ace_m", metres), ("precision_at_5", percent), ("recall_at_5", percent))
-            )
-            lines.append((ours(preset), *values))
-        groups.append(tuple((noise if number == 0 else "", *line) for number, line in enumerate(lines)))
-    source = "RangeNet++ labels" if measured.labels == "predictions" else "hand labels"
-    notes = (
-        f"Label errors in percent, on top of the labels as they are; 0/0 published: {source}.",
-        *_other_set_note(measured),
-    )
-    return Table(
-        title="IV. Errors of the labels",
-        header=("r-FPR/r-FNR", "", "ACE [m]", "Pre@5 [%]", "Rec@5 [%]"),
-        groups=tuple(groups),
-        labels=2,
-        notes=notes,
-    )
-
-
-def reliability_table(measured: Measured) -> Table:
-    """Return whether the uncertainty of the intersections and their confidence are true, per level of label errors."""
-    groups = []
-    for noise in measured.noises:
-        lines: list[tuple[str, ...]] = []
-        for preset in measured.presets:
-            found = measured.reliability[preset, noise]
-            lines.append(
-                (
-                    noise if not lines else "",
-                    ours(preset),
-                    str(found["within_95"].count),
-                    _with_bounds(found["within_95"], percent),
-                    _with_bounds(found["nees"], metres),
-                    str(found["calibration_error"].count),
-                    _with_bounds(found["calibration_error"], percent),
-                    _with_bounds(found["calibration_error_by_chance"], percent),
-                )
-            )
-        groups.append(tuple(lines))
-    return Table(
-        title="Uncertainty and confidence",
-        header=("r-FPR/r-FNR", "", "with a node", "within 95 % [%]", "NEES", "in the zone", "ECE [%]", "by chance [%]"),
-        groups=tuple(groups),
-        labels=2,
-        notes=(
-            "Intersections of the map, each counted once per drive and seed; in brackets: bootstrap interval of 95 %.",
-            "Within 95 %: share whose node lies in the ellipse of 95 % of the covariance.",
-            "NEES: squared error in units of the covariance per degree of freedom; 1 where errors are as stated.",
-            "ECE: expected calibration error of the confidence, ten bins of equal width.",
-            "By chance: ECE of so many places where the confidence is exactly true; mean, and 95 % of all draws.",
-        ),
-    )
-
-
-def tables(measured: Measured) -> list[Table]:
-    """Return the tables of a benchmark: performance, comparison and label errors, or sensors; and reliability."""
-    if measured.sensors:
-        shown = [*(sensor_table(measured, noise) for noise in measured.noises), performance_table(measured, "0/0")]
-    else:
-        noise = measured.noises[0]
-        shown = [performance_table(measured, noise), comparison_table(measured), noise_table(measured)]
-    return [*shown, reliability_table(measured)]
-
-
-def text(table: Table) -> str:
-    """Return a table in aligned columns."""
-    lines = [table.header, *(row for group in table.groups for row in group)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(table.header))]
-    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-
-    def aligned(line: tuple[str, ...]) -> str:
-        cells = [
-            cell.ljust(width) if i < table.labels else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ]
-        return "  ".join(cells).rstrip()
-
-    body = [table.title, rule, aligned(table.header), rule]
-    for number, group in enumerate(table.groups):
-        if number and len(table.groups[number - 1]) + len(group) > 2:
-            body.append("")
-        body += [aligned(line) for line in group]
-    return "\n".join([*body, rule, *table.notes])
 
 
 def ours(preset: str) -> str:
@@ -327,16 +133,244 @@ def counted(found: Estimate, total: Estimate) -> str:
     return f"{found.mean:.1f}/{total.mean:.1f}"
 
 
-def _write(value: Estimate, write: Callable[[float], str] | None) -> str:
-    if value.mean is None or write is None:
+def _write(value: Estimate, write: Callable[[float], str]) -> str:
+    if value.mean is None:
         return MISSING
     return write(value.mean) if value.spread is None else f"{write(value.mean)} ± {write(value.spread)}"
+
+
+class Figure(NamedTuple):
+    """A figure of the tables.
+
+    Attributes
+    ----------
+    title : str
+    metric : str
+        One of `METRICS`.
+    write
+        Writes its value.
+    published : str
+        The same figure among those of the paper.
+    total : str
+        Metric of the number that it is a count out of.
+    """
+
+    title: str
+    metric: str
+    write: Callable[[float], str]
+    published: str = ""
+    total: str = ""
+
+    def cell(self, rows: Sequence[Row]) -> str:
+        """Return the figure of some rows: pooled over the drives, mean and spread over the seeds."""
+        found = estimate(rows, METRICS[self.metric])
+        return counted(found, estimate(rows, METRICS[self.total])) if self.total else _write(found, self.write)
+
+    def published_cell(self, published: Published | None) -> str:
+        """Return the figure of the paper."""
+        return _write(Estimate(getattr(published, self.published, None)), self.write)
+
+
+_ACE = Figure("ACE [m]", "ace_m", metres, "ace_m")
+_PRECISION = Figure("Pre@5 [%]", "precision_at_5", percent, "precision")
+_RECALL = Figure("Rec@5 [%]", "recall_at_5", percent, "recall")
+_NODES = Figure("nodes found / in zone", "nodes_found", one_decimal, total="nodes_in_zone")
+_TIME = Figure("ms per keyframe", "ms_a_keyframe", one_decimal)
+_OF_DRIVES = (
+    _ACE,
+    Figure("ACE, pairs < 10 m [m]", "ace_under_10_m", metres),
+    _PRECISION,
+    _RECALL,
+    _NODES,
+    Figure("map precision [%]", "map_precision", percent),
+    Figure("map recall [%]", "map_recall", percent),
+    Figure("map median error [m]", "map_median_m", metres),
+    _TIME,
+)
+_OF_SENSORS = (_ACE, _PRECISION, _RECALL, _NODES, _TIME)
+_OF_LEVELS = (_ACE, _PRECISION, _RECALL)
+_OF_COMPARISON = (
+    _ACE,
+    Figure("Pre@6.9 [%]", "precision_at_6_9", percent, "precision"),
+    Figure("Rec@13.3 [%]", "recall_at_13_3", percent, "recall"),
+)
+
+Cells = Callable[[str], Iterable[str]]
+"""Returns the figures of a preset."""
+
+
+def _group(measured: Measured, name: str, cells: Cells, published: Iterable[str] = ()) -> tuple[tuple[str, ...], ...]:
+    """Return the rows of a group: the published figures where there are any, then those of each preset."""
+    lines = [(PUBLISHED, *line)] if (line := tuple(published)) else []
+    lines += [(ours(preset), *cells(preset)) for preset in measured.presets]
+    return tuple(("" if number else name, *line) for number, line in enumerate(lines))
+
+
+def performance_table(measured: Measured, noise: str) -> Table:
+    """Return the performance per drive (paper, Table "Performance on SemanticKITTI sequences") at a level of errors."""
+    is_pooled = len(measured.drives) > 1 and not measured.sensors
+    columns = [*measured.drives, *([ALL] if is_pooled else [])]
+    published = [_published(measured, column) for column in columns] if noise == NO_NOISE else []
+    published = published if any(published) else []
+
+    def group(figure: Figure) -> tuple[tuple[str, ...], ...]:
+        return _group(
+            measured,
+            figure.title,
+            lambda preset: [figure.cell(measured.of(preset=preset, noise=noise, drive=each)) for each in columns],
+            map(figure.published_cell, published if figure.published else []),
+        )
+
+    notes = ["All: detections, misses, errors and nodes of all drives taken together, as the paper's average is."]
+    if noise == NO_NOISE and any(drive in PERFORMANCE for drive in measured.drives):
+        notes.append("Published: SemanticKITTI with RangeNet++ labels.")
+    return Table(
+        title=f"II. Performance per drive{_level(noise)}",
+        header=("", "", *columns),
+        groups=tuple(map(group, _OF_DRIVES)),
+        labels=2,
+        notes=(*notes[len(columns) == len(measured.drives) :], *_seed_note(measured)),
+    )
+
+
+def sensor_table(measured: Measured, noise: str) -> Table:
+    """Return the performance per sensor, over all drives with it, at a level of label errors."""
+
+    def group(sensor: str) -> tuple[tuple[str, ...], ...]:
+        def cells(preset: str) -> list[str]:
+            drives = measured.sensors[sensor]
+            rows = [row for row in measured.of(preset=preset, noise=noise) if row.cell.drive in drives]
+            return [figure.cell(rows) for figure in _OF_SENSORS]
+
+        return _group(measured, sensor, cells)
+
+    return Table(
+        title=f"Performance per sensor{_level(noise)}",
+        header=("", "", *(figure.title for figure in _OF_SENSORS)),
+        groups=tuple(map(group, measured.sensors)),
+        labels=2,
+        notes=(
+            "Detections, misses, errors and nodes of all tracks taken together.",
+            "Causal: no keyframe after the current one is accumulated.",
+            *_seed_note(measured),
+        ),
+    )
+
+
+def comparison_table(measured: Measured) -> Table:
+    """Return the comparison with MMInsectDet (paper, Table "Performance comparison with MMInsectDet")."""
+    published = [
+        (name, *(figure.published_cell(value) for figure in _OF_COMPARISON)) for name, value in COMPARISON.items()
+    ]
+    lines = []
+    for preset in measured.presets:
+        rows = measured.of(preset=preset, noise=measured.noises[0])
+        lines.append((f"InterLoc, {ours(preset)}", *(figure.cell(rows) for figure in _OF_COMPARISON)))
+    return Table(
+        title="III. Comparison with MMInsectDet",
+        header=("", *(figure.title for figure in _OF_COMPARISON)),
+        groups=(tuple(published), tuple(lines)),
+        notes=_other_set_note(measured),
+    )
+
+
+def noise_table(measured: Measured) -> Table:
+    """Return the performance at each level of label errors (paper, Table "... different segmentation error levels")."""
+    is_predicted = measured.labels == "predictions"
+
+    def group(noise: str) -> tuple[tuple[str, ...], ...]:
+        published = RANGENET if noise == NO_NOISE and is_predicted else LABEL_ERRORS.get(noise)
+        return _group(
+            measured,
+            noise,
+            lambda preset: [figure.cell(measured.of(preset=preset, noise=noise)) for figure in _OF_LEVELS],
+            (figure.published_cell(published) for figure in _OF_LEVELS if published is not None),
+        )
+
+    source = "RangeNet++ labels" if is_predicted else "hand labels"
+    return Table(
+        title="IV. Errors of the labels",
+        header=("r-FPR/r-FNR", "", *(figure.title for figure in _OF_LEVELS)),
+        groups=tuple(map(group, measured.noises)),
+        labels=2,
+        notes=(
+            f"Label errors in percent, on top of the labels as they are; 0/0 published: {source}.",
+            *_other_set_note(measured),
+        ),
+    )
+
+
+def reliability_table(measured: Measured) -> Table:
+    """Return whether the uncertainty of the intersections and their confidence are true, per level of label errors."""
+
+    def group(noise: str) -> tuple[tuple[str, ...], ...]:
+        def cells(preset: str) -> list[str]:
+            found = measured.reliability[preset, noise]
+            return [
+                str(found["within_95"].count),
+                _with_bounds(found["within_95"], percent),
+                _with_bounds(found["nees"], metres),
+                str(found["calibration_error"].count),
+                _with_bounds(found["calibration_error"], percent),
+                _with_bounds(found["calibration_error_by_chance"], percent),
+            ]
+
+        return _group(measured, noise, cells)
+
+    return Table(
+        title="Uncertainty and confidence",
+        header=("r-FPR/r-FNR", "", "with a node", "within 95 % [%]", "NEES", "in the zone", "ECE [%]", "by chance [%]"),
+        groups=tuple(map(group, measured.noises)),
+        labels=2,
+        notes=(
+            "Intersections of the map, each counted once per drive and seed; in brackets: bootstrap interval of 95 %.",
+            "Within 95 %: share whose node lies in the ellipse of 95 % of the covariance.",
+            "NEES: squared error in units of the covariance per degree of freedom; 1 where errors are as stated.",
+            "ECE: expected calibration error of the confidence, ten bins of equal width.",
+            "By chance: ECE of so many places where the confidence is exactly true; mean, and 95 % of all draws.",
+        ),
+    )
+
+
+def tables(measured: Measured) -> list[Table]:
+    """Return the tables of a benchmark: performance, comparison and label errors, or sensors; and reliability."""
+    if measured.sensors:
+        shown = [*(sensor_table(measured, noise) for noise in measured.noises), performance_table(measured, NO_NOISE)]
+    else:
+        noise = measured.noises[0]
+        shown = [performance_table(measured, noise), comparison_table(measured), noise_table(measured)]
+    return [*shown, reliability_table(measured)]
+
+
+def text(table: Table) -> str:
+    """Return a table in aligned columns."""
+    lines = [table.header, *(row for group in table.groups for row in group)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(table.header))]
+    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
+
+    def aligned(line: tuple[str, ...]) -> str:
+        cells = [
+            cell.ljust(width) if i < table.labels else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ]
+        return "  ".join(cells).rstrip()
+
+    body = [table.title, rule, aligned(table.header), rule]
+    for number, group in enumerate(table.groups):
+        if number and len(table.groups[number - 1]) + len(group) > 2:
+            body.append("")
+        body += [aligned(line) for line in group]
+    return "\n".join([*body, rule, *table.notes])
 
 
 def _with_bounds(found: Interval, write: Callable[[float], str]) -> str:
     if found.value is None or found.low is None or found.high is None:
         return MISSING
     return f"{write(found.value)} ({write(found.low)} to {write(found.high)})"
+
+
+def _level(noise: str) -> str:
+    return "" if noise == NO_NOISE else f", label errors {noise} %"
 
 
 def _published(measured: Measured, column: str) -> Published | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -369,11 +369,8 @@ def locate(
 
 
 def _measure(
-    cases: list[Case] | list[Any],
+    cases: Sequence[Case],
     *,
-    title: str,
-    about: str,
-    labels: str,
     out: Path,
     presets: tuple[str, ...],
     settings: tuple[str, ...],
@@ -386,24 +383,25 @@ def _measure(
     quiet: bool,
     as_json: bool,
     lookaheads: tuple[int | None, ...] = (None,),
-    sensors: dict[str, tuple[str, ...]] | None = None,
+    **described: Any,
 ) -> None:
-    from interloc.benchmark.measure import GroundTruth
+    """Run a benchmark by the values of `measuring_options`; `described` are further fields of `Benchmark`."""
+    from interloc.benchmark.measure import Scoring
     from interloc.benchmark.report import PAGE, benchmark_record, write_benchmark
-    from interloc.benchmark.run import NO_NOISE, Benchmark, run_benchmark
-    from interloc.benchmark.tables import Measured, tables, text
+    from interloc.benchmark.run import Benchmark, run_benchmark
+    from interloc.benchmark.tables import NO_NOISE, tables, text
     from interloc.errors import InterLocError, is_interruption
     from interloc.evaluation.label_errors import parse_level
     from interloc.processes import cores
 
     levels = [f"{100 * r_fpr:g}/{100 * r_fnr:g}" for r_fpr, r_fnr in map(parse_level, noises)]
-    named = [_named_config(preset, settings, lookahead) for preset in presets for lookahead in lookaheads]
     benchmark = Benchmark(
         tuple(cases),
-        tuple(named),
+        tuple(_named_config(preset, settings, lookahead) for preset in presets for lookahead in lookaheads),
         tuple(dict.fromkeys([NO_NOISE, *levels])),
         seeds,
-        GroundTruth(policy, tolerance_m),
+        Scoring(policy, tolerance_m),
+        **described,
     )
     console.set_up_log(quiet=quiet)
     bars = _Bars(quiet=quiet)
@@ -417,18 +415,10 @@ def _measure(
         ) from None
     finally:
         bars.close()
-    measured = Measured(
-        tuple(rows),
-        tuple(benchmark.drives),
-        tuple(each.name for each in named),
-        benchmark.noises,
-        labels,
-        sensors or {},
-    )
-    configs = {each.name: each.config for each in named}
-    write_benchmark(measured, configs, out, title=title, about=about, policy=policy)
+    measured = benchmark.measured(rows)
+    write_benchmark(benchmark, measured, out)
     if as_json:
-        console.say_json(benchmark_record(title, measured, configs, policy))
+        console.say_json(benchmark_record(benchmark, measured))
         return
     click.echo("\n\n".join(map(text, tables(measured))))
     click.echo(f"\nreport  {out / PAGE}")

@@ -15,7 +15,6 @@ from interloc.benchmark.cases import FolderCase, TwinCase, folder_cases, twin_ca
 from interloc.benchmark.report import write_benchmark
 from interloc.benchmark.row import Cell, Row
 from interloc.benchmark.run import Benchmark, NamedConfig, run_benchmark
-from interloc.benchmark.tables import Measured
 from interloc.config import DEFAULT, PAPER
 from interloc.drives.options import DriveOptions
 from interloc.errors import OutputError
@@ -102,9 +101,8 @@ def test_a_folder_of_something_else_is_not_touched(benchmark: Benchmark, tmp_pat
 
 def test_files_of_a_benchmark(benchmark: Benchmark, finished: tuple[Path, list[Row]]) -> None:
     out, rows = finished
-    measured = Measured(tuple(rows), ("town",), ("default", "paper"), ("0/0", "20/20"))
-    configs = {"default": DEFAULT, "paper": PAPER}
-    write_benchmark(measured, configs, out, title="Town & country", about="A test.", policy="drive")
+    benchmark = replace(benchmark, title="Town & country", about="A test.")
+    write_benchmark(benchmark, benchmark.measured(rows), out)
     record = json.loads((out / "benchmark.json").read_text())
     (pooled,) = (
         entry
