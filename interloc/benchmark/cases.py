@@ -384,7 +384,6 @@ def _is_complete(case: TwinCase) -> bool:
 
 
 def _numbered(folder: Path) -> list[str]:
-    """Return the sequence numbers that name files or folders in a folder."""
     if not folder.is_dir():
         return []
     return sorted({entry.name[:2] for entry in folder.iterdir() if re.fullmatch(r"\d\d(\..+)?", entry.name)})

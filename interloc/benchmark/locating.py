@@ -317,7 +317,6 @@ def _percentile(values: list[float], percent: float) -> str:
 
 
 def _lidar_poses(camera: FloatArray, calib_text: str) -> FloatArray:
-    """Return (N, 4, 4) poses of the LiDAR from (N, 3, 4) poses of the camera."""
     line = next(line for line in calib_text.splitlines() if line.startswith("Tr"))
     T_cam_lidar = np.eye(4)
     T_cam_lidar[:3] = np.array(line.split()[1:13], dtype=np.float64).reshape(3, 4)
@@ -338,7 +337,6 @@ def _from_twin(drive: Drive) -> tuple[Track, Sightings, FloatArray, FloatArray]:
 
 
 def _without(graph: RoadGraph, lonlat: FloatArray) -> RoadGraph:
-    """Return a map without the roads around a drive."""
     margin = np.array([1.5, 1.0]) * WRONG_MAP_MARGIN_DEG
     low, high = lonlat.min(axis=0) - margin, lonlat.max(axis=0) + margin
     inside: Any = ((graph.lonlat > low) & (graph.lonlat < high)).all(axis=1)

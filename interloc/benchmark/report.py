@@ -213,7 +213,6 @@ def worst_places(measured: Measured, preset: str) -> list[dict[str, Any]]:
 
 
 def _meaning(kind: str) -> str:
-    """Return a kind of failure in words."""
     return _MEANINGS.get(kind, kind.replace("_", " "))
 
 

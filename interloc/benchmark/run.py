@@ -227,8 +227,6 @@ def _run_task_in_process(task: _Task) -> list[Row]:
 
 
 def _run_task(task: _Task, report: Report, log: Log) -> list[Row]:
-    """Measure what is missing of one drive."""
-
     def progress(what: str) -> Progress:
         return partial(report, task.name, what)
 

@@ -425,7 +425,6 @@ def _measure(
 
 
 def _named_config(preset: str, settings: tuple[str, ...], lookahead: int | None = None) -> NamedConfig:
-    """Return a preset with some settings changed, under a name that shows them."""
     from interloc.benchmark.run import NamedConfig
 
     name = preset + "".join(f" {setting}" for setting in settings)

@@ -85,7 +85,6 @@ def result_summary(job: JobAnswer, out: Path) -> dict[str, Any]:
 
 
 def _records(out: Path) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Read run.json, and report.json where the job was evaluated."""
     import json
 
     run = json.loads((out / "run.json").read_bytes())

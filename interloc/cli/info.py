@@ -81,7 +81,6 @@ def _topic(topic: Topic) -> str:
 
 
 def _kept(reduced: ReducedReport, before: int) -> str:
-    """Return what is left of the scans."""
     if reduced.distance_m is None:
         text = "all scans kept"
     else:

@@ -77,7 +77,6 @@ class _OfModel(click.Option):
 
 
 def _option_of(name: str, field: FieldInfo) -> click.Option:
-    """Return the option of a field: its choices, its default and its description."""
     choices = get_args(field.annotation)
     is_choice = bool(choices) and all(isinstance(each, str) for each in choices)
     text = field.description or ""
@@ -222,7 +221,6 @@ def _keyframe_places(drive: Drive, config: DetectorConfig) -> FloatArray:
 
 
 def _no_map(drive: Path, reading: dict[str, Any]) -> str:
-    """Return that no map was given, and how to get one for this drive."""
     import numpy as np
 
     from interloc.errors import InterLocError

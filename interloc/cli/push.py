@@ -178,7 +178,6 @@ def _send(
 
 
 def _finish(connection: Connection, job: JobAnswer, out: Path | None, *, quiet: bool) -> JobAnswer:
-    """Wait for the job, and fetch its result."""
     from interloc.errors import InterLocError, is_interruption
 
     try:
@@ -193,12 +192,10 @@ def _finish(connection: Connection, job: JobAnswer, out: Path | None, *, quiet: 
 
 
 def _fetch_line(job: JobAnswer, server: str) -> str:
-    """Return the command that fetches a result, as it is to be typed."""
     return shlex.join(["interloc", "fetch", job.id, "-o", "OUT", "--server", server])
 
 
 def _facts(pushed: Pushed, job: JobAnswer | None, out: Path | None) -> list[tuple[str, str]]:
-    """Return names and values for a person."""
     size = console.size(pushed.bytes_there)
     if pushed.source_bytes:
         share = 100 * pushed.bytes_there / pushed.source_bytes

@@ -159,7 +159,6 @@ _FIGURES: tuple[tuple[str, Callable[[Mapping[str, Any]], Any]], ...] = (
 
 
 def _warnings(reports: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return why figures may not be comparable."""
     notes = []
     for what, values in (
         ("drives", [run.get("drive_name") for run in runs]),

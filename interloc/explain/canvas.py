@@ -245,7 +245,6 @@ def _fixed(places: FloatArray) -> Int32Array:
 
 
 def _dashed(pieces: FloatArray, drawn: float, left_out: float) -> FloatArray:
-    """Return the dashes of (N, 2, 2) straight pieces."""
     found = [np.empty((0, 2, 2))]
     for start, stop in pieces:
         length = max(float(np.hypot(*(stop - start))), 1e-9)

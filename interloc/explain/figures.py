@@ -217,7 +217,6 @@ def overview(explained: ExplainedKeyframe, truth: GroundTruth | None) -> Figure:
 
 
 def _draw_scale(figure: Figure, left: float, bottom: float, px_per_m: float) -> None:
-    """Draw a length of 20 m."""
     axes = _add_axes(figure, left, bottom, 20.0 * px_per_m, 4.0)
     axes.set(xticks=[], yticks=[], facecolor=INK)
     axes.spines[:].set_visible(False)
@@ -275,7 +274,6 @@ def _show(figure: Figure, canvas: Canvas, place: tuple[float, float, int], *, ti
 
 
 def _sheet(width: int, height: int) -> Figure:
-    """Return an empty figure of a size in pixels whose axes are placed by hand."""
     figure = new_figure(width / _DPI, height / _DPI)
     figure.set_layout_engine("none")
     return figure

@@ -78,7 +78,6 @@ def panoramic_scan(canvas: Canvas, explained: ExplainedKeyframe) -> None:
 
 
 def _in_roi(scan: WindowScan, roi: Roi) -> tuple[Int32Array, Int32Array]:
-    """Return rows and columns of the road points of a scan that lie in the region of interest."""
     cols, rows = scan.cells[:, 0] - roi.left, roi.top - scan.cells[:, 1]
     shown = (cols >= 0) & (cols < roi.size) & (rows >= 0) & (rows < roi.size)
     return rows[shown], cols[shown]
@@ -252,7 +251,6 @@ def numbers_of_intersections(canvas: Canvas, explained: ExplainedKeyframe) -> No
 
 
 def _describe(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> str:
-    """Describe in one line what the refinement did."""
     metre = explained.roi.resolution_m
     parts = []
     for i in candidate.detections:

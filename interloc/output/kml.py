@@ -137,7 +137,6 @@ def _half_px(mark: Mark) -> float:
 
 
 def _draw(mark: Mark) -> bytes:
-    """Return a sign as a PNG of which it fills the whole."""
     from PIL import Image, ImageDraw  # noqa: PLC0415 - slow to import
 
     half = _ICON_PX * _FINER / 2.0

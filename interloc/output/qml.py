@@ -262,7 +262,6 @@ def _labeling(label: Label, layer: Layer) -> ET.Element:
 
 
 def _name_expression(layer: Layer) -> str:
-    """Return the name of a feature as an expression of QGIS."""
     texts = re.split(r"\{(\w+)(?::[^}]*)?\}", layer.label)
     parts = [f"'{text}'" if index % 2 == 0 else _shown(text) for index, text in enumerate(texts) if text]
     return f"concat({', '.join(parts)})"

@@ -230,7 +230,6 @@ def _across(raster: Raster) -> float:
 
 
 def _bounds(raster: Raster, forward: Projection) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of all tiles, in the metres of the picture."""
     side = TILE * raster.cell_m
     corners = [(col + i, -(row + j)) for row, col in raster.tiles for i in (0, 1) for j in (0, 1)]
     places = forward(side * np.array(corners, dtype=np.float64))

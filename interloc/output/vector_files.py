@@ -131,7 +131,6 @@ def _read(result: Path, name: str) -> Rows:
 
 
 def _name_of(result: Path) -> str:
-    """Return the name of the drive."""
     run = read_json(result / RUN_FILE)
     return str(run.get("drive_name") or run.get("drive") or result.resolve().name)
 
@@ -219,7 +218,6 @@ def _folder_beside(out: Path) -> Iterator[Path]:
 
 
 def _choose(result: Path, layer: str | None, suffix: str) -> list[str]:
-    """Return the names of the layers to write."""
     wanted = None if layer is None else layer.replace("-", "_")
     if wanted is not None and wanted not in EXPORTS:
         raise ConfigError(f"{layer!r} is not a layer. Expected one of {', '.join(EXPORTS)}, or road as .tif.")
@@ -273,7 +271,6 @@ def _layer_bytes(driver: str, layer: Layer, rows: Rows) -> bytes:
 
 
 def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows, *, append: bool = False) -> None:
-    """Write a layer, or add it to a file."""
     table = _table(layer, rows)
     if driver == "LIBKML":  # what Google Earth shows beside the point
         # GDAL's KML driver writes integers of 64 bits as text.
@@ -301,7 +298,6 @@ def _write_layer(sink: Path | io.BytesIO, driver: str, layer: Layer, rows: Rows,
 
 
 def _features(layer: Layer, rows: Rows) -> list[dict[str, Any]]:
-    """Return rows as GeoJSON features again."""
     places = [None if each.geometry is None else each.geometry.coordinates for each in rows.features]
     return layer.features(places, **{name: rows.column(name) for name in layer.fields})
 
@@ -324,7 +320,6 @@ def _csv(layer: Layer, rows: Rows) -> bytes:
 
 
 def _places(layer: Layer, rows: Rows) -> list[list[Any]]:
-    """Return the cells of the place of each row."""
     if layer.geometry == "Point":
         return rows.points().tolist()  # type: ignore[no-any-return]
     import shapely  # noqa: PLC0415 - slow to import

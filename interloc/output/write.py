@@ -95,7 +95,6 @@ def _remove_evaluation(folder: Path, *, is_placed: bool) -> None:
 
 
 def _write_rasters(result: DriveResult, folder: Path) -> list[str]:
-    """Write the road seen by LiDAR, where the run kept any; returns the names of the files."""
     mosaic = build_mosaic(result)
     if not mosaic.raster.tiles:
         return []
