@@ -18,7 +18,7 @@ _SHOWN = 5
 
 
 @click.command(short_help="Back up the web service while it runs.")
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=options.PATH)
 @DATA_DIR
 @options.QUIET
 @options.JSON
@@ -75,7 +75,7 @@ def backup(out: Path, data_dir: Path | None, quiet: bool, as_json: bool) -> None
 
 
 @click.command(short_help="Restore a backup of the web service.")
-@click.argument("backup", type=click.Path(path_type=Path))
+@click.argument("backup", type=options.PATH)
 @DATA_DIR
 @click.option("--incomplete", is_flag=True, help="Restore what there is of a backup that is not whole.")
 @options.QUIET

@@ -79,14 +79,14 @@ def twin_options(sequences: str) -> Callable[[options.Function], options.Functio
         click.option(
             "--kitti",
             required=True,
-            type=click.Path(path_type=Path),
+            type=options.PATH,
             help="Folder with oxts/NN.txt.gz, poses_suma/NN.txt, poses_gt/NN.txt, calib/NN.txt, times/NN.txt, "
             "osm/NN.osm.gz and, for real houses, osm_buildings/NN.osm.gz.",
         ),
         click.option("--sequences", default=sequences, show_default=True, help="KITTI odometry sequences to measure."),
         click.option(
             "--keep",
-            type=click.Path(path_type=Path),
+            type=options.PATH,
             help="Folder in which the simulated drives are kept for the next time.",
         ),
         click.option(
@@ -215,18 +215,16 @@ def _lookaheads(text: str) -> list[int | None]:
 @click.option(
     "--root",
     required=True,
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="SemanticKITTI: the folder with sequences/NN or dataset/sequences/NN.",
 )
 @click.option(
     "--oxts",
     required=True,
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Folder with NN.txt[.gz] (one row per frame) or with KITTI raw drives (2011_10_03_drive_0027_sync, ...).",
 )
-@click.option(
-    "--osm", required=True, type=click.Path(path_type=Path), help="Folder with NN.osm, .osm.gz, .osm.bz2 or .osm.pbf."
-)
+@click.option("--osm", required=True, type=options.PATH, help="Folder with NN.osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 @click.option("--sequences", default=SEQUENCES, show_default=True, help="Sequences to measure.")
 @click.option(
     "--labels",
@@ -257,13 +255,13 @@ def semantickitti(root: Path, oxts: Path, osm: Path, sequences: str, labels: Lab
 
 
 @command.command(cls=options.Command)
-@click.argument("drives", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("drives", nargs=-1, required=True, type=options.PATH)
 @click.option(
     "--osm",
     "maps",
     multiple=True,
     required=True,
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="OSM file: one for all drives, or repeat the option: one per drive, in their order.",
 )
 @options.drive_options
@@ -303,10 +301,10 @@ def drives(
 @click.option(
     "--kitti",
     required=True,
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Folder with oxts/, poses_suma/, calib/, times/ and, with --twins, osm/.",
 )
-@click.option("--osm", required=True, type=click.Path(path_type=Path), help="Map that holds all sequences.")
+@click.option("--osm", required=True, type=options.PATH, help="Map that holds all sequences.")
 @click.option("--sequences", default=SEQUENCES, show_default=True, help="KITTI odometry sequences to place.")
 @click.option(
     "--lengths",
@@ -316,7 +314,7 @@ def drives(
 )
 @click.option(
     "--twins",
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Folder of kept twins (simulated where missing): use the intersections along them, not the trajectory alone.",
 )
 @options.OUT

@@ -12,7 +12,7 @@ from interloc.wording import counted
 
 
 @click.command(short_help="Put the reports of several results side by side.")
-@click.argument("results", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("results", nargs=-1, required=True, type=options.PATH)
 @click.option(
     "-o",
     "--out",

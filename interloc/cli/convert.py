@@ -13,7 +13,7 @@ from interloc.cli import console, options
 
 @click.command(cls=options.Command, short_help="Write a drive of any format in SemanticKITTI's layout.")
 @options.DRIVE
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder of the new drive.")
+@click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the new drive.")
 @options.drive_options
 @options.QUIET
 @options.JSON
@@ -52,17 +52,11 @@ def convert(drive: Path, out: Path, quiet: bool, as_json: bool, **reading: Any) 
 @click.option(
     "--model",
     required=True,
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Folder of the network: model.onnx, arch_cfg.yaml, data_cfg.yaml.",
 )
 @click.option("--provider", default="cpu", show_default=True, help="What the network runs on: cpu, cuda, ...")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    show_default="DRIVE",
-    help="Folder in which predictions/ is made.",
-)
+@click.option("-o", "--out", type=options.PATH, show_default="DRIVE", help="Folder in which predictions/ is made.")
 @options.reading_options
 @options.QUIET
 @options.JSON

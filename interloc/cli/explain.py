@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 @click.command(cls=options.Command, short_help="Draw the steps of the method for one keyframe.")
 @options.DRIVE
 @click.option("--frame", required=True, type=int, help="Scan number; the nearest keyframe is taken.")
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder for the pictures.")
-@click.option("--osm", type=click.Path(path_type=Path), help="OSM file to draw on top.")
+@click.option("-o", "--out", required=True, type=options.PATH, help="Folder for the pictures.")
+@click.option("--osm", type=options.PATH, help="OSM file to draw on top.")
 @options.POLICY
 @options.config_options
 @options.drive_options

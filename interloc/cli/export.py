@@ -10,7 +10,7 @@ from interloc.cli import console, options
 
 
 @click.command(short_help="Write a result as GeoPackage, project of QGIS, KMZ, PMTiles, CSV and other formats.")
-@click.argument("result", type=click.Path(path_type=Path))
+@click.argument("result", type=options.PATH)
 @click.option(
     "-o",
     "--out",

@@ -26,19 +26,17 @@ if TYPE_CHECKING:
 @click.option("--at-frame", type=int, help="Scan that has the pose of --at.  [default: the first]")
 @click.option(
     "--gpx",
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Place the drive by the track of a phone or a watch that was along, by time or else by shape.",
 )
 @click.option(
     "-o",
     "--out",
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="geo.csv to write, a new file: put it into the drive, or give it with --oxts.",
 )
 @click.option("--overwrite", is_flag=True, help="Let -o replace a file that is there already.")
-@click.option(
-    "--figure", type=click.Path(path_type=Path), help="Picture to draw, .png or .svg; drawn if not found, too."
-)
+@click.option("--figure", type=options.PATH, help="Picture to draw, .png or .svg; drawn if not found, too.")
 @click.option("--growth", is_flag=True, help="Also find out from which distance on the drive is unique.")
 @click.option("--track-only", is_flag=True, help="Do not look for intersections: the trajectory alone.")
 @options.config_options

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-DRIVE = click.argument("drive", type=click.Path(path_type=Path))
-OUT = click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Result folder to write.")
+PATH = click.Path(path_type=Path)
+DRIVE = click.argument("drive", type=PATH)
+OUT = click.option("-o", "--out", required=True, type=PATH, help="Result folder to write.")
 QUIET = click.option("--quiet", is_flag=True, help="Print warnings and errors only.")
 JSON = click.option("--json", "as_json", is_flag=True, help="Print the outcome as JSON.")
 POLICY = click.option(
@@ -36,7 +37,7 @@ POLICY = click.option(
     help=POLICY_HELP,
 )
 TOLERANCE = click.option("--tolerance", "tolerance_m", default=15.0, show_default=True, help=TOLERANCE_HELP)
-OSM = click.option("--osm", type=click.Path(path_type=Path), help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
+OSM = click.option("--osm", type=PATH, help="OSM file: .osm, .osm.gz, .osm.bz2 or .osm.pbf.")
 SENSORS = ("vlp-16", "os1-32", "os1-64", "hdl-64e")
 """Names of `interloc.simulate.config.SENSORS`, which is slow to import."""
 
@@ -84,7 +85,7 @@ def _option_of(name: str, field: FieldInfo) -> click.Option:
         text = f"{text.removesuffix('.')}, such as {field.examples[0]}."
     return click.Option(
         [f"--{name.replace('_', '-')}"],
-        type=click.Choice(list(choices)) if is_choice else click.Path(path_type=Path) if Path in choices else str,
+        type=click.Choice(list(choices)) if is_choice else PATH if Path in choices else str,
         default=field.default,
         show_default=field.default is not None,
         help=text,

@@ -31,7 +31,7 @@ _THREADS = 8
 @options.reading_options
 @options.model_options
 @click.option("--name", help="Name of the drive on the server.  [default: that of its folder]")
-@click.option("--osm", type=click.Path(path_type=Path), help="OSM file to send too, for the evaluation.")
+@click.option("--osm", type=options.PATH, help="OSM file to send too, for the evaluation.")
 @click.option("--all-scans", is_flag=True, help="Send every scan, not only the keyframes of the default preset.")
 @click.option("--raw", is_flag=True, help="Send scans and labels as they are; the server reduces them.")
 @click.option("--keep-raw", is_flag=True, help="Let the server keep scans and labels; needs --raw.")
@@ -40,7 +40,7 @@ _THREADS = 8
 )
 @click.option("--run", is_flag=True, help="Have the server find the intersections, and score them if there is a map.")
 @click.option("--fresh", is_flag=True, help="Run the job even if one has done the same before; needs --run.")
-@click.option("-o", "--out", type=click.Path(path_type=Path), help="Write the result to this folder; needs --run.")
+@click.option("-o", "--out", type=options.PATH, help="Write the result to this folder; needs --run.")
 @options.config_options
 @click.option("--overpass", is_flag=True, help="Let the server fetch the map; needs --run.")
 @options.POLICY

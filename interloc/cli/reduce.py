@@ -12,7 +12,7 @@ from interloc.cli import console, options
 
 @click.command(cls=options.Command, short_help="Make a small copy of a drive that gives the same results.")
 @options.DRIVE
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="Folder of the reduced drive.")
+@click.option("-o", "--out", required=True, type=options.PATH, help="Folder of the reduced drive.")
 @click.option(
     "--all-scans",
     is_flag=True,

@@ -26,7 +26,7 @@ DRIVE = click.option(
     "drive",
     required=True,
     metavar="DRIVE",
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Folder of the drive to write; an older simulated drive there is replaced.",
 )
 EVERY_SCAN = click.option(
@@ -138,19 +138,15 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: 
 
 @command.command()
 @DRIVE
-@click.option(
-    "--osm", required=True, type=click.Path(path_type=Path), help="OSM file with the streets around the track."
-)
+@click.option("--osm", required=True, type=options.PATH, help="OSM file with the streets around the track.")
 @click.option(
     "--track",
     "track_file",
     required=True,
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Where to drive: .gpx, .csv with columns lat and lon, or OXTS rows (.txt, .txt.gz, a folder oxts/data).",
 )
-@click.option(
-    "--buildings", type=click.Path(path_type=Path), help="OSM file with the buildings; else those of --osm, or made up."
-)
+@click.option("--buildings", type=options.PATH, help="OSM file with the buildings; else those of --osm, or made up.")
 @EVERY_SCAN
 @SPEED
 @click.option(
@@ -201,7 +197,7 @@ def track(
 @click.option(
     "--kitti",
     required=True,
-    type=click.Path(path_type=Path),
+    type=options.PATH,
     help="Folder with oxts/, poses_suma/, poses_gt/, calib/, times/, osm/ and osm_buildings/ of the sequences.",
 )
 @DRIVE
