@@ -139,7 +139,7 @@ def _write(value: Estimate, write: Callable[[float], str]) -> str:
     return write(value.mean) if value.spread is None else f"{write(value.mean)} ± {write(value.spread)}"
 
 
-class Figure(NamedTuple):
+class TableFigure(NamedTuple):
     """A figure of the tables.
 
     Attributes
@@ -171,28 +171,28 @@ class Figure(NamedTuple):
         return _write(Estimate(getattr(published, self.published, None)), self.write)
 
 
-_ACE = Figure("ACE [m]", "ace_m", metres, "ace_m")
-_PRECISION = Figure("Pre@5 [%]", "precision_at_5", percent, "precision")
-_RECALL = Figure("Rec@5 [%]", "recall_at_5", percent, "recall")
-_NODES = Figure("nodes found / in zone", "nodes_found", one_decimal, total="nodes_in_zone")
-_TIME = Figure("ms per keyframe", "ms_a_keyframe", one_decimal)
+_ACE = TableFigure("ACE [m]", "ace_m", metres, "ace_m")
+_PRECISION = TableFigure("Pre@5 [%]", "precision_at_5", percent, "precision")
+_RECALL = TableFigure("Rec@5 [%]", "recall_at_5", percent, "recall")
+_NODES = TableFigure("nodes found / in zone", "nodes_found", one_decimal, total="nodes_in_zone")
+_TIME = TableFigure("ms per keyframe", "ms_a_keyframe", one_decimal)
 _OF_DRIVES = (
     _ACE,
-    Figure("ACE, pairs < 10 m [m]", "ace_under_10_m", metres),
+    TableFigure("ACE, pairs < 10 m [m]", "ace_under_10_m", metres),
     _PRECISION,
     _RECALL,
     _NODES,
-    Figure("map precision [%]", "map_precision", percent),
-    Figure("map recall [%]", "map_recall", percent),
-    Figure("map median error [m]", "map_median_m", metres),
+    TableFigure("map precision [%]", "map_precision", percent),
+    TableFigure("map recall [%]", "map_recall", percent),
+    TableFigure("map median error [m]", "map_median_m", metres),
     _TIME,
 )
 _OF_SENSORS = (_ACE, _PRECISION, _RECALL, _NODES, _TIME)
 _OF_LEVELS = (_ACE, _PRECISION, _RECALL)
 _OF_COMPARISON = (
     _ACE,
-    Figure("Pre@6.9 [%]", "precision_at_6_9", percent, "precision"),
-    Figure("Rec@13.3 [%]", "recall_at_13_3", percent, "recall"),
+    TableFigure("Pre@6.9 [%]", "precision_at_6_9", percent, "precision"),
+    TableFigure("Rec@13.3 [%]", "recall_at_13_3", percent, "recall"),
 )
 
 Cells = Callable[[str], Iterable[str]]
@@ -213,7 +213,7 @@ def performance_table(measured: Measured, noise: str) -> Table:
     published = [_published(measured, column) for column in columns] if noise == NO_NOISE else []
     published = published if any(published) else []
 
-    def group(figure: Figure) -> tuple[tuple[str, ...], ...]:
+    def group(figure: TableFigure) -> tuple[tuple[str, ...], ...]:
         return _group(
             measured,
             figure.title,
