@@ -38,7 +38,7 @@ from interloc.drives.scans.reduced_format import read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu
-from interloc.reduction.listing import ListedDrive, Listing, find_drives, reason_for_none
+from interloc.reduction.listing import Kind, ListedDrive, Listing, find_drives, reason_for_none
 
 HEAD_BYTES = 65_536
 """What is enough of a file to see what it is."""
@@ -83,6 +83,7 @@ class ListedName(BaseModel):
 
     root: str = Field(description="Its path in the folder; empty where it is the folder itself.")
     name: str
+    kind: Kind = Field(description="How its scans are kept; `layout` says more.")
     files: int = Field(description="Number of its scans, or of its recordings.")
 
 
@@ -163,7 +164,7 @@ def look_into(
         An unknown option or choice. A bad drive raises nothing.
     """
     drives = find_drives(listing, name)
-    names = [ListedName(root=drive.root, name=drive.name, files=len(drive.scans)) for drive in drives]
+    names = [ListedName(root=drive.root, name=drive.name, kind=drive.kind, files=len(drive.scans)) for drive in drives]
     chosen = next((drive for drive in drives if root is None or drive.root == root), None)
     if chosen is None:
         return FolderLook(drives=names, drive=None, reason=reason_for_none(listing, name))
@@ -196,7 +197,12 @@ class _Look:
         self.findings = Findings(stop_at_first=False)
         self._drive, self._listing, self._contents = drive, listing, contents
         self._found = DriveLook(
-            root=drive.root, name=drive.name, files=len(drive.scans), small=drive.small, borrowed=drive.borrowed
+            root=drive.root,
+            name=drive.name,
+            kind=drive.kind,
+            files=len(drive.scans),
+            small=drive.small,
+            borrowed=drive.borrowed,
         )
 
     def answer(self) -> DriveLook:

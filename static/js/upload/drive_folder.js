@@ -47,7 +47,7 @@ import { formatBytes, plural } from "../dom.js";
  * @property {number[]} frames_to_look_into
  * @property {FileProblem[]} problems
  */
-/** @typedef {{root: string, name: string, files: number}} ListedName */
+/** @typedef {{root: string, name: string, kind: "bin" | "pcd" | "rosbag" | "las" | "reduced", files: number}} ListedName */
 
 /**
  * @typedef {object} DriveFolder
@@ -273,6 +273,7 @@ export function runsOf(numbers) {
   return runs;
 }
 
+const NO_NETWORKS = "Whoever runs this service can give it a network (INTERLOC_MODELS).";
 const ORDER = ["error", "warning", "note"];
 
 /** @param {FileProblem[]} problems @returns {FileProblem[]} Errors first. */
@@ -285,17 +286,18 @@ export function sorted(problems) {
  *
  * @param {DriveFolder} drive
  * @param {string[]} folders Label folders that are to be sent.
- * @param {string | null} model The network that labels the scans.
+ * @param {{model: string | null, canLabel: boolean}} labelling `model`: the network that labels the scans; `canLabel`:
+ *   whether the service has any.
  * @returns {FileProblem[]} Errors first.
  */
-export function problemsOf({ look, labels, layout, problems }, folders, model) {
+export function problemsOf({ look, labels, layout, problems }, folders, { model, canLabel }) {
   if (!look) return problems;
-  const hasLabels = Object.keys(labels).length > 0;
-  const ofLabels = hasLabels
-    ? folders.flatMap((name) => look.labels[name]?.problems ?? [])
-    : model
-      ? []
-      : look.unlabelled;
+  const unlabelled = look.unlabelled.map((each) => ({
+    ...each,
+    message: canLabel ? each.message : `${each.message} ${NO_NETWORKS}`,
+  }));
+  const ofNone = model ? [] : unlabelled;
+  const ofLabels = Object.keys(labels).length ? folders.flatMap((name) => look.labels[name]?.problems ?? []) : ofNone;
   const { georeference_reason: reason } = look;
   const message = `${reason}: place the drive on the map by its roads, or add a file of OXTS rows or a geo.csv below. Otherwise the result is in local metres and cannot be scored against OpenStreetMap.`;
   const note = reason && layout !== "reduced" ? [{ severity: "note", path: "georeference", message }] : [];

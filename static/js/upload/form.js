@@ -243,7 +243,9 @@ export function formView(
       const size = /** @type {[string, string]} */ (["Size", formatBytes(archive.size)]);
       fill(facts, factRows([["Archive", archive.name], size]));
     }
-    const list = drive ? sorted([...problemsOf(drive, folders, model), ...labelProblems]) : [];
+    const list = drive
+      ? sorted([...problemsOf(drive, folders, { model, canLabel: labels.canLabel }), ...labelProblems])
+      : [];
     const isError = (/** @type {FileProblem} */ each) => each.severity === "error";
     const borrowed = drive?.look?.borrowed.map((text) => el("p", { class: "small" }, text));
     fill(errors, problemList(list.filter(isError)));
@@ -338,7 +340,10 @@ function resumeNote(onContinue) {
 /** @param {DriveFolder} drive @param {import("./drive_folder.js").ListedName[]} drives @param {(root: string) => void} onChoose */
 function driveChooser(drive, drives, onChoose) {
   const options = Object.fromEntries(
-    drives.map(({ root, name, files }) => [`/${root}`, `${root || name} (${plural(files, "file")})`]),
+    drives.map(({ root, name, kind, files }) => [
+      `/${root}`,
+      `${root || name} (${plural(files, kind === "rosbag" || kind === "las" ? "file" : "scan")})`,
+    ]),
   );
   const choice = select(options, `/${drive.root}`, (root) => onChoose(root.slice(1)));
   return field(`${drives.length} drives are in the folder: which one?`, choice);
