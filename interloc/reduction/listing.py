@@ -23,7 +23,7 @@ Listing = Mapping[str, int]
 
 _SIGNS = re.compile(rf"(?:(?P<root>.*)/)?(?:(?:{'|'.join(SCAN_FOLDERS)})/[^/]+\.bin|(?P<manifest>reduced\.json))")
 _INSIDE = {"pcd": rf"(^|/)(pcd|clouds|{'|'.join(SCAN_FOLDERS)})$", "las": "(^|/)(las|laz)$", "rosbag": "(?!)"}
-_CALIBRATION = re.compile(r"(?:(?P<above>.*)/)?(?P<place>(?:calibration/[^/]+|calib[^/]*)\.txt)")
+_CALIBRATION = re.compile(r"(?:(?P<above>.*?)/)??(?P<place>(?:calibration/[^/]+|calib[^/]*)\.txt)")
 _KITTI360 = re.compile(
     rf"(?:(?P<above>.*)/)?(?P<source>{KITTI360_POSES}(?:_oxts)?/(?P<drive>[^/]+))/"
     r"(?P<place>(?:poses|cam0_to_world|oxts/(?:[^/]+/)?[^/]+)\.txt)"

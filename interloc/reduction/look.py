@@ -171,9 +171,7 @@ def look_into(
     with TemporaryDirectory(dir=_quickest(place, chosen, contents), prefix="interloc-look-") as above:
         look = _Look(chosen, listing, contents, Path(above) / "drive")
         if len(chosen.files) > max_files:
-            text = (
-                f"{len(chosen.files):,} files; expected at most {max_files:,}. Leave out what the method does not need."
-            )
+            text = f"{len(chosen.files):,} are too many; expected at most {max_files:,}. Cut the drive."
             look.findings.error(DriveFileError("files", text))
         else:
             look.read(options(look.place, chosen.name), keyframes)
