@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Base64Bytes, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Base64Encoder, BaseModel, ConfigDict, EncodedBytes, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from app.http.patterns import NETWORK
 from app.http.problems import FileProblem
@@ -269,6 +271,17 @@ class LabelsAnswer(BaseModel):
     labels: list[JudgedLabels]
 
 
+class _StrictBase64(Base64Encoder):
+    """Base64 in which nothing else stands."""
+
+    @classmethod
+    def decode(cls, data: bytes) -> bytes:
+        try:
+            return base64.b64decode(data, validate=True)
+        except ValueError as error:
+            raise PydanticCustomError("base64", "expected Base64: {reason}", {"reason": str(error)}) from error
+
+
 class LookRequest(BaseModel):
     """A folder of a client: all of its files by name and size, and the contents of the small ones."""
 
@@ -289,7 +302,7 @@ class LookRequest(BaseModel):
     files: dict[str, Annotated[Whole, Field(ge=0, le=2**50)]] = Field(
         max_length=MAX_LISTED, description="Path in the folder, with slashes -> size in bytes."
     )
-    contents: dict[str, Base64Bytes] = Field(
+    contents: dict[str, Annotated[bytes, EncodedBytes(encoder=_StrictBase64)]] = Field(
         {},
         description="Path in the folder -> contents, Base64: poses, times, calibration, georeference. `wanted` of an "
         "answer names those that were left out.",
