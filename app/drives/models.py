@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Base64Encoder, BaseModel, ConfigDict, EncodedBytes, Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from app.http.patterns import NETWORK
 from app.http.problems import FileProblem
@@ -18,6 +20,9 @@ from interloc.drives.inspect import DriveReport
 from interloc.drives.layouts import ScanFolder
 from interloc.drives.options import LabelFolder, ReadingOptions
 from interloc.drives.scans.reduced_format import MAX_SCANS
+
+MAX_LISTED = 300_000
+"""Files of a folder that is looked into."""
 
 LabelCounts = Annotated[
     dict[Annotated[int, Field(ge=0, le=65535)], Annotated[Whole, Field(ge=1, le=2**62)]], Field(max_length=65536)
@@ -264,6 +269,54 @@ class LabelsAnswer(BaseModel):
     """What the label ids mean, for each folder."""
 
     labels: list[JudgedLabels]
+
+
+class _StrictBase64(Base64Encoder):
+    """Base64 in which nothing else stands."""
+
+    @classmethod
+    def decode(cls, data: bytes) -> bytes:
+        try:
+            return base64.b64decode(data, validate=True)
+        except ValueError as error:
+            raise PydanticCustomError("base64", "expected Base64: {reason}", {"reason": str(error)}) from error
+
+
+class LookRequest(BaseModel):
+    """A folder of a client: all of its files by name and size, and the contents of the small ones."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "examples": [
+                {
+                    "name": "07",
+                    "files": {"velodyne/000000.bin": 1922336, "labels/000000.label": 480584, "poses.txt": 155},
+                    "contents": {"poses.txt": "MSAwIDAgMCAwIDEgMCAwIDAgMCAxIDAK"},
+                }
+            ]
+        },
+    )
+
+    name: Name = Field(description="Name of the folder.")
+    files: dict[str, Annotated[Whole, Field(ge=0, le=2**50)]] = Field(
+        max_length=MAX_LISTED, description="Path in the folder, with slashes -> size in bytes."
+    )
+    contents: dict[str, Annotated[bytes, EncodedBytes(encoder=_StrictBase64)]] = Field(
+        {},
+        description="Path in the folder -> contents, Base64: poses, times, calibration, georeference. `wanted` of an "
+        "answer names those that were left out.",
+    )
+    root: str | None = Field(
+        None, description="Path in the folder of the drive to look into; null: the first. Empty: the folder itself."
+    )
+    options: DriveOptionsModel = Field(
+        default_factory=DriveOptionsModel,
+        description="How the drive is to be read; paths are those in the drive, such as georeference/07.txt.",
+    )
+    keyframes: Annotated[KeyframeConfig, strictly(KeyframeConfig)] = Field(
+        default_factory=KeyframeConfig, description="Scans that a job needs."
+    )
 
 
 class ReductionPlanModel(BaseModel):

@@ -28,16 +28,20 @@ DATA_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; sand
 
 MAX_JSON_BYTES = 1024**2
 
+_MAX_LISTING_BYTES = 32 * 1024**2
+
 _API = "/api/v1"
 _GIVEN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _ABOUT = re.compile(r"/api/v1/(drive|job)s/([0-9a-f]{16})(?=/|$)")
 _QUIET = {"/healthz", "/readyz", "/metrics"}
-_FREQUENT = {"put_file", "post_scans"}
+_FREQUENT = {"put_file", "post_scans", "look_into_folder"}
 _GONE = 499  # nginx's status for a client that did not wait for the answer
 _HSTS_S = 180 * 24 * 3600
 
 # Uploads stream their body and count it themselves, against limits of their own.
 _STREAMS = re.compile(r"/api/v1/drives/[^/]+/(files/.+|scans|archive)")
+
+_LISTING = "/api/v1/drives/look"
 
 _log = logging.getLogger("app.access")
 _audit = logging.getLogger("app.audit")
@@ -128,7 +132,7 @@ class RequestLog:
 
 
 def _note_change(scope: Scope, location: str) -> None:
-    """Log who changed what. Files are left out: the request log has them, thousands for each drive."""
+    """Log who changed what. Files and looks are left out: the request log has them, thousands for each drive."""
     state = scope.get("state", {})
     action = state.get("action")
     if action is None or action in _FREQUENT:
@@ -312,8 +316,9 @@ async def _read(scope: Scope, receive: Receive) -> Receive:
     length = headers.get("content-length")
     if length is None and "transfer-encoding" not in headers:
         return receive
-    too_large = HTTPException(413, f"The body is larger than {MAX_JSON_BYTES:,} bytes, which no such request needs.")
-    if length is not None and int(length) > MAX_JSON_BYTES:
+    limit = _MAX_LISTING_BYTES if path_of(scope) == _LISTING else MAX_JSON_BYTES
+    too_large = HTTPException(413, f"The body is larger than {limit:,} bytes, which no such request needs.")
+    if length is not None and int(length) > limit:
         raise too_large
     messages: list[Message] = []
     size = 0
@@ -321,7 +326,7 @@ async def _read(scope: Scope, receive: Receive) -> Receive:
         message = await receive()
         messages.append(message)
         size += len(message.get("body", b""))
-        if size > MAX_JSON_BYTES:
+        if size > limit:
             raise too_large
         if message["type"] != "http.request" or not message.get("more_body", False):
             break

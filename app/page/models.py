@@ -9,12 +9,10 @@ from pydantic import BaseModel, Field
 from app.jobs.models import MAX_COMPARED_JOBS, Near
 from app.paths import ARCHIVE_ENDINGS, RECORDING_ENDINGS
 from app.settings import Settings
-from interloc.drives.georeference import kitti360
 from interloc.drives.georeference.oxts import ODOMETRY_OF_RAW
 from interloc.drives.labels import SCHEMES
 from interloc.drives.layouts import PCD_ENDINGS, SCAN_FOLDERS
 from interloc.drives.options import LabelFolder
-from interloc.drives.scans.pcd import LABEL_FIELDS
 from interloc.osm.container import MAP_ENDINGS, SIMULATOR
 from interloc.osm.intersections import DRIVABLE_OR_SERVICE
 from interloc.osm.policies import POLICIES
@@ -84,10 +82,6 @@ class FileKinds(BaseModel):
     scans: list[str] = Field(
         description="Endings of scans that only the service reads: they are sent as they are.", examples=[[".pcd"]]
     )
-    label_fields: list[str] = Field(
-        description="Names of the field of PCD files that holds the label of a point, in lower case.",
-        examples=[["label", "class"]],
-    )
     scan_folders: list[str] = Field(description="Folders of scans.", examples=[["velodyne"]])
     label_folders: list[str] = Field(description="Folders of labels.", examples=[["labels", "predictions"]])
 
@@ -98,15 +92,6 @@ class RangeModel(BaseModel):
     default: float
     minimum: float
     maximum: float
-
-
-class WorldModel(BaseModel):
-    """The world of the poses of KITTI-360: a spherical Mercator projection."""
-
-    lat_deg: float = Field(description="Where x and y are 0, and the scale is 1.")
-    lon_deg: float
-    min_alt_m: float = Field(description="A drive whose median height is lower is not in that world.")
-    max_alt_m: float
 
 
 class PageConfig(BaseModel):
@@ -131,7 +116,6 @@ class PageConfig(BaseModel):
         description="Raw frame at which an odometry sequence begins, where it is not 0, by KITTI raw drive."
     )
     raw_sequences: dict[str, str] = Field(description="Odometry sequence by KITTI raw drive.")
-    kitti360_world: WorldModel
     simulator: str = Field(description="`generator` of OSM files that are made up.", examples=["interloc simulate"])
     drivable: list[str] = Field(description="Values of `highway` that are drawn as roads for cars.")
     search_radius_km: RangeModel = Field(description="How far around a place a drive is searched for on the map.")
@@ -154,7 +138,6 @@ class PageConfig(BaseModel):
             file_kinds=_FILE_KINDS,
             raw_first_frames={raw: first for raw, (_, first, _) in ODOMETRY_OF_RAW.items() if first},
             raw_sequences={raw: sequence for raw, (sequence, _, _) in ODOMETRY_OF_RAW.items()},
-            kitti360_world=_KITTI360_WORLD,
             simulator=SIMULATOR,
             drivable=sorted(DRIVABLE_OR_SERVICE),
             search_radius_km=_SEARCH_RADIUS_KM,
@@ -162,12 +145,6 @@ class PageConfig(BaseModel):
         )
 
 
-_KITTI360_WORLD = WorldModel(
-    lat_deg=kitti360.ORIGIN_LAT_DEG,
-    lon_deg=kitti360.ORIGIN_LON_DEG,
-    min_alt_m=kitti360.MIN_ALT_M,
-    max_alt_m=kitti360.MAX_ALT_M,
-)
 _SEARCH_RADIUS_KM = RangeModel.model_validate(Near.model_json_schema()["properties"]["radius_km"])
 _POLICIES = [
     PolicyModel(name=name, title=wording.title, description=wording.meaning) for name, wording in POLICIES.items()
@@ -207,7 +184,6 @@ _FILE_KINDS = FileKinds(
     archives=list(ARCHIVE_ENDINGS),
     recordings=list(RECORDING_ENDINGS),
     scans=list(PCD_ENDINGS),
-    label_fields=list(LABEL_FIELDS),
     scan_folders=list(SCAN_FOLDERS),
     label_folders=list(get_args(LabelFolder)),
 )

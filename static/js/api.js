@@ -346,12 +346,9 @@ function save(url, name) {
  * @property {{name: string, description: string, is_osm: boolean}[]} layers Of a result.
  * @property {string[]} exports Endings of the formats that it writes: ".gpkg".
  * @property {{name: string, title: string, road: number[]}[]} label_schemes
- * @property {{maps: string[], archives: string[], recordings: string[], scans: string[], label_fields: string[]}}
- *   file_kinds Endings of names; `label_fields`: names of the field of PCD files that holds the label.
+ * @property {{maps: string[], archives: string[], recordings: string[], scans: string[]}} file_kinds Endings of names.
  * @property {Record<string, number>} raw_first_frames KITTI raw drives whose odometry sequence begins at a later frame.
  * @property {Record<string, string>} raw_sequences Odometry sequences by KITTI raw drive.
- * @property {{lat_deg: number, lon_deg: number, min_alt_m: number, max_alt_m: number} | null} kitti360_world Origin of
- *   its poses, and the heights of its drives.
  * @property {string} simulator The generator of maps that are made up.
  * @property {string[]} drivable Values of `highway`.
  * @property {{default: number, minimum: number, maximum: number}} search_radius_km
@@ -370,10 +367,9 @@ let config = {
   layers: [],
   exports: [],
   label_schemes: [],
-  file_kinds: { maps: [], archives: [], recordings: [], scans: [], label_fields: [] },
+  file_kinds: { maps: [], archives: [], recordings: [], scans: [] },
   raw_first_frames: {},
   raw_sequences: {},
-  kitti360_world: null,
   simulator: "",
   drivable: [],
   search_radius_km: { default: 1, minimum: 0, maximum: 1 },

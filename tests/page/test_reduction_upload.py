@@ -391,23 +391,33 @@ def test_what_is_wrong_is_shown_before_anything_is_sent(upload: Upload, street: 
     assert "the scans themselves: pick the folder above it" in upload.text()
 
 
-def test_what_the_plan_refuses_can_be_corrected(
+def test_what_the_service_finds_wrong_can_be_corrected(
     upload: Upload, server: ServerProcess, street: Path, tmp_path: Path
 ) -> None:
     cut = Path(shutil.copytree(street, tmp_path / "cut"))
     lines = (street / "poses.txt").read_text().splitlines()
     (cut / "poses.txt").write_text("\n".join(lines[:10]) + "\n")
     upload.pick(cut)
-    upload.press("Upload and run")
-    upload.page.wait_for_selector("text=This drive cannot be used yet")
     assert f"10 poses for the scans 0 to {SCANS - 1}" in upload.text()
-    assert not any(path.startswith("ground/") for path in upload.sent)
-    (cut / "poses.txt").write_text("\n".join(lines) + "\n")
-    upload.press("Pick the corrected folder")
-    upload.page.wait_for_selector(".drop")
-    upload.pick(cut)
+    assert upload.page.get_by_role("button", name="Upload only").is_disabled()
+    upload.page.set_input_files("input[name=more-files]", street / "poses.txt")
+    upload.page.get_by_text("10 poses for").wait_for(state="hidden")
     upload.only()
     check_reduced_drive(server.client, newest(server.client))
+
+
+def test_a_folder_that_the_service_cannot_look_into_is_sent_as_it_is(
+    upload: Upload, server: ServerProcess, watch: Watch, street: Path
+) -> None:
+    watch.expect("ERR_FAILED")
+    upload.page.route("**/drives/look", lambda route: route.abort())
+    upload.pick(street)
+    text = re.sub(r"\s+", " ", upload.text())
+    assert "The service did not look into it: The server does not answer." in text
+    assert re.search(r"all \d+ files \(.*\) would be sent as they are, and be checked there", text)
+    upload.only()
+    assert sum(path.startswith("velodyne/") for path in upload.sent) == SCANS
+    assert server.client.get(f"{API}/drives/{newest(server.client)}").raise_for_status().json()["state"] == "ready"
 
 
 def test_one_of_several_drives_is_chosen(upload: Upload, street: Path, tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ from sqlalchemy.orm import Session
 
 from app.context import Context, ContextDep
 from app.drives import records
-from app.drives.models import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, NewDrive
+from app.drives.look import look_at
+from app.drives.models import DriveChanges, DriveList, DriveModel, LabelsAnswer, LabelsRequest, LookRequest, NewDrive
 from app.drives.plan import judge_label_counts
 from app.http.delivery import answer_tagged, require_unchanged, tag_of
 from app.http.headers import IdempotencyKey, IfMatch
@@ -19,9 +20,11 @@ from app.http.parameters import BoxFilter, CreatedAfter, CreatedBefore, NamePart
 from app.http.patterns import ID
 from app.http.problems import ProblemDocument
 from app.http.security import ClientDep
+from app.jobs.runner import RunnerDep
 from app.states import DriveState
 from app.store import sidecars
 from app.store.models import Drive
+from interloc.reduction.look import FolderLook
 
 router = APIRouter(prefix="/drives", tags=["Drives"])
 
@@ -85,6 +88,25 @@ def judge_labels(request: LabelsRequest, _client: ClientDep) -> LabelsAnswer:
     For clients that choose how to read a drive before they send it; the plan of a drive answers the same.
     """
     return judge_label_counts(request)
+
+
+@router.post(
+    "/look",
+    summary="Look into a folder before it is sent",
+    responses={
+        413: {"model": ProblemDocument, "description": "The listing is too large."},
+        422: {"model": ProblemDocument, "description": "A member is refused, or the work takes too long."},
+    },
+)
+async def look_into_folder(
+    request: LookRequest, context: ContextDep, runner: RunnerDep, client: ClientDep
+) -> FolderLook:
+    """Tell which drives a folder of yours holds, what is wrong with one of them, where it went, and what to send of it.
+
+    Nothing is made or kept. The folder is judged by the names and sizes of its files and by the contents of the small
+    ones; give those that `wanted` names, and ask again, to learn all.
+    """
+    return await look_at(context, runner, request, client)
 
 
 @get_and_head(

@@ -4,30 +4,18 @@ import { ApiError, isMap, sendJson } from "../api.js";
 import { factRows, field, filePicker, problemList, radios, select } from "../controls.js";
 import { el, fill, formatBytes, formatCount, formatMetres, icon, plural } from "../dom.js";
 import { jobForm } from "../job/job_form.js";
-import {
-  checkDrive,
-  error,
-  estimateKeyframes,
-  LAYOUTS,
-  numberedFiles,
-  readSmall,
-  sampleOf,
-  sorted,
-} from "./drive_folder.js";
+import { filesOfDrive, LAYOUTS, lookInto, problemsOf, sorted } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
 import { labelForm } from "./label_form.js";
 import { fingerprintOf } from "./memory.js";
 import { fitVerdict, mapVerdict, showPreview } from "./preview.js";
 import { readingForm } from "./reading_form.js";
-import { isBeside, isRecordedLayout } from "./recordings.js";
 import { countFolders, groundBytesOf } from "./upload.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
 /** @typedef {import("../api.js").FileProblem} FileProblem */
 /** @typedef {import("./upload.js").JudgedLabels} JudgedLabels */
 /** @typedef {import("./upload.js").Settings} Settings */
-
-const ADDED = /^(poses|cam0_to_world|times|calib[^/]*)\.txt$|^geo\.csv$/;
 
 /** What may be added to a drive, by layout. */
 const MORE_FILES = /** @type {Record<string, string>} */ ({
@@ -46,7 +34,7 @@ const SENDING = {
 /**
  * @param {object} picked
  * @param {DriveFolder | null} picked.drive
- * @param {DriveFolder[]} picked.drives All in the folder.
+ * @param {import("./drive_folder.js").ListedName[]} picked.drives All in the folder.
  * @param {File | null} picked.archive
  * @param {FileSystemDirectoryHandle | null} picked.handle
  * @param {any} picked.presets
@@ -56,7 +44,7 @@ const SENDING = {
  * @param {object} actions
  * @param {(source: import("./upload.js").Source, settings: Settings) => void} actions.onStart
  * @param {() => void} actions.onBack
- * @param {(drive: DriveFolder) => void} actions.onChoose Another drive of the folder.
+ * @param {(root: string) => void} actions.onChoose Another drive of the folder.
  * @param {(begun: import("./memory.js").Remembered) => void} actions.onContinue
  */
 export function formView(
@@ -71,12 +59,12 @@ export function formView(
   const added = el("span", { class: "small", role: "status" });
   const isReduced = drive?.layout === "reduced";
   const isOpen = drive !== null && !isReduced; // there are a scheme and folders to choose
-  const recorded = drive && isRecordedLayout(drive.layout) ? drive.layout : null;
+  const isRecorded = Boolean(drive?.recorded.size);
   const canReduce = typeof CompressionStream === "function" && typeof Worker === "function";
 
   const listeners = { onChange: () => (judge(), refresh()), onFolder: addPredictions };
   const labels = labelForm({ drive, networks, before }, listeners);
-  const reading = readingForm(drive, before, refresh);
+  const reading = readingForm(drive, before, () => (refresh(), lookAgain()));
   const usual = canReduce ? (before?.sending ?? "keyframes") : "raw";
   const keepRaw = el("input", { type: "checkbox", checked: before?.keepRaw ?? false });
   const keep = el("label", { class: "check" }, keepRaw, el("span", {}, "Let the service keep the whole scans"));
@@ -90,7 +78,7 @@ export function formView(
   );
   const wholly = el("div", {});
   /** @returns {boolean} Whether the scans are sent as they are because only the service reads or labels them. */
-  const isWhole = () => recorded !== null || labels.model() !== null;
+  const isWhole = () => isRecorded || labels.model() !== null;
   const sending = () => (isWhole() ? "raw" : parts.value());
   const whyWhole = el("p", { class: "small" });
   const known = {
@@ -116,11 +104,10 @@ export function formView(
     asked += 1;
     const mine = asked;
     const folders = labels.folders();
-    const numbered = drive.scans ?? drive.labels[folders[0]]; // of a recording, the names of its labels tell the numbers
     try {
-      const label_counts = await countFolders(drive, folders, sampleOf([...(numbered?.files.keys() ?? [])]));
+      const label_counts = await countFolders(drive, folders);
       const options = { ...reading.read(), label_scheme: labels.scheme() };
-      if (options.layout === "auto") options.layout = drive.layout;
+      if (options.layout === "auto" && drive.look?.layout) options.layout = drive.look.layout;
       const answer = await sendJson("POST", "drives/labels", { label_counts, options });
       if (mine !== asked) return; // asked again meanwhile
       judged = answer.labels;
@@ -129,20 +116,45 @@ export function formView(
       if (mine !== asked) return;
       judged = [];
       const refused = fault instanceof ApiError ? fault.problems[0]?.message : null;
-      labelProblems = [error("labels", refused ?? (fault instanceof Error ? fault.message : String(fault)))];
+      const message = refused ?? (fault instanceof Error ? fault.message : String(fault));
+      labelProblems = [{ severity: "error", path: "labels", message }];
     }
     labels.setVerdict(judged);
     refresh();
   }
 
-  /** What the browser made of the track. @type {import("./preview.js").Found | null} */
+  /** How the drive was read when it was looked into last. */
+  let lookedWith = wishKey();
+  /** @returns {string} What a look depends on. */
+  function wishKey() {
+    const { pose_frame, layout, poses } = reading.read();
+    const fix = reading.georeference();
+    return JSON.stringify([pose_frame, layout, poses, fix && [fix.name, fix.size, fix.lastModified]]);
+  }
+
+  /** Let the service look into the drive again, if it is to be read otherwise or files came. */
+  async function lookAgain(isOther = false) {
+    if (!drive || (!isOther && wishKey() === lookedWith)) return;
+    const mine = wishKey();
+    lookedWith = mine;
+    const fix = reading.georeference();
+    const oxts = fix && `georeference/${fix.name}`;
+    const extras = new Map(fix && oxts ? [[oxts, fix]] : []);
+    const { pose_frame, layout, poses } = reading.read();
+    const options = { pose_frame, layout, poses, oxts };
+    const { drive: next } = await lookInto(drive.folder, { root: drive.root, options, extras });
+    if (mine !== lookedWith || !next) return; // asked again meanwhile
+    Object.assign(drive, next);
+    update();
+  }
+
+  /** What is on the map. @type {import("./preview.js").Found | null} */
   let found = null;
   /** Draw what is to be sent, and say how the map fits it. */
   function look() {
     const map = job.map.ownFile() ?? drive?.maps.get(chosenMap() ?? "") ?? null;
     if (!drive) return;
-    const { pose_frame, poses } = reading.read();
-    showPreview({ drive, map, fix: reading.georeference(), pose_frame, poses }, (next) => {
+    showPreview(drive, map, (next) => {
       found = next;
       const [text, isBad] = map ? mapVerdict(map, next) : ["", false];
       job.map.setVerdict(text, isBad);
@@ -180,30 +192,28 @@ export function formView(
       added.textContent = `${folder.name} ${places.length ? several : "holds no .label file"}.`;
       return;
     }
+    const front = `${inFolder(drive, "predictions")}/`;
+    for (const path of drive.folder.files.keys()) if (path.startsWith(front)) drive.folder.files.delete(path);
     const own = found.filter(([path]) => path.startsWith(place));
-    const files = new Map(own.map(([path, file]) => [path.slice(place.length), file]));
-    /** @type {FileProblem[]} */
-    const faults = [];
-    const numbered = numberedFiles(files, "predictions", ".label", faults);
-    added.textContent = faults[0] ? `${faults[0].path} ${faults[0].message}` : "";
-    if (!numbered || faults.length) return;
-    drive.labels.predictions = numbered;
-    update();
+    for (const [path, file] of own) drive.folder.files.set(front + path.slice(place.length), file);
+    added.textContent = "";
+    lookAgain(true);
   }
 
   /** @param {FileList} list */
   async function addFiles(list) {
     if (!drive) return;
-    const refused = [];
-    for (const file of list) {
-      if (isMap(file.name)) refused.push(`${file.name}: choose it as the map to score against.`);
-      else if (ADDED.test(file.name) || (recorded && isBeside(file.name, recorded))) drive.small.set(file.name, file);
-      else if (/^\d\d\.txt$/.test(file.name)) drive.small.set("poses.txt", file);
-      else refused.push(`${file.name}: expected ${MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti}.`);
-    }
-    await readSmall(drive);
+    const maps = [...list].filter(({ name }) => isMap(name));
+    const others = [...list].filter(({ name }) => !isMap(name));
+    for (const file of others) drive.folder.files.set(inFolder(drive, nameOf(file)), file);
+    await lookAgain(true);
+    const refused = [
+      ...maps.map(({ name }) => `${name}: choose it as the map to score against.`),
+      ...others
+        .filter((file) => ![...drive.small.values()].includes(file))
+        .map(({ name }) => `${name}: expected ${MORE_FILES[drive.layout] ?? MORE_FILES.semantickitti}.`),
+    ];
     added.textContent = refused.join(" ");
-    update();
   }
 
   /** After files came or went. */
@@ -212,7 +222,7 @@ export function formView(
       labels.setFolders(drive.labels);
       reading.setFiles();
       judge();
-      if (labels.canLabel) estimateKeyframes(drive, usualKeyframes.distance_m).then(labels.setKeyframes);
+      labels.setKeyframes(drive.look?.keyframes ?? null);
     }
     refresh();
   }
@@ -233,10 +243,11 @@ export function formView(
       const size = /** @type {[string, string]} */ (["Size", formatBytes(archive.size)]);
       fill(facts, factRows([["Archive", archive.name], size]));
     }
-    const labelling = { model, canLabel: labels.canLabel };
-    const list = drive ? sorted([...checkDrive(drive, folders, fix !== null, labelling), ...labelProblems]) : [];
+    const list = drive
+      ? sorted([...problemsOf(drive, folders, { model, canLabel: labels.canLabel }), ...labelProblems])
+      : [];
     const isError = (/** @type {FileProblem} */ each) => each.severity === "error";
-    const borrowed = drive?.borrowed.map((text) => el("p", { class: "small" }, text));
+    const borrowed = drive?.look?.borrowed.map((text) => el("p", { class: "small" }, text));
     fill(errors, problemList(list.filter(isError)));
     fill(problems, problemList(list.filter((each) => !isError(each))), borrowed);
     const complaint = list.some(isError)
@@ -326,32 +337,29 @@ function resumeNote(onContinue) {
   return el("div", { class: "note" }, title, text, el("div", { class: "row go-on" }, button));
 }
 
-/** @param {DriveFolder} drive @param {DriveFolder[]} drives @param {(drive: DriveFolder) => void} onChoose */
+/** @param {DriveFolder} drive @param {import("./drive_folder.js").ListedName[]} drives @param {(root: string) => void} onChoose */
 function driveChooser(drive, drives, onChoose) {
-  const text = (/** @type {DriveFolder} */ { root, name, scans, ground, recorded }) =>
-    `${root || name} (${recorded.size ? plural(recorded.size, "file") : plural(scans?.files.size ?? ground.size, "scan")})`;
-  const options = Object.fromEntries(drives.map((each, i) => [String(i), text(each)]));
-  const choice = select(options, String(drives.indexOf(drive)), (i) => onChoose(drives[Number(i)]));
+  const options = Object.fromEntries(
+    drives.map(({ root, name, kind, files }) => [
+      `/${root}`,
+      `${root || name} (${plural(files, kind === "rosbag" || kind === "las" ? "file" : "scan")})`,
+    ]),
+  );
+  const choice = select(options, `/${drive.root}`, (root) => onChoose(root.slice(1)));
   return field(`${drives.length} drives are in the folder: which one?`, choice);
 }
 
-/** @param {DriveFolder} drive */
-export function fingerprintOfDrive(drive) {
-  const numbered = [drive.scans, ...Object.values(drive.labels)].filter((each) => each !== null);
-  /** @type {[string, File][]} */
-  const files = [...drive.small, ...drive.ground, ...drive.recorded];
-  for (const { folder, files: own } of numbered)
-    for (const [number, file] of own) files.push([`${folder}/${number}`, file]);
-  return fingerprintOf(files);
-}
+/** @param {DriveFolder} drive @returns {string} */
+export const fingerprintOfDrive = (drive) => fingerprintOf(filesOfDrive(drive));
 
-/** @param {DriveFolder} drive */
-function hasFix({ small }) {
-  return small.has("geo.csv") || [...small.keys()].some((path) => /^(oxts|georeference|data_poses)\//.test(path));
-}
+/** @param {DriveFolder} drive @param {string} path @returns {string} A path of the drive in the folder that was picked. */
+const inFolder = ({ root }, path) => (root ? `${root}/${path}` : path);
 
-/** @param {DriveFolder} drive @returns {boolean} Whether it has a georeference, or only the service can tell. */
-const mayHaveFix = (drive) => hasFix(drive) || drive.layout === "rosbag" || drive.layout === "las";
+/** @param {File} file @returns {string} The poses of KITTI odometry are named after their sequence. */
+const nameOf = ({ name }) => (/^\d\d\.txt$/.test(name) ? "poses.txt" : name);
+
+/** @param {DriveFolder} drive @returns {boolean} Whether it has a georeference, or that is not known. */
+const mayHaveFix = ({ look }) => !look || look.georeference !== null || look.georeference_reason === null;
 
 /** @param {DriveFolder} drive */
 function labelNames(drive) {
@@ -384,11 +392,11 @@ function reasonOf({ scans, recorded }, model) {
 }
 
 /** @param {DriveFolder} drive @returns {string} */
-function georeferenceOf(drive) {
-  if (drive.small.has("geo.csv")) return "geo.csv";
-  if (hasFix(drive)) return drive.layout === "kitti360" ? "its poses or OXTS" : "oxts/";
-  if (drive.layout === "rosbag") return "the fixes in the bag, if it has any";
-  return drive.layout === "las" ? "the coordinate system, if the files name one" : "none in the folder";
+function georeferenceOf({ look, layout }) {
+  if (look?.georeference) return look.georeference;
+  if (layout === "rosbag") return "the fixes in the bag, if it has any";
+  if (layout === "las") return "the coordinate system, if the files name one";
+  return look?.georeference_reason ? "none" : "not known yet";
 }
 
 /**
@@ -399,7 +407,7 @@ function georeferenceOf(drive) {
  * @returns {Parameters<typeof factRows>[0]}
  */
 function factsOf(drive, folders, groundBytes, sending) {
-  const { scans, recorded, labels, ground, maps, unused, layout } = drive;
+  const { scans, recorded, labels, ground, maps, unused, layout, look } = drive;
   const numbers = [...(scans?.files.keys() ?? [])];
   const labelBytes = folders.reduce((sum, folder) => sum + (labels[folder]?.bytes ?? 0), 0);
   const packed = bytesOf(ground.values());
@@ -408,9 +416,9 @@ function factsOf(drive, folders, groundBytes, sending) {
   const part = `${formatBytes(scans ? groundBytes * scans.files.size : packed)} of ${whole}`;
   const sent = { keyframes: `at most about ${part}`, scans: `about ${part}` }[sending] ?? whole;
   return [
-    ["Layout", LAYOUTS[layout]],
+    ["Layout", LAYOUTS[layout] ?? "not known yet"],
     scans && ["Scans", `${plural(numbers.length, "scan")}, ${numbers[0]} to ${numbers.at(-1)}`],
-    scans && ["Points", `about ${formatCount(scans.bytes / 16 / numbers.length)} per scan`],
+    scans && ["Points", `about ${formatCount(look?.points_per_scan ?? 0)} per scan`],
     recorded.size > 0 && [
       layout === "pcd" ? "Scans" : "Files",
       `${plural(recorded.size, layout === "pcd" ? "scan" : "file")}, ${formatBytes(taken)}`,

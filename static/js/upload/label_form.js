@@ -25,6 +25,7 @@ const IN_FILES = {
 /** Labels that the browser cannot see: it does not read these files. By layout; "" is an archive. */
 const UNSEEN = /** @type {Record<string, {title: string, hint: string}>} */ ({
   "": { title: "Those in the archive", hint: "labels/ or predictions/, or labels of the points themselves." },
+  unknown: { title: "Those in the folder", hint: "labels/ or predictions/, or labels of the points themselves." },
   pcd: { title: "Labels of the points themselves", hint: "Their field label." },
   rosbag: {
     title: "Labels of the points themselves",
@@ -51,7 +52,7 @@ export function labelForm({ drive, networks, before }, { onChange, onFolder }) {
   const usable = networks.filter(({ problem }) => problem === null);
   /** Time that each takes, to be filled in. @type {Map<Network, HTMLElement>} */
   const hints = new Map(usable.map((network) => [network, el("span", {})]));
-  const areSeen = drive?.scans || drive?.fields?.hasLabel === false; // label files, or none at all
+  const areSeen = drive?.scans || drive?.look?.carries_labels === false; // label files, or none at all
   const unseen = areSeen ? null : UNSEEN[drive?.layout ?? ""];
   const offers = usable.map((network) => ({
     value: OF_NETWORK + network.name,

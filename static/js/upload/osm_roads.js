@@ -1,7 +1,5 @@
 /** The roads of an OSM file near a track, and how much of the track it covers. Only for a look: the service scores. */
 
-import { toMetres } from "./track.js";
-
 /** @typedef {{simulator: string, drivable: string[]}} Words Of OSM files, as the service reads them. */
 /** @typedef {{west: number, south: number, east: number, north: number}} Box Degrees. */
 /** @typedef {{line: number[][], properties: {highway: string, is_drivable: boolean}}} Road As results have them. */
@@ -18,6 +16,7 @@ const MARGIN_DEG = 0.01; // about a kilometre
 const MAX_CHARACTERS = 1e9;
 const MAX_NODES = 3e6;
 const MAX_SAMPLES = 200;
+const METRES_PER_DEGREE = 111_320;
 const ELEMENT = /<(\/?)(osm|bounds|node|way|nd|tag)\b([^>]*)>/g; // a ">" in a value is written as &gt;
 
 /** @param {string} name @returns {boolean} Whether the browser can read such a file: XML, plain or packed by gzip. */
@@ -177,6 +176,12 @@ function medianDistance(track, roads) {
     distances.push(Math.sqrt(nearest));
   }
   return distances.sort((a, b) => a - b)[Math.floor(distances.length / 2)];
+}
+
+/** @param {number[]} place Longitude, latitude. @param {number[]} origin @returns {number[]} East and north, metres. */
+function toMetres([lon, lat], origin) {
+  const parallel = METRES_PER_DEGREE * Math.cos((origin[1] * Math.PI) / 180);
+  return [(lon - origin[0]) * parallel, (lat - origin[1]) * METRES_PER_DEGREE];
 }
 
 /** @param {number} x @param {number} y @param {number[]} a @param {number[]} b @returns {number} Squared, to the segment. */

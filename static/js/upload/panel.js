@@ -8,7 +8,7 @@ import { el, fill, formatAgo, formatBytes, icon, plural } from "../dom.js";
 import { afterDeletion } from "../job/words.js";
 import { confirmAction, problemNote, showError, showMessage } from "../messages.js";
 import { getState, setState } from "../state.js";
-import { findDrives, noDriveReason } from "./drive_folder.js";
+import { lookInto } from "./drive_folder.js";
 import { canPickHandles, folderOfHandle, folderOfInput, measure, readDrop } from "./folder.js";
 import { fingerprintOfDrive, formView } from "./form.js";
 import { forget, handleOf, rememberedUploads } from "./memory.js";
@@ -22,7 +22,7 @@ import { Refusal, Upload } from "./upload.js";
 /**
  * @typedef {object} Picked
  * @property {DriveFolder | null} drive
- * @property {DriveFolder[]} drives All in the folder.
+ * @property {import("./drive_folder.js").ListedName[]} drives All in the folder.
  * @property {File | null} archive
  * @property {FileSystemDirectoryHandle | null} handle
  */
@@ -197,15 +197,19 @@ function counter() {
 /** @param {Folder} folder @param {Begun | null} begun */
 async function showFolder(folder, begun) {
   await measure(folder, counter());
-  const drives = await findDrives(folder);
-  if (!drives.length) {
-    const error = { title: "No drive in this folder", detail: noDriveReason(folder) };
+  let { drives, drive, reason } = await lookInto(folder);
+  if (!drive) {
+    const error = { title: "No drive in this folder", detail: /** @type {string} */ (reason) };
     await showStart(problemNote(error), begun);
     return;
   }
-  const known = rememberedUploads();
-  const match = drives.find((drive) => known.some((upload) => upload.fingerprint === fingerprintOfDrive(drive)));
-  await showForm({ drive: match ?? drives[0], drives, archive: null, handle: folder.handle }, begun);
+  const first = drive.root;
+  for (const { root, fingerprint } of rememberedUploads()) {
+    if (root === first || !drives.some((each) => each.root === root)) continue;
+    const other = (await lookInto(folder, { root })).drive;
+    if (other && fingerprintOfDrive(other) === fingerprint) drive = other;
+  }
+  await showForm({ drive, drives, archive: null, handle: folder.handle }, begun);
 }
 
 /** @param {File} file @param {Begun | null} begun */
@@ -231,13 +235,19 @@ async function showForm(picked, begun) {
     {
       onStart: (source, settings) => start(picked, new Upload(source, settings, () => {}, begun?.driveId ?? null)),
       onBack: () => run(() => showStart()),
-      onChoose: (drive) => run(() => showForm({ ...picked, drive }, null)),
+      onChoose: (root) => run(() => chooseDrive(picked, root)),
       onContinue: (upload) => run(() => goOn(picked, upload)),
     },
   );
   busyElsewhere = null;
   if (!picked.drive) dropPreview();
   fill(panel, view);
+}
+
+/** @param {Picked} picked @param {string} root */
+async function chooseDrive(picked, root) {
+  const { folder } = /** @type {DriveFolder} */ (picked.drive);
+  await showForm({ ...picked, drive: (await lookInto(folder, { root })).drive }, null);
 }
 
 /** @param {Remembered} upload */
@@ -249,8 +259,7 @@ async function continueByHandle(upload) {
     return;
   }
   const folder = await folderOfHandle(handle, counter());
-  const drives = await findDrives(folder);
-  const drive = drives.find((each) => each.root === upload.root);
+  const { drives, drive } = await lookInto(folder, { root: upload.root });
   if (!drive) throw new Error(`${folder.name} no longer holds ${upload.root || upload.name}. Pick its folder again.`);
   await goOn({ drive, drives, archive: null, handle }, upload);
 }
@@ -331,11 +340,10 @@ async function start(picked, upload) {
 
 /** Draw what is being sent. @param {DriveFolder} drive @param {Upload} upload */
 function previewOf(drive, { source, settings }) {
-  const { options, job } = settings;
+  const { job } = settings;
   const path = job?.osm && "file" in job.osm ? job.osm.file : "";
   const map = source.extras.get(path) ?? drive.maps.get(path) ?? null;
-  const fix = source.extras.get(options.oxts ?? "") ?? null;
-  showPreview({ drive, map, fix, pose_frame: options.pose_frame, poses: options.poses }, () => {});
+  showPreview(drive, map, () => {});
 }
 
 /** @param {Remembered} upload */

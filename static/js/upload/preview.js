@@ -4,30 +4,20 @@ import { getConfig } from "../api.js";
 import { trackAlone } from "../data/results.js";
 import { formatMetres, formatPercent, plural } from "../dom.js";
 import { setPreview, shown } from "../map/shown.js";
-import { posesOf } from "./drive_folder.js";
 import { isReadableMap } from "./osm_roads.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
-/** @typedef {import("./track.js").Track} Track */
+/** @typedef {import("./drive_folder.js").Track} Track */
 /** @typedef {import("./osm_roads.js").MapLook} MapLook */
-/**
- * @typedef {object} Wanted
- * @property {DriveFolder} drive
- * @property {File | null} map
- * @property {File | null} fix A georeference from elsewhere.
- * @property {string} pose_frame
- * @property {string | null} poses Path of the file that holds the poses, where there are several.
- */
 /** @typedef {{track: Track | null, look: MapLook | null, isDone: boolean}} Found */
 
-const POSES = ["poses.txt", "cam0_to_world.txt", "poses.tum", "trajectory.tum", "trajectory.txt"];
 const FIT_M = 10; // poses drift: by some metres on a drive of some kilometres
 const FIT_SHARE = 0.02;
 const ROAD_M = 15;
 
 /** @type {Worker | null} */
 let worker = null;
-/** What the worker was asked for, so that it is not asked again. */
+/** What is shown, so that it is not looked at again. */
 let asked = "";
 /** @type {Found | null} */
 let last = null;
@@ -35,15 +25,15 @@ let last = null;
 let listener = () => {};
 
 /**
- * Read a drive and show it; anything that was read before is given up.
+ * Show where a drive went, and what its map has there; anything that was looked at before is given up.
  *
- * @param {Wanted} wanted
+ * @param {DriveFolder} drive
+ * @param {File | null} map
  * @param {(found: Found) => void} onFound Called with the track, and again with what the map has there.
  */
-export function showPreview({ drive, map, fix, pose_frame, poses }, onFound) {
-  const files = trackFilesOf(drive, fix, pose_frame, poses);
-  const named = [files.poses, files.fixes, map].map((file) => file && [file.name, file.size, file.lastModified]);
-  const key = JSON.stringify([drive.root, drive.name, files.frames.length, files.oxts.length, pose_frame, named]);
+export function showPreview(drive, map, onFound) {
+  const track = drive.look?.track ?? null;
+  const key = JSON.stringify([drive.root, drive.name, track, map && [map.name, map.size, map.lastModified]]);
   listener = onFound;
   if (key === asked) {
     if (last) onFound(last);
@@ -53,24 +43,23 @@ export function showPreview({ drive, map, fix, pose_frame, poses }, onFound) {
   asked = key;
   const show = (/** @type {Found} */ found) => {
     last = found;
-    setPreview(found.track && previewOf(drive, found, map));
+    setPreview(track && previewOf(drive, found, map));
     listener(found);
   };
-  if ((!files.poses && !files.fixes && !files.oxts.length) || typeof Worker !== "function") {
-    show({ track: null, look: null, isDone: true });
-    return;
-  }
+  const canLook = track && !track.local && map && isReadableMap(map.name) && typeof Worker === "function";
+  show({ track, look: null, isDone: !canLook });
+  if (!canLook) return;
   worker = new Worker(new URL("./preview_worker.js", import.meta.url), { type: "module" });
-  worker.addEventListener("message", ({ data }) => {
-    if (data.isDone) worker?.terminate();
-    show({ look: null, ...data });
+  worker.addEventListener("message", ({ data: look }) => {
+    worker?.terminate();
+    show({ track, look, isDone: true });
   });
   worker.addEventListener("error", (event) => {
-    event.preventDefault(); // there is no picture then, and that is all
-    show({ track: null, look: null, isDone: true });
+    event.preventDefault(); // there are no roads then, and that is all
+    show({ track, look: null, isDone: true });
   });
   const { simulator, drivable } = getConfig();
-  worker.postMessage({ files, map, words: { simulator, drivable } });
+  worker.postMessage({ positions: track.positions, map, words: { simulator, drivable } });
 }
 
 /** Show it no more. */
@@ -93,37 +82,15 @@ function dropWorker() {
   asked = "";
 }
 
-/**
- * @param {DriveFolder} drive
- * @param {File | null} fix
- * @param {string} pose_frame
- * @param {string | null} posesPath
- * @returns {import("./track.js").TrackFiles}
- */
-export function trackFilesOf({ scans, small }, fix, pose_frame, posesPath) {
-  const poses = [posesPath ?? "", ...POSES].flatMap((path) => small.get(path) ?? [])[0] ?? posesOf(small);
-  const isPublished = [...small].some(([path, file]) => file === poses && path.startsWith("data_poses/"));
-  const world = isPublished ? getConfig().kitti360_world : null;
-  const single = /** @type {[number, File][]} */ ([]);
-  /** @type {File | null} */
-  let rows = fix ?? small.get("geo.csv") ?? null;
-  for (const [path, file] of rows ? [] : small) {
-    const match = /^(?:data_poses\/[^/]+\/)?oxts\/(?:[^/]+\/)?([^/]+)\.txt(?:\.gz)?$/.exec(path);
-    if (match && /^\d+$/.test(match[1])) single.push([Number(match[1]), file]);
-  }
-  if (single.length === 1) rows = single.pop()?.[1] ?? null; // one file with a row per frame
-  return { frames: [...(scans?.files.keys() ?? [])], poses, pose_frame, world, fixes: rows, oxts: single };
-}
-
 /** @param {DriveFolder} drive @param {Found} found @param {File | null} map @returns {import("../map/shown.js").Preview} */
 function previewOf(drive, { track, look }, map) {
-  const { scans, fitted, local, length_m } = /** @type {Track} */ (track);
-  const result = trackAlone(scans, local);
-  result.keyframes = scans.map(([lng, lat]) => ({ lng, lat, properties: {} }));
+  const { positions, fitted, local, length_m } = /** @type {Track} */ (track);
+  const result = trackAlone(positions, local);
+  result.keyframes = positions.map(([lng, lat]) => ({ lng, lat, properties: {} }));
   result.places = fitted ? [fitted] : [];
   result.roads = look?.roads ?? [];
   result.isMadeUp = look?.isMadeUp ?? false;
-  const parts = [plural(scans.length, "scan"), formatMetres(length_m, 0)];
+  const parts = [plural(positions.length, "scan"), formatMetres(length_m, 0)];
   if (local) parts.push("in metres of its poses: no georeference");
   if (look?.roads.length) parts.push(`roads of ${map?.name}`);
   const fit = fitVerdict(/** @type {Track} */ (track));

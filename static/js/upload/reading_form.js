@@ -4,7 +4,6 @@ import { field, filePicker, radios, select } from "../controls.js";
 import { el, fill, formatCount } from "../dom.js";
 import { LAYOUTS, oxtsRows } from "./drive_folder.js";
 import { folderOfInput } from "./folder.js";
-import { isRecordedLayout, mayBePoses } from "./recordings.js";
 
 /** @typedef {import("./drive_folder.js").DriveFolder} DriveFolder */
 
@@ -22,7 +21,7 @@ const FOUND = "Found by itself";
  */
 export function readingForm(drive, before, onChange) {
   const georeference = georeferenceField(drive?.layout ?? null, onChange);
-  const own = drive && isRecordedLayout(drive.layout) ? drive.layout : null;
+  const own = drive?.recorded.size ? drive.layout : null;
   const mayBe = (/** @type {string} */ layout) => drive === null || own === layout;
   const poseFrame = select(POSE_FRAMES, before?.options.pose_frame ?? "auto", onChange);
   const { reduced: _, ...layouts } = LAYOUTS;
@@ -53,7 +52,7 @@ export function readingForm(drive, before, onChange) {
 
   /** Offer the files that may hold the poses: they may come and go. */
   function setFiles() {
-    const names = drive && own ? [...drive.small.keys()].filter((path) => mayBePoses(path, own)) : [];
+    const names = drive?.look?.pose_files ?? [];
     const wanted = poseFile.value || poses;
     fill(poseFile, el("option", { value: "" }, FOUND), ...names.map((path) => el("option", { value: path }, path)));
     poseFile.value = wanted && names.includes(wanted) ? wanted : "";

@@ -235,16 +235,12 @@ export class Upload {
 
   /** @param {DriveFolder} drive @param {import("./sending.js").Present} present @param {boolean} isSame */
   async #sendScans(drive, present, isSame) {
-    const { folders, sending } = this.settings;
+    const { folders, sending, options } = this.settings;
     this.#update({ step: "plan", message: "Reading poses and georeference" });
-    const { frames_to_look_into } = await this.#askPlan(drive, {});
-    if (this.settings.options.model) {
-      await this.#sendAll(rawFiles(drive, []), present, isSame);
-      return;
-    }
-    const plan = await this.#askPlan(drive, await countFolders(drive, folders, frames_to_look_into));
-    if (sending === "raw") {
-      await this.#sendAll(rawFiles(drive, folders), present, isSame);
+    const labels = options.model ? [] : folders;
+    const plan = await this.#askPlan(drive, await countFolders(drive, labels));
+    if (options.model || sending === "raw") {
+      await this.#sendAll(rawFiles(drive, labels), present, isSame);
       return;
     }
     /** @type {Map<string, JudgedLabels>} */
@@ -273,7 +269,7 @@ export class Upload {
    * Let the service read the small files, and judge the labels.
    *
    * @param {DriveFolder} drive
-   * @param {LabelCounts} label_counts Of the scans `frames_to_look_into`, which the first answer names.
+   * @param {LabelCounts} label_counts Of the scans that are looked into.
    */
   async #askPlan(drive, label_counts) {
     const { folders, options, sending } = this.settings;
@@ -372,10 +368,10 @@ export class Upload {
  *
  * @param {DriveFolder} drive
  * @param {string[]} folders
- * @param {number[]} frames
  * @returns {Promise<LabelCounts>}
  */
-export async function countFolders(drive, folders, frames) {
+export async function countFolders(drive, folders) {
+  const frames = drive.look?.frames_to_look_into ?? [];
   /** @type {LabelCounts} */
   const all = {};
   for (const folder of folders) {

@@ -13,7 +13,6 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
-from interloc.drives.georeference import kitti360
 from interloc.evaluation.map_level import GATE_M
 from interloc.osm.container import SIMULATOR
 from interloc.osm.policies import POLICIES
@@ -222,11 +221,9 @@ def test_the_page_learns_the_words_for_what_it_shows(serve_all: Callable[..., ht
     assert 65535 in schemes["kitti360"]["known"]
     assert ".osm.pbf" in told["file_kinds"]["maps"]
     assert ".tar.zst" in told["file_kinds"]["archives"]
-    assert "label" in told["file_kinds"]["label_fields"]
     assert told["file_kinds"]["label_folders"] == ["labels", "predictions"]
     assert told["raw_first_frames"] == {"2011_09_30_drive_0028": 1100}
     assert told["raw_sequences"]["2011_09_30_drive_0018"] == "05"
-    assert told["kitti360_world"]["lat_deg"] == kitti360.ORIGIN_LAT_DEG
     assert told["simulator"] == SIMULATOR
     assert "service" in told["drivable"]
     assert told["search_radius_km"] == {"default": 3.0, "minimum": 0.1, "maximum": 20.0}

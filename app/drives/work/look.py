@@ -1,0 +1,86 @@
+"""A look at a folder of a client: by the code that reads drives, and by the limits of the service."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from app.drives.work.commit import reading_options
+from app.paths import BadNameError, check_path, is_recording
+from interloc.config import KeyframeConfig
+from interloc.drives.findings import Finding
+from interloc.reduction.look import DriveLook, FolderLook, look_into
+
+_MAX_PROBLEMS = 100
+
+
+def look(
+    files: dict[str, int],
+    contents: dict[str, bytes],
+    name: str,
+    root: str | None,
+    options: dict[str, Any],
+    keyframes: KeyframeConfig,
+    limits: dict[str, int],
+    place: Path,
+) -> FolderLook:
+    """Look into a folder; parameters as of `LookRequest`.
+
+    Parameters
+    ----------
+    limits
+        What the service takes, under the names of its settings.
+    place
+        Where folders can be made for a moment.
+    """
+    valid, refused = {}, []
+    for path, size in files.items():
+        try:
+            valid[check_path(path)] = size
+        except BadNameError as error:
+            refused.append(str(error))
+    found = look_into(
+        valid,
+        contents,
+        name,
+        root,
+        partial(reading_options, options),
+        keyframes=keyframes,
+        max_files=limits["max_drive_files"],
+        place=place,
+    )
+    if found.drive is None:
+        return found
+    problems = [*_too_large(found.drive, valid, limits), *found.drive.problems]
+    if len(problems) > _MAX_PROBLEMS:
+        more = f"And {len(problems) - _MAX_PROBLEMS:,} more problems."
+        problems = [*problems[:_MAX_PROBLEMS], Finding("note", "", more)]
+    if refused:
+        problems.append(Finding("note", "files", f"{len(refused):,} are left out for their names: {refused[0]}"))
+    return found.model_copy(update={"drive": found.drive.model_copy(update={"problems": problems})})
+
+
+def _too_large(drive: DriveLook, files: dict[str, int], limits: dict[str, int]) -> Iterator[Finding]:
+    """Find what of the files that are sent as they are is larger than the service takes."""
+    for inside, path in drive.whole.items():
+        setting = "max_recording_bytes" if is_recording(path) else "max_file_bytes"
+        if files[path] > limits[setting]:
+            split = " Split the recording." if is_recording(path) else ""
+            yield _limit(
+                inside, f"is too large: it has {_mb(files[path])}", f"files of {_mb(limits[setting])}", setting, split
+            )
+    total = sum(files[path] for path in drive.whole.values())
+    if total > limits["max_drive_bytes"]:
+        most = f"drives of {_mb(limits['max_drive_bytes'])}"
+        yield _limit("files", f"are too large together: {_mb(total)}", most, "max_drive_bytes")
+
+
+def _limit(path: str, found: str, most: str, setting: str, remedy: str = "") -> Finding:
+    text = f"{found}; the service takes {most} at most (INTERLOC_{setting.upper()}).{remedy}"
+    return Finding("error", path, text)
+
+
+def _mb(size: int) -> str:
+    return f"{size / 1e6:,.1f} MB"

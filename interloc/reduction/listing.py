@@ -1,0 +1,229 @@
+"""Which drives a folder holds, and which of its files belong to each, told from a listing: paths and sizes."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from interloc.drives.layouts import KITTI360_POSES, POSE_FILES, SCAN_FOLDERS, pcd_ending
+from interloc.drives.options import LabelFolder
+from interloc.drives.scans.las.open import SUFFIXES as LAS_SUFFIXES
+from interloc.drives.scans.las.tracks import TRACK_SUFFIXES
+from interloc.drives.scans.rosbag.bag import SUFFIXES as BAG_SUFFIXES
+from interloc.wording import counted
+
+Kind = Literal["bin", "pcd", "rosbag", "las", "reduced"]
+"""How the scans of a drive are kept; of "bin" the small files tell the layout."""
+
+Listing = Mapping[str, int]
+"""Path in a folder -> bytes."""
+
+_SIGNS = re.compile(rf"(?:(?P<root>.*)/)?(?:(?:{'|'.join(SCAN_FOLDERS)})/[^/]+\.bin|(?P<manifest>reduced\.json))")
+_INSIDE = {"pcd": rf"(^|/)(pcd|clouds|{'|'.join(SCAN_FOLDERS)})$", "las": "(^|/)(las|laz)$", "rosbag": "(?!)"}
+_CALIBRATION = re.compile(r"(?:(?P<above>.*?)/)??(?P<place>(?:calibration/[^/]+|calib[^/]*)\.txt)")
+_KITTI360 = re.compile(
+    rf"(?:(?P<above>.*)/)?(?P<source>{KITTI360_POSES}(?:_oxts)?/(?P<drive>[^/]+))/"
+    r"(?P<place>(?:poses|cam0_to_world|oxts/(?:[^/]+/)?[^/]+)\.txt)"
+)
+_SMALL = re.compile(
+    r"(?:poses|cam0_to_world|times|timestamps|calib[^/]*|calibration/[^/]+|velodyne_points/timestamps[^/]*)\.txt"
+    r"|geo\.csv|oxts/(?:[^/]+/)?[^/]+\.txt(?:\.gz)?|georeference/.+"
+)
+_BESIDE: dict[Kind, str] = {  # what else belongs to a drive of this kind
+    "bin": "(?!)",
+    "pcd": "|".join(map(re.escape, POSE_FILES)),
+    "rosbag": r"metadata\.yaml",
+    "las": rf"(?:(?:las|laz)/)?[^/]+(?:{'|'.join(map(re.escape, sorted(TRACK_SUFFIXES)))})",
+    "reduced": r".+\.(?:txt|csv)(?:\.gz)?|reduced\.json",
+}
+_GROUND = re.compile(r"ground/[^/]+/\d+\.ground")
+
+
+@dataclass
+class ListedDrive:
+    """A drive in a listing; its files by their paths in the drive, each with its path in the folder.
+
+    Attributes
+    ----------
+    root : str
+        Its folder; "" where it is the folder that was listed.
+    name : str
+    kind : str
+    scans, labels : dict of str to str
+        Files of scans (of ground points, of a reduced drive) and of labels.
+    small : dict of str to str
+        Poses, times, calibration and georeference; or what may be such.
+    borrowed : list of str
+        What was taken from beside the drive, in words.
+    """
+
+    root: str
+    name: str
+    kind: Kind
+    scans: dict[str, str] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
+    small: dict[str, str] = field(default_factory=dict)
+    borrowed: list[str] = field(default_factory=list)
+
+    @property
+    def files(self) -> dict[str, str]:
+        """All files that reading it may need."""
+        return {**self.scans, **self.labels, **self.small}
+
+    def take(self, inside: str, path: str) -> None:
+        """Note what a file is for."""
+        folder, _, name = inside.rpartition("/")
+        if self.kind == "reduced":
+            is_scan, is_label = _GROUND.fullmatch(inside) is not None, False
+        elif self.kind == "bin":
+            is_scan = folder in SCAN_FOLDERS and name.endswith(".bin")
+            is_label = folder in get_args(LabelFolder) and name.endswith(".label")
+        else:
+            is_scan = _recorded_kind(inside) == self.kind and not _home_of(inside, self.kind)
+            is_label = folder in get_args(LabelFolder) and name.endswith(".label")
+        if is_scan:
+            self.scans[inside] = path
+        elif is_label:
+            self.labels[inside] = path
+        elif _SMALL.fullmatch(inside) or re.fullmatch(_BESIDE[self.kind], inside, re.IGNORECASE):
+            self.small[inside] = path
+
+
+def find_drives(listing: Listing, name: str) -> list[ListedDrive]:
+    """Find the drives in a folder: in itself, or in folders below it.
+
+    Parameters
+    ----------
+    listing
+    name : str
+        Of the folder: that of a drive that is the folder itself.
+
+    Returns
+    -------
+    list of ListedDrive
+        In the order of their paths.
+    """
+    kinds = _roots(listing)
+    drives = {root: ListedDrive(root, root.rpartition("/")[2] or name, kinds[root]) for root in sorted(kinds)}
+    beside = _Beside(listing)
+    for path in listing:
+        root = next((folder for folder in _folders_above(path) if folder in drives), None)
+        if root is not None:
+            drives[root].take(path[len(root) + 1 if root else 0 :], path)
+    for drive in drives.values():
+        if drive.kind in {"bin", "pcd"}:
+            beside.lend(drive)
+    return list(drives.values())
+
+
+def _roots(listing: Listing) -> dict[str, Kind]:
+    """Return the folders of the drives; what lies in, or around, one with .bin files or a manifest belongs to that."""
+    roots: dict[str, Kind] = {}
+    recorded: defaultdict[str, Counter[Kind]] = defaultdict(Counter)
+    for path, size in listing.items():
+        if (kind := _recorded_kind(path)) is not None:
+            recorded[_home_of(path, kind)][kind] += size
+        elif match := _SIGNS.fullmatch(path):
+            root = match["root"] or ""
+            if roots.get(root) != "reduced":
+                roots[root] = "reduced" if match["manifest"] else "bin"
+    around = {folder for root in roots for folder in (root, *_folders_above(root))}
+    inside = set(roots)
+    for root, sizes in recorded.items():
+        if root not in around and inside.isdisjoint(_folders_above(root)):
+            roots[root] = sizes.most_common(1)[0][0]  # a bag beside a map as a point cloud: the larger one
+    return roots
+
+
+def _folders_above(path: str) -> Iterator[str]:
+    """Return the folders that a path lies in, the nearest first; "" is the last."""
+    while path:
+        path = path.rpartition("/")[0]
+        yield path
+
+
+def _recorded_kind(path: str) -> Kind | None:
+    """Return which kind of drive a file is a recording of, by its name."""
+    if pcd_ending(path):
+        return "pcd"
+    suffix = "." + path.rpartition(".")[2].lower()
+    return "rosbag" if suffix in BAG_SUFFIXES else "las" if suffix in LAS_SUFFIXES else None
+
+
+def _home_of(path: str, kind: Kind) -> str:
+    """Return the folder of the drive that a recording belongs to."""
+    return re.sub(_INSIDE[kind], "", path.rpartition("/")[0])
+
+
+class _Beside:
+    """What the layouts keep beside a drive, not in it: calibration of the day, poses of an odometry data set."""
+
+    def __init__(self, listing: Listing) -> None:
+        self._listing = listing
+        self._calibration: defaultdict[str, list[str]] = defaultdict(list)
+        self._poses: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+        for path in listing:
+            if match := _CALIBRATION.fullmatch(path):
+                self._calibration[match["above"] or ""].append(match["place"])
+            elif match := _KITTI360.fullmatch(path):
+                self._poses[match["above"] or "", match["drive"]].append(path)
+
+    def lend(self, drive: ListedDrive) -> None:
+        """Give a drive what belongs to it."""
+        for level, above in zip((1, 2), _folders_above(drive.root), strict=False):
+            front = f"{above}/" if above else ""
+            for place in self._calibration[above]:
+                if level == 1 or "/" in place:
+                    self._give(drive, front + place, place)
+            if any(path.startswith("velodyne/") for path in drive.scans):
+                self._give(drive, f"{front}poses/{drive.name}.txt", POSE_FILES[0])
+            elif drive.kind == "bin":
+                self._give_poses(drive, above, front)
+
+    def _give(self, drive: ListedDrive, path: str, inside: str) -> None:
+        if path in self._listing and inside not in drive.small:
+            drive.small[inside] = path
+            drive.borrowed.append(f"{path} is taken {'with it' if path == inside else f'as {inside}'}.")
+
+    def _give_poses(self, drive: ListedDrive, above: str, front: str) -> None:
+        """Give it the poses and OXTS that KITTI-360 keeps in folders of their own."""
+        counts: Counter[str] = Counter()
+        for path in self._poses[above, drive.name]:
+            match = _KITTI360.fullmatch(path)
+            assert match is not None
+            inside = f"{KITTI360_POSES}/{drive.name}/{match['place']}"
+            if inside not in drive.small:
+                drive.small[inside] = path
+                counts[match["source"]] += 1
+        drive.borrowed += [f"{front}{source}/ is taken with it: {counted(n, 'file')}." for source, n in counts.items()]
+
+
+_REASONS = (
+    (r"[^/]+\.bin", "holds the scans themselves: pick the folder above it"),
+    (r"[^/]+\.label", "holds labels only: pick the folder above it"),
+    (r"(?i:.*\.(bag|db3|mcap)\.(zst|zstd|gz|lz4))", "holds a bag that is compressed as a whole: unpack it first"),
+    (r".*\.bag\.active", "holds a recording that was not ended properly: make a bag of it with rosbag reindex"),
+    (r"(?i:.*\.(zip|tar|tgz|tar\.\w+))", "holds an archive: pick the archive itself, or unpack it first"),
+    (
+        r"(.*/)?data_poses/.*|\d{4}_\d\d_\d\d_drive_\d{4}_sync/(poses|cam0_to_world)\.txt",
+        "holds poses but no scans: pick the root of KITTI-360, with data_3d_raw/ in it",
+    ),
+    (r".*\.label", "holds labels but no scans: pick the folder that has velodyne/ too"),
+    (r"(?i:[^/]*\.osm(\.\w+)?)", "is a map alone: pick the folder of the drive, and choose the map with it"),
+)
+_EXPECTED = (
+    "Expected the folder of one drive: velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI), "
+    "velodyne_points/data/ and oxts/ (KITTI raw), PCD files with poses.txt, a ROS bag (.bag, .db3, .mcap), or LAS or "
+    "LAZ files with their trajectory."
+)
+
+
+def reason_for_none(listing: Listing, name: str) -> str:
+    """Return why there is no drive in a folder."""
+    for pattern, reason in _REASONS:
+        if any(re.fullmatch(pattern, path) for path in listing):
+            return f"{name} {reason}. {_EXPECTED}"
+    return f"{name} {'is not a drive' if listing else 'is empty'}. {_EXPECTED}"

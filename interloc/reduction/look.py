@@ -1,0 +1,449 @@
+"""A look at a folder that is elsewhere: what is in it and wrong with it, told from its listing and its small files.
+
+The folder is laid out again: every file of the drive under its name and with its size, but without contents, which
+takes no space on disk; only the small files have theirs. So the code that reads a drive reads it here too, and a
+client that holds the files need not know the layouts.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal, get_args
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from interloc.arrays import FloatArray, IntArray
+from interloc.config import KeyframeConfig
+from interloc.detection.keyframes import select_keyframes
+from interloc.drives.checks import check_georeference, sample_indices
+from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, list_numbered
+from interloc.drives.findings import DriveFileError, Finding, Findings
+from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
+from interloc.drives.open import SAMPLED_SCANS
+from interloc.drives.options import DriveOptions, LabelFolder, LayoutName
+from interloc.drives.scans.bin_files import BinScans, open_bin_files
+from interloc.drives.scans.las.tracks import find_tracks
+from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, open_pcd_files, read_header
+from interloc.drives.scans.raw import RawStore
+from interloc.drives.scans.recorded import Recording
+from interloc.drives.scans.reduced import ReducedStore
+from interloc.drives.scans.reduced_format import read_manifest, to_runs
+from interloc.drives.scans.rosbag.bag import find_bag
+from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
+from interloc.geometry import enu_from_lonlat, lonlat_from_enu
+from interloc.reduction.listing import Kind, ListedDrive, Listing, find_drives, reason_for_none
+
+HEAD_BYTES = 65_536
+"""What is enough of a file to see what it is."""
+
+_MEMORY = Path("/dev/shm")  # noqa: S108 - a folder of a random name is made there
+_PAGE_BYTES = 4096
+_MAX_POSITIONS = 20_000
+_FOLDERS: tuple[LabelFolder, ...] = get_args(LabelFolder)
+
+
+class LookedNumbers(BaseModel):
+    """The numbered files of a folder, as 000000.bin."""
+
+    folder: str = Field(description="Path in the drive.", examples=["velodyne"])
+    suffix: str = Field(examples=[".bin"])
+    digits: int = Field(description="Width that the numbers are padded to with zeros.")
+    runs: list[tuple[int, int]] = Field(description="Numbers, as runs: the first, and how many there are.")
+    count: int
+    size_bytes: int
+
+
+class LookedLabels(LookedNumbers):
+    """A folder of labels."""
+
+    problems: list[Finding] = Field(description="What is wrong with them by their names and sizes.")
+
+
+class LookedTrack(BaseModel):
+    """Where the drive went; positions are longitude and latitude, or metres (x, y) where it has no georeference."""
+
+    local: bool = Field(description="Whether the positions are metres.")
+    positions: list[tuple[float, float]] = Field(description="Of the scans, or of some of very many.")
+    fitted: list[tuple[float, float]] | None = Field(
+        description="The poses laid over the georeference, moved and turned but not bent."
+    )
+    fit_m: float | None = Field(description="Median distance of the two in metres.")
+    length_m: float = Field(description="Distance driven in metres.")
+
+
+class ListedName(BaseModel):
+    """A drive in the folder."""
+
+    root: str = Field(description="Its path in the folder; empty where it is the folder itself.")
+    name: str
+    kind: Kind = Field(description="How its scans are kept; `layout` says more.")
+    files: int = Field(description="Number of its scans, or of its recordings.")
+
+
+class DriveLook(ListedName):
+    """What is in a drive, and what is wrong with it."""
+
+    model_config = ConfigDict(json_schema_serialization_defaults_required=True)
+
+    layout: LayoutName | Literal["reduced"] | None = None
+    scans: LookedNumbers | None = Field(None, description="Scans that the client can reduce itself.")
+    points_per_scan: int | None = None
+    labels: dict[LabelFolder, LookedLabels] = Field({}, description="Folders of label files.")
+    unlabelled: list[Finding] = Field([], description="What is wrong where neither label files nor a network are used.")
+    carries_labels: bool | None = Field(None, description="Whether the points have labels; null: that is not known.")
+    whole: dict[str, str] = Field(
+        {}, description="Recordings, or ground points, which are sent as they are: path in the drive -> in the folder."
+    )
+    small: dict[str, str] = Field({}, description="Small files to be sent: path in the drive -> path in the folder.")
+    pose_files: list[str] = Field([], description="Files that may hold the poses of a recording.")
+    borrowed: list[str] = Field([], description="Notes on files that are taken from beside the drive.")
+    wanted: dict[str, int] = Field(
+        {}, description="Files whose contents tell more: path in the folder -> how many of their first bytes to give."
+    )
+    georeference: str | None = Field(None, description="Where the georeference comes from.")
+    georeference_reason: str | None = Field(None, description="Why there is none.")
+    pose_frame: str | None = Field(None, description="Sensor whose poses the pose file holds.")
+    track: LookedTrack | None = None
+    keyframes: int | None = Field(None, description="Number of scans that a job needs.")
+    frames_to_look_into: list[int] = Field(
+        [], description="Numbers of the scans whose label ids tell the label scheme (POST /drives/labels)."
+    )
+    problems: list[Finding] = []
+
+
+class FolderLook(BaseModel):
+    """What a folder holds."""
+
+    drives: list[ListedName] = Field(description="All drives in it.")
+    drive: DriveLook | None = Field(description="The one that was asked for.")
+    reason: str | None = Field(None, description="Why there is no drive.")
+
+
+def look_into(
+    listing: Listing,
+    contents: Mapping[str, bytes],
+    name: str,
+    root: str | None = None,
+    options: Callable[[Path, str], DriveOptions] = lambda _, name: DriveOptions(name=name),
+    *,
+    keyframes: KeyframeConfig = KeyframeConfig(),  # noqa: B008 - frozen
+    max_files: int = 1_000_000,
+    place: Path | None = None,
+) -> FolderLook:
+    """Find the drives in a folder, and look into one of them.
+
+    Parameters
+    ----------
+    listing
+        Its files: path -> bytes. Paths are relative, with slashes.
+    contents
+        Of small files, or of the heads of others.
+    name
+        Of the folder.
+    root
+        The drive to look into; None: the first.
+    options
+        From the place where the drive is laid out, and its name, how it is to be read.
+    keyframes
+        Scans that a job needs.
+    max_files
+        A drive of more is not laid out.
+    place
+        Where folders can be made for a moment; None: where the system has them.
+
+    Raises
+    ------
+    ConfigError
+        An unknown option or choice. A bad drive raises nothing.
+    """
+    drives = find_drives(listing, name)
+    names = [ListedName(root=drive.root, name=drive.name, kind=drive.kind, files=len(drive.scans)) for drive in drives]
+    chosen = next((drive for drive in drives if root is None or drive.root == root), None)
+    if chosen is None:
+        return FolderLook(drives=names, drive=None, reason=reason_for_none(listing, name))
+    with TemporaryDirectory(dir=_quickest(place, chosen, contents), prefix="interloc-look-") as above:
+        look = _Look(chosen, listing, contents, Path(above) / "drive")
+        if len(chosen.files) > max_files:
+            text = f"{len(chosen.files):,} are too many; expected at most {max_files:,}. Cut the drive."
+            look.findings.error(DriveFileError("files", text))
+        else:
+            look.read(options(look.place, chosen.name), keyframes)
+    return FolderLook(drives=names, drive=look.answer())
+
+
+def _quickest(place: Path | None, drive: ListedDrive, contents: Mapping[str, bytes]) -> Path | None:
+    """Return the memory of this machine, where it has room: disks need a hundred times as long for many files."""
+    needed = sum(len(contents[path]) + _PAGE_BYTES for path in drive.small.values() if path in contents)
+    with suppress(OSError):
+        if os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > 2 * needed:
+            return _MEMORY
+    return place
+
+
+class _Look:
+    """What is found out about one drive."""
+
+    def __init__(self, drive: ListedDrive, listing: Listing, contents: Mapping[str, bytes], place: Path) -> None:
+        self.place = place
+        self.findings = Findings(stop_at_first=False)
+        self._drive, self._listing, self._contents = drive, listing, contents
+        self._found = DriveLook(
+            root=drive.root,
+            name=drive.name,
+            kind=drive.kind,
+            files=len(drive.scans),
+            small=drive.small,
+            borrowed=drive.borrowed,
+        )
+
+    def answer(self) -> DriveLook:
+        """Return it; messages do not tell where the drive was laid out."""
+        order = ("error", "warning", "note")
+        found, every = self._found, sorted(self.findings.found, key=lambda each: order.index(each.severity))
+        labels = {
+            folder: each.model_copy(update={"problems": self._named(each.problems)})
+            for folder, each in found.labels.items()
+        }
+        reason = found.georeference_reason
+        update = {
+            "problems": self._named(every),
+            "labels": labels,
+            "unlabelled": self._named(found.unlabelled),
+            "georeference_reason": None if reason is None else self._text(reason),
+        }
+        return found.model_copy(update=update)
+
+    def _named(self, found: Iterable[Finding]) -> list[Finding]:
+        return [Finding(each.severity, self._text(each.path), self._text(each.message)) for each in found]
+
+    def _text(self, text: str) -> str:
+        return text.replace(f"{self.place}/", "").replace(str(self.place), self._drive.name)
+
+    def read(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+        """Look into the drive as it is read when it is there."""
+        found, drive = self._found, self._drive
+        with self.findings.stage():
+            self._lay_out()
+            self._want(*drive.small)
+            if drive.kind == "reduced":
+                self._read_reduced(options, keyframes)
+            elif drive.kind in {"rosbag", "las"} and options.layout in {"auto", drive.kind}:
+                self._read_recording(options)
+            else:
+                self._read_scan_files(options, keyframes)
+        if drive.kind != "bin":
+            found.layout = drive.kind
+
+    def _lay_out(self) -> None:
+        """Make its files, each of its size; on disk they take no space."""
+        made: set[str] = set()
+        for inside, path in self._drive.files.items():
+            target = f"{self.place}/{inside}"
+            folder = target.rpartition("/")[0]
+            if folder not in made:
+                Path(folder).mkdir(parents=True, exist_ok=True)
+                made.add(folder)
+            file = os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
+            try:
+                os.write(file, self._contents.get(path, b""))
+                os.truncate(file, self._listing[path])
+            finally:
+                os.close(file)
+
+    def _want(self, *names: str, head: int | None = None) -> bool:
+        """Ask for the contents of files of the drive; return whether all are there."""
+        if self._drive.kind == "las":
+            head = HEAD_BYTES  # a trajectory may be long
+        files = self._drive.files
+        paths = [files[name] for name in names]
+        missing = [path for path in paths if path not in self._contents and self._listing[path]]
+        self._found.wanted |= {path: min(self._listing[path], head or self._listing[path]) for path in missing}
+        return not missing
+
+    def _read_scan_files(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+        """Look into a drive with one file per scan, and label files."""
+        found = self._found
+        parts = find_layout(self.place, options)
+        found.layout = parts.layout
+        if parts.layout == "pcd":
+            recording = self._open_pcd(parts, options)
+        else:
+            recording = open_bin_files(parts, self.findings, check=True)
+        self._read_labels(recording, options)
+        if recording.frames is None:
+            return
+        if isinstance(recording.points, BinScans):
+            files = recording.points.scan_files
+            found.scans = LookedNumbers(**self._numbers(files))
+            found.points_per_scan = int(np.median(files.sizes)) // recording.points.point_bytes
+        found.frames_to_look_into = _sample(recording.frames)
+        if found.wanted:
+            return
+        if recording.read_trajectory is not None:
+            trajectory = recording.read_trajectory(options, self.findings)
+        else:
+            trajectory = read_trajectory(parts, recording.frames, options, self.findings)
+        self._show(trajectory, keyframes)
+
+    def _open_pcd(self, parts: DriveParts, options: DriveOptions) -> Recording:
+        """List PCD files; the header of the first tells whether they carry labels."""
+        unheard = Findings(stop_at_first=False)
+        recording = open_pcd_files(parts, options, unheard)
+        scans = recording.points
+        assert isinstance(scans, PcdScans)
+        first = SourceFile(scans.files(int(scans.frames[0]))[0], parts.root)
+        has_header = not first.path.name.endswith(PCD_ENDINGS[1])
+        self._take_whole()
+        self._found.pose_files = [name for name in POSE_FILES if (parts.root / name).is_file()]
+        if has_header and not self._want(first.name, head=HEAD_BYTES):
+            return recording
+        self.findings.found += unheard.found
+        self._found.carries_labels = recording.carries_labels
+        if not recording.carries_labels and not any((parts.root / folder).is_dir() for folder in _FOLDERS):
+            names = ", ".join(read_header(first)[0].dtype.names or ()) if has_header else ""
+            fault = first.fault(
+                f"has no label: {f'its fields are {names}' if names else 'it holds no named fields'}. Expected one of "
+                f"{', '.join(LABEL_FIELDS)} among them, or labels/ with a .label file per scan."
+            )
+            self._found.unlabelled.append(Finding("error", first.name, fault.args[-1]))
+        return recording
+
+    def _read_labels(self, recording: Recording, options: DriveOptions) -> None:
+        """Check the label files of each folder; where there are none, say how they are made."""
+        found = self._found
+        there = [folder for folder in _FOLDERS if (self.place / folder).is_dir()]
+        for folder in there:
+            self._list_labels(folder, recording, options)
+        if not there and not recording.carries_labels and not found.unlabelled and found.carries_labels is None:
+            findings = Findings(stop_at_first=False)
+            RawStore.of(recording, options, findings)
+            found.unlabelled += findings.found
+
+    def _list_labels(self, folder: LabelFolder, recording: Recording | None, options: DriveOptions) -> None:
+        findings = Findings(stop_at_first=False)
+        files = None
+        with findings.stage():
+            files = list_numbered(SourceFile(self.place / folder, self.place), ".label")
+        if files is None:
+            self.findings.found += findings.found
+            return
+        if recording is not None:
+            parts = replace(recording.parts, labels=self.place / folder)
+            RawStore.of(replace(recording, parts=parts), options, findings)
+        self._found.labels[folder] = LookedLabels(**self._numbers(files), problems=findings.found)
+
+    def _numbers(self, files: NumberedFiles) -> dict[str, object]:
+        runs = [(int(first), int(count)) for first, count in to_runs(files.numbers)]
+        return {
+            "folder": files.folder.name,
+            "suffix": files.suffix,
+            "digits": files.digits,
+            "runs": runs,
+            "count": len(files.numbers),
+            "size_bytes": int(files.sizes.sum()),
+        }
+
+    def _take_whole(self) -> None:
+        """Take the recordings as they are; none of them is empty."""
+        self._found.whole = self._drive.scans
+        for inside, path in self._drive.scans.items():
+            if not self._listing[path]:
+                self.findings.error(DriveFileError(inside, EMPTY))
+
+    def _read_recording(self, options: DriveOptions) -> None:
+        """Look into what only the service reads: a bag, or LAS files."""
+        self._take_whole()
+        found, place = self._found, self.place
+        for folder in _FOLDERS:
+            if (place / folder).is_dir():
+                self._list_labels(folder, None, options)
+                found.frames_to_look_into = found.frames_to_look_into or _sample_of(found.labels.get(folder))
+        if self._drive.kind == "rosbag":
+            find_bag(place, required=True, findings=self.findings)
+            return
+        folders = [path for path in (place, place / "las", place / "laz") if path.is_dir()]
+        poses = [place / name for name in POSE_FILES if (place / name).is_file()]
+        found.pose_files = [
+            path.relative_to(place).as_posix() for path in dict.fromkeys([*poses, *find_tracks(folders)])
+        ]
+        if not found.pose_files and not found.wanted and options.poses is None:
+            self.findings.error(
+                DriveFileError(
+                    "trajectory",
+                    "is missing. Expected a file with where the LiDAR was, beside the points: a table with a header "
+                    "(time,x,y,z or time,lat,lon,alt; .csv or .txt), SBET (.sbet, .out) or TUM.",
+                )
+            )
+
+    def _read_reduced(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+        """Look into a drive that is reduced already."""
+        self._take_whole()
+        if self._found.wanted:
+            return
+        manifest = read_manifest(self.place)
+        for labels in manifest.labels:
+            store = ReducedStore.open(self.place, DriveOptions.of(options, labels=labels.folder), self.findings)
+            if store is not None and self._found.track is None:
+                self._show(store.read_trajectory(options, self.findings), keyframes)
+
+    def _show(self, trajectory: Trajectory, keyframes: KeyframeConfig) -> None:
+        """Tell where the drive went, and how poses and georeference fit together."""
+        found, poses, fixes = self._found, trajectory.poses, trajectory.georeference
+        found.georeference = fixes.source if fixes else None
+        found.georeference_reason = None if fixes else trajectory.georeference_reason
+        if poses is None:
+            return
+        found.pose_frame = poses.frame
+        found.keyframes = len(select_keyframes(poses.T_world_lidar, keyframes))
+        places, fitted, fit_m = poses.T_world_lidar[:, :2, 3], None, None
+        if fixes is not None:
+            places = np.stack([fixes.lon_deg, fixes.lat_deg], axis=1)
+        if fixes is not None and poses.frame != "oxts":
+            with self.findings.stage():
+                check_georeference(poses.T_world_lidar, fixes, self.findings)
+            fitted, fit_m = _laid_over(poses, places)
+        step = -(-len(places) // _MAX_POSITIONS)
+        digits = 3 if fixes is None else 8
+        found.track = LookedTrack(
+            local=fixes is None,
+            positions=places[::step].round(digits).tolist(),
+            fitted=None if fitted is None else fitted[::step].round(digits).tolist(),
+            fit_m=fit_m,
+            length_m=poses.length_m,
+        )
+
+
+def _sample(frames: IntArray) -> list[int]:
+    """Return the scans that a look goes into, evenly spread."""
+    return [int(frames[row]) for row in sample_indices(np.arange(len(frames)), SAMPLED_SCANS)]
+
+
+def _sample_of(labels: LookedLabels | None) -> list[int]:
+    runs = [] if labels is None else labels.runs
+    return _sample(np.concatenate([np.arange(first, first + count) for first, count in runs])) if runs else []
+
+
+def _laid_over(poses: LidarPoses, lonlat: FloatArray) -> tuple[FloatArray, float]:
+    """Lay the poses over fixes by a turn and a shift (least squares).
+
+    Returns
+    -------
+    (N, 2) float64
+        Longitude and latitude of the poses.
+    float
+        Median distance of the two, metres.
+    """
+    lon, lat = lonlat[0]
+    target = enu_from_lonlat(lat, lon, lonlat) @ (1, 1j)
+    source = poses.T_world_lidar[:, :2, 3] @ (1, 1j)
+    turn = np.vdot(source - source.mean(), target - target.mean())
+    laid = target.mean() + (source - source.mean()) * (turn / abs(turn) if turn else 1)
+    fitted = lonlat_from_enu(lat, lon, np.stack([laid.real, laid.imag], axis=1))
+    return fitted, float(np.median(np.abs(laid - target)))

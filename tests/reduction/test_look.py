@@ -1,0 +1,202 @@
+"""A look at a folder from its listing and its small files: what reading the folder itself would find."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.config import KeyframeConfig
+from interloc.drives.inspect import inspect_drive
+from interloc.drives.open import open_drive
+from interloc.drives.options import DriveOptions
+from interloc.reduction.look import DriveLook, look_into
+from interloc.reduction.plan import plan_reduction
+from interloc.reduction.reduce import reduce_drive
+from tests.pcd_files import write_pcd
+from tests.small_drives import calib_text, camera_poses, lidar_poses, pose_text, write_kitti_raw, write_semantickitti
+
+
+def look_at(root: Path, options: Callable[[Path, str], DriveOptions] | None = None) -> DriveLook:
+    """Look as a client does: first at names, then with what is wanted."""
+    listing = {path.relative_to(root).as_posix(): path.stat().st_size for path in root.rglob("*") if path.is_file()}
+    chosen = options or (lambda _, name: DriveOptions(name=name))
+    first = look_into(listing, {}, root.name, options=chosen).drive
+    assert first is not None
+    contents = {path: (root / path).read_bytes()[:size] for path, size in first.wanted.items()}
+    again = look_into(listing, contents, root.name, options=chosen).drive
+    assert again is not None
+    assert again.wanted == {}
+    return again
+
+
+def errors(look: DriveLook) -> list[str]:
+    return [f"{each.path} {each.message}" for each in look.problems if each.severity == "error"]
+
+
+def test_a_look_finds_what_reading_the_drive_finds(drive: Path) -> None:
+    look, report = look_at(drive), inspect_drive(drive)
+    plan = plan_reduction(drive, range(12))
+    assert (look.layout, look.pose_frame) == (report.layout, report.pose_frame)
+    assert look.scans is not None
+    assert (look.scans.count, look.scans.size_bytes) == (report.scans, report.scan_bytes)
+    assert look.scans.runs == [(0, 12)]
+    assert look.labels["labels"].size_bytes == report.label_bytes
+    assert look.points_per_scan == report.points_per_scan
+    assert look.track is not None
+    assert look.track.length_m == report.length_m
+    assert look.keyframes == len(plan.frames_to_send)
+    assert look.frames_to_look_into == plan.frames_to_look_into.tolist()
+    assert errors(look) == []
+
+
+def test_poses_are_laid_over_the_georeference(tmp_path: Path) -> None:
+    root = write_kitti_raw(tmp_path / "2011_09_26_drive_0001_sync", poses=lidar_poses())
+    by_oxts = look_at(root)
+    assert by_oxts.layout == "kitti_raw"
+    assert by_oxts.track is not None
+    assert (by_oxts.track.local, by_oxts.track.fitted) == (False, None)  # there are no other poses
+    fixes = open_drive(root).georeference
+    assert fixes is not None
+    np.testing.assert_allclose(by_oxts.track.positions, np.stack([fixes.lon_deg, fixes.lat_deg], axis=1), atol=1e-8)
+    (root / "poses.txt").write_text(pose_text(lidar_poses()))
+    posed = look_at(root).track
+    assert posed is not None
+    assert posed.fitted is not None
+    assert posed.fit_m is not None
+    assert posed.fit_m < 0.1
+    np.testing.assert_allclose(posed.fitted, posed.positions, atol=2e-6)
+
+
+def test_what_is_missing_or_does_not_fit_is_listed_by_name(tmp_path: Path) -> None:
+    root = write_semantickitti(tmp_path / "07")
+    size = (root / "velodyne/000001.bin").stat().st_size
+    (root / "labels/000002.label").unlink()
+    (root / "labels/000001.label").write_bytes(bytes(8))
+    (root / "velodyne/000003.bin").write_bytes(bytes(50))
+    (root / "poses.txt").unlink()
+    look = look_at(root)
+    first, second = errors(look)
+    assert first.startswith("velodyne/000003.bin 50 bytes, which is no multiple of 16")
+    assert second.startswith("poses.txt is missing. Expected one line of 12 numbers per scan")
+    missing, wrong = (f"{each.path} {each.message}" for each in look.labels["labels"].problems)
+    assert missing.startswith("labels/000002.label is missing: 1 of 12 scans have no labels (2).")
+    assert wrong.startswith(f"labels/000001.label 2 labels for {size // 16:,} points in velodyne/000001.bin.")
+    assert look.track is None
+
+
+def test_calibration_is_missed_where_the_poses_are_those_of_a_camera(tmp_path: Path) -> None:
+    root = write_semantickitti(tmp_path / "07")
+    (root / "poses.txt").write_text(pose_text(camera_poses(lidar_poses())))
+    (root / "calib.txt").unlink(missing_ok=True)
+    (error,) = errors(look_at(root))
+    assert "holds camera poses" in error
+    assert "there is no calib.txt" in error
+    (root / "calib.txt").write_text(calib_text())
+    assert look_at(root).pose_frame == "camera"
+
+
+def test_names_that_are_not_scan_numbers_are_listed(drive: Path) -> None:
+    (drive / "velodyne/scan.bin").write_bytes(bytes(16))
+    (error, *_) = errors(look_at(drive))
+    assert error.startswith("velodyne/scan.bin is not named by its scan number")
+
+
+def test_a_drive_without_labels_is_told_how_labels_are_made(drive: Path) -> None:
+    shutil.rmtree(drive / "labels")
+    look = look_at(drive)
+    assert errors(look) == []  # a network may label it
+    (only,) = look.unlabelled
+    assert only.path == "labels"
+    assert "any other segmentation that writes SemanticKITTI .label files" in only.message
+
+
+def test_pose_lines_that_start_with_the_frame_number_are_those_of_kitti_360(tmp_path: Path) -> None:
+    root = write_semantickitti(tmp_path / "07")
+    (root / "poses.txt").write_text(pose_text(lidar_poses(), frames=list(range(12))))
+    assert look_at(root).layout == "kitti360"
+
+
+def test_pcd_files_without_a_field_for_the_label_are_named(tmp_path: Path) -> None:
+    points = np.ones((5, 4), np.float32)
+    for frame in (9, 10):
+        write_pcd(tmp_path / f"{frame}.pcd", points)
+    (tmp_path / "poses.txt").write_text(pose_text(lidar_poses(2)))
+    look = look_at(tmp_path)
+    assert (look.layout, look.carries_labels, look.pose_files) == ("pcd", False, ["poses.txt"])
+    (only,) = look.unlabelled
+    assert only.path == "9.pcd"
+    assert only.message.startswith("has no label: its fields are x, y, z, intensity. Expected one of label, labels,")
+    assert list(look.whole) == ["9.pcd", "10.pcd"] or set(look.whole) == {"9.pcd", "10.pcd"}
+    write_pcd(tmp_path / "9.pcd", points, np.full(5, 40, np.uint32))
+    labelled = look_at(tmp_path)
+    assert labelled.carries_labels
+    assert labelled.unlabelled == []
+    assert labelled.track is not None
+
+
+def test_labels_beside_pcd_files_are_counted(tmp_path: Path) -> None:
+    for frame in (1, 2):
+        write_pcd(tmp_path / f"{frame}.pcd", np.ones((5, 4), np.float32))
+    (tmp_path / "labels").mkdir()
+    (tmp_path / "labels/000001.label").write_bytes(bytes(20))
+    (only,) = look_at(tmp_path).labels["labels"].problems
+    assert "1 of 2 scans have no labels" in only.message
+
+
+@pytest.mark.parametrize(
+    ("files", "expected"),
+    [
+        ({"a.mcap": 9}, []),
+        ({"a_0.mcap": 9, "a_1.mcap": 9}, []),
+        ({"a.bag": 0}, ["a.bag is empty"]),
+        ({"a.mcap": 9, "b.mcap": 9}, ["picked holds several bags (a.mcap, b.mcap)"]),
+        ({"a.laz": 9, "times.txt": 9}, ["trajectory is missing. Expected a file with where the LiDAR was"]),
+        ({"a.laz": 9, "poses.txt": 9}, []),
+    ],
+)
+def test_what_is_wrong_with_recordings_is_told_from_their_names(files: dict[str, int], expected: list[str]) -> None:
+    contents = {name: b"x y z\n123" for name in files if name.endswith(".txt")}
+    look = look_into(files, contents, "picked").drive
+    assert look is not None
+    found = errors(look)
+    assert len(found) == len(expected)
+    assert all(text.startswith(start) for text, start in zip(found, expected, strict=True))
+    assert look.whole == {name: name for name in files if not name.endswith(".txt")}
+
+
+def test_a_reduced_drive_is_checked_by_its_manifest(drive: Path, tmp_path: Path) -> None:
+    reduced = tmp_path / "reduced"
+    reduce_drive(drive, reduced, keyframes=KeyframeConfig())
+    look = look_at(reduced)
+    assert (look.layout, len(look.whole), errors(look)) == ("reduced", 4, [])
+    assert look.track is not None
+    (reduced / "ground/labels/000003.ground").unlink()
+    (error,) = errors(look_at(reduced))
+    assert error.startswith("ground/labels/000003.ground is missing: 1 of 4 scans that were kept")
+    (reduced / "reduced.json").write_text("{}")
+    assert errors(look_at(reduced))
+
+
+def test_messages_do_not_tell_where_the_drive_was_laid_out(drive: Path) -> None:
+    look = look_at(drive, lambda place, name: DriveOptions(name=name, oxts=place / "georeference/07.txt"))
+    (error,) = errors(look)
+    assert error.startswith("georeference/07.txt does not exist")
+    assert "interloc-look" not in look.model_dump_json()
+
+
+def test_a_drive_of_too_many_files_is_not_laid_out(drive: Path) -> None:
+    files = {f"velodyne/{frame:06d}.bin": 16 for frame in range(20)}
+    look = look_into(files, {}, drive.name, max_files=19).drive
+    assert look is not None
+    assert errors(look) == ["files 20 are too many; expected at most 19. Cut the drive."]
+
+
+def test_a_name_that_is_file_and_folder_is_a_problem() -> None:
+    files = {"velodyne/000000.bin": 16, "oxts/1.txt": 4, "oxts/1.txt/2.txt": 4}
+    look = look_into(files, {}, "odd").drive
+    assert look is not None
+    assert errors(look)
