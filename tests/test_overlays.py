@@ -19,7 +19,8 @@ from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay
 from interloc.geometry import enu_from_lonlat
 from interloc.pipeline import detect
 from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.town import simulate_town
+from interloc.simulate.drive import simulate
+from interloc.simulate.town import Town
 
 FRAME = 30
 
@@ -29,7 +30,11 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """The beginning of the small town, as far as behind its first two junctions."""
     root = tmp_path_factory.mktemp("drives") / "town"
     sensor = LidarConfig(columns=512)
-    simulate_town(root, SimulationOptions(max_scans=60, keyframes_only=True, ground_only=True, sensor=sensor))
+    simulate(
+        Town("plain").trip(),
+        root,
+        SimulationOptions(max_scans=60, keyframes_only=True, ground_only=True, sensor=sensor),
+    )
     return open_drive(root)
 
 

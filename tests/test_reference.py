@@ -20,7 +20,8 @@ from interloc.pipeline import detect
 from interloc.reference import REFERENCE, detect_by_reference
 from interloc.results import DriveResult
 from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.town import simulate_town
+from interloc.simulate.drive import simulate
+from interloc.simulate.town import Town
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,11 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     """The beginning of the small town, as far as behind its first two junctions."""
     root = tmp_path_factory.mktemp("drives") / "town"
     sensor = LidarConfig(columns=512)
-    simulate_town(root, SimulationOptions(max_scans=45, keyframes_only=True, ground_only=True, sensor=sensor))
+    simulate(
+        Town("plain").trip(),
+        root,
+        SimulationOptions(max_scans=45, keyframes_only=True, ground_only=True, sensor=sensor),
+    )
     return open_drive(root)
 
 

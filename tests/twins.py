@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from interloc.simulate.config import SceneConfig
+from interloc.simulate.osm_map import read_map
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.tracks import Track
 from interloc.simulate.twins import twin_maps
@@ -15,4 +16,4 @@ def twin_scene(
 ) -> Scene:
     """Return the world of a sequence: streets of `osm/NN.osm.gz`, buildings of `osm_buildings/NN.osm.gz`."""
     roads, buildings = twin_maps(kitti_dir, sequence)
-    return build_scene(track, roads, buildings=buildings, config=config, seed=seed)
+    return build_scene(track, read_map(roads, buildings), config=config, seed=seed)

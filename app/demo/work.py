@@ -24,13 +24,15 @@ def run(task: Task, part: Part, report: Report) -> None:
     if (task.scratch / LISTING).is_file():
         return
     from interloc.simulate.config import LidarConfig, SimulationOptions  # noqa: PLC0415 - other work needs no simulator
-    from interloc.simulate.town import simulate_town  # noqa: PLC0415
+    from interloc.simulate.drive import simulate  # noqa: PLC0415
+    from interloc.simulate.town import Town  # noqa: PLC0415
 
     folder = task.scratch / f"simulating-{task.attempt}"
     shutil.rmtree(folder, ignore_errors=True)
     drive = folder / "drive"
     try:
-        simulate_town(
+        simulate(
+            Town("quarter").trip(),
             drive,
             SimulationOptions(
                 keyframes_only=True,
@@ -38,7 +40,6 @@ def run(task: Task, part: Part, report: Report) -> None:
                 max_scans=task.limits["max_demo_scans"],
                 sensor=LidarConfig(columns=_COLUMNS),
             ),
-            part="quarter",
             progress=lambda done, _: report(min(done, part.stop)),
         )
         listing = []

@@ -203,7 +203,8 @@ class TwinCase:
 
     def _simulate(self, path: Path, progress: Progress | None) -> None:
         from interloc.simulate.config import SENSORS, SimulationOptions  # noqa: PLC0415
-        from interloc.simulate.twins import simulate_twin  # noqa: PLC0415 - not needed where all twins are kept
+        from interloc.simulate.drive import simulate  # noqa: PLC0415
+        from interloc.simulate.twins import twin_trip  # noqa: PLC0415 - not needed where all twins are kept
 
         options = SimulationOptions(
             seed=self.seed,
@@ -212,7 +213,7 @@ class TwinCase:
             max_scans=self.max_scans,
             sensor=SENSORS[self.sensor],
         )
-        simulate_twin(self.kitti, self.sequence, path, options, poses=self.poses, progress=progress)
+        simulate(twin_trip(self.kitti, self.sequence, poses=self.poses), path, options, progress=progress)
 
 
 Case = FolderCase | TwinCase

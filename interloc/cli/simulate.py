@@ -120,19 +120,15 @@ def town(drive: Path, part: Part, every_scan: bool, speed_mps: float, **common: 
     Example:
       interloc simulate town --part quarter -o drive && interloc run drive -o out --osm drive/map.osm
     """
-    from interloc.simulate.town import MAP_FILE, simulate_town
+    from interloc.simulate.drive import simulate
+    from interloc.simulate.town import MAP_FILE, Town
 
     quiet = common["quiet"]
     console.set_up_log(quiet=quiet)
     options = _options(every_scan=every_scan, **common)
     with console.progress("simulate", "scan", quiet=quiet) as bar:
-        scans = simulate_town(
-            drive,
-            options,
-            part=part,
-            track=_track_config(speed_mps),
-            progress=_Announced(bar, options, quiet=quiet),
-        )
+        trip = Town(part, seed=options.seed).trip(_track_config(speed_mps))
+        scans = simulate(trip, drive, options, progress=_Announced(bar, options, quiet=quiet))
     _go_on(scans, drive, drive / MAP_FILE)
 
 
@@ -174,21 +170,16 @@ def track(
     Example:
       interloc simulate track --osm map.osm.gz --track ride.gpx -o drive && interloc run drive -o out --osm map.osm.gz
     """
-    from interloc.simulate.drive import simulate_map
+    from interloc.simulate.drive import Trip, simulate
+    from interloc.simulate.osm_map import read_map
     from interloc.simulate.track_files import open_track
 
     quiet = common["quiet"]
     console.set_up_log(quiet=quiet)
     with console.progress("simulate", "scan", quiet=quiet) as bar:
-        scans = simulate_map(
-            open_track(track_file, _track_config(speed_mps, offset_m)),
-            osm,
-            drive,
-            _options(every_scan=every_scan, **common),
-            buildings=buildings,
-            about={"track": track_file.name},
-            progress=bar,
-        )
+        line = open_track(track_file, _track_config(speed_mps, offset_m))
+        trip = Trip(line, read_map(osm, buildings), {"track": track_file.name})
+        scans = simulate(trip, drive, _options(every_scan=every_scan, **common), progress=bar)
     _go_on(scans, drive, osm)
 
 
@@ -218,14 +209,15 @@ def twin(sequence: str, kitti: Path, drive: Path, poses: Poses, every_scan: bool
       interloc simulate twin 07 --kitti kitti -o drive && interloc run drive -o out --osm kitti/osm/07.osm.gz
     """
     from interloc.benchmark.cases import twin_cases
-    from interloc.simulate.twins import simulate_twin
+    from interloc.simulate.drive import simulate
+    from interloc.simulate.twins import twin_trip
 
     quiet = common["quiet"]
     console.set_up_log(quiet=quiet)
     (case,) = twin_cases(kitti, [sequence], poses=poses)
     with console.progress("simulate", "scan", quiet=quiet) as bar:
         options = _options(every_scan=every_scan, **common)
-        scans = simulate_twin(kitti, sequence, drive, options, poses=poses, progress=bar)
+        scans = simulate(twin_trip(kitti, sequence, poses=poses), drive, options, progress=bar)
     _go_on(scans, drive, case.osm)
 
 

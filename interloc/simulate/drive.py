@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from interloc.files import atomic_folder
 from interloc.processes import Progress
 from interloc.simulate.config import DEFAULT_OPTIONS, SimulationOptions
 from interloc.simulate.lidar import Lidar
+from interloc.simulate.osm_map import MapData
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.tracks import (
     IMU_TO_VELO_TEXT,
@@ -109,49 +111,42 @@ def simulate_drive(
     return len(chosen)
 
 
-def simulate_map(
-    track: Track,
-    roads: Path,
-    out: Path,
-    options: SimulationOptions = DEFAULT_OPTIONS,
-    *,
-    buildings: Path | None = None,
-    extra_files: dict[str, bytes] | None = None,
-    about: dict[str, object] | None = None,
-    progress: Progress | None = None,
-) -> int:
-    """Simulate a drive along a track over the streets of a map.
+@dataclass(frozen=True)
+class Trip:
+    """Where to drive.
 
-    Parameters
+    Attributes
     ----------
-    track
+    track : Track
         From `open_track` (GPX, CSV, OXTS), `track_from_line` or `track_from_oxts`.
-    roads
-        OSM file with the streets (.osm, .osm.gz, .osm.bz2, .osm.pbf).
-    out, options, extra_files, about, progress
-        See `simulate_drive`.
-    buildings
-        Another OSM file with the buildings; None: the same file, and houses are made up if it has no building at all.
+    map : MapData
+        From `read_map`.
+    about : dict
+        Facts to keep in `simulation.json`.
+    extra_files : dict
+        More files to put beside the scans: name and content.
+    """
 
-    Returns
-    -------
-    int
-        Scans written.
+    track: Track
+    map: MapData
+    about: dict[str, object] = field(default_factory=dict)
+    extra_files: dict[str, bytes] = field(default_factory=dict)
+
+
+def simulate(
+    trip: Trip, out: Path, options: SimulationOptions = DEFAULT_OPTIONS, *, progress: Progress | None = None
+) -> int:
+    """Simulate a drive along a track over the streets of a map; see `simulate_drive`.
 
     Raises
     ------
     MapError
-        The map cannot be read or lies elsewhere.
+        The map lies elsewhere.
     OutputError
         `out` could not be written.
     """
     scene = build_scene(
-        track,
-        roads,
-        buildings=buildings,
-        config=options.scene,
-        sensor_height_m=options.sensor.height_m,
-        seed=options.seed,
+        trip.track, trip.map, config=options.scene, sensor_height_m=options.sensor.height_m, seed=options.seed
     )
-    facts = {"map": Path(roads).name, "scene": options.scene.model_dump(), **(about or {})}
-    return simulate_drive(scene, track, out, options, extra_files=extra_files, about=facts, progress=progress)
+    facts = {"map": trip.map.path.name, "scene": options.scene.model_dump(), **trip.about}
+    return simulate_drive(scene, trip.track, out, options, extra_files=trip.extra_files, about=facts, progress=progress)

@@ -204,52 +204,62 @@ class MapWay:
     tags: dict[str, str]
 
 
-def read_map(
-    roads: Path,
-    frame: LocalFrame,
-    *,
-    buildings: Path | None = None,
-    box: tuple[float, float, float, float] | None = None,
-) -> StreetMap:
+@dataclass(frozen=True)
+class MapData:
+    """What the simulator reads of a map, wherever the track will lie.
+
+    Attributes
+    ----------
+    path : Path
+        OSM file with the streets.
+    ways : list of MapWay
+        Those with one of the tags `highway`, `building` and `amenity`.
+    node_tags : dict
+        Tags of the nodes of these ways, by id of the node.
+    areas : list of MapWay or None
+        Buildings and car parks of another file; None: they are among `ways`.
+    """
+
+    path: Path
+    ways: list[MapWay]
+    node_tags: dict[int, dict[str, str]] = field(default_factory=dict)
+    areas: list[MapWay] | None = None
+
+
+def read_map(roads: Path, buildings: Path | None = None) -> MapData:
     """Read what the simulator draws.
 
     Parameters
     ----------
     roads
         OSM file (.osm, .osm.gz, .osm.bz2, .osm.pbf) with the streets.
-    frame
-        Plane to draw in.
     buildings
         Another OSM file with the buildings and car parks; None: the same file.
-    box
-        Least x, least y, greatest x, greatest y in M, metres: what lies wholly outside is left out.
 
     Raises
     ------
     MapError
-        No OSM file, damaged, or without any street.
+        No OSM file, or damaged.
     """
-    ways, circles = _read_ways(roads, {"highway", "building", "amenity"} if buildings is None else {"highway"})
-    areas = None if buildings is None else _read_ways(buildings, {"building", "amenity"})[0]
-    result = street_map_of(ways, frame, areas=areas, turning_circles=circles, box=box)
-    if not result.streets:
-        raise MapError(f"{roads}: no street near the track. Expected ways with highway=motorway ... service around it.")
-    return result
+    if buildings is None:
+        return MapData(Path(roads), *read_ways(roads, {"highway", "building", "amenity"}))
+    return MapData(Path(roads), *read_ways(roads, {"highway"}), read_ways(buildings, {"building", "amenity"})[0])
 
 
-def street_map_of(
-    ways: Iterable[MapWay],
-    frame: LocalFrame,
-    *,
-    areas: Iterable[MapWay] | None = None,
-    turning_circles: Iterable[int] = (),
-    box: tuple[float, float, float, float] | None = None,
-) -> StreetMap:
-    """Sort ways into streets, footways, car parks and buildings (the last two from `areas`, if given)."""
-    ways = list(ways)
+def street_map_of(data: MapData, frame: LocalFrame, box: tuple[float, float, float, float] | None = None) -> StreetMap:
+    """Sort the ways of a map into streets, footways, car parks and buildings.
+
+    Parameters
+    ----------
+    data
+    frame
+        Plane to draw in.
+    box
+        Least x, least y, greatest x, greatest y in M, metres: what lies wholly outside is left out.
+    """
     result = StreetMap(frame)
     driven = []
-    for way, xy in _inside(ways, frame, box):
+    for way, xy in _inside(data.ways, frame, box):
         kind = way.tags.get("highway")
         if kind in STREET_CLASSES and way.tags.get("area") != "yes":
             driven.append((way, xy))
@@ -257,8 +267,10 @@ def street_map_of(
             result.footways.append((way.tags, xy))
     result.streets = _split(driven)
     result.node_xy = {n: p for s in result.streets for n, p in zip(s.nodes, s.xy, strict=True)}
-    result.turning_circles = [n for n in turning_circles if n in result.node_xy]
-    for way, xy in _inside(ways if areas is None else areas, frame, box):
+    result.turning_circles = [
+        n for n, tags in data.node_tags.items() if tags.get("highway") == "turning_circle" and n in result.node_xy
+    ]
+    for way, xy in _inside(data.ways if data.areas is None else data.areas, frame, box):
         if len(xy) < 4 or way.nodes[0] != way.nodes[-1]:
             continue
         if way.tags.get("amenity") == "parking":
@@ -279,8 +291,14 @@ def _inside(
             yield way, xy
 
 
-def _read_ways(path: Path, keys: set[str]) -> tuple[list[MapWay], list[int]]:
-    """Return the ways with any of the keys, and the nodes at which a dead end widens."""
+def read_ways(path: Path, keys: set[str] | None = None) -> tuple[list[MapWay], dict[int, dict[str, str]]]:
+    """Return the ways with any of the keys (None: all ways), and the tags of their nodes.
+
+    Raises
+    ------
+    MapError
+        No OSM file, or damaged.
+    """
     import osmium  # noqa: PLC0415 - half the start-up time of the command line
 
     container = read_prolog(path).container  # refuses what is not a map before a parser sees it
@@ -290,17 +308,17 @@ def _read_ways(path: Path, keys: set[str]) -> tuple[list[MapWay], list[int]]:
         ways: Any = osmium.FileProcessor(file, osmium.osm.WAY)
         for way in ways:
             tags = dict(way.tags)
-            if keys & tags.keys():
+            if keys is None or keys & tags.keys():
                 found.append((way.id, [node.ref for node in way.nodes], tags))
         wanted = {node for _, nodes, _ in found for node in nodes}
         place: dict[int, tuple[float, float]] = {}
-        circles: list[int] = []
+        node_tags: dict[int, dict[str, str]] = {}
         nodes: Any = osmium.FileProcessor(file, osmium.osm.NODE)
         for node in nodes:
             if node.id in wanted and node.location.valid():
                 place[node.id] = (node.location.lon, node.location.lat)
-                if node.tags.get("highway") == "turning_circle":
-                    circles.append(node.id)
+                if node.tags:
+                    node_tags[node.id] = dict(node.tags)
     except (RuntimeError, ValueError) as error:
         raise MapError(f"{path}: cannot be read as OpenStreetMap data ({error}).") from error
     result = []
@@ -308,7 +326,7 @@ def _read_ways(path: Path, keys: set[str]) -> tuple[list[MapWay], list[int]]:
         known = [ref for ref in refs if ref in place]  # extracts are cut at their edge
         if len(known) > 1:
             result.append(MapWay(way_id, known, np.array([place[ref] for ref in known]), tags))
-    return result, circles
+    return result, node_tags
 
 
 def _split(driven: Iterable[tuple[MapWay, FloatArray]]) -> list[Street]:

@@ -15,9 +15,8 @@ from interloc.errors import MapError
 from interloc.simulate.config import SceneConfig
 from interloc.simulate.ground import GroundRaster, plan_ground
 from interloc.simulate.heights import HeightField, fit_heights, flat_field
-from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.obstacles import Obstacles, furnish
-from interloc.simulate.osm_map import StreetMap, read_map
+from interloc.simulate.osm_map import MapData, StreetMap, street_map_of
 from interloc.simulate.profiles import CLEARANCE_M, Crossing, Profile, find_crossings, street_profiles, visible_lines
 from interloc.simulate.tracks import Track
 
@@ -66,9 +65,8 @@ class Scene:
 
 def build_scene(
     track: Track,
-    roads: Path,
+    data: MapData,
     *,
-    buildings: Path | None = None,
     config: SceneConfig | None = None,
     sensor_height_m: float = 1.73,
     seed: int = 0,
@@ -79,10 +77,8 @@ def build_scene(
     ----------
     track
         All poses of the drive, also those that are not simulated: they carry the heights.
-    roads
-        OSM file with the streets.
-    buildings
-        Another OSM file with the buildings; None: the same file.
+    data
+        The map, from `read_map`. Houses are made up if it has no building at all.
     config, seed
         What to draw, and the seed of everything random.
     sensor_height_m
@@ -91,17 +87,23 @@ def build_scene(
     Raises
     ------
     MapError
-        The map cannot be read or lies elsewhere.
+        The map lies elsewhere.
     """
     config = config or SceneConfig()
     frame = track.frame()
     poses = track.T_map_lidar(frame)
     xy = poses[:, :2, 3]
     box = (*(xy.min(axis=0) - config.reach_m), *(xy.max(axis=0) + config.reach_m))
-    street_map = _read(roads, frame, buildings, box, track)
+    street_map = street_map_of(data, frame, box)
+    if not street_map.streets:
+        raise MapError(
+            f"{data.path}: no street within reach of the track, which is at latitude {track.lat_deg.mean():.4f}, "
+            f"longitude {track.lon_deg.mean():.4f}. Usual cause: the map of another place, or lon and lat in each "
+            "other's column."
+        )
     towns = config.roadside.buildings in {"made_up", "none"} or not street_map.buildings
     profiles = street_profiles(street_map, config.streets, towns=towns, seed=seed)
-    _refuse_elsewhere(roads, profiles, xy, config.max_map_distance_m)
+    _refuse_elsewhere(data.path, profiles, xy, config.max_map_distance_m)
 
     crossings = find_crossings(profiles)
     level = _levels(profiles, crossings, xy)
@@ -119,20 +121,6 @@ def build_scene(
         pose[2, 3] = heights[level[i]].at(pose[0, 3], pose[1, 3]) + sensor_height_m
     walls = furnish(street_map, profiles, lines[0], config.roadside, driven_xy=_every_metre(xy), seed=seed)
     return Scene(street_map, profiles, ground, heights, Obstacles(walls, heights), poses, level)
-
-
-def _read(
-    roads: Path, frame: LocalFrame, buildings: Path | None, box: tuple[float, float, float, float], track: Track
-) -> StreetMap:
-    try:
-        return read_map(roads, frame, buildings=buildings, box=box)
-    except MapError as error:
-        if "no street near" not in str(error):
-            raise
-        raise MapError(
-            f"{roads}: no street within reach of the track, which is at latitude {track.lat_deg.mean():.4f}, longitude "
-            f"{track.lon_deg.mean():.4f}. Usual cause: the map of another place, or lon and lat in each other's column."
-        ) from error
 
 
 def _refuse_elsewhere(roads: Path, profiles: list[Profile], xy: FloatArray, limit_m: float) -> None:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import heapq
-import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -14,27 +13,38 @@ import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import ConfigError
-from interloc.files import atomic_write
 from interloc.geometry import bearing_deg
 from interloc.osm.container import SIMULATOR
 from interloc.osm.intersections import DRIVABLE
-from interloc.processes import Progress
-from interloc.simulate.config import DEFAULT_OPTIONS, SceneConfig, SimulationOptions, TrackConfig
-from interloc.simulate.drive import simulate_map
+from interloc.simulate.config import SceneConfig, TrackConfig
+from interloc.simulate.drive import Trip
 from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.obstacles import Yard, made_up_houses
-from interloc.simulate.osm_map import STREET_CLASSES, MapWay, StreetMap, is_oneway, street_map_of
+from interloc.simulate.osm_map import STREET_CLASSES, MapData, MapWay, is_oneway, read_ways, street_map_of
 from interloc.simulate.profiles import find_crossings, street_profiles, visible_lines
-from interloc.simulate.quarter_plan import QUARTER
-from interloc.simulate.town_plan import FULL, ORIGIN_LAT_DEG, ORIGIN_LON_DEG, PLAIN, PlannedStreet, TownPlan
 from interloc.simulate.tracks import Track, track_from_line
 
 Part = Literal["plain", "full", "quarter"]
-PLANS: dict[Part, TownPlan] = {"plain": PLAIN, "full": FULL, "quarter": QUARTER}
 
+ROUTES: dict[Part, str] = {
+    "plain": "west X60 Y acute X62 X60 X60s",
+    "full": (
+        "west X60 Y acute X62 X60 X60s ring0 stagS round8 split dualS1 merge east3 T500 dualN2 split round0 round4 "
+        "compW compE T430 dualN1 split round0 round12 sac round12 round8 stagS southwest ramp1 southeast dualS1 T430 "
+        "compE compW curve1 acute Y stagN X70 ring0 X60s X60 X62 X62w"
+    ),
+    "quarter": (
+        "mainW slip brook2 bridge marketS marketN churchN churchS ringW ring2 ringN garden parkE parkS school mill "
+        "brook4 brookE ringE school marketS churchS"
+    ),
+}
+"""Nodes by their `town:name`; the drive takes the shortest path from each to the next."""
+
+ORIGIN_LAT_DEG, ORIGIN_LON_DEG = 49.02, 8.42
 MAP_FILE = "map.osm"
 DRIVING_OFFSET_M = 1.6
 _TURN_RADIUS_M = 4.0
+_OWN_TAGS = "town:"  # explained in town.osm
 
 
 @dataclass(frozen=True)
@@ -44,7 +54,7 @@ class Junction:
     Attributes
     ----------
     name, kind : str
-        Name in the plan; T, X, Y, staggered, roundabout, dual or compound.
+        Its `town:name`; T, X, Y, staggered, roundabout, dual or compound.
     node_id : int
         Id in the .osm file.
     lon_deg, lat_deg : float
@@ -81,61 +91,69 @@ class Town:
     """
 
     def __init__(self, part: Part = "full", *, seed: int = 0, houses: bool = True) -> None:
-        if part not in PLANS:
-            raise ConfigError(f"Part of the town: {part!r}. Expected one of {', '.join(PLANS)}.")
-        self.plan = PLANS[part]
+        if part not in ROUTES:
+            raise ConfigError(f"Part of the town: {part!r}. Expected one of {', '.join(ROUTES)}.")
+        self.part = part
         self.frame = LocalFrame(ORIGIN_LAT_DEG, ORIGIN_LON_DEG)
-        names = [name for street in self.plan.streets for name in street.nodes.split()]
-        self.node_ids = {name: 1000 + i for i, name in enumerate(dict.fromkeys(names))}
-        xy = np.array([self.plan.nodes[name] for name in self.node_ids], dtype=np.float64)
-        # OSM has seven decimals, about a centimetre: the truth is what the file says.
-        self._lonlat = dict(zip(self.node_ids, np.round(self.frame.lonlat(xy), 7), strict=True))
-        self._xy = {name: self.frame.xy(place) for name, place in self._lonlat.items()}
+        ways, self._node_tags = read_ways(Path(__file__).with_name("quarter.osm" if part == "quarter" else "town.osm"))
+        self._streets = [
+            way for way in ways if "highway" in way.tags and (part != "plain" or way.tags.get("town:part") == part)
+        ]
+        self._areas = [way for way in ways if "highway" not in way.tags and part != "plain"]
+        self._lonlat = {node: place for way in self._streets for node, place in zip(way.nodes, way.lonlat, strict=True)}
+        self._xy = {node: self.frame.xy(place) for node, place in self._lonlat.items()}
         self.junctions = self._find_junctions()
         self._houses = self._build(seed) if houses else []
 
-    def write_osm(self, path: Path) -> None:
-        """Write the town as an OSM file.
-
-        Raises
-        ------
-        OutputError
-            It could not be written.
-        """
-        with atomic_write(Path(path)) as file:
-            file.write(self.osm().encode())
+    def map_data(self) -> MapData:
+        """Return the streets with their tags, the houses and the areas."""
+        outlines = [(self.frame.lonlat(xy), {"building": "yes"}) for xy in self._houses]
+        outlines += [(area.lonlat[:-1], area.tags) for area in self._areas]
+        ways = [replace(way, tags=_without_own(way.tags)) for way in self._streets]
+        next_id = 100_000
+        for lonlat, tags in outlines:
+            ids = list(range(next_id, next_id + len(lonlat)))
+            # OSM has seven decimals, about a centimetre: what is driven through is what the file says.
+            ways.append(MapWay(10 + len(ways), [*ids, ids[0]], np.round(lonlat[[*range(len(ids)), 0]], 7), tags))
+            next_id += len(ids)
+        return MapData(Path(MAP_FILE), ways, node_tags={n: _without_own(tags) for n, tags in self._node_tags.items()})
 
     def osm(self) -> str:
         """Return the town as OSM XML: streets with their tags, houses, areas; the same text for the same seed."""
-        nodes = [(self.node_ids[n], self._lonlat[n], n in self.plan.turning_circles) for n in self.node_ids]
-        ways = [(way.nodes, way.tags) for way in self._ways()]
-        outlines = [(xy, {"building": "yes"}) for xy in self._houses]
-        outlines += [(np.array(area.outline, dtype=np.float64), area.tags) for area in self.plan.areas]
-        next_id = 100_000
-        for xy, tags in outlines:
-            ids = list(range(next_id, next_id + len(xy)))
-            nodes += [(i, p, False) for i, p in zip(ids, self.frame.lonlat(xy), strict=True)]
-            ways.append(([*ids, ids[0]], tags))
-            next_id += len(ids)
-        low, high = np.min([p for _, p, _ in nodes], axis=0), np.max([p for _, p, _ in nodes], axis=0)
+        data = self.map_data()
+        nodes = {n: place for way in data.ways for n, place in zip(way.nodes, way.lonlat, strict=True)}
+        low, high = np.min(list(nodes.values()), axis=0), np.max(list(nodes.values()), axis=0)
         lines = [
             "<?xml version='1.0' encoding='UTF-8'?>",
             f'<osm version="0.6" generator="{SIMULATOR}">',
             f' <bounds minlat="{low[1]:.7f}" minlon="{low[0]:.7f}" maxlat="{high[1]:.7f}" maxlon="{high[0]:.7f}"/>',
         ]
-        for node_id, (lon, lat), circle in nodes:
-            start = f' <node id="{node_id}" version="1" lat="{lat:.7f}" lon="{lon:.7f}"'
-            lines.append(f'{start}><tag k="highway" v="turning_circle"/></node>' if circle else f"{start}/>")
-        for number, (ids, tags) in enumerate(ways):
-            lines.append(f' <way id="{10 + number}" version="1">')
-            lines += [f'  <nd ref="{i}"/>' for i in ids]
-            lines += [f"  <tag k={quoteattr(k)} v={quoteattr(v)}/>" for k, v in tags.items()]
+        for node, (lon, lat) in nodes.items():
+            start = f' <node id="{node}" version="1" lat="{lat:.7f}" lon="{lon:.7f}"'
+            tags = "".join(_tag_lines(data.node_tags.get(node, {})))
+            lines.append(f"{start}>{tags}</node>" if tags else f"{start}/>")
+        for way in data.ways:
+            lines.append(f' <way id="{way.way_id}" version="1">')
+            lines += [f'  <nd ref="{node}"/>' for node in way.nodes]
+            lines += [f"  {line}" for line in _tag_lines(way.tags)]
             lines.append(" </way>")
         return "\n".join([*lines, "</osm>", ""])
 
-    def route_names(self) -> list[str]:
-        """Return the names of the nodes along the route, every node that it passes."""
-        stops = self.plan.route.split()
+    def trip(self, config: TrackConfig | None = None) -> Trip:
+        """Return the drive through the town, to be simulated; its map will lie beside the scans as `map.osm`.
+
+        Parameters
+        ----------
+        config
+            See `track`.
+        """
+        about: dict[str, object] = {"town": self.part}
+        return Trip(self.track(config), self.map_data(), about, {MAP_FILE: self.osm().encode()})
+
+    def route(self) -> list[int]:
+        """Return the ids of the nodes along the route, every node that it passes."""
+        named = {tags["town:name"]: node for node, tags in self._node_tags.items() if "town:name" in tags}
+        stops = [named[name] for name in ROUTES[self.part].split()]
         route = [stops[0]]
         for goal in stops[1:]:
             before = route[-2] if len(route) > 1 else None
@@ -154,12 +172,13 @@ class Town:
         if not config.offset_m:
             config = config.model_copy(update={"offset_m": DRIVING_OFFSET_M})
         points: list[FloatArray] = []
-        names = self.route_names()
-        for i, name in enumerate(names):
-            if 0 < i < len(names) - 1 and names[i - 1] == names[i + 1]:
-                points += self._turn(names[i - 1], name)
+        nodes = self.route()
+        for i, node in enumerate(nodes):
+            if 0 < i < len(nodes) - 1 and nodes[i - 1] == nodes[i + 1]:
+                points += self._turn(nodes[i - 1], node)
             else:
-                points.append(np.array([*self._xy[name], self.plan.heights_above_ground.get(name, 0.0)]))
+                height_m = float(self._node_tags.get(node, {}).get("town:height", 0.0))
+                points.append(np.array([*self._xy[node], height_m]))
         line = np.array(points)
         fine = np.concatenate(
             [np.linspace(a, b, max(int(np.hypot(*(b - a)[:2]) / 5), 1), endpoint=False) for a, b in pairwise(line)]
@@ -168,77 +187,56 @@ class Town:
         alt = 110.0 + hills_m(fine[:, :2]) + fine[:, 2]
         return track_from_line(self.frame.lonlat(fine[:, :2]), alt, config)
 
-    def _ways(self) -> list[MapWay]:
-        return [
-            MapWay(
-                10 + i,
-                [self.node_ids[n] for n in street.nodes.split()],
-                np.array([self._lonlat[n] for n in street.nodes.split()]),
-                dict(street.tags),
-            )
-            for i, street in enumerate(self.plan.streets)
-        ]
-
     def _find_junctions(self) -> list[Junction]:
-        arms: dict[str, set[str]] = {}
-        for street in self.plan.streets:
+        arms: dict[int, set[int]] = {}
+        for street in self._streets:
             if street.tags["highway"] not in DRIVABLE:
                 continue
-            names = street.nodes.split()
-            for a, b in pairwise(names):
+            for a, b in pairwise(street.nodes):
                 arms.setdefault(a, set()).add(b)
                 arms.setdefault(b, set()).add(a)
         result = []
-        for name, others in arms.items():
+        for node, others in arms.items():
             if len(others) < 3:
                 continue
-            towards = [self._xy[other] - self._xy[name] for other in others]
+            towards = [self._xy[other] - self._xy[node] for other in others]
             bearings = sorted(float(bearing_deg(np.arctan2(d[1], d[0]))) for d in towards)
-            lon, lat = self._lonlat[name]
-            x, y = self._xy[name]
-            result.append(
-                Junction(
-                    name,
-                    self.plan.kinds[name],
-                    self.node_ids[name],
-                    float(lon),
-                    float(lat),
-                    float(x),
-                    float(y),
-                    tuple(bearings),
-                )
-            )
+            tags = self._node_tags[node]
+            lon_deg, lat_deg = self._lonlat[node].tolist()
+            x_m, y_m = self._xy[node].tolist()
+            name, kind = tags["town:name"], tags["town:junction"]
+            result.append(Junction(name, kind, node, lon_deg, lat_deg, x_m, y_m, tuple(bearings)))
         return result
 
     def _build(self, seed: int) -> list[FloatArray]:
         """Return the outlines of made-up houses in the frame of the town."""
-        street_map: StreetMap = street_map_of(self._ways(), self.frame)
+        street_map = street_map_of(MapData(Path(MAP_FILE), self._streets), self.frame)
         config = SceneConfig()
         profiles = street_profiles(street_map, config.streets, towns=True, seed=seed)
         lines = visible_lines(profiles, find_crossings(profiles), from_hidden=False)
-        lots = [np.array(area.outline, dtype=np.float64) for area in self.plan.areas]
+        lots = [self.frame.xy(area.lonlat) for area in self._areas]
         yard = Yard(profiles, lines, np.concatenate(list(self._xy.values())).reshape(-1, 2), lots)
         return [xy[:-1] for xy, _ in made_up_houses(profiles, lines, config.roadside, yard, seed)]
 
-    def _turn(self, before: str, name: str) -> list[FloatArray]:
+    def _turn(self, before: int, node: int) -> list[FloatArray]:
         """Return a round about the end of a cul-de-sac, counter-clockwise."""
-        centre = self._xy[name]
+        centre = self._xy[node]
         back = self._xy[before] - centre
         start = np.arctan2(back[1], back[0]) + 0.9
         angles = start + np.linspace(0.0, 2 * np.pi - 1.8, 12)
         ring = centre + _TURN_RADIUS_M * np.column_stack([np.cos(angles), np.sin(angles)])
         return [np.array([*p, 0.0]) for p in ring]
 
-    def _shortest(self, start: str, goal: str, before: str | None) -> list[str]:
+    def _shortest(self, start: int, goal: int, before: int | None) -> list[int]:
         """Return the shortest path along the streets, one-way streets in their direction, without turning at once."""
-        roads: dict[str, list[tuple[str, float]]] = {}
-        for street in self.plan.streets:
+        roads: dict[int, list[tuple[int, float]]] = {}
+        for street in self._streets:
             if street.tags["highway"] not in STREET_CLASSES:
                 continue
             for a, b in _directed(street):
                 roads.setdefault(a, []).append((b, float(np.hypot(*(self._xy[b] - self._xy[a])))))
-        queue: list[tuple[float, list[str]]] = [(0.0, [start])]
-        done: set[str] = set()
+        queue: list[tuple[float, list[int]]] = [(0.0, [start])]
+        done: set[int] = set()
         while queue:
             length, path = heapq.heappop(queue)
             here = path[-1]
@@ -248,7 +246,8 @@ class Town:
                 continue
             done.add(here)
             for there, step in roads.get(here, []):
-                if not (here == start and there == before and here not in self.plan.turning_circles):
+                is_about_turn = here == start and there == before
+                if not is_about_turn or self._node_tags.get(here, {}).get("highway") == "turning_circle":
                     heapq.heappush(queue, (length + step, [*path, there]))
         raise ConfigError(f"The town has no path from {start} to {goal}.")
 
@@ -258,51 +257,14 @@ def hills_m(xy: FloatArray) -> FloatArray:
     return 2.0 * np.sin(xy[..., 0] / 90.0) + 1.5 * np.cos(xy[..., 1] / 110.0)
 
 
-def _directed(street: PlannedStreet) -> list[tuple[str, str]]:
-    names = street.nodes.split()
-    forward = list(pairwise(names))
+def _directed(street: MapWay) -> list[tuple[int, int]]:
+    forward = list(pairwise(street.nodes))
     return forward if is_oneway(street.tags) else forward + [(b, a) for a, b in forward]
 
 
-def simulate_town(
-    out: Path,
-    options: SimulationOptions = DEFAULT_OPTIONS,
-    *,
-    part: Part = "plain",
-    track: TrackConfig | None = None,
-    progress: Progress | None = None,
-) -> int:
-    """Simulate the drive through a made-up town; its map is written beside the scans as `map.osm`.
+def _without_own(tags: dict[str, str]) -> dict[str, str]:
+    return {key: value for key, value in tags.items() if not key.startswith(_OWN_TAGS)}
 
-    Parameters
-    ----------
-    out, options, progress
-        See `simulate_drive`.
-    part
-        See `Town`.
-    track
-        How it is driven.
 
-    Returns
-    -------
-    int
-        Scans written.
-
-    Raises
-    ------
-    OutputError
-        `out` could not be written.
-    """
-    town = Town(part, seed=options.seed)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / MAP_FILE
-        town.write_osm(path)
-        return simulate_map(
-            town.track(track),
-            path,
-            out,
-            options,
-            extra_files={MAP_FILE: path.read_bytes()},
-            about={"town": part},
-            progress=progress,
-        )
+def _tag_lines(tags: dict[str, str]) -> list[str]:
+    return [f"<tag k={quoteattr(key)} v={quoteattr(value)}/>" for key, value in tags.items()]

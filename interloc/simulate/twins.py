@@ -8,9 +8,8 @@ from typing import Literal
 import numpy as np
 
 from interloc.errors import DriveError
-from interloc.processes import Progress
-from interloc.simulate.config import SimulationOptions
-from interloc.simulate.drive import simulate_map
+from interloc.simulate.drive import Trip
+from interloc.simulate.osm_map import read_map
 from interloc.simulate.track_files import read_oxts
 from interloc.simulate.tracks import Track, track_from_oxts
 
@@ -67,43 +66,18 @@ def twin_maps(kitti_dir: Path, sequence: str) -> tuple[Path, Path | None]:
     return Path(kitti_dir) / "osm" / f"{sequence}.osm.gz", buildings if buildings.is_file() else None
 
 
-def simulate_twin(
-    kitti_dir: Path,
-    sequence: str,
-    out: Path,
-    options: SimulationOptions,
-    *,
-    poses: Literal["suma", "gt"] = "suma",
-    progress: Progress | None = None,
-) -> int:
-    """Simulate a KITTI sequence along its real track over its real map.
+def twin_trip(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> Trip:
+    """Return a sequence as it is to be simulated.
 
     Parameters
     ----------
     kitti_dir, sequence, poses
         See `twin_track`; and `osm/NN.osm.gz`, `osm_buildings/NN.osm.gz` (optional: houses are made up without it).
-    out, options, progress
-        See `simulate_drive`.
-
-    Returns
-    -------
-    int
-        Scans written.
 
     Raises
     ------
     DriveError, MapError
-        Files are missing or do not fit together.
-    OutputError
-        `out` could not be written.
+        Files are missing or damaged.
     """
-    roads, buildings = twin_maps(kitti_dir, sequence)
-    return simulate_map(
-        twin_track(kitti_dir, sequence, poses=poses),
-        roads,
-        out,
-        options,
-        buildings=buildings,
-        about={"twin": sequence, "poses": poses},
-        progress=progress,
-    )
+    track = twin_track(kitti_dir, sequence, poses=poses)
+    return Trip(track, read_map(*twin_maps(kitti_dir, sequence)), {"twin": sequence, "poses": poses})

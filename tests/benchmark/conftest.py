@@ -9,7 +9,8 @@ import pytest
 
 from interloc.benchmark.row import Cell, MapPicture, Row
 from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.town import simulate_town
+from interloc.simulate.drive import simulate
+from interloc.simulate.town import Town
 
 NOTHING = MapPicture(roads=(), track=((0.0, 0.0), (9.0, 0.0)), true=(), false=(), found=(), missed=(), beyond=())
 
@@ -67,7 +68,11 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first 150 m of the plain part of the made-up town, with map.osm. Shared: do not change it."""
     path = tmp_path_factory.mktemp("drives") / "town"
     sensor = LidarConfig(columns=450)
-    simulate_town(path, SimulationOptions(keyframes_only=True, ground_only=True, max_scans=70, sensor=sensor))
+    simulate(
+        Town("plain").trip(),
+        path,
+        SimulationOptions(keyframes_only=True, ground_only=True, max_scans=70, sensor=sensor),
+    )
     return path
 
 

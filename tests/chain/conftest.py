@@ -22,9 +22,10 @@ from interloc.simulate.config import (
     StreetConfig,
     TrackConfig,
 )
-from interloc.simulate.drive import simulate_map
+from interloc.simulate.drive import Trip, simulate
 from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.town import simulate_town
+from interloc.simulate.osm_map import read_map
+from interloc.simulate.town import Town
 from interloc.simulate.tracks import track_from_line
 
 Point = tuple[float, float]
@@ -97,7 +98,7 @@ def write_junction_drive(
     roads.write_text(one_junction(shape, angle_deg))
     track = track_from_line(route_line(shape, angle_deg, route), None, TRACK)
     options = SimulationOptions(keyframes_only=True, ground_only=ground_only, scene=BARE_SCENE, sensor=sensor)
-    simulate_map(track, roads, out, options)
+    simulate(Trip(track, read_map(roads)), out, options)
     return out
 
 
@@ -124,7 +125,7 @@ def town_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The drive through the plain part of the made-up town, its map beside it."""
     out = tmp_path_factory.mktemp("town") / "plain"
     options = SimulationOptions(keyframes_only=True, ground_only=True, scene=BARE_SCENE, sensor=EXACT_LIDAR)
-    simulate_town(out, options, track=TrackConfig(speed_mps=8.2))
+    simulate(Town("plain").trip(TrackConfig(speed_mps=8.2)), out, options)
     return out
 
 

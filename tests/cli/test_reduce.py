@@ -14,7 +14,8 @@ from interloc.config import DEFAULT
 from interloc.drives.open import open_drive
 from interloc.explain.evidence import gather
 from interloc.simulate.config import LidarConfig, SimulationOptions
-from interloc.simulate.town import simulate_town
+from interloc.simulate.drive import simulate
+from interloc.simulate.town import Town
 
 TABLES = ("detections", "keyframes", "intersections", "trajectory")
 
@@ -59,7 +60,7 @@ def assert_same(interloc: Callable, tmp_path: Path) -> Callable[..., None]:
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A noisy drive through the made-up town, every scan of it (several a keyframe), with all its points."""
     drive = tmp_path_factory.mktemp("town") / "town"
-    simulate_town(drive, SimulationOptions(max_scans=160, sensor=LidarConfig(columns=180)))
+    simulate(Town("plain").trip(), drive, SimulationOptions(max_scans=160, sensor=LidarConfig(columns=180)))
     return drive
 
 

@@ -43,7 +43,8 @@ from interloc.output.write import write_results
 from interloc.pipeline import detect
 from interloc.processes import GARBAGE_THRESHOLD
 from interloc.simulate.config import SimulationOptions
-from interloc.simulate.town import simulate_town
+from interloc.simulate.drive import simulate
+from interloc.simulate.town import Town
 
 Measure = Callable[[Path], dict[str, float]]
 LONG = 10  # times as many scans
@@ -176,7 +177,7 @@ def made_up_drive() -> Path:
     root = Path(tempfile.gettempdir()) / "interloc-bench" / "town"
     if not root.exists():
         click.echo(f"simulating a drive to {root} (700 MB, half a minute) ...", err=True)
-        simulate_town(root, SimulationOptions(keyframes_only=True))
+        simulate(Town("plain").trip(), root, SimulationOptions(keyframes_only=True))
     return root
 
 

@@ -26,8 +26,9 @@ from interloc.drives.open import open_drive
 from interloc.evaluation.published import SEQUENCES
 from interloc.osm.intersections import DRIVABLE
 from interloc.simulate.config import LidarConfig, SceneConfig, SimulationOptions, StreetConfig
+from interloc.simulate.drive import simulate
 from interloc.simulate.scene import Scene
-from interloc.simulate.twins import simulate_twin, twin_maps, twin_track
+from interloc.simulate.twins import twin_maps, twin_track, twin_trip
 from tests.twins import twin_scene
 
 STARTS = {
@@ -236,7 +237,7 @@ def twin_folder(kitti: Path, sequence: str, twins: Path, *, service_roads: bool,
         streets = StreetConfig(service_roads="road" if service_roads else "other_ground")
         scene, sensor = SceneConfig(streets=streets), LidarConfig(columns=columns)
         options = SimulationOptions(keyframes_only=True, ground_only=True, scene=scene, sensor=sensor)
-        simulate_twin(kitti, sequence, folder, options)
+        simulate(twin_trip(kitti, sequence), folder, options)
     return folder
 
 

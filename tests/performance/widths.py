@@ -22,6 +22,7 @@ from interloc.drives.open import open_drive
 from interloc.pipeline import detect
 from interloc.results import DetectionTable, IntersectionTable
 from interloc.simulate.config import SceneConfig
+from interloc.simulate.osm_map import read_map
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.town import MAP_FILE, Town
 from interloc.simulate.twins import twin_track
@@ -37,7 +38,9 @@ def scene_of(folder: Path, kitti: Path | None) -> Scene:
     facts = json.loads((folder / "simulation.json").read_text())
     config, seed = SceneConfig.model_validate(facts["scene"]), facts["seed"]
     if "town" in facts:
-        return build_scene(Town(facts["town"], seed=seed).track(), folder / MAP_FILE, config=config, seed=seed)
+        return build_scene(
+            Town(facts["town"], seed=seed).track(), read_map(folder / MAP_FILE), config=config, seed=seed
+        )
     if kitti is None or "twin" not in facts:
         raise click.UsageError(f"{folder}: neither a town nor, with --kitti, a twin.")
     return twin_scene(kitti, facts["twin"], twin_track(kitti, facts["twin"]), config=config, seed=seed)

@@ -10,6 +10,7 @@ import pytest
 from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
 from interloc.simulate.lidar import Lidar
 from interloc.simulate.local_frame import LocalFrame
+from interloc.simulate.osm_map import read_map
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.tracks import Track, track_from_line
 
@@ -65,7 +66,9 @@ def street_scene(straight_track: Track, tmp_path_factory: pytest.TempPathFactory
     """A straight residential street along x with one house to the north, flat."""
     path = tmp_path_factory.mktemp("map") / "map.osm"
     path.write_text(osm_text([STREET, HOUSE, SHED]))
-    return build_scene(straight_track, path, config=SceneConfig(roadside=BARE, streets=PLAIN_STREETS, flat=True))
+    return build_scene(
+        straight_track, read_map(path), config=SceneConfig(roadside=BARE, streets=PLAIN_STREETS, flat=True)
+    )
 
 
 @pytest.fixture(scope="session")

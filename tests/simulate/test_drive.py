@@ -14,8 +14,9 @@ from interloc.drives.open import open_drive
 from interloc.errors import OutputError
 from interloc.geometry import enu_from_lonlat
 from interloc.simulate.config import LidarConfig, SimulationOptions, TrackConfig
-from interloc.simulate.drive import simulate_drive, simulate_map
+from interloc.simulate.drive import Trip, simulate, simulate_drive
 from interloc.simulate.local_frame import LocalFrame
+from interloc.simulate.osm_map import read_map
 from interloc.simulate.scene import Scene
 from interloc.simulate.track_files import open_track
 from interloc.simulate.tracks import Track
@@ -112,12 +113,8 @@ def test_a_csv_track_over_a_map(frame: LocalFrame, write_map: Callable[..., Path
     lonlat = frame.lonlat([[-30, 0], [0, 0], [10, 40]])
     track = tmp_path / "track.csv"
     track.write_text("lat,lon\n" + "".join(f"{lat:.9f},{lon:.9f}\n" for lon, lat in lonlat))
-    count = simulate_map(
-        open_track(track, TrackConfig(speed_mps=10, rate_hz=4)),
-        roads,
-        tmp_path / "drive",
-        SimulationOptions(sensor=LidarConfig(columns=120)),
-    )
+    trip = Trip(open_track(track, TrackConfig(speed_mps=10, rate_hz=4)), read_map(roads))
+    count = simulate(trip, tmp_path / "drive", SimulationOptions(sensor=LidarConfig(columns=120)))
     drive = open_drive(tmp_path / "drive")
     assert count == len(drive.frames)
     assert 26 <= count <= 29  # 71 m at 2.5 m a scan, less what rounding the corner saves

@@ -13,7 +13,7 @@ from interloc.kernels.raycast import surface_at
 from interloc.simulate.config import RoadsideConfig, SceneConfig, StreetConfig, TrackConfig
 from interloc.simulate.heights import fit_heights
 from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.osm_map import road_width_m
+from interloc.simulate.osm_map import read_map, road_width_m
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.surfaces import Surface
 from interloc.simulate.tracks import Track, track_from_line
@@ -36,7 +36,7 @@ def test_the_vehicle_stands_on_road(street_scene: Scene, frame: LocalFrame) -> N
 def test_it_stands_on_road_even_where_the_map_is_off(frame: LocalFrame, write_map: WriteMap) -> None:
     path = write_map(([(-80.0, 5.0), (80.0, 5.0)], {"highway": "residential"}))
     track = track_from_line(frame.lonlat([[-50, 0], [50, 0]]))
-    assert surface(build_scene(track, path, config=BARE), frame, 0.0, 0.0) == Surface.ROAD
+    assert surface(build_scene(track, read_map(path), config=BARE), frame, 0.0, 0.0) == Surface.ROAD
 
 
 def test_the_cross_section_of_a_street(street_scene: Scene, frame: LocalFrame) -> None:
@@ -49,7 +49,7 @@ def test_kerbs_are_round_at_a_junction(straight_track: Track, frame: LocalFrame,
         ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], {"highway": "residential", "sidewalk": "no"}),
         ([(0.0, 0.0), (0.0, 90.0)], {"highway": "residential", "sidewalk": "no"}),
     )
-    scene = build_scene(straight_track, path, config=BARE)
+    scene = build_scene(straight_track, read_map(path), config=BARE)
     corner = 3.25  # of the straight kerbs; the arc of radius 5.5 m cuts it off by 2.3 m
     assert surface(scene, frame, corner + 0.9, corner + 0.9) == Surface.ROAD
     assert surface(scene, frame, corner + 2.0, corner + 2.0) == Surface.TERRAIN
@@ -65,7 +65,7 @@ def test_the_strip_between_two_carriageways_is_no_road(
         ([(150.0, 12.0), (0.0, 12.0), (-150.0, 12.0)], tags),
         ([(0.0, 0.0), (0.0, 12.0)], {"highway": "secondary"}),
     )
-    scene = build_scene(straight_track, path, config=BARE)
+    scene = build_scene(straight_track, read_map(path), config=BARE)
     assert surface(scene, frame, 60.0, 6.0) == Surface.TERRAIN
     assert surface(scene, frame, 60.0, 4.0) == Surface.OTHER_GROUND
     assert surface(scene, frame, 0.0, 6.0) == Surface.ROAD
@@ -78,8 +78,8 @@ def test_who_drives_over_a_bridge_does_not_see_the_road_below(frame: LocalFrame,
         ([(20.0, 0.0), (150.0, 0.0)], {"highway": "residential"}),
         ([(0.0, -150.0), (0.0, 150.0)], {"highway": "residential"}),
     )
-    over = build_scene(track_from_line(frame.lonlat([[-100, 0], [100, 0]])), path, config=BARE)
-    under = build_scene(track_from_line(frame.lonlat([[0, -100], [0, 100]])), path, config=BARE)
+    over = build_scene(track_from_line(frame.lonlat([[-100, 0], [100, 0]])), read_map(path), config=BARE)
+    under = build_scene(track_from_line(frame.lonlat([[0, -100], [0, 100]])), read_map(path), config=BARE)
     middle = len(over.level) // 2
     assert over.level[middle] == 1
     assert over.level[0] == 0
@@ -119,13 +119,13 @@ def test_a_map_of_another_place_is_refused(frame: LocalFrame, write_map: WriteMa
     path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "residential"}))
     far = track_from_line(frame.lonlat([[5000, 0], [5100, 0]]))
     with pytest.raises(MapError, match=r"no street within reach of the track.*Usual cause"):
-        build_scene(far, path)
+        build_scene(far, read_map(path))
     beside = track_from_line(frame.lonlat([[-50, 70], [50, 70]]), None, TrackConfig())
     with pytest.raises(MapError, match=r"70 m \(median\) from the nearest street"):
-        build_scene(beside, path)
+        build_scene(beside, read_map(path))
 
 
 def test_a_map_without_streets_is_refused(straight_track: Track, write_map: WriteMap) -> None:
     path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "footway"}))
     with pytest.raises(MapError, match="no street"):
-        build_scene(straight_track, path)
+        build_scene(straight_track, read_map(path))

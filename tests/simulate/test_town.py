@@ -14,14 +14,15 @@ from interloc.geometry import enu_from_lonlat
 from interloc.osm.intersections import intersection_nodes
 from interloc.osm.reader import read_osm
 from interloc.simulate.config import LidarConfig, SimulationOptions, TrackConfig
-from interloc.simulate.osm_map import read_map
-from interloc.simulate.town import PLANS, Part, Town, simulate_town
+from interloc.simulate.drive import simulate
+from interloc.simulate.osm_map import read_map, street_map_of
+from interloc.simulate.town import ROUTES, Part, Town
 
 
-@pytest.mark.parametrize("part", PLANS)
+@pytest.mark.parametrize("part", ROUTES)
 def test_the_junctions_of_the_map_are_those_of_the_plan(part: Part, tmp_path: Path) -> None:
     town = Town(part)
-    town.write_osm(tmp_path / "town.osm")
+    (tmp_path / "town.osm").write_text(town.osm())
     nodes = intersection_nodes(read_osm(tmp_path / "town.osm"), "drive")
     truth = {j.node_id: (j.lon_deg, j.lat_deg) for j in town.junctions}
     assert set(nodes.osm_id.tolist()) == set(truth)
@@ -65,10 +66,9 @@ def test_the_route_runs_along_the_streets(part: Part, low: float, high: float, n
             assert np.hypot(*(xy - [junction.x_m, junction.y_m]).T).min() < 18, junction.name
 
 
-def test_streets_of_the_quarter_are_free_and_the_route_stays_on_them(tmp_path: Path) -> None:
+def test_streets_of_the_quarter_are_free_and_the_route_stays_on_them() -> None:
     town = Town("quarter")
-    town.write_osm(tmp_path / "map.osm")
-    drawn = read_map(tmp_path / "map.osm", town.frame)
+    drawn = street_map_of(town.map_data(), town.frame)
     roads = shapely.union_all([LineString(street.xy).buffer(3.25) for street in drawn.streets])
     houses = [Polygon(xy) for _, xy in drawn.buildings]
     assert len(houses) > 150
@@ -88,17 +88,25 @@ def test_the_plan_in_metres_and_in_degrees_agree() -> None:
         assert abs(north - junction.y_m) < 0.02
 
 
+@pytest.mark.parametrize("part", ROUTES)
+def test_what_is_driven_through_is_what_the_map_says(part: Part, tmp_path: Path) -> None:
+    town = Town(part, seed=3)
+    (tmp_path / "map.osm").write_text(town.osm())
+    ways = [way for way in town.map_data().ways if way.tags.keys() & {"highway", "building", "amenity"}]
+    read = read_map(tmp_path / "map.osm")
+    assert [(way.nodes, way.tags) for way in read.ways] == [(way.nodes, way.tags) for way in ways]
+    assert all(np.array_equal(one.lonlat, other.lonlat) for one, other in zip(read.ways, ways, strict=True))
+    assert "town:" not in town.osm()
+
+
 def test_the_map_depends_on_the_seed_alone() -> None:
     assert Town("plain", seed=1).osm() == Town("plain", seed=1).osm()
     assert Town("plain", seed=1).osm() != Town("plain", seed=2).osm()
 
 
 def test_a_drive_through_the_town_brings_its_map(tmp_path: Path) -> None:
-    count = simulate_town(
-        tmp_path / "town",
-        SimulationOptions(max_scans=3, keyframes_only=True, sensor=LidarConfig(columns=90)),
-        track=TrackConfig(rate_hz=4),
-    )
+    options = SimulationOptions(max_scans=3, keyframes_only=True, sensor=LidarConfig(columns=90))
+    count = simulate(Town("plain").trip(TrackConfig(rate_hz=4)), tmp_path / "town", options)
     assert count == 3
     assert (tmp_path / "town/map.osm").read_text() == Town("plain").osm()
     assert 40 in np.fromfile(tmp_path / "town/labels/000002.label", np.uint32)

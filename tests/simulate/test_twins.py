@@ -13,9 +13,9 @@ from interloc.drives.open import open_drive
 from interloc.errors import DriveError
 from interloc.geometry import lonlat_from_enu
 from interloc.simulate.config import LidarConfig, RoadsideConfig, SceneConfig, SimulationOptions
-from interloc.simulate.drive import simulate_drive
-from interloc.simulate.osm_map import read_map
-from interloc.simulate.twins import simulate_twin, twin_track
+from interloc.simulate.drive import simulate, simulate_drive
+from interloc.simulate.osm_map import read_map, street_map_of
+from interloc.simulate.twins import twin_track, twin_trip
 from tests.twins import twin_scene
 
 
@@ -33,7 +33,7 @@ def test_road_points_lie_on_the_streets_of_the_map(kitti_dir: Path, tmp_path: Pa
     drive = open_drive(tmp_path / "07")
     fix = drive.georeference
     assert fix is not None
-    streets = read_map(kitti_dir / "osm" / "07.osm.gz", scene.frame).streets
+    streets = street_map_of(read_map(kitti_dir / "osm" / "07.osm.gz"), scene.frame).streets
     tree = shapely.STRtree([LineString(s.xy) for s in streets])
     worst = []
     for k in range(0, 40, 8):
@@ -51,7 +51,7 @@ def test_the_poses_written_are_the_given_ones(kitti_dir: Path, tmp_path: Path) -
     for poses in ("suma", "gt"):
         out = tmp_path / poses
         options = SimulationOptions(keyframes_only=True, max_scans=5, sensor=LidarConfig(columns=36))
-        simulate_twin(kitti_dir, "07", out, options, poses=poses)  # type: ignore[arg-type]
+        simulate(twin_trip(kitti_dir, "07", poses=poses), out, options)  # type: ignore[arg-type]
         given = np.loadtxt(kitti_dir / f"poses_{poses}" / "07.txt")
         written = np.loadtxt(out / "poses.txt")
         assert all((np.abs(given - row).max(axis=1) < 1e-6).any() for row in written)
