@@ -30,7 +30,7 @@ from interloc.drives.open import SAMPLED_SCANS
 from interloc.drives.options import DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
-from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, open_pcd_files, read_header
+from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_header
 from interloc.drives.scans.raw import RawStore
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedStore
@@ -46,6 +46,7 @@ HEAD_BYTES = 65_536
 _MEMORY = Path("/dev/shm")  # noqa: S108 - a folder of a random name is made there
 _PAGE_BYTES = 4096
 _MAX_POSITIONS = 20_000
+_MAX_TRACK_BYTES = 4_000_000  # of what may be the trajectory of a cloud; of a longer one the head is enough
 _FOLDERS: tuple[LabelFolder, ...] = get_args(LabelFolder)
 
 
@@ -221,7 +222,11 @@ class _Look:
         return found.model_copy(update=update)
 
     def _named(self, found: Iterable[Finding]) -> list[Finding]:
-        return [Finding(each.severity, self._text(each.path), self._text(each.message)) for each in found]
+        own = {".": self._drive.name}
+        return [
+            Finding(each.severity, self._text(own.get(each.path, each.path)), self._text(each.message))
+            for each in found
+        ]
 
     def _text(self, text: str) -> str:
         return text.replace(f"{self.place}/", "").replace(str(self.place), self._drive.name)
@@ -235,7 +240,7 @@ class _Look:
             if drive.kind == "reduced":
                 self._read_reduced(options, keyframes)
             elif drive.kind in {"rosbag", "las"} and options.layout in {"auto", drive.kind}:
-                self._read_recording(options)
+                self._read_recording(options, keyframes)
             else:
                 self._read_scan_files(options, keyframes)
         if drive.kind != "bin":
@@ -259,12 +264,11 @@ class _Look:
 
     def _want(self, *names: str, head: int | None = None) -> bool:
         """Ask for the contents of files of the drive; return whether all are there."""
-        if self._drive.kind == "las":
-            head = HEAD_BYTES  # a trajectory may be long
-        files = self._drive.files
-        paths = [files[name] for name in names]
-        missing = [path for path in paths if path not in self._contents and self._listing[path]]
-        self._found.wanted |= {path: min(self._listing[path], head or self._listing[path]) for path in missing}
+        files, sizes = self._drive.files, self._listing
+        missing = [path for path in map(files.__getitem__, names) if path not in self._contents and sizes[path]]
+        for path in missing:
+            is_long = self._drive.kind == "las" and sizes[path] > _MAX_TRACK_BYTES
+            self._found.wanted[path] = min(sizes[path], head or (HEAD_BYTES if is_long else sizes[path]))
         return not missing
 
     def _read_scan_files(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
@@ -357,7 +361,7 @@ class _Look:
             if not self._listing[path]:
                 self.findings.error(DriveFileError(inside, EMPTY))
 
-    def _read_recording(self, options: DriveOptions) -> None:
+    def _read_recording(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
         """Look into what only the service reads: a bag, or LAS files."""
         self._take_whole()
         found, place = self._found, self.place
@@ -367,7 +371,12 @@ class _Look:
                 found.frames_to_look_into = found.frames_to_look_into or _sample_of(found.labels.get(folder))
         if self._drive.kind == "rosbag":
             find_bag(place, required=True, findings=self.findings)
-            return
+        else:
+            self._read_clouds(options, keyframes)
+
+    def _read_clouds(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
+        """Look for the trajectory of LAS files, or for the poses where each holds a scan."""
+        found, place = self._found, self.place
         folders = [path for path in (place, place / "las", place / "laz") if path.is_dir()]
         poses = [place / name for name in POSE_FILES if (place / name).is_file()]
         found.pose_files = [
@@ -381,6 +390,14 @@ class _Look:
                     "(time,x,y,z or time,lat,lon,alt; .csv or .txt), SBET (.sbet, .out) or TUM.",
                 )
             )
+        if not poses or found.wanted:
+            return
+        parts = find_layout(place, DriveOptions.of(options, layout="semantickitti"), announced="velodyne")
+        parts = replace(parts, layout="las", poses=poses[0] if options.poses is None else parts.poses)
+        _, frames, times_s, _ = number_scans([f"{Path(name).stem}.pcd" for name in self._drive.scans])
+        unsure = Findings(stop_at_first=False)  # they may be clouds after all, which only their headers tell
+        self._show(read_trajectory(parts, frames, options, unsure, times_s=times_s), keyframes)
+        found.georeference_reason = None  # their coordinate system may be one
 
     def _read_reduced(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
         """Look into a drive that is reduced already."""

@@ -16,6 +16,7 @@ from interloc.drives.options import DriveOptions
 from interloc.reduction.look import DriveLook, look_into
 from interloc.reduction.plan import plan_reduction
 from interloc.reduction.reduce import reduce_drive
+from tests.las_files import write_scan_files
 from tests.pcd_files import write_pcd
 from tests.small_drives import calib_text, camera_poses, lidar_poses, pose_text, write_kitti_raw, write_semantickitti
 
@@ -166,6 +167,15 @@ def test_what_is_wrong_with_recordings_is_told_from_their_names(files: dict[str,
     assert len(found) == len(expected)
     assert all(text.startswith(start) for text, start in zip(found, expected, strict=True))
     assert look.whole == {name: name for name in files if not name.endswith(".txt")}
+
+
+def test_poses_of_las_files_with_one_scan_each_are_shown(drive: Path, tmp_path: Path) -> None:
+    pytest.importorskip("laspy", reason="laspy is not installed")
+    root = write_scan_files(open_drive(drive), tmp_path / "clouds")
+    look = look_at(root)
+    assert (look.layout, look.pose_files, look.georeference_reason, errors(look)) == ("las", ["poses.txt"], None, [])
+    assert look.track is not None
+    assert look.track.length_m == pytest.approx(inspect_drive(root).length_m)
 
 
 def test_a_reduced_drive_is_checked_by_its_manifest(drive: Path, tmp_path: Path) -> None:
