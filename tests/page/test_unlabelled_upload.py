@@ -89,7 +89,9 @@ def test_pcd_files_are_sent_as_they_are(upload: Upload, server: ServerProcess, s
 def test_a_drive_without_labels_is_labelled_by_the_service(
     upload: Upload, server: ServerProcess, unlabelled: Path
 ) -> None:
-    upload.pick(unlabelled)
+    with upload.page.expect_response("**/drives/look") as answer:
+        upload.pick(unlabelled)
+    look = answer.value.json()
     upload.page.get_by_text(f"It labels about {SCANS} keyframes; the time was not measured here yet").wait_for()
     assert upload.page.get_by_label("Label the scans on the service with flat").is_checked()
     assert "The network flat runs on the service: all" in upload.text()
@@ -109,8 +111,12 @@ def test_a_drive_without_labels_is_labelled_by_the_service(
         upload.page.get_by_text(re.compile(rf"^\d+ of {SCANS}$")).wait_for()
         upload.page.reload()
         upload.page.wait_for_selector("text=Uploads that were begun")
-    upload.pick(unlabelled)  # a worker looks into it
-    upload.press("Continue that upload")
+        # No worker looks into the folder meanwhile: the answer is that of before.
+        upload.page.route("**/drives/look", lambda route: route.fulfill(json=look))
+        upload.pick(unlabelled)
+        upload.press("Continue that upload")
+        upload.page.get_by_text("Labelling the scans").wait_for()
+    upload.page.unroute("**/drives/look")
     job = ended(server.client, upload.job())
     assert job["state"] == "successful", job["error"]
     assert job["request"]["labels"] == "predictions"
