@@ -19,7 +19,7 @@ from interloc.drives.options import DriveOptions, PoseFrame
 from interloc.drives.poses.calibration import IMU_CALIBRATION
 from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
-from interloc.drives.poses.tum import looks_like_tum, read_tum
+from interloc.drives.poses.tum import is_tum, read_tum
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, invert_transform
 
@@ -133,7 +133,7 @@ def read_trajectory(
             pose_count = len(frames)
         else:
             file = parts.file(parts.poses)
-            lines = _read_timed(file, times_s, frames, findings) if looks_like_tum(file.path) else read_poses(file)
+            lines = _read_timed(file, times_s, frames, findings) if is_tum(file.head()) else read_poses(file)
             pose_count = len(lines.poses)
             poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
             if lines.frames is None and parts.times is not None:

@@ -1,7 +1,7 @@
 """Scans as they were recorded, in any format: what the reader of a format provides.
 
 A format of scans is one module beside this one with a function ``open_...(root, options, findings)``. It returns a
-`Recording`, or None where the folder or file is of another format, and has its line in `interloc.drives.open`.
+`Recording`, or None where the folder or file is of another format, and has its line in `interloc.drives.formats`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 
 from interloc.arrays import Float32Array, IntArray, UInt32Array
 from interloc.drives.findings import Findings
-from interloc.drives.folder import Topic
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
+from interloc.drives.scans.facts import Topic
 from interloc.drives.trajectory import Trajectory
 
 _SAMPLED = 3  # scans
@@ -71,8 +71,7 @@ class Recording:
     Attributes
     ----------
     parts : DriveParts
-        Layout, root and name of the drive, the folder that label files would lie in, and the small files that there
-        are.
+        Layout, root and name of the drive, and the small files that there are.
     points : PointSource or None
         None where the scans could not be listed.
     frames : (N,) int64 or None

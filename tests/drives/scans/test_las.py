@@ -330,7 +330,7 @@ def test_order_does_not_matter_nor_does_the_number_of_files(tmp_path: Path, comp
     for index in (0, 7, len(one.frames) - 1):
         a, b = one.ground_points(index).road, two.ground_points(index).road
         np.testing.assert_allclose(a[np.argsort(a[:, 1])], b[np.argsort(b[:, 1])], atol=2e-3)
-    assert two.ground.name(0).startswith("laz/tile_0")
+    assert two.scans.name(0).startswith("laz/tile_0")
 
 
 def test_points_in_no_order_are_refused_where_it_is_hopeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -457,7 +457,7 @@ def test_files_in_sensor_coordinates_are_scans(tmp_path: Path) -> None:
     np.testing.assert_array_equal(drive.frames, np.arange(5, 17))
     np.testing.assert_allclose(drive.T_world_lidar[:, 0, 3], 3 * np.arange(12))
     assert drive.ground_points(0).road_count == 500
-    assert drive.ground.name(7) == "scan_007.laz"
+    assert drive.scans.name(7) == "scan_007.laz"
 
 
 def test_withheld_points_of_a_scan_are_nothing(tmp_path: Path) -> None:

@@ -51,7 +51,6 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
         layout="las",
         root=home,
         scans=folder,
-        labels=home / options.labels,
         poses=None,
         times=_existing(home / "times.txt"),
         calibration=(home,),
