@@ -11,7 +11,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from interloc.errors import ConfigError
+from interloc.drives.findings import DriveFileError
 
 GROUP = "interloc.recordings"
 
@@ -48,47 +48,30 @@ class ScanFormat:
 
         Raises
         ------
-        ConfigError
+        DriveError
             There is no such function: the package that brings it is damaged.
         """
         try:
-            opener = EntryPoint(self.name, self.opener, GROUP).load()
+            opener: Any = EntryPoint(self.name, self.opener, GROUP).load()
         except (ImportError, AttributeError) as error:
-            raise ConfigError(f"format {self.name}: {self.opener} cannot be loaded: {error}.") from error
+            raise DriveFileError(f"format {self.name}", f"{self.opener} cannot be loaded: {error}.") from error
         return opener(*arguments)
 
 
-_BIN_FILES, _PCD_FILES = "interloc.drives.scans.bin_files:open_bin_files", "interloc.drives.scans.pcd:open_pcd_files"
+_BIN_FILES = {
+    "semantickitti": "velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI, KITTI odometry)",
+    "kitti_raw": "velodyne_points/data/0000000000.bin, oxts/data/0000000000.txt (KITTI raw)",
+    "kitti360": "velodyne/ or data_3d_raw/DRIVE/velodyne_points/ with pose lines that start with the frame number "
+    "(KITTI-360)",
+}
+_BIN_OPENER = "interloc.drives.scans.bin_files:open_bin_files"
 
 FORMATS = (
-    ScanFormat(
-        "semantickitti",
-        "velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI, KITTI odometry)",
-        _BIN_FILES,
-        (".bin",),
-        is_folders=True,
-        is_read_whole=False,
-    ),
-    ScanFormat(
-        "kitti_raw",
-        "velodyne_points/data/0000000000.bin, oxts/data/0000000000.txt (KITTI raw)",
-        _BIN_FILES,
-        (".bin",),
-        is_folders=True,
-        is_read_whole=False,
-    ),
-    ScanFormat(
-        "kitti360",
-        "velodyne/ or data_3d_raw/DRIVE/velodyne_points/ with pose lines that start with the frame number (KITTI-360)",
-        _BIN_FILES,
-        (".bin",),
-        is_folders=True,
-        is_read_whole=False,
-    ),
+    *(ScanFormat(name, looks, _BIN_OPENER, (".bin",), True, False) for name, looks in _BIN_FILES.items()),
     ScanFormat(
         "pcd",
         "000000.pcd, 000001.pcd, ... (directly in it, or in pcd/, clouds/, velodyne/) with poses.txt (PCD)",
-        _PCD_FILES,
+        "interloc.drives.scans.pcd:open_pcd_files",
         (".pcd",),
         is_folders=True,
     ),
