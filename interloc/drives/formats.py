@@ -104,5 +104,5 @@ def installed_formats() -> tuple[ScanFormat, ...]:
 
 def find_format(name: object) -> ScanFormat | None:
     """Return the format of a name; None where there is none."""
-    named = (each for group in (lambda: FORMATS, installed_formats) for each in group() if each.name == name)
-    return next(named, None)
+    own = next((each for each in FORMATS if each.name == name), None)
+    return own or next((each for each in installed_formats() if each.name == name), None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -15,45 +16,20 @@ import pytest
 from interloc.drives.formats import FORMATS
 from interloc.drives.open import open_drive
 from interloc.errors import ConfigError, DriveError
-from tests.small_drives import IDS, lidar_poses, pose_text, scan_at
+from tests.small_drives import IDS, lidar_poses, pose_text, write_scans
 
-PACKAGE = """
-import numpy as np
-from interloc.drives.files import list_numbered
-from interloc.drives.layouts import DriveParts
-from interloc.drives.scans.recorded import Recording, ScanPoints
-
-
-class Scans:
-    def __init__(self, files):
-        self.scan_files = files
-
-    def name(self, frame):
-        return self.scan_files.file(frame).name
-
-    def files(self, frame):
-        return (self.scan_files.path(frame),)
-
-    def read(self, frame):
-        values = np.load(self.scan_files.path(frame))
-        return ScanPoints(values[:, :4].astype(np.float32), values[:, 4].astype(np.uint32))
-
-
-def open_tables(root, options, findings):
-    if not (root / "tables").is_dir():
-        return None
-    parts = DriveParts("tables", root, root / "tables", root / "poses.txt", None, (root,), None, None)
-    files = list_numbered(parts.file(parts.scans), ".npy")
-    return Recording(parts, Scans(files), files.numbers, int(files.sizes.sum()), carries_labels=True)
-"""
+ROOT = Path(__file__).parents[2]
+EXAMPLE = re.compile(r"^## A format of scans of your own$.*?^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
-    """A folder of packages, one of which brings a format."""
+    """A folder of packages, one of which brings the format of docs/library.md."""
     folder = tmp_path / "site"
     (folder / "tables-1.0.dist-info").mkdir(parents=True)
-    (folder / "tables_of_points.py").write_text(PACKAGE)
+    example = EXAMPLE.search((ROOT / "docs/library.md").read_text())
+    assert example is not None
+    (folder / "tables_of_points.py").write_text(example[1])
     (folder / "tables-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: tables\nVersion: 1.0\n")
     (folder / "tables-1.0.dist-info/entry_points.txt").write_text(
         "[interloc.recordings]\ntables = tables_of_points:open_tables\n"
@@ -65,10 +41,10 @@ def site(tmp_path: Path) -> Path:
 def tables(tmp_path: Path) -> Path:
     """A drive in that format."""
     root, poses = tmp_path / "07", lidar_poses()
-    (root / "tables").mkdir(parents=True)
-    for frame, pose in enumerate(poses):
-        points, labels = scan_at(pose, IDS["semantickitti"])
-        np.save(root / f"tables/{frame:06d}.npy", np.column_stack([points, labels]))
+    write_scans(root / "tables", root / "labels", poses, IDS["semantickitti"], list(range(12)), 6)
+    for path in (root / "tables").iterdir():
+        np.save(path.with_suffix(".npy"), np.fromfile(path, np.float32).reshape(-1, 4))
+        path.unlink()
     (root / "poses.txt").write_text(pose_text(poses))
     return root
 
@@ -78,7 +54,7 @@ def run_with(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]
     command = [sys.executable, "-c", "import sys; from interloc.cli.main import main; sys.exit(main())"]
     return subprocess.run(
         [*command, *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": f"{Path.cwd()}:{site}"},
+        env={**os.environ, "PYTHONPATH": f"{ROOT}:{site}"},
         capture_output=True,
         text=True,
         check=False,
@@ -95,7 +71,7 @@ def test_a_format_of_another_package(site: Path, tables: Path) -> None:
     done = run_with(site, "info", tables, "--json")
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
-    assert (report["layout"], report["scans"], report["label_folder"]) == ("tables", 12, "labels of the points")
+    assert (report["layout"], report["scans"], report["label_folder"]) == ("tables", 12, "labels")
     assert report["problems"] == []
 
 
