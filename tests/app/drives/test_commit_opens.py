@@ -7,7 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-from app.work import commit
+from app.drives.work import commit
 from app.work.task import Task
 from tests.opens import counted_opens
 from tests.small_drives import make
