@@ -11,7 +11,7 @@ from interloc.cli import console, options
 
 if TYPE_CHECKING:
     from interloc.drives.inspect import DriveReport
-    from interloc.drives.scans.facts import ReducedReport, Topic
+    from interloc.drives.scans.recorded import ReducedReport, Topic
 
 _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 

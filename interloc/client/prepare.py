@@ -139,7 +139,6 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
 
 
 def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> PreparedDrive:
-    """Send ground points, made as they are sent."""
     plan, manifest = reduction.plan, reduction.manifest
     scans = [
         UploadFile(
@@ -164,7 +163,6 @@ def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> Prepare
 
 
 def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
-    """Send the files themselves, under the paths that they have in the drive."""
     plan, manifest = reduction.plan, reduction.manifest
     scan_format = find_format(manifest.layout)
     if scan_format is None or not scan_format.is_folders:
@@ -193,7 +191,6 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
 
 
 def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
-    """Send a reduced drive, all of it or some of its label folders."""
     manifest = read_manifest(root)
     thins_otherwise = options.keyframes is None and manifest.keyframes is not None
     if options.reading.oxts is not None or options.model is not None or options.keep_raw or thins_otherwise:
@@ -228,7 +225,6 @@ def _manifest_file(manifest: ReducedManifest) -> UploadFile:
 
 
 def _small_file(name: str, source: Path | bytes) -> UploadFile:
-    """Send a file, or bytes under its name."""
     if isinstance(source, Path):
         return UploadFile(name, source)
     return UploadFile(name, lambda: source, made_by=hashlib.sha256(source).hexdigest())
@@ -241,14 +237,12 @@ def _mark_of(source: RawScans) -> str:
 
 
 def _source_bytes(manifest: ReducedManifest) -> int | None:
-    """Return the size of the scans and labels that a reduced drive was made of."""
     if manifest.source is None:
         return None
     return manifest.source.scan_bytes + sum(labels.label_bytes or 0 for labels in manifest.labels)
 
 
 def _files_below(root: Path, name: str) -> list[str]:
-    """Return the files of a folder of a drive, or the file itself."""
     path = root / name
     if not path.is_dir():
         return [name]
@@ -256,7 +250,6 @@ def _files_below(root: Path, name: str) -> list[str]:
 
 
 def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -> InterLocError:
-    """Return an error that names everything that is wrong with a drive."""
     folders = options.label_folders or label_folders_in(root)[: 1 if options.model is not None else None]
     findings = Findings(stop_at_first=False)
     read_drive(root, options.for_drive, findings, label_folders=folders)

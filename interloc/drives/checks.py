@@ -98,7 +98,6 @@ def check_flat_road(
 
 
 def _pose_frame_complaint(drive: FolderDrive) -> str:
-    """Return how the poses were read, and what else they may be."""
     if drive.pose_frame == "oxts":
         return "Poses were taken from OXTS. Usual cause: OXTS of another drive, or angles in another convention."
     other = "lidar" if drive.pose_frame == "camera" else "camera"

@@ -13,7 +13,7 @@ from pydantic import Field
 from interloc.drives.findings import Finding, Findings, by_severity
 from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import DriveArguments, DriveOptions, ReadingOptions
-from interloc.drives.scans.facts import ScanFacts
+from interloc.drives.scans.recorded import ScanFacts
 
 
 class DriveReport(ScanFacts):

@@ -223,7 +223,6 @@ def _holds_pcd(folder: Path) -> bool:
 
 
 def _existing(*paths: Path) -> Path | None:
-    """Return the first path that exists."""
     return next((path for path in paths if path.exists()), None)
 
 

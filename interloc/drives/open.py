@@ -186,7 +186,6 @@ def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Rec
 
 
 def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
-    """Make the drive of what was found; None where a part is missing."""
     poses = trajectory.poses
     if scans.frames is None or poses is None or not scans.is_complete:
         return None

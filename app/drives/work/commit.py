@@ -163,7 +163,6 @@ def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
 
 
 def _known_files(task: Task) -> set[str]:
-    """Return the small files that are kept."""
     root = task.drive / "files"
     if not is_reduced(root):
         return set(_reduction(task).plan.copies.sources)
@@ -214,7 +213,6 @@ def _options(task: Task) -> DriveOptions:
 
 
 def _model(task: Task) -> Path | None:
-    """Return the folder of the network that labels the scans."""
     name = task.request["options"].get("model")
     if name is None or is_reduced(task.drive / "files"):
         return None
@@ -263,7 +261,6 @@ def _reduction_once(root: Path, options: DriveOptions, job_id: str) -> Reduction
 
 
 def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:
-    """Return the function that reduces one scan."""
     reduction = _reduction(task)
     for labels in reduction.scans:
         (folder / ground_path(labels, 0)).parent.mkdir(parents=True)
@@ -271,7 +268,6 @@ def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:
 
 
 def _scan_check(task: Task) -> Callable[[int], None]:
-    """Return the function that decodes one reduced scan."""
     root = task.drive / "files"
     manifest = read_manifest(root)
 

@@ -116,7 +116,6 @@ class _Laid:
 
 
 def _laid_around(fixes: Fixes, here_m: float) -> _Laid:
-    """Lay the poses on the fixes around a place on the way."""
     around, weights = _around(fixes.distance_m, here_m)
     lonlat = np.stack([fixes.lon_deg[around], fixes.lat_deg[around]], axis=-1)
     origin = lonlat[int(np.argmax(weights))]

@@ -136,7 +136,6 @@ def _bytes_per_point(scans: NumberedFiles) -> int:
 
 
 def _size_complaint(size: int, point_bytes: int) -> str:
-    """Return what is wrong with the size of a scan."""
     if size == 0:
         return EMPTY
     expected = "four float32 per point (x y z remission)"

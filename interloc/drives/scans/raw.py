@@ -25,8 +25,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, judge_labels
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LabelFolder
-from interloc.drives.scans.facts import ScanFacts
-from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
+from interloc.drives.scans.recorded import PointSource, Recording, ScanFacts, ScanPoints
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.kernels.points import select_points
 
@@ -292,7 +291,6 @@ def count_ids(labels: UInt32Array) -> dict[int, int]:
 def _labels_of(
     recording: Recording, label_folder: LabelFolder, options: DriveOptions, findings: Findings
 ) -> LabelSource:
-    """Find the labels of a recording: the network that was asked for, label files, or those of the points."""
     parts, folder = recording.parts, recording.parts.label_folder(label_folder)
     if options.model is not None:
         from interloc.drives.scans.network import open_network  # noqa: PLC0415 - most drives need no network
@@ -368,7 +366,6 @@ def _check_label_files(
 
 
 def _label_count_complaint(labels: int, points: int, scan: str) -> str:
-    """Return that labels and points differ in number."""
     return (
         f"{labels:,} labels for {points:,} points in {scan}. Every point needs one 4-byte label. "
         "Usual cause: labels of another sequence, or an archive that was not unpacked to the end."

@@ -110,7 +110,6 @@ class Vehicle:
 
 
 def _at(times_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Return (N, 3) positions at some times."""
     return np.stack([np.interp(times_s, known_s, axis) for axis in values.T], axis=1)
 
 
@@ -202,7 +201,6 @@ def _grid(clouds: tuple[CloudFile, ...], options: DriveOptions, findings: Findin
 
 
 def _vehicle(track: Track, sample: Sample, grid: Grid | None, first: CloudFile, findings: Findings) -> Vehicle:
-    """Bring the trajectory into the clock and the coordinates of the cloud."""
     position, cloud = track.position.copy(), first.file
     if track.geographic:
         if grid is None:
@@ -230,7 +228,6 @@ def _vehicle(track: Track, sample: Sample, grid: Grid | None, first: CloudFile, 
 
 
 def _check_speed(track: Track, position: FloatArray) -> None:
-    """Refuse a trajectory that jumps."""
     step = np.linalg.norm(np.diff(position, axis=0), axis=1)
     jumps = (step > _JUMP_M) & (step > _JUMP_MPS * np.diff(track.times_s))
     if jumps.any():
@@ -308,7 +305,6 @@ def _check_outside(index: SliceIndex, track: Track, findings: Findings) -> None:
 
 
 def _note_labels(index: SliceIndex, folder: SourceFile, findings: Findings) -> None:
-    """Say what the classification of the points is good for."""
     classes = ", ".join(str(number) for number in np.flatnonzero(index.classes)[:20])
     if index.has_road:
         findings.note(folder.name, f"the classification of the points is their label ({ROAD_SURFACE}: road surface).")
@@ -321,7 +317,6 @@ def _note_labels(index: SliceIndex, folder: SourceFile, findings: Findings) -> N
 
 
 def _note_large(index: SliceIndex, folder: SourceFile, findings: Findings) -> None:
-    """Say so where scans hold more points than are read of one."""
     if large := int(np.count_nonzero(index.steps > 1)):
         findings.note(
             folder.name,

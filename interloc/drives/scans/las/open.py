@@ -66,7 +66,6 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
 
 
 def _find(root: Path) -> tuple[Path, list[Path]] | None:
-    """Return the folder of the files, and the files; None where there are none."""
     if root.is_file():
         path = root.absolute()
         return (path.parent, [path]) if root.suffix.lower() in SUFFIXES else None

@@ -134,7 +134,6 @@ def _split(line: str) -> list[str]:
 
 
 def _columns(names: list[str]) -> dict[str, int]:
-    """Return the column of every quantity that the names tell."""
     columns: dict[str, int] = {}
     for quantity, known in _NAMES.items():
         at = next((column for column, name in enumerate(names) if _UNIT.sub("", name) in known.split()), None)
@@ -144,7 +143,6 @@ def _columns(names: list[str]) -> dict[str, int]:
 
 
 def _read_table(file: SourceFile) -> Track:
-    """Read a table with a header."""
     lines = file.lines()
     start = next(row for row, text in enumerate(lines) if text.strip())
     names = _names(lines[start])
@@ -242,7 +240,6 @@ def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "
 
 
 def _check_place(position: FloatArray, file: SourceFile, *, geographic: bool) -> None:
-    """Refuse positions that are nowhere."""
     if not geographic:
         if np.abs(position).max() > 1e8:
             raise file.fault("a position is more than 100,000 km from the origin. Expected metres.")

@@ -21,7 +21,7 @@ from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.facts import Topic
+from interloc.drives.scans.recorded import Topic
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each, read_tree
 from interloc.drives.scans.rosbag.messages import NO_FIX, TRANSFORMS, read_fix
