@@ -135,7 +135,7 @@ def finish(task: Task, plan: Plan) -> Outcome:
 def check(task: Task) -> DriveReport:
     """Check a drive by all of its label folders; return one report with the problems of all."""
     root = task.drive / "files"
-    readings, findings = _read(task)
+    readings, findings = _read_once(root, _options(task), task.job_id)
     report = report_of(root, _options(task), next(iter(readings.values())), findings)
     problems = report.problems
     if (known := find_format(report.layout)) is not None and not known.is_read_whole:
@@ -225,10 +225,6 @@ def _frames(task: Task) -> list[int]:
     if is_reduced(root):
         return [int(frame) for frame in read_manifest(root).kept_frames]
     return [int(frame) for frame in _reduction(task).plan.frames_to_send]
-
-
-def _read(task: Task) -> tuple[dict[LabelFolder, DriveReading], Findings]:
-    return _read_once(task.drive / "files", _options(task), task.job_id)
 
 
 @lru_cache(maxsize=2)

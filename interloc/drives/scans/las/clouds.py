@@ -239,7 +239,7 @@ def _opened(cloud: CloudFile, fields: frozenset[Field], *, read_evlrs: bool = Fa
         reader.close()
 
 
-def read_header(file: SourceFile) -> CloudFile:
+def read_cloud_header(file: SourceFile) -> CloudFile:
     """Read the header of a file, and check what it promises against the size of the file.
 
     Raises

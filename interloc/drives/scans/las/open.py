@@ -9,7 +9,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.las.clouds import CloudFile, read_header, require_laspy
+from interloc.drives.scans.las.clouds import CloudFile, read_cloud_header, require_laspy
 from interloc.drives.scans.las.mapping import open_mapping
 from interloc.drives.scans.las.scan_files import is_one_per_scan, open_scan_clouds
 from interloc.drives.scans.recorded import Recording
@@ -59,7 +59,7 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
         name=name,
     )
     require_laspy(parts.file(paths[0]).name)
-    clouds = tuple(_not_empty(read_header(SourceFile(path, home))) for path in paths)
+    clouds = tuple(_not_empty(read_cloud_header(SourceFile(path, home))) for path in paths)
     if is_one_per_scan(clouds, parts, options):
         return open_scan_clouds(clouds, parts, options, findings)
     return open_mapping(clouds, parts, options, findings)
