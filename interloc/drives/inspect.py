@@ -24,7 +24,7 @@ class DriveReport(ScanFacts):
     path, name : str
         The folder, and the name of the drive.
     layout : str or None
-        A name of `interloc.drives.formats`.
+        "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag" or "las".
     poses : int
         Poses in the file (may be more than scans).
     length_m : float or None
