@@ -77,7 +77,7 @@ class _OfModel(click.Option):
         return [_option_of(name, DriveOptions.model_fields[name]) for name in self._fields]
 
 
-class _Layout(click.Choice[str]):
+class _Layout(click.Choice):  # type: ignore[type-arg]  # has none before click 8.2
     """The formats of scans; those of other packages are looked up only where one is named."""
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class _Layout(click.Choice[str]):
 
 def _option_of(name: str, field: FieldInfo) -> click.Option:
     choices = get_args(field.annotation)
-    kind: click.ParamType = PATH if Path in choices else click.STRING
+    kind: click.ParamType[Any] = PATH if Path in choices else click.STRING
     if name == "layout":
         kind = _Layout()
     elif choices and all(isinstance(each, str) for each in choices):
