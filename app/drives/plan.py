@@ -38,7 +38,6 @@ async def plan_upload(
         request.numbers(),
         reading_options(given, root, name),
         {
-            "label_folders": request.label_folders,
             "keyframes": request.keyframes,
             "scan_folder": request.scan_folder,
         },

@@ -35,7 +35,8 @@ from app.upkeep.transfer import Advance, no_progress
 from app.work.places import TRAJECTORY
 from interloc.drives.findings import Finding
 from interloc.drives.inspect import DriveReport
-from interloc.drives.scans.reduced import GroundFiles
+from interloc.drives.options import LabelFolder
+from interloc.drives.scans.reduced import read_ground
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, read_manifest
 from interloc.errors import InterLocError
 from interloc.output.layout import RUN_FILE
@@ -290,22 +291,21 @@ def _faults_of(root: Path, *, quick: bool) -> Iterator[tuple[str, str]]:
         return
     yield from ((name, _NAMED) for name in manifest.files.paths if not (root / name).exists())
     for labels in manifest.labels:
-        scans = GroundFiles(root, labels.folder, manifest.kept_frames, manifest.keyframes)
         for frame in map(int, manifest.kept_frames):
             name = ground_path(labels.folder, frame)
-            fault = _fault_of_scan(scans, frame, root / name, quick=quick)
+            fault = _fault_of_scan(root, labels.folder, frame, quick=quick)
             if fault is not None:
                 yield name, without_folder(fault, root, "reduced")
     if not any((root.parent / name).is_file() for name in TRAJECTORY):
         yield "", "the trajectory beside the reduced scans is not there."
 
 
-def _fault_of_scan(scans: GroundFiles, frame: int, path: Path, *, quick: bool) -> str | None:
-    if not path.is_file():
+def _fault_of_scan(root: Path, folder: LabelFolder, frame: int, *, quick: bool) -> str | None:
+    if not (root / ground_path(folder, frame)).is_file():
         return _NAMED
     try:
         if not quick:
-            scans.read(frame)
+            read_ground(root, folder, frame)
     except InterLocError as error:
         return str(error)
     return None

@@ -79,8 +79,8 @@ def label(drive: Path, out: Path | None, quiet: bool, as_json: bool, **reading: 
     with console.progress("label", "scan", quiet=quiet) as bar:
         folder, read = label_drive(drive, out, DriveOptions.of(**reading), progress=bar)
     seconds = time.perf_counter() - began
-    assert read.store is not None
-    facts, road = read.store.facts, read.labels.road_share
+    assert read.scans is not None
+    facts, road = read.scans.facts, read.labels.road_share
     if as_json:
         outcome = {"out": str(folder), "scans": facts.scans, "network": facts.label_folder, "seconds": seconds}
         console.say_json({**outcome, "road_share": road})

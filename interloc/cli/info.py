@@ -10,8 +10,8 @@ import click
 from interloc.cli import console, options
 
 if TYPE_CHECKING:
-    from interloc.drives.folder import ReducedReport, Topic
     from interloc.drives.inspect import DriveReport
+    from interloc.drives.scans.recorded import ReducedReport, Topic
 
 _MARK = {"error": "ERROR", "warning": "warning", "note": "note"}
 

@@ -77,15 +77,34 @@ class _OfModel(click.Option):
         return [_option_of(name, DriveOptions.model_fields[name]) for name in self._fields]
 
 
+class _Layout(click.Choice):  # type: ignore[type-arg]  # has none before click 8.2
+    """The formats of scans; those of other packages are looked up only where one is named."""
+
+    def __init__(self) -> None:
+        from interloc.drives.formats import FORMATS
+
+        super().__init__(["auto", *(each.name for each in FORMATS)])
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        from interloc.drives.formats import find_format
+
+        known = find_format(value)
+        return super().convert(value, param, ctx) if known is None else known.name
+
+
 def _option_of(name: str, field: FieldInfo) -> click.Option:
     choices = get_args(field.annotation)
-    is_choice = bool(choices) and all(isinstance(each, str) for each in choices)
+    kind: click.ParamType[Any] = PATH if Path in choices else click.STRING
+    if name == "layout":
+        kind = _Layout()
+    elif choices and all(isinstance(each, str) for each in choices):
+        kind = click.Choice(list(choices))
     text = field.description or ""
     if str in choices and field.examples:
         text = f"{text.removesuffix('.')}, such as {field.examples[0]}."
     return click.Option(
         [f"--{name.replace('_', '-')}"],
-        type=click.Choice(list(choices)) if is_choice else PATH if Path in choices else str,
+        type=kind,
         default=field.default,
         show_default=field.default is not None,
         help=text,

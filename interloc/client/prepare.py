@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -11,8 +10,9 @@ from typing import Any
 
 from interloc.client.upload import UploadFile
 from interloc.config import DEFAULT, KeyframeConfig
-from interloc.drives.inspect import inspect_drive
-from interloc.drives.open import open_drive
+from interloc.drives.findings import Findings
+from interloc.drives.formats import find_format
+from interloc.drives.open import read_drive
 from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import MANIFEST, ReducedManifest, ground_path, is_reduced, read_manifest
@@ -57,9 +57,10 @@ class PushOptions:
     model: Path | None = None
     provider: str = "cpu"
 
-    def options_for(self, labels: LabelFolder) -> DriveOptions:
-        """Return how the drive is read, for one of its label folders."""
-        return DriveOptions.of(self.reading, name=self.name, labels=labels, model=self.model, provider=self.provider)
+    @property
+    def for_drive(self) -> DriveOptions:
+        """How the drive is read."""
+        return DriveOptions.of(self.reading, name=self.name, model=self.model, provider=self.provider)
 
     def __post_init__(self) -> None:
         if self.model is not None and (self.raw or self.label_folders):
@@ -117,7 +118,6 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
     ConfigError
         An option does not fit the drive.
     """
-    labels = options.label_folders or None
     maps = [UploadFile(path.name, path) for path in options.maps]
     for path in options.maps:
         if not path.is_file():
@@ -127,8 +127,8 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
             return _as_reduced(root, options, maps)
         reduction = prepare_reduction(
             root,
-            options.options_for("labels"),
-            label_folders=labels,
+            options.for_drive,
+            label_folders=options.label_folders or None,
             keyframes=None if options.raw else options.keyframes,
         )
     except ConfigError:
@@ -139,7 +139,6 @@ def prepare(root: Path, options: PushOptions) -> PreparedDrive:
 
 
 def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> PreparedDrive:
-    """Send ground points, made as they are sent."""
     plan, manifest = reduction.plan, reduction.manifest
     scans = [
         UploadFile(
@@ -164,9 +163,9 @@ def _reduced_on_the_way(reduction: Reduction, maps: list[UploadFile]) -> Prepare
 
 
 def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
-    """Send the files themselves, under the paths that they have in the drive."""
     plan, manifest = reduction.plan, reduction.manifest
-    if manifest.layout in {"rosbag", "las"}:
+    scan_format = find_format(manifest.layout)
+    if scan_format is None or not scan_format.is_folders:
         raise ConfigError(
             f"{root}: --raw sends drives with one file per scan. Leave it out: bags and LAS files are reduced here."
         )
@@ -192,7 +191,6 @@ def _as_it_is(root: Path, reduction: Reduction, options: PushOptions, maps: list
 
 
 def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> PreparedDrive:
-    """Send a reduced drive, all of it or some of its label folders."""
     manifest = read_manifest(root)
     thins_otherwise = options.keyframes is None and manifest.keyframes is not None
     if options.reading.oxts is not None or options.model is not None or options.keep_raw or thins_otherwise:
@@ -201,8 +199,7 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> Pre
             "it was made from. Give that drive, or leave these options out."
         )
     chosen = options.label_folders or tuple(labels.folder for labels in manifest.labels) or label_folders_in(root)
-    for labels in chosen:
-        drive = open_drive(root, options.reading, labels=labels)
+    opened = read_drive(root, DriveOptions.of(options.reading), Findings(stop_at_first=True), label_folders=chosen)
     kept = [labels for labels in manifest.labels if labels.folder in chosen]
     sent = ReducedManifest.model_validate({**dict(manifest), "name": options.name or manifest.name, "labels": kept})
     names = [name for path in manifest.files.paths for name in _files_below(root, path)]
@@ -213,7 +210,7 @@ def _as_reduced(root: Path, options: PushOptions, maps: list[UploadFile]) -> Pre
         scans=len(manifest.frames),
         scans_sent=len(frames),
         source_bytes=_source_bytes(sent),
-        is_georeferenced=drive.georeference is not None,
+        is_georeferenced=opened[chosen[0]].trajectory.georeference is not None,
         files=[
             *(UploadFile(name, root / name) for name in names),
             *(UploadFile(name, root / name) for name in ground),
@@ -228,7 +225,6 @@ def _manifest_file(manifest: ReducedManifest) -> UploadFile:
 
 
 def _small_file(name: str, source: Path | bytes) -> UploadFile:
-    """Send a file, or bytes under its name."""
     if isinstance(source, Path):
         return UploadFile(name, source)
     return UploadFile(name, lambda: source, made_by=hashlib.sha256(source).hexdigest())
@@ -236,19 +232,17 @@ def _small_file(name: str, source: Path | bytes) -> UploadFile:
 
 def _mark_of(source: RawScans) -> str:
     """Tell label schemes, and networks, apart."""
-    ids = (sorted(source.scheme.road), sorted(source.scheme.confusable), *source.labels.identity)
+    ids = (sorted(source.scheme.road), sorted(source.scheme.confusable), *source.sources[1].identity)
     return hashlib.sha256(repr(ids).encode()).hexdigest()[:12]
 
 
 def _source_bytes(manifest: ReducedManifest) -> int | None:
-    """Return the size of the scans and labels that a reduced drive was made of."""
     if manifest.source is None:
         return None
     return manifest.source.scan_bytes + sum(labels.label_bytes or 0 for labels in manifest.labels)
 
 
 def _files_below(root: Path, name: str) -> list[str]:
-    """Return the files of a folder of a drive, or the file itself."""
     path = root / name
     if not path.is_dir():
         return [name]
@@ -256,19 +250,13 @@ def _files_below(root: Path, name: str) -> list[str]:
 
 
 def _with_all_problems(error: InterLocError, root: Path, options: PushOptions) -> InterLocError:
-    """Return an error that names everything that is wrong with a drive."""
-    problems: list[str] = []
-    for labels in _label_folders(root, options):
-        report = inspect_drive(root, options.options_for(labels))
-        problems += [f"{each.path}: {each.message}" for each in report.problems if each.severity == "error"]
-    problems = list(dict.fromkeys(problems))
+    folders = options.label_folders or label_folders_in(root)[: 1 if options.model is not None else None]
+    findings = Findings(stop_at_first=False)
+    read_drive(root, options.for_drive, findings, label_folders=folders)
+    problems = [f"{each.path}: {each.message}" for each in findings.found if each.severity == "error"]
     if len(problems) < 2:
         return error
     return DriveError("\n  ".join([f"{root} cannot be used as it is; nothing was sent:", *problems]))
-
-
-def _label_folders(root: Path, options: PushOptions) -> Sequence[LabelFolder]:
-    return options.label_folders or label_folders_in(root)[: 1 if options.model is not None else None]
 
 
 def _is_plain(name: str) -> bool:

@@ -1,20 +1,17 @@
-"""Do labels, poses and georeference of a drive fit together? Judged from a few scans."""
+"""Do labels and poses of a drive fit together? Judged from a few scans."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy import ndimage
+from numpy.lib.stride_tricks import sliding_window_view
 
 from interloc.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from interloc.drive import Georeference
-from interloc.drives.findings import DriveFileError, Findings, GeoreferenceFileError
+from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.folder import FolderDrive
-from interloc.drives.georeference.geodetic import ecef_poses
-from interloc.drives.poses.motion import body_steps, rows_apart
+from interloc.drives.poses.motion import rows_apart
 from interloc.geometry import invert_transform, rotate_2d, rotation_angle, yaw_of
 
 MAX_STEP_M, MAX_STEP_SLOPE = 0.6, 0.02
@@ -22,9 +19,6 @@ MAX_STEP_M, MAX_STEP_SLOPE = 0.6, 0.02
 (scans 20 m apart); with the poses of the camera the road climbs one metre with every metre driven."""
 
 MAX_TILT_RAD = np.radians(40.0)
-
-MAX_GEOREFERENCE_ERROR = 0.1
-"""Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
 
 _CELL_M = 1.0
 _RANGE_M = 25.0
@@ -94,7 +88,7 @@ def check_flat_road(
         tilt, i = min(tilts)
         findings.error(
             DriveFileError(
-                drive.ground.name(int(drive.frames[i])),
+                drive.scans.name(int(drive.frames[i])),
                 f"its road is tilted by {np.degrees(tilt):.0f} degrees against the sensor. Expected points "
                 "of a LiDAR with x forward, y left, z up. Usual cause: points in the frame of the camera, or labels of "
                 "another scan.",
@@ -104,7 +98,6 @@ def check_flat_road(
 
 
 def _pose_frame_complaint(drive: FolderDrive) -> str:
-    """Return how the poses were read, and what else they may be."""
     if drive.pose_frame == "oxts":
         return "Poses were taken from OXTS. Usual cause: OXTS of another drive, or angles in another convention."
     other = "lidar" if drive.pose_frame == "camera" else "camera"
@@ -240,7 +233,8 @@ def _road_overlap(here: FloatArray, there: FloatArray, relative: FloatArray) -> 
         Pose of the second scan in the first.
     """
     size = 2 * int(_RANGE_M + 2)
-    road = ndimage.binary_dilation(_covered(here, size), np.ones((3, 3), dtype=np.bool_))
+    covered = np.pad(_covered(here, size), 1)
+    road: BoolArray = np.logical_or.reduce(sliding_window_view(covered, (3, 3)), axis=(2, 3))  # a cell more all around
     near = there[np.hypot(there[:, 0], there[:, 1]) < _OVERLAP_M]
     if not len(near):
         return np.zeros(len(_OTHER_TURNS_DEG))
@@ -272,44 +266,3 @@ def _tilt(points: FloatArray) -> float | None:
     if values[1] < 1.0:  # a strip under a metre wide has no sure plane
         return None
     return float(np.arccos(min(1.0, abs(vectors[2, 0]))))
-
-
-def check_georeference(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:
-    """Check that the georeference moves as the poses do, piece by piece (drift does not matter).
-
-    Parameters
-    ----------
-    poses : (N, 4, 4) float64
-        T_world_lidar.
-
-    Returns
-    -------
-    float or None
-        Median error of the motion over pieces of some metres, as a share of their length; None where it hardly moves.
-    """
-    rows = rows_apart(poses[:, :3, 3], 10.0)
-    if len(rows) < 2:
-        return None
-    ours = body_steps(poses[rows])
-
-    def error_of(fixes: Georeference) -> float:
-        theirs = body_steps(ecef_poses(fixes)[rows])
-        return float(np.median(np.linalg.norm(theirs - ours, axis=1) / np.linalg.norm(ours, axis=1)))
-
-    error = error_of(georeference)
-    if error > MAX_GEOREFERENCE_ERROR:
-        cause = (
-            "Usual cause: the georeference of another drive, rows that start at another frame, or angles in another "
-            "convention (expected: yaw 0 = east, counter-clockwise, radians)."
-        )
-        swapped = replace(georeference, lat_deg=georeference.lon_deg, lon_deg=georeference.lat_deg)
-        if np.abs(swapped.lat_deg).max() < 90.0 and error_of(swapped) < MAX_GEOREFERENCE_ERROR:
-            cause = "Latitude and longitude are swapped: the other way round the motion is that of the poses."
-        findings.error(
-            GeoreferenceFileError(
-                georeference.source,
-                f"describes another motion than the poses: off by {error:.0%} of the distance, piece by piece "
-                f"(usual: under 2 %). {cause}",
-            )
-        )
-    return error

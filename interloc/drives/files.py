@@ -7,7 +7,9 @@ import math
 import os
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -37,6 +39,19 @@ MAX_NUMBER = 1e7
 """No coordinate of a drive is larger (metres)."""
 
 _HEAD = 64
+_HEAD_BYTES = 65_536
+
+_kept: ContextVar[dict[Path, bytes] | None] = ContextVar("files of one line per frame that were read", default=None)
+
+
+@contextmanager
+def each_read_once() -> Iterator[None]:
+    """Keep the files with one line per frame while a drive is opened: several steps look into the same ones."""
+    token = _kept.set({})
+    try:
+        yield
+    finally:
+        _kept.reset(token)
 
 
 @dataclass(frozen=True)
@@ -89,7 +104,7 @@ class SourceFile:
         DriveError
             As `text`; or it has more lines than any drive has frames, or one that is too long for any.
         """
-        text = self._decoded(self._read(MAX_TEXT_BYTES, MAX_ROWS))
+        text = self._decoded(self._data())
         if "\r" in text:
             text = text.replace("\r\n", "\n").replace("\r", "\n")
         lines = text.removesuffix("\n").split("\n")
@@ -101,6 +116,22 @@ class SourceFile:
                 longest + 1,
             )
         return lines
+
+    def head(self) -> bytes:
+        """Return how a file with one line per frame begins; b"" where it cannot be read, which its reader says."""
+        try:
+            return b"" if self.path.suffix == ".gz" else self._data()[:_HEAD_BYTES]
+        except InterLocError:
+            return b""
+
+    def _data(self) -> bytes:
+        kept = _kept.get()
+        if kept is not None and self.path in kept:
+            return kept[self.path]
+        data = self._read(MAX_TEXT_BYTES, MAX_ROWS)
+        if kept is not None:
+            kept[self.path] = data
+        return data
 
     def _read(self, max_bytes: int, max_rows: int | None = None) -> bytes:
         """Read to the end, or refuse what is too large before anything is made of it."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from interloc.errors import DriveError, GeoreferenceError, InterLocError
 
@@ -61,6 +61,11 @@ class Finding:
     message: str
 
 
+def by_severity(found: Iterable[Finding]) -> list[Finding]:
+    """Sort findings: errors first, then warnings and notes, else in their order."""
+    return sorted(found, key=lambda finding: get_args(Severity).index(finding.severity))
+
+
 @dataclass
 class Findings:
     """Collects what the checks find.
@@ -74,6 +79,11 @@ class Findings:
 
     stop_at_first: bool
     found: list[Finding] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """True where nothing makes the drive unusable."""
+        return not any(finding.severity == "error" for finding in self.found)
 
     def error(self, fault: InterLocError) -> None:
         """Raise the fault, or list it."""

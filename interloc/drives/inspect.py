@@ -10,10 +10,10 @@ from typing import Any, Unpack
 import numpy as np
 from pydantic import Field
 
-from interloc.drives.findings import Finding, Findings
-from interloc.drives.folder import ScanFacts
-from interloc.drives.open import read_drive
+from interloc.drives.findings import Finding, Findings, by_severity
+from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import DriveArguments, DriveOptions, ReadingOptions
+from interloc.drives.scans.recorded import ScanFacts
 
 
 class DriveReport(ScanFacts):
@@ -115,15 +115,19 @@ def inspect_drive(
     """
     root, findings = Path(path), Findings(stop_at_first=False)
     chosen = DriveOptions.of(options, **{**arguments, "check": True})
-    reading = read_drive(root, chosen, findings, thorough=thorough)
-    store, trajectory, labels = reading.store, reading.trajectory, reading.labels
+    reading = read_drive(root, chosen, findings, thorough=thorough)[chosen.labels]
+    return report_of(root, chosen, reading, findings)
+
+
+def report_of(root: Path, options: DriveOptions, reading: DriveReading, findings: Findings) -> DriveReport:
+    """Report what was read of a drive, and all that was found meanwhile."""
+    scans, trajectory, labels = reading.scans, reading.trajectory, reading.labels
     poses, times_s, georeference = trajectory.poses, trajectory.times_s, trajectory.georeference
-    order = ("error", "warning", "note")
     return DriveReport(
         path=str(root),
-        name=store.parts.drive_name if store else chosen.name or root.absolute().name,
-        layout=store.parts.layout if store else None,
-        **({} if store is None else dict(store.facts)),
+        name=scans.parts.drive_name if scans else options.name or root.absolute().name,
+        layout=scans.parts.layout if scans else None,
+        **({} if scans is None else dict(scans.facts)),
         poses=trajectory.pose_count,
         length_m=poses.length_m if poses else None,
         spacing_m=float(np.median(poses.steps_m)) if poses and len(poses.steps_m) else None,
@@ -139,5 +143,5 @@ def inspect_drive(
         georeference_error=reading.georeference_error,
         flatness_m=reading.flatness_m,
         looked_into=len(reading.sample),
-        problems=sorted(findings.found, key=lambda finding: order.index(finding.severity)),
+        problems=by_severity(findings.found),
     )

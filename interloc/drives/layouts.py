@@ -12,11 +12,12 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError
-from interloc.drives.options import DriveOptions, LayoutName
+from interloc.drives.formats import FORMATS, find_format, installed_formats
+from interloc.drives.options import DriveOptions, LabelFolder
 from interloc.wording import counted
 
 INDEXED_LENGTHS = (13, 17)
@@ -50,11 +51,11 @@ class DriveParts:
     Attributes
     ----------
     layout : str
-        "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag" or "las".
+        A name of `interloc.drives.formats`.
     root : Path
         Folder of the drive.
-    scans, labels : Path
-        Folders of .bin and .label files.
+    scans : Path
+        Folder of the scans.
     poses : Path or None
         Pose lines; None where the poses come from OXTS.
     times : Path or None
@@ -69,10 +70,9 @@ class DriveParts:
         Whose poses the pose file holds, and why, where that was found out before.
     """
 
-    layout: LayoutName
+    layout: str
     root: Path
     scans: Path
-    labels: Path
     poses: Path | None
     times: Path | None
     calibration: tuple[Path, ...]
@@ -95,8 +95,12 @@ class DriveParts:
         """Return a file or folder under the name that messages give it."""
         return SourceFile(path, self.root)
 
+    def label_folder(self, name: LabelFolder) -> Path:
+        """Return the folder of label files: in that of the drive, beside a drive in one file."""
+        return (self.root if self.root.is_dir() else self.root.parent) / name
 
-def _semantickitti(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
+
+def _semantickitti(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
     """SemanticKITTI and KITTI odometry: velodyne/, labels/ or predictions/, poses.txt, calib.txt."""
     if "velodyne" not in scan_folders:
         return None
@@ -104,7 +108,6 @@ def _semantickitti(root: Path, labels: str, scan_folders: Collection[str]) -> Dr
         layout="semantickitti",
         root=root,
         scans=root / "velodyne",
-        labels=root / labels,
         poses=root / "poses.txt",
         times=_existing(root / "times.txt"),
         calibration=(root,),
@@ -113,7 +116,7 @@ def _semantickitti(root: Path, labels: str, scan_folders: Collection[str]) -> Dr
     )
 
 
-def _kitti_raw(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
+def _kitti_raw(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
     """KITTI raw: velodyne_points/data/, oxts/data/, calibration beside or one folder above."""
     if "velodyne_points/data" not in scan_folders:
         return None
@@ -121,7 +124,6 @@ def _kitti_raw(root: Path, labels: str, scan_folders: Collection[str]) -> DriveP
         layout="kitti_raw",
         root=root,
         scans=root / "velodyne_points" / "data",
-        labels=root / labels,
         poses=_existing(root / "poses.txt"),
         times=_existing(root / "velodyne_points" / "timestamps.txt", root / "oxts" / "timestamps.txt"),
         calibration=(root, root.absolute().parent),
@@ -130,7 +132,7 @@ def _kitti_raw(root: Path, labels: str, scan_folders: Collection[str]) -> DriveP
     )
 
 
-def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:
+def _kitti360(root: Path, scan_folders: Collection[str]) -> DriveParts | None:
     """KITTI-360: pose lines that start with the frame number, those of the left camera or of the IMU (poses.txt).
 
     They lie beside the scans, or as published: scans in data_3d_raw/DRIVE, poses in data_poses/DRIVE, calibration/; of
@@ -152,7 +154,7 @@ def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DrivePa
     if scans is None or (published and not scans.is_dir()):
         return None
     pose_file = _existing(*(folder / name for folder in pose_folders for name in _KITTI360_POSES))
-    if pose_file is None or _fields_of_first_line(pose_file) not in INDEXED_LENGTHS:
+    if pose_file is None or _fields_of_first_line(SourceFile(pose_file, root)) not in INDEXED_LENGTHS:
         if published is None:
             return None
         pose_file = pose_folders[-1] / _KITTI360_POSES[0]  # its reader says that it is missing, or what is wrong
@@ -160,7 +162,6 @@ def _kitti360(root: Path, labels: str, scan_folders: Collection[str]) -> DrivePa
         layout="kitti360",
         root=root,
         scans=scans,
-        labels=root / labels,
         poses=pose_file,
         times=_existing(
             root / "times.txt", scans.parent / "timestamps.txt", *(folder / "timestamps.txt" for folder in oxts)
@@ -193,7 +194,7 @@ def _published_kitti360(root: Path) -> tuple[Path, Path] | None:
     return scans.parent, scans / drives[0]
 
 
-def _pcd(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:  # noqa: ARG001 - a `_Find`
+def _pcd(root: Path, scan_folders: Collection[str]) -> DriveParts | None:  # noqa: ARG001 - as the others
     """PCD files: in pcd/, clouds/, velodyne/ or the folder itself, with the poses beside."""
     folders = (root / folder for folder in _PCD_FOLDERS)
     scans = next((folder for folder in folders if folder.is_dir() and _holds_pcd(folder)), None)
@@ -203,7 +204,6 @@ def _pcd(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts |
         layout="pcd",
         root=root,
         scans=scans,
-        labels=root / labels,
         poses=_existing(*(root / name for name in POSE_FILES)) or root / POSE_FILES[0],
         times=_existing(root / "times.txt"),
         calibration=(root,),
@@ -223,39 +223,20 @@ def _holds_pcd(folder: Path) -> bool:
 
 
 def _existing(*paths: Path) -> Path | None:
-    """Return the first path that exists."""
     return next((path for path in paths if path.exists()), None)
 
 
-def _fields_of_first_line(path: Path) -> int:
+def _fields_of_first_line(file: SourceFile) -> int:
     """Count the numbers of the first line; 0 where it cannot be read (its reader will say why)."""
-    try:
-        with path.open("rb") as file:
-            return len(file.readline(4096).split())
-    except OSError:
-        return 0
+    return len(file.head().partition(b"\n")[0].split())
 
 
-def _none(root: Path, labels: str, scan_folders: Collection[str]) -> DriveParts | None:  # noqa: ARG001 - a `_Find`
-    return None
-
-
-_Find = Callable[[Path, str, Collection[str]], DriveParts | None]
-_LAYOUTS: dict[LayoutName, tuple[_Find, str]] = {  # the first that fits, in this order
-    "pcd": (_pcd, "000000.pcd, 000001.pcd, ... (directly in it, or in pcd/, clouds/, velodyne/) with poses.txt (PCD)"),
-    "kitti360": (  # the others know nothing of frame numbers in pose lines
-        _kitti360,
-        "velodyne/ or data_3d_raw/DRIVE/velodyne_points/ with pose lines that start with the frame number (KITTI-360)",
-    ),
-    "semantickitti": (
-        _semantickitti,
-        "velodyne/000000.bin, labels/000000.label, poses.txt, calib.txt (SemanticKITTI, KITTI odometry)",
-    ),
-    "kitti_raw": (_kitti_raw, "velodyne_points/data/0000000000.bin, oxts/data/0000000000.txt (KITTI raw)"),
+_LAYOUTS: dict[str, Callable[[Path, Collection[str]], DriveParts | None]] = {  # the first that fits, in this order
+    "pcd": _pcd,
+    "kitti360": _kitti360,  # the others know nothing of frame numbers in pose lines
+    "semantickitti": _semantickitti,
+    "kitti_raw": _kitti_raw,
 }
-
-_OTHERS = ["a ROS bag (.bag, .db3, .mcap)", "LAS or LAZ files with their trajectory"]
-"""What other readers than this one know."""
 
 _USUAL_MISTAKES: tuple[tuple[str, str], ...] = (
     (r"ground", "It is a reduced drive without its reduced.json, which is written last: reduce or send it again. "),
@@ -284,16 +265,16 @@ _FOREIGN = {
 }
 """Formats of points that are not read -> what to do instead."""
 
-_KNOWN_SCANS = (".pcd", ".las", ".laz", ".bag", ".db3", ".mcap", ".bin")
 _MAX_LOOKED_AT = 20_000
 
 
 def _seen_in(root: Path) -> str:
     """Return what scans a folder holds that is no drive, there or below, and what to do with them; "" for none."""
     counts: Counter[tuple[str, str]] = Counter()
+    known = {ending for each in FORMATS for ending in each.endings}
     below = (each for pattern in ("*", "*/*", "*/*/*") for each in root.glob(pattern))
     for path in islice(below, _MAX_LOOKED_AT):
-        if (suffix := path.suffix.lower()) in _KNOWN_SCANS or suffix in _FOREIGN:
+        if (suffix := path.suffix.lower()) in known or suffix in _FOREIGN:
             counts[str(path.parent), suffix] += 1
     if not counts:
         return ""
@@ -325,43 +306,52 @@ def find_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | No
     DriveError
         There is no such folder, it is not a drive, or it could be two.
     """
-    name = str(root)
-    if not root.exists():
-        raise DriveFileError(name, "does not exist. Expected the folder of one drive.")
+    parts = recognise_layout(root, options, announced=announced)
+    if parts is None:
+        raise not_a_drive(root, options, announced=announced)
+    return parts
+
+
+def recognise_layout(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveParts | None:
+    """Find the parts of a drive folder, as `find_layout`; None where it is of no layout, or not of the one asked for.
+
+    Raises
+    ------
+    DriveError
+        It could be two drives.
+    """
     if not root.is_dir():
-        suffix = root.suffix.lower()
-        hint = _FOREIGN.get(suffix) or _SINGLE_FILES.get(suffix, "unpack an archive first, and give the folder")
-        raise DriveFileError(name, f"is a file. Expected the folder of one drive, a ROS bag or a LAS file: {hint}.")
+        return None
     inside = {entry.name for entry in root.iterdir()}
-    if not inside and announced is None:
-        raise DriveFileError(name, f"is an empty folder. Expected {_LAYOUTS['semantickitti'][1]}.")
-    parts = _choose(root, inside, options, announced)
-    if options.poses is not None:
-        parts = replace(parts, poses=Path(options.poses))
-    return parts if options.name is None else replace(parts, name=options.name)
-
-
-def _choose(root: Path, inside: set[str], options: DriveOptions, announced: ScanFolder | None) -> DriveParts:
-    """Return the parts under the one layout that fits."""
-    name = str(root)
     scan_folders = {folder for folder in SCAN_FOLDERS if folder == announced or (root / folder).is_dir()}
-    if options.layout != "auto":
-        find, expected = _LAYOUTS.get(options.layout, (_none, _OTHERS[options.layout == "las"]))
-        chosen = find(root, options.labels, scan_folders)
-        if chosen is None:
-            raise DriveFileError(name, f"is not of layout {options.layout}. Expected {expected}.")
-        return chosen
-    if announced is None and "velodyne" in inside and "velodyne_points" in inside:
+    if options.layout == "auto" and announced is None and {"velodyne", "velodyne_points"} <= inside:
         raise DriveFileError(
-            name,
+            str(root),
             "holds both velodyne/ (KITTI odometry) and velodyne_points/ (KITTI raw), so it could be two drives. "
             "Name the layout (semantickitti or kitti_raw), or remove one.",
         )
-    for find, _ in _LAYOUTS.values():
-        if (parts := find(root, options.labels, scan_folders)) is not None:
-            return parts
+    asked = [find for name, find in _LAYOUTS.items() if options.layout in {"auto", name}]
+    parts = next((found for find in asked if (found := find(root, scan_folders)) is not None), None)
+    if parts is not None and options.poses is not None:
+        parts = replace(parts, poses=Path(options.poses))
+    return parts if parts is None or options.name is None else replace(parts, name=options.name)
+
+
+def not_a_drive(root: Path, options: DriveOptions, *, announced: ScanFolder | None = None) -> DriveFileError:
+    """Return the error to raise about a path that is no drive, or not of the layout asked for."""
+    name, formats = str(root), (*FORMATS, *installed_formats())
+    if not root.exists():
+        return DriveFileError(name, "does not exist. Expected the folder of one drive.")
+    if not root.is_dir():
+        suffix = root.suffix.lower()
+        hint = _FOREIGN.get(suffix) or _SINGLE_FILES.get(suffix, "unpack an archive first, and give the folder")
+        return DriveFileError(name, f"is a file. Expected the folder of one drive, a ROS bag or a LAS file: {hint}.")
+    inside = {entry.name for entry in root.iterdir()}
+    if not inside and announced is None:
+        return DriveFileError(name, f"is an empty folder. Expected {formats[0].expected}.")
+    if (asked := find_format(options.layout)) is not None:
+        return DriveFileError(name, f"is not of layout {asked.name}. Expected {asked.expected}.")
     usual = next((text for pattern, text in _USUAL_MISTAKES if any(re.fullmatch(pattern, each) for each in inside)), "")
     if seen := usual or _seen_in(root):
-        raise DriveFileError(name, f"is not a drive. {seen}docs/own-data.md lists all formats.")
-    expected = ", or ".join([_LAYOUTS[layout][1] for layout in get_args(LayoutName) if layout in _LAYOUTS] + _OTHERS)
-    raise DriveFileError(name, f"is not a drive. Expected {expected}.")
+        return DriveFileError(name, f"is not a drive. {seen}docs/own-data.md lists all formats.")
+    return DriveFileError(name, f"is not a drive. Expected {', or '.join(each.expected for each in formats)}.")

@@ -3,44 +3,28 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Unpack
+from typing import Unpack, cast
 
-from interloc.drives.checks import check_flat_road, check_georeference, check_turns, sample_indices
+from interloc.drives.checks import check_flat_road, check_turns, sample_indices
+from interloc.drives.files import each_read_once
 from interloc.drives.findings import Findings
-from interloc.drives.folder import FolderDrive, ScanStore
+from interloc.drives.folder import FolderDrive, Scans
+from interloc.drives.formats import FORMATS, ScanFormat, find_format, installed_formats
+from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
-from interloc.drives.layouts import find_layout
-from interloc.drives.options import DriveArguments, DriveOptions, ReadingOptions
-from interloc.drives.scans.bin_files import open_bin_files
-from interloc.drives.scans.las.open import open_las
-from interloc.drives.scans.pcd import open_pcd_files
-from interloc.drives.scans.raw import RawStore
+from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
+from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.recorded import Recording
-from interloc.drives.scans.reduced import ReducedStore
-from interloc.drives.scans.rosbag.open import open_rosbag
+from interloc.drives.scans.reduced import ReducedScans
+from interloc.drives.scans.reduced_format import ReducedManifest, is_reduced, read_manifest
 from interloc.drives.trajectory import Trajectory
 
 SAMPLED_SCANS = 5
 """How many scans are looked into, unless all are."""
-
-
-def _open_scan_files(root: Path, options: DriveOptions, findings: Findings) -> Recording:
-    """Open a folder with one file per scan."""
-    parts = find_layout(root, options)
-    if parts.layout == "pcd":
-        return open_pcd_files(parts, options, findings)
-    return open_bin_files(parts, findings, check=options.check)
-
-
-_FORMATS: tuple[Callable[[Path, DriveOptions, Findings], Recording | None], ...] = (
-    open_rosbag,
-    open_las,
-    _open_scan_files,  # the last: it refuses a folder that is not a drive, with the usual mistake
-)
-"""Formats of scans; the first that knows a folder or file reads it. A new one is a module of `scans` and a line."""
 
 
 def open_drive(
@@ -63,7 +47,8 @@ def open_drive(
         text ("40,60").
     pose_frame : {"auto", "camera", "lidar"}
         Sensor whose poses the pose file holds; "auto" finds it out from the motion.
-    layout : {"auto", "semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"}
+    layout
+        "auto", or the name of one of the `interloc.drives.formats`.
     poses, points, fix, crs : str or None
         Where poses, scans and fixes are, and the coordinate system of LAS files: see `ReadingOptions`.
     model
@@ -95,19 +80,19 @@ def open_drive(
     ConfigError
         An unknown option or choice.
     """
-    drive = read_drive(Path(path), DriveOptions.of(options, **arguments), Findings(stop_at_first=True)).drive
+    chosen = DriveOptions.of(options, **arguments)
+    drive = read_drive(Path(path), chosen, Findings(stop_at_first=True))[chosen.labels].drive
     assert drive is not None  # else a fault was raised
     return drive
 
 
 @dataclass(frozen=True)
 class DriveReading:
-    """What was found out about a drive; a step that failed leaves its part None or empty.
+    """What was found out about a drive by one of its label folders; a step that failed leaves its part None or empty.
 
     Attributes
     ----------
-    store : ScanStore or None
-        Its scans.
+    scans : RawScans or ReducedScans, or None
     trajectory : Trajectory
         Where the LiDAR was at each of them.
     sample : list of int
@@ -122,7 +107,7 @@ class DriveReading:
         Median error of the motion against the georeference, as a share of the distance.
     """
 
-    store: ScanStore | None = None
+    scans: Scans | None = None
     trajectory: Trajectory = field(default_factory=Trajectory)
     sample: list[int] = field(default_factory=list)
     labels: LabelJudgement = field(default_factory=LabelJudgement)
@@ -132,52 +117,87 @@ class DriveReading:
 
 
 def read_drive(
-    root: Path, options: DriveOptions, findings: Findings, *, thorough: bool = False, needs_labels: bool = True
-) -> DriveReading:
+    root: Path,
+    options: DriveOptions,
+    findings: Findings,
+    *,
+    label_folders: Sequence[LabelFolder] = (),
+    thorough: bool = False,
+    needs_labels: bool = True,
+) -> dict[LabelFolder, DriveReading]:
     """Read all of a drive but its points, and check it; look into some scans, or into all of them (`thorough`).
+
+    The drive is opened once, and its small files are read once, for all label folders (`options.labels` by default).
 
     Raises
     ------
     DriveError, GeoreferenceError
         The first fault, where `findings` stops at it.
     """
-    store = None
-    with findings.stage():
-        store = _open_store(root, options, findings, needs_labels=needs_labels)
-    if store is None or store.frames is None:
-        return DriveReading(store)
-    trajectory = store.read_trajectory(options, findings)
-    sample = sample_indices(store.usable, len(store.usable) if thorough else SAMPLED_SCANS)
-    labels = store.judge_labels(sample, options, findings)
-    reading = DriveReading(store, trajectory, sample, labels, _drive_of(store, trajectory, labels))
-    return _checked(reading, findings) if options.check else reading
+    opened: Recording | ReducedManifest | None = None
+    trajectory: Trajectory | None = None
+    readings: dict[LabelFolder, DriveReading] = {}
+    with each_read_once():
+        with findings.stage():
+            opened = read_manifest(root) if is_reduced(root) else open_recording(root, options, findings)
+        for folder in dict.fromkeys(label_folders or (options.labels,)):
+            scans: Scans | None = None
+            with findings.stage():
+                if isinstance(opened, ReducedManifest):
+                    scans = ReducedScans.of(opened, root, folder, options, findings)
+                elif opened is not None:
+                    scans = RawScans.of(opened, folder, options, findings, needs_labels=needs_labels)
+            if scans is None or scans.frames is None:
+                readings[folder] = DriveReading(scans)
+                continue
+            trajectory = trajectory or scans.read_trajectory(options, findings)
+            sample = sample_indices(scans.usable, len(scans.usable) if thorough else SAMPLED_SCANS)
+            labels = scans.judge_labels(sample, options, findings)
+            reading = DriveReading(scans, trajectory, sample, labels, _drive_of(scans, trajectory, labels))
+            readings[folder] = _checked(reading, findings) if options.check else reading
+    return readings
 
 
-def _open_store(root: Path, options: DriveOptions, findings: Findings, *, needs_labels: bool) -> ScanStore:
-    """Open the scans of a drive, in whichever way they are kept."""
-    if (reduced := ReducedStore.open(root, options, findings)) is not None:
-        return reduced
-    recordings = (open_format(root, options, findings) for open_format in _FORMATS)
-    recording = next(opened for opened in recordings if opened is not None)
-    return RawStore.of(recording, options, findings, needs_labels=needs_labels)
+def open_recording(root: Path, options: DriveOptions, findings: Findings) -> Recording:
+    """Open the scans of a drive in whichever of the `interloc.drives.formats` they are.
+
+    Raises
+    ------
+    DriveError
+        The path is not a drive, or not of the layout asked for.
+    """
+
+    def first_of(formats: Iterable[ScanFormat]) -> Recording | None:
+        asked = (each for each in formats if options.layout in {"auto", each.name})
+        recordings = (each.open(root, options, findings) for each in asked)
+        return next((recording for recording in recordings if recording is not None), None)
+
+    has_scans = options.layout == "auto" and any((root / folder).is_dir() for folder in SCAN_FOLDERS)
+    whole = [each for each in FORMATS if not each.is_folders and not has_scans]  # beside scans, a cloud is a map
+    if (recording := first_of(whole)) is not None:
+        return recording
+    if (parts := recognise_layout(root, options)) is not None:
+        layout = find_format(parts.layout)
+        assert layout is not None
+        return cast("Recording", layout.open(parts, options, findings))
+    if (recording := first_of(installed_formats())) is not None:
+        return recording
+    raise not_a_drive(root, options)
 
 
-def _drive_of(store: ScanStore, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
-    """Make the drive of what was found; None where a part is missing."""
-    scheme = labels.scheme or SEMANTICKITTI
-    ground, poses = store.ground(scheme), trajectory.poses
-    if store.frames is None or ground is None or poses is None:
+def _drive_of(scans: Scans, trajectory: Trajectory, labels: LabelJudgement) -> FolderDrive | None:
+    poses = trajectory.poses
+    if scans.frames is None or poses is None or not scans.is_complete:
         return None
     return FolderDrive(
-        root=store.parts.root,
-        name=store.parts.drive_name,
-        layout=store.parts.layout,
-        frames=store.frames,
+        root=scans.parts.root,
+        name=scans.parts.drive_name,
+        layout=scans.parts.layout,
+        frames=scans.frames,
         T_world_lidar=poses.T_world_lidar,
         times_s=trajectory.times_s,
         georeference=trajectory.georeference,
-        ground=ground,
-        scheme=scheme,
+        scans=scans.by_scheme(labels.scheme or SEMANTICKITTI),
         pose_frame=poses.frame,
         pose_frame_reason=poses.reason,
     )
@@ -185,17 +205,17 @@ def _drive_of(store: ScanStore, trajectory: Trajectory, labels: LabelJudgement) 
 
 def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     """Read the sampled scans, and see whether labels, poses and georeference fit together."""
-    drive, store = reading.drive, reading.store
-    if drive is None or store is None:
+    drive, scans = reading.drive, reading.scans
+    if drive is None or scans is None:
         return reading
     pose_file = "oxts" if drive.pose_frame == "oxts" else "poses"  # those of a bag are in no file
-    if store.parts.poses is not None:
-        pose_file = store.parts.file(store.parts.poses).name
+    if scans.parts.poses is not None:
+        pose_file = scans.parts.file(scans.parts.poses).name
     for index in reading.sample:
         with findings.stage():
             drive.ground_points(index)
-    reading = replace(reading, flatness_m=check_flat_road(drive, store.usable, pose_file, findings))
-    check_turns(drive, store.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
+    reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
+    check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
     if drive.georeference is None or drive.pose_frame == "oxts":
         return reading
     error = check_georeference(drive.T_world_lidar, drive.georeference, findings)

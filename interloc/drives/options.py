@@ -4,19 +4,55 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self, TypedDict
+from typing import Annotated, Any, Literal, Self, TypedDict
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    field_validator,
+)
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from interloc.drives.formats import FORMATS, find_format, installed_formats
 from interloc.drives.labels import named_scheme
 from interloc.errors import ConfigError
 
 LabelFolder = Literal["labels", "predictions"]
 PoseFrame = Literal["auto", "camera", "lidar"]
-LayoutName = Literal["semantickitti", "kitti_raw", "kitti360", "pcd", "rosbag", "las"]
-LayoutChoice = Literal["auto", LayoutName]
 CRS_PATTERN = r"^[A-Za-z]+:[0-9]+$"
+
+
+@dataclass(frozen=True)
+class _AmongLayouts:
+    """A name of the table of formats; those of other packages are looked up only where it comes to them."""
+
+    besides: tuple[str, ...] = ()
+
+    def _names(self) -> list[str]:
+        return [*self.besides, *(each.name for each in (*FORMATS, *installed_formats()))]
+
+    def _checked(self, name: object) -> object:
+        if name in self.besides or find_format(name) is not None:
+            return name
+        *others, last = map(repr, self._names())
+        expected = f"{', '.join(others)} or {last}"
+        raise PydanticCustomError("literal_error", "Input should be {expected}", {"expected": expected})
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {**handler(schema), "enum": self._names()}
+
+
+LayoutName = Annotated[str, _AmongLayouts()]
+LayoutChoice = Annotated[str, _AmongLayouts(("auto",))]
 
 
 class ReadingOptions(BaseModel):

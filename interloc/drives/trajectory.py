@@ -19,7 +19,7 @@ from interloc.drives.options import DriveOptions, PoseFrame
 from interloc.drives.poses.calibration import IMU_CALIBRATION
 from interloc.drives.poses.frame import to_lidar
 from interloc.drives.poses.lines import PoseLines, read_poses
-from interloc.drives.poses.tum import looks_like_tum, read_tum
+from interloc.drives.poses.tum import is_tum, read_tum
 from interloc.errors import InterLocError
 from interloc.geometry import enu_from_lonlat, invert_transform
 
@@ -133,7 +133,7 @@ def read_trajectory(
             pose_count = len(frames)
         else:
             file = parts.file(parts.poses)
-            lines = _read_timed(file, times_s, frames, findings) if looks_like_tum(file.path) else read_poses(file)
+            lines = _read_timed(file, times_s, frames, findings) if is_tum(file.head()) else read_poses(file)
             pose_count = len(lines.poses)
             poses = _poses_of_scans(lines, file, parts, frames, options.pose_frame, findings)
             if lines.frames is None and parts.times is not None:
@@ -183,7 +183,6 @@ def _read_timed(file: SourceFile, times_s: FloatArray | None, frames: IntArray, 
 def _poses_of_scans(
     lines: PoseLines, file: SourceFile, parts: DriveParts, frames: IntArray, declared: PoseFrame, findings: Findings
 ) -> LidarPoses:
-    """Find the pose of the LiDAR at every scan among the poses of a file."""
     if parts.layout in {"pcd", "las"} and lines.frames is None and len(lines.poses) == len(frames):
         lines = PoseLines(lines.poses, frames)  # the numbers in their names are whatever their maker chose
     missing = int(frames[-1] - frames[0]) + 1 - len(frames)
@@ -227,7 +226,6 @@ def _differ_in_length(file: SourceFile, times: SourceFile, pose_count: int, find
 
 
 def _is_too_fast(poses: LidarPoses, times_s: FloatArray, parts: DriveParts, findings: Findings) -> bool:
-    """Warn where poses and times make a vehicle faster than any."""
     passed_s = np.diff(times_s)
     if not (passed_s > 0).any():
         return False
@@ -290,7 +288,6 @@ def posed_frames(parts: DriveParts, frames: IntArray, findings: Findings) -> Int
 
 
 def _rows_of(numbers: IntArray, frames: IntArray, file: SourceFile) -> IntArray:
-    """Return the row of every scan among numbered pose lines."""
     missing = missing_numbers(numbers, frames)
     if len(missing):
         raise file.fault(
@@ -301,7 +298,6 @@ def _rows_of(numbers: IntArray, frames: IntArray, file: SourceFile) -> IntArray:
 
 
 def _poses_from_georeference(georeference: Georeference | None, why_none: str, findings: Findings) -> LidarPoses:
-    """Take the poses of a KITTI raw drive from its OXTS."""
     if georeference is None:
         raise DriveFileError(
             "oxts",

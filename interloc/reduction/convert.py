@@ -13,7 +13,7 @@ from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.labels import LabelScheme
 from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import DriveOptions, LabelFolder
-from interloc.drives.scans.raw import RawStore
+from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import is_reduced
 from interloc.errors import ConfigError
 from interloc.files import atomic_folder
@@ -80,15 +80,15 @@ def convert_drive(
         `out` is something else, or could not be written; nothing is left behind.
     """
     chosen = options or DriveOptions()
-    reading, store = _read(Path(root), chosen, needs_labels=False)
-    source, frames, labels = store.recording.points, store.frames, store.labels
+    reading, scans = _read(Path(root), chosen, needs_labels=False)
+    source, frames, labels = scans.recording.points, scans.frames, scans.labels
     assert source is not None
     assert frames is not None
     numbers = frames if is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
     label_folder: LabelFolder = "predictions" if chosen.model is not None else chosen.labels
     copies = make_small_files(reading.trajectory, numbers)
     ids_of = _ids_in_semantickitti(reading.labels.scheme)
-    scale = np.array([1, 1, 1, remission_scale(store.recording.sampled_remission())], np.float32)
+    scale = np.array([1, 1, 1, remission_scale(scans.recording.sampled_remission())], np.float32)
 
     def write(row: int, folder: Path) -> None:
         frame, stem = int(frames[row]), f"{int(numbers[row]):06d}"
@@ -110,7 +110,7 @@ def convert_drive(
         in_threads(lambda row: write(row, folder), range(len(frames)), threads, progress)
         copies.write_to(folder)
     return Converted(
-        name=store.parts.drive_name,
+        name=scans.parts.drive_name,
         scans=len(frames),
         labels=label_folder if labels is not None else None,
         is_renumbered=numbers is not frames,
@@ -161,11 +161,9 @@ def label_drive(
         raise ConfigError(
             f"{target} is there already, and was not touched. Give another folder (-o), or remove it first."
         )
-    reading, store = _read(root, options)
-    source, frames, labels = store.recording.points, store.frames, store.labels
-    assert source is not None
+    reading, scans = _read(root, options)
+    (source, labels), frames = scans.sources, scans.frames
     assert frames is not None
-    assert labels is not None
 
     def write(frame: int, folder: Path) -> None:
         ids = labels.of(frame, source.read(frame), source.name(frame))
@@ -176,7 +174,7 @@ def label_drive(
     return target, reading
 
 
-def _read(root: Path, options: DriveOptions, *, needs_labels: bool = True) -> tuple[DriveReading, RawStore]:
+def _read(root: Path, options: DriveOptions, *, needs_labels: bool = True) -> tuple[DriveReading, RawScans]:
     """Read a drive that is not a reduced one; the first fault is raised."""
     findings = Findings(stop_at_first=True)
     with findings.stage():
@@ -184,9 +182,9 @@ def _read(root: Path, options: DriveOptions, *, needs_labels: bool = True) -> tu
             raise DriveFileError(
                 str(root), "is a reduced drive, which holds no scans. Expected the drive that it was made from."
             )
-    reading = read_drive(root, options, findings, needs_labels=needs_labels)
-    assert isinstance(reading.store, RawStore)
-    return reading, reading.store
+    reading = read_drive(root, options, findings, needs_labels=needs_labels)[options.labels]
+    assert isinstance(reading.scans, RawScans)
+    return reading, reading.scans
 
 
 def _ids_in_semantickitti(scheme: LabelScheme | None) -> UInt32Array | None:

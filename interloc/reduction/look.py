@@ -22,18 +22,19 @@ from pydantic import BaseModel, ConfigDict, Field
 from interloc.arrays import FloatArray, IntArray
 from interloc.config import KeyframeConfig
 from interloc.detection.keyframes import select_keyframes
-from interloc.drives.checks import check_georeference, sample_indices
-from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, list_numbered
-from interloc.drives.findings import DriveFileError, Finding, Findings
+from interloc.drives.checks import sample_indices
+from interloc.drives.files import EMPTY, NumberedFiles, SourceFile, each_read_once, list_numbered
+from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
+from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.layouts import PCD_ENDINGS, POSE_FILES, DriveParts, find_layout
 from interloc.drives.open import SAMPLED_SCANS
 from interloc.drives.options import DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
 from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_header
-from interloc.drives.scans.raw import RawStore
+from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.recorded import Recording
-from interloc.drives.scans.reduced import ReducedStore
+from interloc.drives.scans.reduced import ReducedScans
 from interloc.drives.scans.reduced_format import read_manifest, to_runs
 from interloc.drives.scans.rosbag.bag import find_bag
 from interloc.drives.trajectory import LidarPoses, Trajectory, read_trajectory
@@ -206,15 +207,14 @@ class _Look:
 
     def answer(self) -> DriveLook:
         """Return it; messages do not tell where the drive was laid out."""
-        order = ("error", "warning", "note")
-        found, every = self._found, sorted(self.findings.found, key=lambda each: order.index(each.severity))
+        found = self._found
         labels = {
             folder: each.model_copy(update={"problems": self._named(each.problems)})
             for folder, each in found.labels.items()
         }
         reason = found.georeference_reason
         update = {
-            "problems": self._named(every),
+            "problems": self._named(by_severity(self.findings.found)),
             "labels": labels,
             "unlabelled": self._named(found.unlabelled),
             "georeference_reason": None if reason is None else self._text(reason),
@@ -234,7 +234,7 @@ class _Look:
     def read(self, options: DriveOptions, keyframes: KeyframeConfig) -> None:
         """Look into the drive as it is read when it is there."""
         found, drive = self._found, self._drive
-        with self.findings.stage():
+        with each_read_once(), self.findings.stage():
             self._lay_out()
             self._want(*drive.small)
             if drive.kind == "reduced":
@@ -279,7 +279,7 @@ class _Look:
         if parts.layout == "pcd":
             recording = self._open_pcd(parts, options)
         else:
-            recording = open_bin_files(parts, self.findings, check=True)
+            recording = open_bin_files(parts, options, self.findings)
         self._read_labels(recording, options)
         if recording.frames is None:
             return
@@ -327,7 +327,7 @@ class _Look:
             self._list_labels(folder, recording, options)
         if not there and not recording.carries_labels and not found.unlabelled and found.carries_labels is None:
             findings = Findings(stop_at_first=False)
-            RawStore.of(recording, options, findings)
+            RawScans.of(recording, options.labels, options, findings)
             found.unlabelled += findings.found
 
     def _list_labels(self, folder: LabelFolder, recording: Recording | None, options: DriveOptions) -> None:
@@ -339,8 +339,7 @@ class _Look:
             self.findings.found += findings.found
             return
         if recording is not None:
-            parts = replace(recording.parts, labels=self.place / folder)
-            RawStore.of(replace(recording, parts=parts), options, findings)
+            RawScans.of(recording, folder, options, findings)
         self._found.labels[folder] = LookedLabels(**self._numbers(files), problems=findings.found)
 
     def _numbers(self, files: NumberedFiles) -> dict[str, object]:
@@ -406,9 +405,9 @@ class _Look:
             return
         manifest = read_manifest(self.place)
         for labels in manifest.labels:
-            store = ReducedStore.open(self.place, DriveOptions.of(options, labels=labels.folder), self.findings)
-            if store is not None and self._found.track is None:
-                self._show(store.read_trajectory(options, self.findings), keyframes)
+            scans = ReducedScans.of(manifest, self.place, labels.folder, options, self.findings)
+            if self._found.track is None:
+                self._show(scans.read_trajectory(options, self.findings), keyframes)
 
     def _show(self, trajectory: Trajectory, keyframes: KeyframeConfig) -> None:
         """Tell where the drive went, and how poses and georeference fit together."""

@@ -38,8 +38,6 @@ class ReductionPlan:
     ----------
     options : DriveOptions
         How the drive is read.
-    label_folders : tuple of str
-        Labels by which ground points are chosen, "labels", "predictions" or both.
     frames : (N,) int64
         Numbers of all scans, ascending.
     frames_to_send : (K,) int64
@@ -61,7 +59,6 @@ class ReductionPlan:
     """
 
     options: DriveOptions
-    label_folders: tuple[LabelFolder, ...]
     frames: IntArray
     frames_to_send: IntArray
     frames_to_look_into: IntArray
@@ -91,7 +88,6 @@ def plan_reduction(
     frames: Sequence[int] | IntArray,
     options: ReadingOptions | None = None,
     *,
-    label_folders: Sequence[LabelFolder] = ("labels",),
     keyframes: KeyframeConfig | None = KeyframeConfig(),  # noqa: B008 - frozen
     scan_folder: ScanFolder | None = None,
 ) -> ReductionPlan:
@@ -105,8 +101,6 @@ def plan_reduction(
         Numbers of all scans of the drive.
     options : ReadingOptions or None
         How the drive is read.
-    label_folders : sequence of {"labels", "predictions"}
-        One or both.
     keyframes : KeyframeConfig or None
         Scans to keep: the keyframes by these settings; None: all.
     scan_folder : {"velodyne", "velodyne_points/data"} or None
@@ -122,8 +116,7 @@ def plan_reduction(
     ConfigError
         An unknown option or choice.
     """
-    chosen, *_ = (DriveOptions.of(options, labels=labels) for labels in reversed(label_folders))
-    findings = Findings(stop_at_first=False)
+    chosen, findings = DriveOptions.of(options), Findings(stop_at_first=False)
     numbers, parts, trajectory = np.empty(0, np.int64), None, Trajectory()
     with findings.stage():
         if is_reduced(root):
@@ -132,7 +125,7 @@ def plan_reduction(
         parts = find_layout(root, chosen, announced=scan_folder or _likely_scan_folder(root, chosen.layout))
         numbers = posed_frames(parts, numbers, findings)
         trajectory = read_trajectory(parts, numbers, chosen, findings)
-    return plan_of(parts, numbers, trajectory, chosen, tuple(label_folders), keyframes, findings)
+    return plan_of(parts, numbers, trajectory, chosen, keyframes, findings)
 
 
 def plan_of(
@@ -140,7 +133,6 @@ def plan_of(
     frames: IntArray,
     trajectory: Trajectory,
     options: DriveOptions,
-    label_folders: tuple[LabelFolder, ...],
     keyframes: KeyframeConfig | None,
     findings: Findings,
     *,
@@ -179,7 +171,6 @@ def plan_of(
             )
     return ReductionPlan(
         options=options,
-        label_folders=label_folders,
         frames=frames,
         frames_to_send=kept,
         frames_to_look_into=frames[sample_indices(np.arange(len(frames)), SAMPLED_SCANS)],

@@ -11,9 +11,9 @@ from typing import get_args
 
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.open import read_drive
+from interloc.drives.open import DriveReading, read_drive
 from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
-from interloc.drives.scans.raw import RawScans, RawStore
+from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import (
     MANIFEST,
     MAX_POINTS,
@@ -102,39 +102,51 @@ def prepare_reduction(
     ConfigError
         An unknown option or choice.
     """
-    root, findings = Path(root), Findings(stop_at_first=True)
+    root, findings, chosen = Path(root), Findings(stop_at_first=True), DriveOptions.of(options)
     with findings.stage():
-        chosen = tuple(dict.fromkeys(label_folders or label_folders_in(root)))
-        if isinstance(options, DriveOptions) and options.model is not None:
-            chosen = ("predictions",)  # what a network says counts as such
+        folders = label_folders or label_folders_in(root)
+        if chosen.model is not None:
+            folders = ("predictions",)  # what a network says counts as such
         if is_reduced(root):
             raise DriveFileError(str(root), "is a reduced drive already. Expected a drive with its scans.")
-    readings = {labels: read_drive(root, DriveOptions.of(options, labels=labels), findings) for labels in chosen}
+    readings = read_drive(root, chosen, findings, label_folders=folders)
+    return reduction_of(readings, chosen, findings, keyframes)
+
+
+def reduction_of(
+    readings: dict[LabelFolder, DriveReading],
+    options: DriveOptions,
+    findings: Findings,
+    keyframes: KeyframeConfig | None,
+) -> Reduction:
+    """Find out what the reduction of a drive needs that was read by each of its label folders without an error.
+
+    Parameters
+    ----------
+    findings : Findings
+        Those of reading; it gets, or raises, what is wrong with files that cannot be gathered.
+    """
     labels, scans = [], {}
     for folder, reading in readings.items():
-        assert reading.drive is not None  # else a fault was raised
-        source = reading.drive.ground
+        assert reading.drive is not None  # else a fault was found
+        source = reading.drive.scans
         assert isinstance(source, RawScans)
         scans[folder] = source
-        assert reading.store is not None
-        label_bytes = reading.store.facts.label_bytes
-        labels.append(ReducedLabels.of(folder, source.scheme, reading.labels.counts, label_bytes))
-    first = readings[chosen[0]]
-    store, drive = first.store, first.drive
-    assert isinstance(store, RawStore)
-    assert drive is not None
+        labels.append(ReducedLabels.of(folder, source.scheme, reading.labels.counts, source.facts.label_bytes))
+    first = next(iter(readings.values()))
+    assert isinstance(first.scans, RawScans)
+    assert first.scans.frames is not None
     plan = plan_of(
-        store.parts,
-        drive.frames,
+        first.scans.parts,
+        first.scans.frames,
         first.trajectory,
-        DriveOptions.of(options, labels=chosen[0]),
-        chosen,
+        options,
         keyframes,
         findings,
-        poses_in_files=store.recording.read_trajectory is None,
+        poses_in_files=first.scans.recording.read_trajectory is None,
     )
     assert plan.manifest is not None
-    sizes = SourceScans.model_validate(store.facts.model_dump(include=set(SourceScans.model_fields)))
+    sizes = SourceScans.model_validate(first.scans.facts.model_dump(include=set(SourceScans.model_fields)))
     return Reduction(plan, plan.manifest.with_labels(labels, sizes), scans)
 
 

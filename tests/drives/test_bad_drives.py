@@ -9,8 +9,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from interloc.drives.checks import check_flat_road, check_georeference
+from interloc.drives.checks import check_flat_road
 from interloc.drives.findings import Findings
+from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.inspect import inspect_drive
 from interloc.drives.open import open_drive
 from interloc.errors import DriveError, GeoreferenceError
@@ -122,7 +123,7 @@ def test_missing_label(sequence: Path) -> None:
 def test_missing_labels_name_the_predictions(tmp_path: Path, make: ModuleType) -> None:
     root = make.write_semantickitti(tmp_path / "07", labels="predictions")
     assert "There is predictions/: choose it" in refusal(root)
-    assert open_drive(root, labels="predictions").ground.label_source == "predictions"
+    assert open_drive(root, labels="predictions").scans.label_source == "predictions"
 
 
 def test_fewer_poses_than_scans(sequence: Path) -> None:

@@ -198,7 +198,7 @@ def write_long(drive: FolderDrive, root: Path) -> None:
     for folder in folders:
         (root / folder).mkdir()
     for number in range(LONG * len(drive.frames)):
-        sources = drive.ground.files(int(drive.frames[number % len(drive.frames)]))
+        sources = drive.scans.files(int(drive.frames[number % len(drive.frames)]))
         for folder, source in zip(folders, sources, strict=True):
             (root / folder / f"{number:06d}{source.suffix}").symlink_to(source.resolve())
     np.savetxt(root / "poses.txt", np.concatenate(poses)[:, :3].reshape(-1, 12))

@@ -17,7 +17,7 @@ from interloc.drives.open import open_drive
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.raw import count_ids, read_labels
 from interloc.drives.scans.reduced_format import ReducedLabels, ground_path
-from interloc.errors import ConfigError, DriveError
+from interloc.errors import DriveError
 from interloc.reduction.plan import judge_counts, plan_reduction
 from interloc.reduction.reduce import prepare_reduction, reduce_drive, reduce_scan
 
@@ -180,11 +180,6 @@ def test_scan_numbers_that_cannot_be(small_files: Path, frames: Any, words: str)
     assert not plan.ok
     assert any(words in problem.message for problem in plan.problems)
     assert plan.manifest is None
-
-
-def test_options_without_meaning(small_files: Path) -> None:
-    with pytest.raises(ConfigError, match="labels 'else': expected 'labels' or 'predictions'"):
-        plan_reduction(small_files, range(12), label_folders=("labels", "else"))  # type: ignore[arg-type]
 
 
 def test_a_reduced_drive_has_nothing_to_plan(reduced: Path) -> None:

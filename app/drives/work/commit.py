@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -21,18 +21,19 @@ from app.paths import without_folder
 from app.work.places import REDUCED, TRAJECTORY, link
 from app.work.task import Outcome, Part, Plan, Report, Task
 from interloc.config import DEFAULT
-from interloc.drives.findings import DriveFileError, Finding, Findings
-from interloc.drives.inspect import DriveReport, inspect_drive
-from interloc.drives.open import open_drive
+from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
+from interloc.drives.formats import find_format
+from interloc.drives.inspect import DriveReport, report_of
+from interloc.drives.open import DriveReading, open_drive, read_drive
 from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder, ReadingOptions
-from interloc.drives.scans.reduced import GroundFiles
+from interloc.drives.scans.reduced import read_ground
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.errors import InterLocError
 from interloc.mapping.georeferencing import trajectory
 from interloc.osm.container import is_map
 from interloc.output.geojson import write_collection
 from interloc.output.write import trajectory_feature
-from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction
+from interloc.reduction.reduce import Reduction, label_folders_in, prepare_reduction, reduction_of
 
 PART_SCANS = 200
 PART_LABELLED_SCANS = 20
@@ -40,9 +41,6 @@ PART_LABELLED_SCANS = 20
 
 MAX_PROBLEMS = 500
 """Maximum number of problems in a report: some of 9,000 bad scans are enough."""
-
-_READ_WHOLE = ("pcd", "rosbag", "las")
-"""Layouts whose scans have names of any kind: no file is called needless."""
 
 _PROBLEMS = "problems.json"
 _MAX_NAMES_SHOWN = 3
@@ -113,13 +111,13 @@ def finish(task: Task, plan: Plan) -> Outcome:
     if is_reduced(task.drive / "files"):
         _take_over(task.drive / "files", reduced)
     else:
-        reduction = _reduction(str(task.drive / "files"), _options(task), task.job_id)
+        reduction = _reduction(task)
         for labels in reduction.scans:
             (reduced / ground_path(labels, 0)).parent.mkdir(parents=True)
         for folder in folders:
             _link_tree(folder / "ground", reduced / "ground")
         reduction.write_rest(reduced)
-    drive = open_drive(reduced, labels=_label_folders(task)[0], check=False)
+    drive = open_drive(reduced, labels=read_manifest(reduced).labels[0].folder, check=False)
     track = trajectory_feature(*trajectory(drive.T_world_lidar, drive.georeference))
     is_local = drive.georeference is None
     write_collection(task.result / TRAJECTORY[is_local], [track], local=is_local)
@@ -135,19 +133,15 @@ def finish(task: Task, plan: Plan) -> Outcome:
 
 
 def check(task: Task) -> DriveReport:
-    """Check all label folders of a drive; return one report with the problems of all."""
+    """Check a drive by all of its label folders; return one report with the problems of all."""
     root = task.drive / "files"
-    try:
-        folders = _label_folders(task)
-    except DriveFileError:  # a manifest that cannot be read: the report names it again, with everything else
-        folders = ("labels",)
-    reports = [inspect_drive(root, _options(task), labels=folder) for folder in folders]
-    first = reports[0]
-    problems = list(dict.fromkeys(problem for report in reports for problem in report.problems))
-    if first.layout not in _READ_WHOLE:
-        problems += _unknown_files(task, problems)
-    name = first.name if first.layout else task.drive_name
-    return first.model_copy(update={"path": name, "name": name, "problems": _tidied(problems, root, task.drive_name)})
+    readings, findings = _read_once(root, _options(task), task.job_id)
+    report = report_of(root, _options(task), next(iter(readings.values())), findings)
+    problems = report.problems
+    if (known := find_format(report.layout)) is not None and not known.is_read_whole:
+        problems = [*problems, *_unknown_files(task, problems)]
+    name = report.name if report.layout else task.drive_name
+    return report.model_copy(update={"path": name, "name": name, "problems": _tidied(problems, root, task.drive_name)})
 
 
 def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
@@ -169,17 +163,15 @@ def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
 
 
 def _known_files(task: Task) -> set[str]:
-    """Return the small files that are kept."""
     root = task.drive / "files"
     if not is_reduced(root):
-        return set(_reduction(str(root), _options(task), task.job_id).plan.copies.sources)
+        return set(_reduction(task).plan.copies.sources)
     return {path.relative_to(root).as_posix() for path in _small_files(root)}
 
 
 def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:
     """Sort problems, keep some of very many, and name the files as their owner does."""
-    order = ("error", "warning", "note")
-    problems = sorted(problems, key=lambda problem: order.index(problem.severity))
+    problems = by_severity(problems)
     kept = [
         Finding(each.severity, without_folder(each.path, root, name), without_folder(each.message, root, name))
         for each in problems[:MAX_PROBLEMS]
@@ -221,20 +213,10 @@ def _options(task: Task) -> DriveOptions:
 
 
 def _model(task: Task) -> Path | None:
-    """Return the folder of the network that labels the scans."""
     name = task.request["options"].get("model")
     if name is None or is_reduced(task.drive / "files"):
         return None
     return models.find(task.limits.get("models"), name)
-
-
-def _label_folders(task: Task) -> tuple[LabelFolder, ...]:
-    root = task.drive / "files"
-    if _model(task) is not None:
-        return ("predictions",)
-    if not is_reduced(root):
-        return label_folders_in(root)
-    return tuple(labels.folder for labels in read_manifest(root).labels) or ("labels",)
 
 
 def _frames(task: Task) -> list[int]:
@@ -242,33 +224,52 @@ def _frames(task: Task) -> list[int]:
     root = task.drive / "files"
     if is_reduced(root):
         return [int(frame) for frame in read_manifest(root).kept_frames]
-    return [int(frame) for frame in _reduction(str(root), _options(task), task.job_id).plan.frames_to_send]
+    return [int(frame) for frame in _reduction(task).plan.frames_to_send]
 
 
 @lru_cache(maxsize=2)
-def _reduction(root: str, options: DriveOptions, job_id: str) -> Reduction:  # noqa: ARG001 - files may differ for another job
-    """Prepare the reduction of a drive once for all parts of a job in this process."""
+def _read_once(
+    root: Path,
+    options: DriveOptions,
+    job_id: str,  # noqa: ARG001 - files may differ for another job
+) -> tuple[dict[LabelFolder, DriveReading], Findings]:
+    """Read a drive by its label folders, once for all steps and parts of a job in this process."""
+    findings = Findings(stop_at_first=False)
+    folders: Sequence[LabelFolder] = label_folders_in(root) if options.model is None else ("predictions",)
+    if is_reduced(root):
+        with suppress(DriveFileError):  # of a manifest that cannot be read, which reading lists
+            folders = [labels.folder for labels in read_manifest(root).labels]
+    return read_drive(root, options, findings, label_folders=folders), findings
+
+
+def _reduction(task: Task) -> Reduction:
+    return _reduction_once(task.drive / "files", _options(task), task.job_id)
+
+
+@lru_cache(maxsize=2)
+def _reduction_once(root: Path, options: DriveOptions, job_id: str) -> Reduction:
     # A network is asked about the keyframes only; label files are cheap enough to keep every scan.
-    return prepare_reduction(root, options, keyframes=None if options.model is None else DEFAULT.keyframes)
+    keyframes = None if options.model is None else DEFAULT.keyframes
+    readings, findings = _read_once(root, options, job_id)
+    if not findings.ok:  # files that changed since they were checked
+        return prepare_reduction(root, options, keyframes=keyframes)
+    return reduction_of(readings, options, Findings(stop_at_first=True), keyframes)
 
 
 def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:
-    """Return the function that reduces one scan."""
-    reduction = _reduction(str(task.drive / "files"), _options(task), task.job_id)
+    reduction = _reduction(task)
     for labels in reduction.scans:
         (folder / ground_path(labels, 0)).parent.mkdir(parents=True)
     return lambda frame: reduction.write_ground(frame, folder)
 
 
 def _scan_check(task: Task) -> Callable[[int], None]:
-    """Return the function that decodes one reduced scan."""
     root = task.drive / "files"
     manifest = read_manifest(root)
-    sources = [GroundFiles(root, labels.folder, manifest.kept_frames, manifest.keyframes) for labels in manifest.labels]
 
     def check_scan(frame: int) -> None:
-        for source in sources:
-            source.read(frame)
+        for labels in manifest.labels:
+            read_ground(root, labels.folder, frame)
 
     return check_scan
 

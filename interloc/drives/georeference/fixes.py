@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from interloc.arrays import FloatArray, IntArray
+from interloc.arrays import FloatArray
 from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 
@@ -80,9 +80,9 @@ def georeference_from_fixes(
     stations = np.unique(np.concatenate([cell, cell + 1]))
     before, after = np.searchsorted(stations, cell), np.searchsorted(stations, cell + 1)
     share = distance_m / _STATION_M - cell
-    laid = [_laid_around(fixes, float(station) * _STATION_M) for station in stations]
-    angle = np.unwrap([each.angle_rad for each in laid])
-    first, second = (_placed(laid, rows, T_world_lidar[:, :3, 3]) for rows in (before, after))
+    laid = np.array([_laid_around(fixes, float(station) * _STATION_M) for station in stations])
+    angle = np.unwrap(laid[:, 2])
+    first, second = (_placed(laid[rows], T_world_lidar[:, :3, 3]) for rows in (before, after))
     placed = first + share[:, None] * (second - first)
     yaw = angle[before] + share * (angle[after] - angle[before])
     zero = np.zeros(len(yaw))
@@ -95,28 +95,15 @@ def georeference_from_fixes(
     )
 
 
-@dataclass(frozen=True)
-class _Laid:
-    """How the poses are turned and moved at one place.
+def _laid_around(fixes: Fixes, here_m: float) -> tuple[float, ...]:
+    """Lay the poses on the fixes around a place on the way.
 
-    Attributes
-    ----------
-    lonlat : (2,) float64
-        Origin of the tangent plane, degrees.
-    angle_rad : float
-    move : (2,) float64
-        East, north, metres.
-    up_m : float
+    Returns
+    -------
+    tuple of 6 float
+        Longitude and latitude of the origin of the tangent plane, degrees; the angle by which the poses are turned,
+        radians; how they are moved east, north and up, metres.
     """
-
-    lonlat: FloatArray
-    angle_rad: float
-    move: FloatArray
-    up_m: float
-
-
-def _laid_around(fixes: Fixes, here_m: float) -> _Laid:
-    """Lay the poses on the fixes around a place on the way."""
     around, weights = _around(fixes.distance_m, here_m)
     lonlat = np.stack([fixes.lon_deg[around], fixes.lat_deg[around]], axis=-1)
     origin = lonlat[int(np.argmax(weights))]
@@ -128,16 +115,13 @@ def _laid_around(fixes: Fixes, here_m: float) -> _Laid:
         scale = max(_USUAL_ERROR_M, 2.0 * float(np.median(error)))
         robust = weights / (1.0 + (error / scale) ** 2)
     angle, _, move = _fit(ours[:, :2], enu, robust)
-    return _Laid(origin, angle, move, float(np.average(fixes.alt_m[around] - ours[:, 2], weights=robust)))
+    return (*origin, angle, *move, float(np.average(fixes.alt_m[around] - ours[:, 2], weights=robust)))
 
 
-def _placed(laid: list[_Laid], rows: IntArray, position: FloatArray) -> FloatArray:
-    """Return (N, 3) longitude, latitude, altitude of (N, 3) positions, each by the place of its row."""
-    origin = np.array([each.lonlat for each in laid])[rows]
-    angle = np.array([each.angle_rad for each in laid])[rows]
-    enu = rotate_2d(position[:, :2], angle) + np.array([each.move for each in laid])[rows]
-    up = np.array([each.up_m for each in laid])[rows]
-    return np.column_stack([lonlat_from_enu(origin[:, 1], origin[:, 0], enu), position[:, 2] + up])
+def _placed(laid: FloatArray, position: FloatArray) -> FloatArray:
+    """Return (N, 3) longitude, latitude, altitude of (N, 3) positions, each by its row of (N, 6) `_laid_around`."""
+    enu = rotate_2d(position[:, :2], laid[:, 2]) + laid[:, 3:5]
+    return np.column_stack([lonlat_from_enu(laid[:, 1], laid[:, 0], enu), position[:, 2] + laid[:, 5]])
 
 
 def _averaged(fixes: Fixes) -> Fixes:

@@ -1,13 +1,20 @@
-"""Geodetic fixes: their check, and rigid poses on the ellipsoid."""
+"""Geodetic fixes: their checks, and rigid poses on the ellipsoid."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
 from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
+from interloc.drives.findings import Findings, GeoreferenceFileError
+from interloc.drives.poses.motion import body_steps, rows_apart
 from interloc.geometry import ecef_from_geodetic, invert_transform
+
+MAX_GEOREFERENCE_ERROR = 0.1
+"""Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
 
 
 def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> FloatArray:
@@ -67,3 +74,44 @@ def ecef_poses(georeference: Georeference) -> FloatArray:
     up = np.stack([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat], axis=1)
     poses[:, :3, :3] = np.stack([east, north, up], axis=2) @ georeference.R_enu_lidar
     return poses
+
+
+def check_georeference(poses: FloatArray, georeference: Georeference, findings: Findings) -> float | None:
+    """Check that the georeference moves as the poses do, piece by piece (drift does not matter).
+
+    Parameters
+    ----------
+    poses : (N, 4, 4) float64
+        T_world_lidar.
+
+    Returns
+    -------
+    float or None
+        Median error of the motion over pieces of some metres, as a share of their length; None where it hardly moves.
+    """
+    rows = rows_apart(poses[:, :3, 3], 10.0)
+    if len(rows) < 2:
+        return None
+    ours = body_steps(poses[rows])
+
+    def error_of(fixes: Georeference) -> float:
+        theirs = body_steps(ecef_poses(fixes)[rows])
+        return float(np.median(np.linalg.norm(theirs - ours, axis=1) / np.linalg.norm(ours, axis=1)))
+
+    error = error_of(georeference)
+    if error > MAX_GEOREFERENCE_ERROR:
+        cause = (
+            "Usual cause: the georeference of another drive, rows that start at another frame, or angles in another "
+            "convention (expected: yaw 0 = east, counter-clockwise, radians)."
+        )
+        swapped = replace(georeference, lat_deg=georeference.lon_deg, lon_deg=georeference.lat_deg)
+        if np.abs(swapped.lat_deg).max() < 90.0 and error_of(swapped) < MAX_GEOREFERENCE_ERROR:
+            cause = "Latitude and longitude are swapped: the other way round the motion is that of the poses."
+        findings.error(
+            GeoreferenceFileError(
+                georeference.source,
+                f"describes another motion than the poses: off by {error:.0%} of the distance, piece by piece "
+                f"(usual: under 2 %). {cause}",
+            )
+        )
+    return error

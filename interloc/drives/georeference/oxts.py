@@ -129,7 +129,6 @@ def read_oxts_rows(file: GeoreferenceFile, frames: IntArray) -> FloatArray:
 
 
 def _oxts_values(file: SourceFile, fields: list[str], line: int) -> list[float]:
-    """Return the 30 numbers of an OXTS row."""
     if len(fields) != OXTS_VALUES:
         raise file.fault(
             f"{len(fields)} values; expected {OXTS_VALUES} (lat lon alt roll pitch yaw ...). "

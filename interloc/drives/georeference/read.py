@@ -108,7 +108,6 @@ def read_georeference(parts: DriveParts, frames: IntArray, given: Path | None) -
 
 
 def _locate_given(given: Path, parts: DriveParts, frames: IntArray) -> GeoreferenceFiles:
-    """Find the files of a georeference that was named by the user."""
     if not given.exists():
         raise GeoreferenceFile(given, parts.root).fault(
             "does not exist. Expected a KITTI raw drive, a file of OXTS rows, or a geo.csv."

@@ -43,7 +43,6 @@ def locate_camera_to_pose(parts: DriveParts) -> Path | None:
 
 
 def _locate(parts: DriveParts, *names: str) -> Path | None:
-    """Return the first file of one of some names."""
     for place in parts.calibration:
         for name in names:
             path = place if place.name == name else place / name
@@ -103,7 +102,6 @@ def read_rt(file: SourceFile) -> FloatArray:
 
 
 def _read_keyed(file: SourceFile, keys: tuple[str, ...]) -> FloatArray:
-    """Read the 12 numbers after one of some keys."""
     lines = _keyed_lines(file)
     key = next((key for key in keys if key in lines), None)
     if key is None:
@@ -126,7 +124,6 @@ def _keyed_lines(file: SourceFile) -> dict[str, tuple[int, list[str]]]:
 
 
 def _transform(file: SourceFile, fields: list[str], line: int) -> FloatArray:
-    """Make a rigid transform of 12 fields."""
     if len(fields) != 12:
         raise file.fault(f"{len(fields)} numbers; expected 12 (a 3x4 matrix).", line)
     transform = np.eye(4)

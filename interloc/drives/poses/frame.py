@@ -118,7 +118,6 @@ def to_lidar(
 def _decide(
     poses: FloatArray, parts: DriveParts, file: SourceFile, declared: PoseFrame, findings: Findings
 ) -> tuple[Frame, str]:
-    """Return whose poses these are, and why."""
     guess, why = guess_frame(poses)
     if declared != "auto":
         if guess is not None and guess != declared:

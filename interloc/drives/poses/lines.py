@@ -178,7 +178,6 @@ def _plain_table(texts: list[str], lengths: Collection[int]) -> FloatArray | Non
 
 
 def _length_complaint(fields: list[str], length: int) -> str:
-    """Return what is wrong with the count of numbers in a line."""
     if any("," in field for field in fields):
         return SEPARATED_BY_COMMAS
     expected = (
@@ -193,7 +192,6 @@ def _length_complaint(fields: list[str], length: int) -> str:
 
 
 def _split_frames(values: FloatArray, lines: IntArray, file: SourceFile) -> IntArray:
-    """Return the frame numbers in front of the lines."""
     first = values[:, 0]
     wrong = (first != np.floor(first)) | (first < 0) | (first > _MAX_FRAME)
     if wrong.any():

@@ -18,7 +18,7 @@ _AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class Motion:
+class BodyMotion:
     """How a body moves in its own frame.
 
     Attributes
@@ -62,7 +62,7 @@ class Motion:
         return text
 
 
-def body_motion(poses: FloatArray) -> Motion | None:
+def body_motion(poses: FloatArray) -> BodyMotion | None:
     """Measure how a body moves in its own frame.
 
     Parameters
@@ -72,7 +72,7 @@ def body_motion(poses: FloatArray) -> Motion | None:
 
     Returns
     -------
-    Motion or None
+    BodyMotion or None
         None where it moves less than a metre.
     """
     poses = poses[:_JUDGED]
@@ -89,7 +89,7 @@ def body_motion(poses: FloatArray) -> Motion | None:
     relative = np.einsum("nji,njk->nik", rotation[:-1], rotation[1:])
     turn = _rotation_vectors(relative)
     squares = (turn**2).sum(axis=0)
-    return Motion(
+    return BodyMotion(
         distance_m=float(length.sum()),
         along=along,
         forward=float(unit[:, int(np.argmax(along))].mean()),

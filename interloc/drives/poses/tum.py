@@ -25,9 +25,13 @@ def looks_like_tum(path: Path) -> bool:
     """
     try:
         with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
+            return is_tum(file.read(_HEAD_BYTES))
     except OSError:
         return False
+
+
+def is_tum(head: bytes) -> bool:
+    """Return the same of the first bytes of a file."""
     for line in head.decode("utf-8-sig", errors="replace").splitlines():
         fields = line.split()
         if fields and not fields[0].startswith("#"):

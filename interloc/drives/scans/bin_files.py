@@ -58,7 +58,7 @@ class BinScans:
         return ScanPoints(read_points(self.scan_files.file(frame), self.point_bytes))
 
 
-def open_bin_files(parts: DriveParts, findings: Findings, *, check: bool) -> Recording:
+def open_bin_files(parts: DriveParts, options: DriveOptions, findings: Findings) -> Recording:
     """List the .bin files of a drive, and check their sizes.
 
     Raises
@@ -75,7 +75,7 @@ def open_bin_files(parts: DriveParts, findings: Findings, *, check: bool) -> Rec
     posed = np.isin(scans.numbers, posed_frames(parts, scans.numbers, findings))
     scans = replace(scans, numbers=scans.numbers[posed], sizes=scans.sizes[posed])
     usable = np.arange(len(scans.numbers), dtype=np.int64)
-    if check:
+    if options.check:
         wrong = (scans.sizes % point_bytes != 0) | (scans.sizes == 0)
         if wrong.any() and len(wrong) > 1 and (scans.sizes % _BARE_POINT_BYTES == 0).all() and scans.sizes.all():
             findings.error(
@@ -96,8 +96,8 @@ def open_bin_files(parts: DriveParts, findings: Findings, *, check: bool) -> Rec
         findings.note(scans.folder.name, "20 bytes per point: read as x y z intensity ring (nuScenes).")
     frames = scans.numbers
 
-    def trajectory(options: DriveOptions, faults: Findings) -> Trajectory:
-        return read_trajectory(parts, frames, options, faults)
+    def trajectory(chosen: DriveOptions, faults: Findings) -> Trajectory:
+        return read_trajectory(parts, frames, chosen, faults)
 
     return Recording(
         parts,
@@ -136,7 +136,6 @@ def _bytes_per_point(scans: NumberedFiles) -> int:
 
 
 def _size_complaint(size: int, point_bytes: int) -> str:
-    """Return what is wrong with the size of a scan."""
     if size == 0:
         return EMPTY
     expected = "four float32 per point (x y z remission)"

@@ -19,7 +19,7 @@ _REMEMBERED = 16  # scans: those that the checks look into come up again
 
 @dataclass(frozen=True)
 class NetworkLabels:
-    """What a network makes of the scans, in ids of SemanticKITTI; a `LabelSource`.
+    """What a network makes of the scans, in ids of SemanticKITTI.
 
     Attributes
     ----------
@@ -48,11 +48,11 @@ class NetworkLabels:
         """Which network, by which remission: labels of the same scan by the same identity are equal."""
         return (self.labeller.model.identity, repr(self.remission_scale))
 
-    def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - of `LabelSource`
+    def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - as of `LabelFiles`
         """Return none: they are made."""
         return ()
 
-    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:  # noqa: ARG002 - of `LabelSource`
+    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:  # noqa: ARG002 - as of `LabelFiles`
         """Label the points of a scan."""
         known = self._recent.get(frame)
         if known is not None and len(known) == len(points.values):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,11 +22,10 @@ from interloc.drives.files import (
     others_like_it,
 )
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.folder import ScanFacts
-from interloc.drives.labels import LabelJudgement, LabelScheme, judge_labels
+from interloc.drives.labels import SEMANTICKITTI, LabelJudgement, LabelScheme, judge_labels
 from interloc.drives.layouts import DriveParts
-from interloc.drives.options import DriveOptions
-from interloc.drives.scans.recorded import PointSource, Recording, ScanPoints
+from interloc.drives.options import DriveOptions, LabelFolder
+from interloc.drives.scans.recorded import PointSource, Recording, ScanFacts, ScanPoints
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.kernels.points import select_points
 
@@ -34,48 +33,9 @@ LABEL_BYTES = 4
 """uint32, the label id in the lower half."""
 
 
-class LabelSource(Protocol):
-    """What the points of the scans are; cheap to send to another process.
-
-    Attributes
-    ----------
-    name : str
-        How messages call it.
-    scheme : str or None
-        Name of the scheme of its ids, where it is known.
-    is_slow : bool
-        Labels take long enough that those of several scans should be made at once.
-    identity : tuple of str
-        What else than the files the labels depend on.
-    """
-
-    @property
-    def name(self) -> str: ...  # noqa: D102
-    @property
-    def scheme(self) -> str | None: ...  # noqa: D102
-    @property
-    def is_slow(self) -> bool: ...  # noqa: D102
-    @property
-    def identity(self) -> tuple[str, ...]: ...  # noqa: D102
-
-    def files(self, frame: int) -> tuple[Path, ...]:
-        """Return the files that the labels of a scan are read from, besides those of the scan."""
-        ...
-
-    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:
-        """Return the (N,) uint32 labels of the points of a scan, the id in the lower half.
-
-        Raises
-        ------
-        DriveError
-            They are missing, or not as many as the points.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class LabelFiles:
-    """One .label file per scan; a `LabelSource`."""
+    """One .label file per scan."""
 
     label_files: NumberedFiles
     scheme = None
@@ -102,109 +62,64 @@ class LabelFiles:
 
 @dataclass(frozen=True)
 class PointLabels:
-    """Labels that the points carry themselves; a `LabelSource`."""
+    """Labels that the points carry themselves."""
 
     name: str
     scheme: str | None = None
     is_slow = False
     identity = ()
 
-    def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - of `LabelSource`
+    def files(self, frame: int) -> tuple[Path, ...]:  # noqa: ARG002 - as of `LabelFiles`
         """Return none: they are in the scans."""
         return ()
 
-    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:  # noqa: ARG002 - of `LabelSource`
+    def of(self, frame: int, points: ScanPoints, scan: str) -> UInt32Array:  # noqa: ARG002 - as of `LabelFiles`
         """Return the labels of the points."""
         if points.labels is None:
             raise DriveFileError(scan, "its points carry no labels, as those of the other scans do.")
         return points.labels
 
 
+if TYPE_CHECKING:  # most drives need no network
+    from interloc.drives.scans.network import NetworkLabels
+
+    LabelSource = LabelFiles | PointLabels | NetworkLabels
+
+
 @dataclass(frozen=True)
 class RawScans:
-    """Scans and labels as they were recorded; a `GroundSource`.
-
-    Attributes
-    ----------
-    points : PointSource
-    labels : LabelSource
-    scheme : LabelScheme
-        Which label ids are road.
-    """
-
-    points: PointSource
-    labels: LabelSource
-    scheme: LabelScheme
-
-    def __getstate__(self) -> dict[str, object]:
-        """Leave the selection table behind: it is made anew from the scheme."""
-        return {name: value for name, value in self.__dict__.items() if name != "_groups"}
-
-    @cached_property
-    def _groups(self) -> UInt8Array:
-        return self.scheme.groups()
-
-    @property
-    def label_source(self) -> str:
-        """Where the labels come from, in words."""
-        return self.labels.name
-
-    @property
-    def is_slow(self) -> bool:
-        """Whether a network labels the scans."""
-        return self.labels.is_slow
-
-    def name(self, frame: int) -> str:
-        """Return the name of the file of a scan, for messages."""
-        return self.points.name(frame)
-
-    def files(self, frame: int) -> tuple[Path, ...]:
-        """Return the files that the ground points of a scan are made of."""
-        return (*self.points.files(frame), *self.labels.files(frame))
-
-    def read(self, frame: int) -> GroundPoints:
-        """Read the ground points of a scan.
-
-        Raises
-        ------
-        DriveError
-            A file is missing or cut short, labels and points differ in number, or a point that is kept is not finite.
-        """
-        points, name = self.points.read(frame), self.points.name(frame)
-        labels = self.labels.of(frame, points, name)
-        xyz, road_count, bad_point = select_points(points.values, labels, self._groups)
-        if bad_point >= 0:
-            x, y, z, _ = points.values[bad_point]
-            raise DriveFileError(
-                name,
-                f"point {bad_point:,} of {len(labels):,} is not finite ({x:g}, {y:g}, {z:g}). "
-                "Expected x y z in metres. Usual cause: points without a return that were written as NaN; "
-                "leave them out, with their labels.",
-            )
-        return GroundPoints(xyz, road_count)
-
-
-@dataclass(frozen=True)
-class RawStore:
-    """Scans and labels of a drive as it was recorded; a `ScanStore`.
+    """The scans of a drive as it was recorded, with the labels of one folder (or of the points, or of a network).
 
     Attributes
     ----------
     recording : Recording
-    labels : LabelSource or None
+    labels : LabelFiles, PointLabels, NetworkLabels or None
         None where there are none, which was raised or listed.
     usable : (M,) int64
         Positions of the scans that have labels, of the size that fits.
+    scheme : LabelScheme
+        Which label ids are road; known once they were judged.
     """
 
     recording: Recording
     labels: LabelSource | None
     usable: IntArray
+    scheme: LabelScheme = SEMANTICKITTI
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave the selection table behind: it is made anew from the scheme."""
+        return {name: value for name, value in self.__dict__.items() if name != "_groups"}
 
     @classmethod
     def of(
-        cls, recording: Recording, options: DriveOptions, findings: Findings, *, needs_labels: bool = True
-    ) -> RawStore:
+        cls,
+        recording: Recording,
+        folder: LabelFolder,
+        options: DriveOptions,
+        findings: Findings,
+        *,
+        needs_labels: bool = True,
+    ) -> RawScans:
         """Find the labels of a recording, and check that every scan has them.
 
         Raises
@@ -213,17 +128,16 @@ class RawStore:
             There are none, or they do not fit; where `findings` stops at that.
         """
         labels: LabelSource | None = None
-        usable = recording.usable
+        has_labels = recording.carries_labels or options.model is not None
         with findings.stage():
-            if needs_labels or recording.carries_labels or options.model is not None or recording.parts.labels.is_dir():
-                labels = _labels_of(recording, options, findings)
-        if recording.frames is None:
-            return cls(recording, labels, np.empty(0, np.int64))
-        if usable is None:
+            if needs_labels or has_labels or recording.parts.label_folder(folder).is_dir():
+                labels = _labels_of(recording, folder, options, findings)
+        usable = recording.usable
+        if recording.frames is None or labels is None:
+            usable = np.empty(0, np.int64)
+        elif usable is None:
             usable = np.arange(len(recording.frames), dtype=np.int64)
-        if labels is None:
-            usable = usable[:0]
-        elif isinstance(labels, LabelFiles):
+        if isinstance(labels, LabelFiles) and recording.frames is not None:
             usable = _check_label_files(recording, usable, labels.label_files, findings, sizes=options.check)
         return cls(recording, labels, usable)
 
@@ -234,8 +148,13 @@ class RawStore:
 
     @property
     def frames(self) -> IntArray | None:
-        """(N,) int64 scan numbers."""
+        """(N,) int64 scan numbers; None where they could not be listed."""
         return self.recording.frames
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there are scans and labels to be read."""
+        return self.recording.points is not None and self.labels is not None
 
     def read_trajectory(self, options: DriveOptions, findings: Findings) -> Trajectory:
         """Read poses, times and georeference."""
@@ -245,7 +164,7 @@ class RawStore:
         return read_trajectory(self.parts, self.recording.frames, options, findings)
 
     def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
-        """Count the ids of some scans, and find out what they mean."""
+        """Count the ids of the scans at some positions, and find out what they mean."""
         source, frames, labels = self.recording.points, self.frames, self.labels
         if source is None or frames is None or labels is None:
             return LabelJudgement()
@@ -268,11 +187,9 @@ class RawStore:
             findings=findings,
         )
 
-    def ground(self, scheme: LabelScheme) -> RawScans | None:
-        """Return the scans."""
-        if self.recording.points is None or self.labels is None:
-            return None
-        return RawScans(self.recording.points, self.labels, scheme)
+    def by_scheme(self, scheme: LabelScheme) -> RawScans:
+        """Return the scans as a drive keeps them, which has its trajectory already."""
+        return replace(self, scheme=scheme, recording=replace(self.recording, read_trajectory=None))
 
     @property
     def facts(self) -> ScanFacts:
@@ -298,6 +215,58 @@ class RawStore:
                 facts["label_bytes"] = int(self.labels.label_files.sizes.sum())
         return ScanFacts.model_validate(facts)
 
+    @property
+    def sources(self) -> tuple[PointSource, LabelSource]:
+        """What the points and their labels are read from, where both are there."""
+        assert self.recording.points is not None
+        assert self.labels is not None
+        return self.recording.points, self.labels
+
+    @cached_property
+    def _groups(self) -> UInt8Array:
+        return self.scheme.groups()
+
+    @property
+    def label_source(self) -> str:
+        """Where the labels come from, in words."""
+        return self.sources[1].name
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether a network labels the scans: then several should be read at once."""
+        return self.sources[1].is_slow
+
+    def name(self, frame: int) -> str:
+        """Return the name of the file of a scan, for messages."""
+        return self.sources[0].name(frame)
+
+    def files(self, frame: int) -> tuple[Path, ...]:
+        """Return the files that the ground points of a scan are made of."""
+        points, labels = self.sources
+        return (*points.files(frame), *labels.files(frame))
+
+    def read(self, frame: int) -> GroundPoints:
+        """Read the ground points of a scan.
+
+        Raises
+        ------
+        DriveError
+            A file is missing or cut short, labels and points differ in number, or a point that is kept is not finite.
+        """
+        source, labels = self.sources
+        points, name = source.read(frame), source.name(frame)
+        ids = labels.of(frame, points, name)
+        xyz, road_count, bad_point = select_points(points.values, ids, self._groups)
+        if bad_point >= 0:
+            x, y, z, _ = points.values[bad_point]
+            raise DriveFileError(
+                name,
+                f"point {bad_point:,} of {len(ids):,} is not finite ({x:g}, {y:g}, {z:g}). "
+                "Expected x y z in metres. Usual cause: points without a return that were written as NaN; "
+                "leave them out, with their labels.",
+            )
+        return GroundPoints(xyz, road_count)
+
 
 def read_labels(file: SourceFile) -> UInt32Array:
     """Read the (N,) uint32 labels of a file.
@@ -319,9 +288,10 @@ def count_ids(labels: UInt32Array) -> dict[int, int]:
     return {int(label): int(counts[label]) for label in np.flatnonzero(counts)}
 
 
-def _labels_of(recording: Recording, options: DriveOptions, findings: Findings) -> LabelSource:
-    """Find the labels of a recording: the network that was asked for, label files, or those of the points."""
-    parts, folder = recording.parts, recording.parts.labels
+def _labels_of(
+    recording: Recording, label_folder: LabelFolder, options: DriveOptions, findings: Findings
+) -> LabelSource:
+    parts, folder = recording.parts, recording.parts.label_folder(label_folder)
     if options.model is not None:
         from interloc.drives.scans.network import open_network  # noqa: PLC0415 - most drives need no network
 
@@ -396,7 +366,6 @@ def _check_label_files(
 
 
 def _label_count_complaint(labels: int, points: int, scan: str) -> str:
-    """Return that labels and points differ in number."""
     return (
         f"{labels:,} labels for {points:,} points in {scan}. Every point needs one 4-byte label. "
         "Usual cause: labels of another sequence, or an archive that was not unpacked to the end."

@@ -1,7 +1,7 @@
 """Scans as they were recorded, in any format: what the reader of a format provides.
 
 A format of scans is one module beside this one with a function ``open_...(root, options, findings)``. It returns a
-`Recording`, or None where the folder or file is of another format, and has its line in `interloc.drives.open`.
+`Recording`, or None where the folder or file is of another format, and has its line in `interloc.drives.formats`.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from interloc.arrays import Float32Array, IntArray, UInt32Array
 from interloc.drives.findings import Findings
-from interloc.drives.folder import Topic
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
 from interloc.drives.trajectory import Trajectory
@@ -64,6 +64,25 @@ class PointSource(Protocol):
         ...
 
 
+class Topic(BaseModel):
+    """A topic of a bag.
+
+    Attributes
+    ----------
+    name, type : str
+    messages : int
+    role : {"points", "poses", "fix", "extrinsics"} or None
+        What it is read as; None where it is not read.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    type: str
+    messages: int
+    role: Literal["points", "poses", "fix", "extrinsics"] | None = None
+
+
 @dataclass(frozen=True)
 class Recording:
     """The scans of a drive in one format.
@@ -71,8 +90,7 @@ class Recording:
     Attributes
     ----------
     parts : DriveParts
-        Layout, root and name of the drive, the folder that label files would lie in, and the small files that there
-        are.
+        Layout, root and name of the drive, and the small files that there are.
     points : PointSource or None
         None where the scans could not be listed.
     frames : (N,) int64 or None
@@ -118,3 +136,58 @@ class Recording:
             return np.empty(0, np.float32)
         rows = np.unique(np.linspace(0, len(self.frames) - 1, _SAMPLED).round().astype(int))
         return np.concatenate([self.points.read(int(self.frames[row])).values[:, 3] for row in rows])
+
+
+class ReducedReport(BaseModel):
+    """What is left of the scans of a reduced drive.
+
+    Attributes
+    ----------
+    kept_scans : int
+    ground_bytes : int or None
+        Size of their ground points, where the label folder has any.
+    distance_m, angle_deg : float or None
+        Keyframe settings by which they were chosen; None: every scan was kept.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    kept_scans: int
+    ground_bytes: int | None
+    distance_m: float | None
+    angle_deg: float | None
+
+
+class ScanFacts(BaseModel):
+    """Count and size of the scans and labels of a drive.
+
+    Attributes
+    ----------
+    scans : int
+        Number of scans (also of those that a reduced drive did not keep).
+    first_frame, last_frame : int or None
+        Scan numbers.
+    scan_bytes, label_bytes : int
+        Size of all of them; of a reduced drive that of the files it was made of, 0 where that is not known.
+    points_per_scan, least_points, most_points : int or None
+        Median, minimum and maximum.
+    reduced : ReducedReport or None
+        What was kept, where this is a reduced drive.
+    label_folder : str or None
+    topics : tuple of Topic
+        What a bag holds.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    scans: int = 0
+    first_frame: int | None = None
+    last_frame: int | None = None
+    scan_bytes: int = 0
+    label_bytes: int = 0
+    points_per_scan: int | None = None
+    least_points: int | None = None
+    most_points: int | None = None
+    reduced: ReducedReport | None = None
+    label_folder: str | None = None
+    topics: tuple[Topic, ...] = ()

@@ -11,10 +11,10 @@ from interloc.arrays import IntArray
 from interloc.drive import GroundPoints
 from interloc.drives.files import SourceFile, list_numbered, listed, missing_numbers
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.folder import ReducedReport, ScanFacts
 from interloc.drives.labels import LabelJudgement, LabelScheme, check_labels, named_scheme
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions, LabelFolder
+from interloc.drives.scans.recorded import ReducedReport, ScanFacts
 from interloc.drives.scans.reduced_format import (
     GROUND_FOLDER,
     MANIFEST,
@@ -22,132 +22,96 @@ from interloc.drives.scans.reduced_format import (
     MIN_BYTES,
     ReducedLabels,
     ReducedManifest,
-    Thinning,
     decode_ground,
     ground_path,
-    is_reduced,
-    read_manifest,
     size_complaint,
 )
 from interloc.drives.trajectory import Trajectory, read_trajectory
 
 
-@dataclass(frozen=True)
-class GroundFiles:
-    """The ground points of the scans that were kept; a `GroundSource`.
+def read_ground(root: Path, folder: LabelFolder, frame: int) -> GroundPoints:
+    """Read the ground points of a scan of a reduced drive, chosen by the labels of a folder.
 
-    Attributes
-    ----------
-    root : Path
-        Folder of the reduced drive.
-    folder : {"labels", "predictions"}
-        By which labels the points were chosen.
-    kept : (K,) int64
-        Numbers of the scans that are here, ascending.
-    keyframes : Thinning or None
-        By which they were chosen.
+    Raises
+    ------
+    DriveError
+        Its file is missing or damaged.
     """
-
-    root: Path
-    folder: LabelFolder
-    kept: IntArray
-    keyframes: Thinning | None
-
-    is_slow = False
-
-    @property
-    def label_source(self) -> str:
-        """Name of the label folder."""
-        return self.folder
-
-    def name(self, frame: int) -> str:
-        """Return the name of the file of a scan, for messages."""
-        return ground_path(self.folder, frame)
-
-    def read(self, frame: int) -> GroundPoints:
-        """Read the ground points of a scan.
-
-        Raises
-        ------
-        DriveError
-            The scan was not kept, or its file is missing or damaged.
-        """
-        row = int(np.searchsorted(self.kept, frame))
-        if row == len(self.kept) or self.kept[row] != frame:
-            by = f"thinned to {self.keyframes}" if self.keyframes is not None else "thinned"
-            raise DriveFileError(
-                MANIFEST,
-                f"the drive was {by} when it was reduced, and scan {frame} was not kept. Usual cause: other settings "
-                "keyframes.distance_m or keyframes.angle_deg. Use those, or reduce the drive again from its scans with "
-                "--all-scans.",
-            )
-        file = SourceFile(self.root / self.name(frame), self.root)
-        try:
-            with file.path.open("rb") as handle:
-                data = handle.read(MAX_BYTES + 1)
-        except OSError as error:
-            raise file.unreadable(error) from error
-        return decode_ground(data, file.name)
+    file = SourceFile(root / ground_path(folder, frame), root)
+    try:
+        with file.path.open("rb") as handle:
+            data = handle.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise file.unreadable(error) from error
+    return decode_ground(data, file.name)
 
 
 @dataclass(frozen=True)
-class ReducedStore:
-    """The scans of a reduced drive; a `ScanStore`.
+class ReducedScans:
+    """The scans of a reduced drive, by one of its label folders.
 
     Attributes
     ----------
     manifest : ReducedManifest
     parts : DriveParts
+    frames : (N,) int64
+        Numbers of all scans, also of those that were not kept.
+    kept : (K,) int64
+        Numbers of the scans that are here.
     usable : (M,) int64
-        Positions of the scans that were kept and are there.
+        Positions of those whose files are there, and of a size that can be.
     labels : ReducedLabels or None
-        Of the label folder that was chosen; None where the drive has none of it.
+        Of the label folder; None where the drive has none of it.
     ground_bytes : int or None
         Size of its ground files; None where they could not be listed.
     """
 
     manifest: ReducedManifest
     parts: DriveParts
+    frames: IntArray
+    kept: IntArray
     usable: IntArray
     labels: ReducedLabels | None = None
     ground_bytes: int | None = None
 
+    is_slow = False
+
     @classmethod
-    def open(cls, root: Path, options: DriveOptions, findings: Findings) -> ReducedStore | None:
-        """Read the manifest, and see whether all scans that were kept are there; None where there is no manifest.
+    def of(
+        cls, manifest: ReducedManifest, root: Path, folder: LabelFolder, options: DriveOptions, findings: Findings
+    ) -> ReducedScans:
+        """Choose the labels of a folder, and see whether all scans that were kept are there.
 
         Raises
         ------
         DriveError
-            The manifest is damaged, or the drive was made of another layout than the one asked for; or scans are
-            missing or damaged, and `findings` stops at that.
+            The drive was made of another layout than the one asked for; or labels or scans are missing or damaged, and
+            `findings` stops at that.
         """
-        if not is_reduced(root):
-            return None
-        manifest = read_manifest(root)
         if options.layout not in {"auto", manifest.layout}:
             raise DriveFileError(
                 MANIFEST, f"is a drive of layout {manifest.layout}, not {options.layout}. Give layout 'auto'."
             )
-        parts = _parts_of(manifest, root, options.labels)
+        parts = _parts_of(manifest, root, folder)
+        frames, kept = manifest.frames, manifest.kept_frames
         labels = ground_bytes = None
         usable = np.empty(0, dtype=np.int64)
         with findings.stage():
-            labels = _choose_labels(manifest, options)
-            there, ground_bytes = _list_ground(manifest, parts, findings, sizes=options.check)
-            usable = np.searchsorted(manifest.frames, there)
-        return cls(manifest, parts, usable, labels, ground_bytes)
+            labels = _choose_labels(manifest, folder, options)
+            there, ground_bytes = _list_ground(kept, parts, findings, sizes=options.check)
+            usable = np.searchsorted(frames, there)
+        return cls(manifest, parts, frames, kept, usable, labels, ground_bytes)
 
     @property
-    def frames(self) -> IntArray:
-        """(N,) int64 numbers of all scans, also of those that were not kept."""
-        return self.manifest.frames
+    def is_complete(self) -> bool:
+        """Whether there are scans to be read."""
+        return self.labels is not None
 
     def read_trajectory(self, options: DriveOptions, findings: Findings) -> Trajectory:
         """Read poses, times and georeference from the small files."""
         return read_trajectory(self.parts, self.frames, options, findings)
 
-    def judge_labels(self, sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:  # noqa: ARG002 - of `ScanStore`
+    def judge_labels(self, _sample: list[int], options: DriveOptions, findings: Findings) -> LabelJudgement:
         """Take what the labels meant from the manifest."""
         if self.labels is None:
             return LabelJudgement()
@@ -157,22 +121,20 @@ class ReducedStore:
                 check_labels(self.labels.folder, judgement, findings)
         return judgement
 
-    def ground(self, scheme: LabelScheme) -> GroundFiles | None:  # noqa: ARG002 - of `ScanStore`
-        """Return the files of the ground points."""
-        if self.labels is None:
-            return None
-        return GroundFiles(self.parts.root, self.labels.folder, self.manifest.kept_frames, self.manifest.keyframes)
+    def by_scheme(self, _scheme: LabelScheme) -> ReducedScans:
+        """Return the scans as they are: other points are not here."""
+        return self
 
     @property
     def facts(self) -> ScanFacts:
         """What the scans were, and what is left of them."""
-        frames, by, source = self.manifest.frames, self.manifest.keyframes, self.manifest.source
+        by, source = self.manifest.keyframes, self.manifest.source
         facts = ScanFacts(
-            scans=len(frames),
-            first_frame=int(frames[0]),
-            last_frame=int(frames[-1]),
+            scans=len(self.frames),
+            first_frame=int(self.frames[0]),
+            last_frame=int(self.frames[-1]),
             reduced=ReducedReport(
-                kept_scans=len(self.manifest.kept_frames),
+                kept_scans=len(self.kept),
                 ground_bytes=self.ground_bytes,
                 distance_m=None if by is None else by.distance_m,
                 angle_deg=None if by is None else by.angle_deg,
@@ -183,16 +145,53 @@ class ReducedStore:
             known |= {"label_folder": self.labels.folder, "label_bytes": self.labels.label_bytes or 0}
         return facts.model_copy(update=known)
 
+    @property
+    def _labels(self) -> ReducedLabels:
+        assert self.labels is not None
+        return self.labels
 
-def _choose_labels(manifest: ReducedManifest, options: DriveOptions) -> ReducedLabels:
-    """Return the labels asked for."""
-    chosen = next((labels for labels in manifest.labels if labels.folder == options.labels), None)
+    @property
+    def scheme(self) -> LabelScheme:
+        """Which label ids were road."""
+        return self._labels.label_scheme
+
+    @property
+    def label_source(self) -> str:
+        """Name of the label folder."""
+        return self._labels.folder
+
+    def name(self, frame: int) -> str:
+        """Return the name of the file of a scan, for messages."""
+        return ground_path(self._labels.folder, frame)
+
+    def read(self, frame: int) -> GroundPoints:
+        """Read the ground points of a scan.
+
+        Raises
+        ------
+        DriveError
+            Its file is missing or damaged, or the scan was not kept.
+        """
+        row = int(np.searchsorted(self.kept, frame))
+        if row == len(self.kept) or self.kept[row] != frame:
+            by = f"thinned to {self.manifest.keyframes}" if self.manifest.keyframes is not None else "thinned"
+            raise DriveFileError(
+                MANIFEST,
+                f"the drive was {by} when it was reduced, and scan {frame} was not kept. Usual cause: other settings "
+                "keyframes.distance_m or keyframes.angle_deg. Use those, or reduce the drive again from its scans with "
+                "--all-scans.",
+            )
+        return read_ground(self.parts.root, self._labels.folder, frame)
+
+
+def _choose_labels(manifest: ReducedManifest, folder: LabelFolder, options: DriveOptions) -> ReducedLabels:
+    chosen = next((labels for labels in manifest.labels if labels.folder == folder), None)
     if chosen is None:
         others = [labels.folder for labels in manifest.labels]
         hint = f"There is {others[0]}/: choose it as the label folder." if others else "It has none at all."
         raise DriveFileError(
-            f"{GROUND_FOLDER}/{options.labels}",
-            f"is missing: the drive was reduced without {options.labels}. {hint}",
+            f"{GROUND_FOLDER}/{folder}",
+            f"is missing: the drive was reduced without {folder}. {hint}",
         )
     asked = named_scheme(options.label_scheme)
     if asked is not None and not asked.means_the_same(chosen.label_scheme):
@@ -205,11 +204,8 @@ def _choose_labels(manifest: ReducedManifest, options: DriveOptions) -> ReducedL
     return chosen
 
 
-def _list_ground(
-    manifest: ReducedManifest, parts: DriveParts, findings: Findings, *, sizes: bool
-) -> tuple[IntArray, int]:
+def _list_ground(kept: IntArray, parts: DriveParts, findings: Findings, *, sizes: bool) -> tuple[IntArray, int]:
     """Return the numbers of the kept scans whose files are there, and the size of all of these."""
-    kept = manifest.kept_frames
     files = list_numbered(parts.file(parts.scans), ".ground")
     missing = missing_numbers(files.numbers, kept)
     if len(missing):
@@ -236,12 +232,11 @@ def _parts_of(manifest: ReducedManifest, root: Path, labels: LabelFolder) -> Dri
     def inside(name: str | None) -> Path | None:
         return None if name is None else root / name
 
-    files, ground = manifest.files, root / GROUND_FOLDER / labels
+    files = manifest.files
     return DriveParts(
         layout=manifest.layout,
         root=root,
-        scans=ground,
-        labels=ground,
+        scans=root / GROUND_FOLDER / labels,
         poses=inside(files.poses),
         times=inside(files.times),
         calibration=tuple(root / name for name in files.calibration),

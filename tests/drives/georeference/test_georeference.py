@@ -30,7 +30,7 @@ FRAMES = np.arange(12)
 
 
 def parts(root: Path, *, oxts: Path | None = None, geo: Path | None = None) -> DriveParts:
-    return DriveParts("semantickitti", root, root, root, None, None, (root,), oxts, geo)
+    return DriveParts("semantickitti", root, root, None, None, (root,), oxts, geo)
 
 
 def test_oxts_folder_with_lever_arm(tmp_path: Path, make: ModuleType) -> None:

@@ -23,7 +23,7 @@ from interloc.geometry import invert_transform, rotation_from_rpy
 
 
 def parts(root: Path, layout: str = "semantickitti") -> DriveParts:
-    return DriveParts(layout, root, root, root, root / "poses.txt", None, (root,), None, None)
+    return DriveParts(layout, root, root, root / "poses.txt", None, (root,), None, None)
 
 
 def pose_file(root: Path) -> SourceFile:

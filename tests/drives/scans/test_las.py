@@ -21,7 +21,7 @@ from interloc.drives.folder import FolderDrive
 from interloc.drives.georeference.geodetic import ecef_poses
 from interloc.drives.options import DriveOptions
 from interloc.drives.scans.las import slices as slicing
-from interloc.drives.scans.las.clouds import BLOCK_POINTS, read_header
+from interloc.drives.scans.las.clouds import BLOCK_POINTS, read_cloud_header
 from interloc.drives.scans.las.open import open_las
 from interloc.drives.scans.las.slices import cut
 from interloc.errors import DriveError
@@ -330,7 +330,7 @@ def test_order_does_not_matter_nor_does_the_number_of_files(tmp_path: Path, comp
     for index in (0, 7, len(one.frames) - 1):
         a, b = one.ground_points(index).road, two.ground_points(index).road
         np.testing.assert_allclose(a[np.argsort(a[:, 1])], b[np.argsort(b[:, 1])], atol=2e-3)
-    assert two.ground.name(0).startswith("laz/tile_0")
+    assert two.scans.name(0).startswith("laz/tile_0")
 
 
 def test_points_in_no_order_are_refused_where_it_is_hopeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -457,7 +457,7 @@ def test_files_in_sensor_coordinates_are_scans(tmp_path: Path) -> None:
     np.testing.assert_array_equal(drive.frames, np.arange(5, 17))
     np.testing.assert_allclose(drive.T_world_lidar[:, 0, 3], 3 * np.arange(12))
     assert drive.ground_points(0).road_count == 500
-    assert drive.ground.name(7) == "scan_007.laz"
+    assert drive.scans.name(7) == "scan_007.laz"
 
 
 def test_withheld_points_of_a_scan_are_nothing(tmp_path: Path) -> None:
@@ -504,21 +504,21 @@ def changed(path: Path, at: int, code: str, value: Any) -> SourceFile:
 def test_headers_that_lie_are_refused(tmp_path: Path, at: int, code: str, value: Any, complaint: str) -> None:
     path = write_las(tmp_path / "a.laz", straight_cloud()[0], times_s=1.0)
     with pytest.raises(DriveError, match=complaint):
-        read_header(changed(path, at, code, value))
+        read_cloud_header(changed(path, at, code, value))
 
 
 def test_laz_files_cut_short_say_how_much_is_there(tmp_path: Path) -> None:
     path = write_las(tmp_path / "a.laz", straight_cloud(600)[0], times_s=1.0)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(DriveError, match=r"a.laz: is cut short: .* about 60,000 of its 120,000 points are there"):
-        read_header(SourceFile(path, tmp_path))
+        read_cloud_header(SourceFile(path, tmp_path))
 
 
 def test_las_files_cut_short_say_how_much_is_there(tmp_path: Path) -> None:
     path = write_las(tmp_path / "a.las", straight_cloud()[0], times_s=1.0)
     path.write_bytes(path.read_bytes()[:-3000])
     with pytest.raises(DriveError, match=r"promises 12,000 points of 30 bytes, but holds 11,900 of them"):
-        read_header(SourceFile(path, tmp_path))
+        read_cloud_header(SourceFile(path, tmp_path))
 
 
 def test_tables_of_chunks_that_lie_are_refused(tmp_path: Path) -> None:
@@ -527,11 +527,11 @@ def test_tables_of_chunks_that_lie_are_refused(tmp_path: Path) -> None:
     start = struct.unpack_from("<I", data, 96)[0]
     table = struct.unpack_from("<q", data, start)[0]
     with pytest.raises(DriveError, match="lists 4,000,000,000 chunks"):
-        read_header(changed(path, table + 4, "<I", 4_000_000_000))
+        read_cloud_header(changed(path, table + 4, "<I", 4_000_000_000))
 
 
 def read_all(file: SourceFile) -> None:
-    for _ in read_header(file).read(fields=frozenset({"xyz", "labels", "time", "intensity"})):
+    for _ in read_cloud_header(file).read(fields=frozenset({"xyz", "labels", "time", "intensity"})):
         pass
 
 

@@ -239,7 +239,7 @@ def _opened(cloud: CloudFile, fields: frozenset[Field], *, read_evlrs: bool = Fa
         reader.close()
 
 
-def read_header(file: SourceFile) -> CloudFile:
+def read_cloud_header(file: SourceFile) -> CloudFile:
     """Read the header of a file, and check what it promises against the size of the file.
 
     Raises
@@ -265,7 +265,6 @@ def _offset_to_points(head: bytes) -> int:
 
 
 def _checked(file: SourceFile, size: int, head: bytes) -> CloudFile:
-    """Check the numbers of a header."""
     if not size:
         raise file.fault(f"is empty. {_USUAL}")
     if head[:4] != b"LASF":
@@ -331,7 +330,6 @@ _Triple = tuple[float, float, float]
 
 
 def _bounds(file: SourceFile, numbers: list[float]) -> tuple[_Triple, _Triple]:
-    """Check scales, offsets and bounds, and return the lower and upper bounds of x, y, z."""
     scales, offsets, bounds = numbers[:3], numbers[3:6], numbers[6:]
     if not (all(1e-9 <= abs(scale) <= 1e3 for scale in scales) and all(abs(value) <= 1e9 for value in offsets)):
         raise file.fault(
@@ -350,7 +348,6 @@ def _listed(numbers: list[float]) -> str:
 
 
 def _check_count(file: SourceFile, points: int, record: int, room: int, *, compressed: bool) -> None:
-    """Check the count of points against the bytes that are there for them."""
     if not compressed and points * record > room:
         raise file.fault(
             f"promises {points:,} points of {record} bytes, but holds {room // max(record, 1):,} of them. {_USUAL}"

@@ -26,7 +26,7 @@ from interloc.drives.scans.las.slices import (
     index_clouds,
     without_empty,
 )
-from interloc.drives.scans.las.tracks import Track, find_tracks, read_track
+from interloc.drives.scans.las.tracks import SurveyTrack, find_tracks, read_track
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.trajectory import LidarPoses, Trajectory
 from interloc.geometry import invert_transform, rotation_from_rpy, wrap_angle
@@ -110,7 +110,6 @@ class Vehicle:
 
 
 def _at(times_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Return (N, 3) positions at some times."""
     return np.stack([np.interp(times_s, known_s, axis) for axis in values.T], axis=1)
 
 
@@ -121,7 +120,7 @@ def _courses(position: FloatArray) -> FloatArray:
     return np.arctan2(along[:, 1], along[:, 0])
 
 
-def _find_track(clouds: tuple[CloudFile, ...], parts: DriveParts, options: DriveOptions) -> Track:
+def _find_track(clouds: tuple[CloudFile, ...], parts: DriveParts, options: DriveOptions) -> SurveyTrack:
     """Read the trajectory that was named, or the one that lies beside."""
     folder = all_of(clouds)
     timeless = next((cloud for cloud in clouds if not cloud.has_time), None)
@@ -201,8 +200,7 @@ def _grid(clouds: tuple[CloudFile, ...], options: DriveOptions, findings: Findin
     return grid_of(crs, f"stated in {file.name}", file)
 
 
-def _vehicle(track: Track, sample: Sample, grid: Grid | None, first: CloudFile, findings: Findings) -> Vehicle:
-    """Bring the trajectory into the clock and the coordinates of the cloud."""
+def _vehicle(track: SurveyTrack, sample: Sample, grid: Grid | None, first: CloudFile, findings: Findings) -> Vehicle:
     position, cloud = track.position.copy(), first.file
     if track.geographic:
         if grid is None:
@@ -229,8 +227,7 @@ def _vehicle(track: Track, sample: Sample, grid: Grid | None, first: CloudFile, 
     return Vehicle(times, position, heading, f"{track.file.name}; heading from {reason}")
 
 
-def _check_speed(track: Track, position: FloatArray) -> None:
-    """Refuse a trajectory that jumps."""
+def _check_speed(track: SurveyTrack, position: FloatArray) -> None:
     step = np.linalg.norm(np.diff(position, axis=0), axis=1)
     jumps = (step > _JUMP_M) & (step > _JUMP_MPS * np.diff(track.times_s))
     if jumps.any():
@@ -264,7 +261,7 @@ def _height_offset(
 
 
 def _heading(
-    track: Track, position: FloatArray, grid: Grid | None, findings: Findings
+    track: SurveyTrack, position: FloatArray, grid: Grid | None, findings: Findings
 ) -> tuple[FloatArray | None, str]:
     """Return the heading that the trajectory states, in the way in which it fits the motion; None where none does."""
     if not track.headings:
@@ -294,7 +291,7 @@ def _heading(
     return heading, best
 
 
-def _check_outside(index: SliceIndex, track: Track, findings: Findings) -> None:
+def _check_outside(index: SliceIndex, track: SurveyTrack, findings: Findings) -> None:
     """Refuse a trajectory that misses most points; say so where it misses some."""
     inside = int(index.counts.sum())
     share = index.outside / max(inside + index.outside, 1)
@@ -308,7 +305,6 @@ def _check_outside(index: SliceIndex, track: Track, findings: Findings) -> None:
 
 
 def _note_labels(index: SliceIndex, folder: SourceFile, findings: Findings) -> None:
-    """Say what the classification of the points is good for."""
     classes = ", ".join(str(number) for number in np.flatnonzero(index.classes)[:20])
     if index.has_road:
         findings.note(folder.name, f"the classification of the points is their label ({ROAD_SURFACE}: road surface).")
@@ -321,7 +317,6 @@ def _note_labels(index: SliceIndex, folder: SourceFile, findings: Findings) -> N
 
 
 def _note_large(index: SliceIndex, folder: SourceFile, findings: Findings) -> None:
-    """Say so where scans hold more points than are read of one."""
     if large := int(np.count_nonzero(index.steps > 1)):
         findings.note(
             folder.name,

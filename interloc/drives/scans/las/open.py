@@ -9,7 +9,7 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.las.clouds import CloudFile, read_header, require_laspy
+from interloc.drives.scans.las.clouds import CloudFile, read_cloud_header, require_laspy
 from interloc.drives.scans.las.mapping import open_mapping
 from interloc.drives.scans.las.scan_files import is_one_per_scan, open_scan_clouds
 from interloc.drives.scans.recorded import Recording
@@ -51,7 +51,6 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
         layout="las",
         root=home,
         scans=folder,
-        labels=home / options.labels,
         poses=None,
         times=_existing(home / "times.txt"),
         calibration=(home,),
@@ -60,14 +59,13 @@ def open_las(root: Path, options: DriveOptions, findings: Findings) -> Recording
         name=name,
     )
     require_laspy(parts.file(paths[0]).name)
-    clouds = tuple(_not_empty(read_header(SourceFile(path, home))) for path in paths)
+    clouds = tuple(_not_empty(read_cloud_header(SourceFile(path, home))) for path in paths)
     if is_one_per_scan(clouds, parts, options):
         return open_scan_clouds(clouds, parts, options, findings)
     return open_mapping(clouds, parts, options, findings)
 
 
 def _find(root: Path) -> tuple[Path, list[Path]] | None:
-    """Return the folder of the files, and the files; None where there are none."""
     if root.is_file():
         path = root.absolute()
         return (path.parent, [path]) if root.suffix.lower() in SUFFIXES else None

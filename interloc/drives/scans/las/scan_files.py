@@ -151,7 +151,6 @@ def open_scan_clouds(
 
 
 def _pose_file(parts: DriveParts, options: DriveOptions) -> Path:
-    """Return the file of the poses: the one that was named, or the one beside."""
     if options.poses is not None:
         given = Path(options.poses)
         return given if given.is_absolute() or given.exists() else parts.root / given

@@ -295,7 +295,6 @@ _recent = _Recent()
 
 
 def _state(cloud: CloudFile) -> _State:
-    """Return what changes when a file does."""
     with in_words(cloud.file):
         stat = cloud.file.path.stat()
     return cloud.file.path, stat.st_mtime_ns, stat.st_size

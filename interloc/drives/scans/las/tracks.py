@@ -35,7 +35,7 @@ _UNIT = re.compile(r"_(s|sec|seconds|m|deg|degrees|rad|radians)$")
 
 
 @dataclass(frozen=True)
-class Track:
+class SurveyTrack:
     """Where the vehicle was, and when.
 
     Attributes
@@ -82,7 +82,7 @@ def is_table(path: Path) -> bool:
     return any({"time", *place} <= columns for place in (("x", "y"), ("lat", "lon")))
 
 
-def read_track(file: SourceFile) -> Track:
+def read_track(file: SourceFile) -> SurveyTrack:
     """Read a trajectory, whichever its format.
 
     Raises
@@ -99,8 +99,8 @@ def read_track(file: SourceFile) -> Track:
         return _read_sbet(file)
     if looks_like_tum(file.path):
         timed = read_tum(file)
-        yaw = yaw_of(timed.poses[:, :3, :3])
-        track = Track(file, timed.times_s, timed.poses[:, :3, 3], geographic=False, headings={"its quaternions": yaw})
+        headings = {"its quaternions": yaw_of(timed.poses[:, :3, :3])}
+        track = SurveyTrack(file, timed.times_s, timed.poses[:, :3, 3], geographic=False, headings=headings)
     else:
         track = _read_table(file)
     if len(track.times_s) < 2:
@@ -134,7 +134,6 @@ def _split(line: str) -> list[str]:
 
 
 def _columns(names: list[str]) -> dict[str, int]:
-    """Return the column of every quantity that the names tell."""
     columns: dict[str, int] = {}
     for quantity, known in _NAMES.items():
         at = next((column for column, name in enumerate(names) if _UNIT.sub("", name) in known.split()), None)
@@ -143,8 +142,7 @@ def _columns(names: list[str]) -> dict[str, int]:
     return columns
 
 
-def _read_table(file: SourceFile) -> Track:
-    """Read a table with a header."""
+def _read_table(file: SourceFile) -> SurveyTrack:
     lines = file.lines()
     start = next(row for row, text in enumerate(lines) if text.strip())
     names = _names(lines[start])
@@ -181,7 +179,7 @@ def _read_table(file: SourceFile) -> Track:
     headings = {}
     if "yaw" in columns:
         headings = _meanings(table[:, 4], names[columns["yaw"]])
-    return Track(file, table[:, 0].copy(), table[:, 1:4].copy(), geographic, headings)
+    return SurveyTrack(file, table[:, 0].copy(), table[:, 1:4].copy(), geographic, headings)
 
 
 def _meanings(angle: FloatArray, name: str) -> dict[str, FloatArray]:
@@ -198,7 +196,7 @@ def _meanings(angle: FloatArray, name: str) -> dict[str, FloatArray]:
     return meanings
 
 
-def _read_sbet(file: SourceFile) -> Track:
+def _read_sbet(file: SourceFile) -> SurveyTrack:
     """Read an SBET: smoothed best estimate of trajectory of Applanix, binary."""
     try:
         size = file.path.stat().st_size
@@ -225,7 +223,7 @@ def _read_sbet(file: SourceFile) -> Track:
     if np.abs(wander).max() > 1e-3:
         headings["its heading less the wander angle"] = np.pi / 2 - (heading - wander)
         headings["its heading and the wander angle"] = np.pi / 2 - (heading + wander)
-    return Track(file, table[:, 0].copy(), position, geographic=True, headings=headings)
+    return SurveyTrack(file, table[:, 0].copy(), position, geographic=True, headings=headings)
 
 
 def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "line") -> FloatArray:
@@ -242,7 +240,6 @@ def _ascending(table: FloatArray, file: SourceFile, at: list[int], what: str = "
 
 
 def _check_place(position: FloatArray, file: SourceFile, *, geographic: bool) -> None:
-    """Refuse positions that are nowhere."""
     if not geographic:
         if np.abs(position).max() > 1e8:
             raise file.fault("a position is more than 100,000 km from the origin. Expected metres.")

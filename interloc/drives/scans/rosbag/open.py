@@ -122,7 +122,6 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         layout="rosbag",
         root=root,
         scans=root,
-        labels=folder / options.labels,
         poses=None,
         times=None,
         calibration=(folder,),

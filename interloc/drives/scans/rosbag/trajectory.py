@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, IntArray
-from interloc.drives.checks import check_georeference
 from interloc.drives.findings import DriveFileError, Findings
-from interloc.drives.folder import Topic
 from interloc.drives.georeference.fixes import (
     MIN_EXTENT_M,
     MIN_FIXES,
@@ -19,9 +17,11 @@ from interloc.drives.georeference.fixes import (
     extent_m,
     georeference_from_fixes,
 )
+from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.georeference.read import read_georeference
 from interloc.drives.layouts import DriveParts
 from interloc.drives.options import DriveOptions
+from interloc.drives.scans.recorded import Topic
 from interloc.drives.scans.rosbag.bag import Bag, BagTopic
 from interloc.drives.scans.rosbag.frames import FrameTree, latest_of_each, read_tree
 from interloc.drives.scans.rosbag.messages import NO_FIX, TRANSFORMS, read_fix

@@ -1,0 +1,95 @@
+"""The table of formats of scans, and formats that other packages bring."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from interloc.drives.formats import FORMATS
+from interloc.drives.open import open_drive
+from interloc.errors import ConfigError, DriveError
+from tests.small_drives import IDS, lidar_poses, pose_text, write_scans
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = re.compile(r"^## A format of scans of your own$.*?^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Path:
+    """A folder of packages, one of which brings the format of docs/library.md."""
+    folder = tmp_path / "site"
+    (folder / "tables-1.0.dist-info").mkdir(parents=True)
+    example = EXAMPLE.search((ROOT / "docs/library.md").read_text())
+    assert example is not None
+    (folder / "tables_of_points.py").write_text(example[1])
+    (folder / "tables-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: tables\nVersion: 1.0\n")
+    (folder / "tables-1.0.dist-info/entry_points.txt").write_text(
+        "[interloc.recordings]\ntables = tables_of_points:open_tables\n"
+    )
+    return folder
+
+
+@pytest.fixture
+def tables(tmp_path: Path) -> Path:
+    """A drive in that format."""
+    root, poses = tmp_path / "07", lidar_poses()
+    write_scans(root / "tables", root / "labels", poses, IDS["semantickitti"], list(range(12)), 6)
+    for path in (root / "tables").iterdir():
+        np.save(path.with_suffix(".npy"), np.fromfile(path, np.float32).reshape(-1, 4))
+        path.unlink()
+    (root / "poses.txt").write_text(pose_text(poses))
+    return root
+
+
+def run_with(site: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command line where the packages of a folder are installed too."""
+    command = [sys.executable, "-c", "import sys; from interloc.cli.main import main; sys.exit(main())"]
+    return subprocess.run(
+        [*command, *map(str, arguments)],
+        env={**os.environ, "PYTHONPATH": f"{ROOT}:{site}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_every_format_of_the_table_can_be_opened() -> None:
+    for each in FORMATS:
+        module, _, name = each.opener.partition(":")
+        assert callable(getattr(import_module(module), name))
+
+
+def test_a_format_of_another_package(site: Path, tables: Path) -> None:
+    done = run_with(site, "info", tables, "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert (report["layout"], report["scans"], report["label_folder"]) == ("tables", 12, "labels")
+    assert report["problems"] == []
+
+
+def test_its_name_is_a_layout(site: Path, tables: Path, tmp_path: Path) -> None:
+    done = run_with(site, "reduce", tables, "--layout", "tables", "-o", tmp_path / "reduced", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "reduced/reduced.json").read_text())["layout"] == "tables"
+
+
+def test_without_the_package(tables: Path) -> None:
+    with pytest.raises(DriveError, match=r"is not a drive\. It holds 12 \.npy files"):
+        open_drive(tables)
+    with pytest.raises(ConfigError, match="layout 'tables': expected 'auto', 'semantickitti'"):
+        open_drive(tables, layout="tables")
+
+
+def test_a_package_that_is_damaged(site: Path, tables: Path) -> None:
+    (site / "tables_of_points.py").write_text("from tables_of_numbers import open_tables\n")
+    done = run_with(site, "info", tables)
+    assert "format tables: tables_of_points:open_tables cannot be loaded: No module named" in done.stdout
+    assert done.returncode == 1
