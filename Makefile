@@ -44,7 +44,7 @@ serve: $(READY)
 
 # A drive through a made-up town, made once. Its folder appears when it is complete; another version of the simulator or
 # of the command makes it anew.
-demo/drive/simulation.json: $(READY) Makefile $(wildcard interloc/simulate/*.py interloc/kernels/raycast.py)
+demo/drive/simulation.json: $(READY) Makefile $(wildcard interloc/simulate/*.py interloc/simulate/*.osm interloc/kernels/raycast.py)
 	$(BIN)/interloc simulate town --part quarter --ground-only --columns 720 -o demo/drive
 
 # The drive mapped and scored against the town's own map, all in demo/; then the same in the web service, until Ctrl-C.

@@ -6,9 +6,11 @@ import logging
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 from numba import njit
+from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -18,8 +20,11 @@ _log = logging.getLogger(__name__)
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel on its first call and keep the machine code on disk for the next process."""
+    kernel: Any = njit(nogil=True)(function)
+    if kernel is function:  # numba is switched off
+        return kernel
     try:
-        kernel = njit(cache=True, nogil=True)(function)
+        kernel._cache = _KeptCode(function)  # type: ignore[no-untyped-call]  # noqa: SLF001 - as `cache=True` does
     except RuntimeError as error:  # numba found no folder to write to
         if "cannot cache" not in str(error):
             raise
@@ -27,8 +32,17 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
             "compiled kernels cannot be kept on disk, so every start compiles them anew (about 20 s). "
             "Set NUMBA_CACHE_DIR to a folder that can be written."
         )
-        kernel = njit(nogil=True)(function)
     return cast("Callable[P, R]", kernel)
+
+
+class _KeptCode(FunctionCache):
+    """Machine code on disk that is read without setting up the compiler first, which takes longer than the reading."""
+
+    def load_overload(self, sig: object, target_context: object) -> object:
+        """Return the code for a signature, or None, whereupon numba sets up its compiler."""
+        rtsys.initialize(target_context)  # what code needs that has arrays of its own
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
 
 
 def forget_older_code(package: Path) -> None:
