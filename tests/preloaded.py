@@ -8,8 +8,6 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
-import numpy as np
-
 from app.main import create_app
 from app.settings import Settings
 from interloc import cli
@@ -17,7 +15,6 @@ from interloc.config import preset
 from interloc.drives.open import open_drive
 from interloc.evaluation.evaluate import evaluate
 from interloc.evaluation.report import write_report
-from interloc.kernels.lzf import decompress_lzf
 from interloc.osm.reader import read_osm
 from interloc.output.write import write_results
 from interloc.pipeline import detect
@@ -41,7 +38,6 @@ with tempfile.TemporaryDirectory() as folder:
             result = detect(open_drive(root / folder_name), preset(name))  # numba compiles, or finds all compiled
     write_model(root / "model", height=16, width=128)
     detect(open_drive(root / "street", model=root / "model"), preset("default"))
-    decompress_lzf(np.zeros(1, np.uint8), 1)
     write_results(result, root / "result")
     write_report(evaluate(result, read_osm(root / "street" / "map.osm")), root / "result")
 

@@ -143,8 +143,9 @@ def _place_by_anchor(
     as_json: bool,
 ) -> None:
     from interloc.drives.georeference.geo_csv import write_geo_csv
+    from interloc.gpx import read_gpx
     from interloc.localization.anchors import georeference_at
-    from interloc.localization.gpx import georeference_by_gpx, read_gpx
+    from interloc.localization.gpx import georeference_by_gpx
 
     if at is not None:
         georeference = georeference_at(drive, *at, frame=at_frame)

@@ -9,16 +9,14 @@ how smoothly.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.drive import Drive, Georeference
 from interloc.errors import LocationError
-from interloc.files import reason_of
 from interloc.geometry import rotate_2d, thin
+from interloc.gpx import GpxTrack
 from interloc.localization.locate import georeference_by
 from interloc.localization.refine import Chain, Nodes, fit, uncertainty
 from interloc.localization.roads import RoadMap, WayIndex, road_map
@@ -27,7 +25,6 @@ from interloc.localization.track import Track, track_of
 from interloc.osm.graph import RoadGraph, Ways
 from interloc.results import EPOCH_S
 
-MAX_BYTES = 100_000_000
 FIX_STD_M = 4.0
 """Of the fixes of a phone, as far as they share it: it stays when the scatter of the fixes is averaged."""
 
@@ -40,25 +37,6 @@ _LEAD = 2.0  # the next place along the track must fit that much worse
 _SLIDE_M = 5.0
 _SHARE = 0.8  # of the drive that the track must cover
 _STEP_M = 5.0  # points of the track that are closer are scatter, above all where it stands
-
-
-@dataclass(frozen=True)
-class GpxTrack:
-    """The track of a GPX file.
-
-    Attributes
-    ----------
-    lonlat : (P, 2) float64
-        Degrees.
-    time_s : (P,) float64 or None
-        Seconds since 1970, where every point has one.
-    source : str
-        Name of the file.
-    """
-
-    lonlat: FloatArray
-    time_s: FloatArray | None
-    source: str
 
 
 @dataclass(frozen=True)
@@ -79,46 +57,6 @@ class GpxPlacement:
     matched_by: str
     rms_m: float
     position_std_m: FloatArray
-
-
-def read_gpx(path: Path) -> GpxTrack:
-    """Read the tracks (or else the routes) of a GPX file as one.
-
-    Raises
-    ------
-    LocationError
-        It cannot be read, is no GPX file, or holds no track.
-    """
-    import gpxpy  # noqa: PLC0415 - needed for this alone
-    from gpxpy.gpx import GPXException  # noqa: PLC0415
-
-    usual = "Expected a GPX 1.0 or 1.1 file with a track, as phones and watches export it."
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise LocationError(f"{path}: {size:,} bytes; a GPX track has at most {MAX_BYTES:,}.")
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise LocationError(f"{path} could not be read: {reason_of(error)}.") from error
-    except UnicodeDecodeError as error:
-        raise LocationError(f"{path}: it is not UTF-8 text. {usual}") from error
-    if "<!ENTITY" in text or "<!DOCTYPE" in text:  # entities can unpack to more than there is memory
-        raise LocationError(f"{path}: it declares entities or a document type, which no GPX file needs. {usual}")
-    try:
-        gpx = gpxpy.parse(text)
-    except (GPXException, ValueError, LookupError) as error:
-        raise LocationError(f"{path}: it is no GPX file ({str(error).strip()[:200]}). {usual}") from error
-    points: list[Any] = [point for track in gpx.tracks for segment in track.segments for point in segment.points]
-    points = points or [point for route in gpx.routes for point in route.points]
-    lonlat = np.array([(point.longitude, point.latitude) for point in points], dtype=np.float64).reshape(-1, 2)
-    if len(lonlat) < 2:
-        raise LocationError(f"{path}: holds {len(lonlat)} points of a track. {usual}")
-    if not (np.isfinite(lonlat).all() and (np.abs(lonlat) <= [180.0, 89.0]).all()):
-        raise LocationError(f"{path}: a point lies beyond 180 degrees of longitude or 89 degrees of latitude. {usual}")
-    times = [None if point.time is None else point.time.timestamp() for point in points]
-    known = np.array([time for time in times if time is not None])
-    has_times = len(known) == len(times) and bool((np.diff(known) >= 0.0).all())
-    return GpxTrack(lonlat, known if has_times else None, path.name)
 
 
 def georeference_by_gpx(drive: Drive, gpx: GpxTrack) -> GpxPlacement:

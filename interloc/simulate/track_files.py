@@ -1,24 +1,21 @@
-"""Reading a track from GPX, CSV and OXTS files, which are checked and never trusted."""
+"""A track from a GPX, CSV or OXTS file; files are checked and never trusted."""
 
 from __future__ import annotations
 
 import csv
 import gzip
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
-from xml.parsers import expat
 
 import numpy as np
 
 from interloc.arrays import FloatArray
 from interloc.errors import DriveError
+from interloc.gpx import read_gpx
 from interloc.simulate.config import TrackConfig
 from interloc.simulate.tracks import Track, track_from_line, track_from_oxts
 
 MAX_POINTS = 2_000_000
-_POINT_TAGS = {"trkpt", "rtept"}
 _LAT_NAMES = ("lat", "latitude", "lat_deg")
 _LON_NAMES = ("lon", "lng", "long", "longitude", "lon_deg")
 _ALT_NAMES = ("alt", "ele", "altitude", "elevation", "height", "alt_m")
@@ -35,51 +32,12 @@ def open_track(path: Path, config: TrackConfig | None = None) -> Track:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".gpx":
-        return track_from_line(*read_gpx(path), config)
+        line = read_gpx(path)
+        return track_from_line(line.lonlat, line.alt_m, config)
     if suffix == ".csv":
         return track_from_line(*read_csv(path), config)
     rate = (config or TrackConfig()).rate_hz
     return track_from_oxts(read_oxts(path), rate_hz=rate)
-
-
-def read_gpx(path: Path) -> tuple[FloatArray, FloatArray | None]:
-    """Read the points of the tracks of a GPX file, of its routes if it has no track.
-
-    Returns
-    -------
-    lonlat : (N, 2) float64
-        Degrees.
-    alt_m : (N,) float64 or None
-        Heights, where every point has one.
-
-    Raises
-    ------
-    DriveError
-        Not GPX, damaged, without points, or with a DOCTYPE.
-    """
-    reader = _GpxReader(path)
-    parser = expat.ParserCreate(namespace_separator=" ")
-    parser.StartElementHandler = reader.start
-    parser.EndElementHandler = reader.end
-    parser.CharacterDataHandler = reader.text
-    parser.StartDoctypeDeclHandler = reader.doctype
-    try:
-        with path.open("rb") as file:
-            while block := file.read(1 << 16):
-                parser.Parse(block)
-            parser.Parse(b"", True)
-    except expat.ExpatError as error:
-        raise DriveError(
-            f"{path}: is not a GPX file ({error}). Expected XML with <gpx> and <trkpt lat=.. lon=..>."
-        ) from error
-    except OSError as error:
-        raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    points = reader.points["trkpt"] or reader.points["rtept"]
-    if not points:
-        raise DriveError(
-            f"{path}: no track in this file. Expected <trkpt lat=.. lon=..> elements; waypoints are not enough."
-        )
-    return _checked(path, np.array(points))
 
 
 def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
@@ -87,8 +45,10 @@ def read_csv(path: Path) -> tuple[FloatArray, FloatArray | None]:
 
     Returns
     -------
-    lonlat, alt_m
-        As of `read_gpx`.
+    lonlat : (N, 2) float64
+        Degrees.
+    alt_m : (N,) float64 or None
+        Heights, where every point has one.
 
     Raises
     ------
@@ -148,48 +108,6 @@ def read_oxts(path: Path) -> FloatArray:
         raise DriveError(f"{path}: not OXTS rows ({error}). Expected 30 numbers per row, one row per scan.") from error
     except OSError as error:
         raise DriveError(f"{path}: cannot be read ({error.strerror or error}).") from error
-
-
-@dataclass
-class _GpxReader:
-    path: Path
-    points: dict[str, list[list[float]]] = field(default_factory=lambda: {"trkpt": [], "rtept": []})
-    current: list[float] | None = None
-    in_height: bool = False
-    height: str = ""
-    depth: int = 0
-
-    def start(self, name: str, attributes: dict[str, str]) -> None:
-        tag = name.rsplit(" ", 1)[-1]
-        if self.depth == 0 and tag != "gpx":
-            raise DriveError(f"{self.path}: is XML, but not GPX: it starts with <{tag}>. Expected <gpx>.")
-        self.depth += 1
-        if tag in _POINT_TAGS:
-            try:
-                self.current = [float(attributes["lat"]), float(attributes["lon"]), math.nan]
-            except (KeyError, ValueError) as error:
-                raise DriveError(f"{self.path}: a <{tag}> without numbers for lat and lon.") from error
-            if len(self.points[tag]) >= MAX_POINTS:
-                raise DriveError(f"{self.path}: more than {MAX_POINTS:,} points. Thin the track out first.")
-            self.points[tag].append(self.current)
-        self.in_height = tag == "ele" and self.current is not None
-        self.height = ""
-
-    def text(self, data: str) -> None:
-        if self.in_height and len(self.height) < 40:
-            self.height += data
-
-    def end(self, name: str) -> None:
-        self.depth -= 1
-        tag = name.rsplit(" ", 1)[-1]
-        if tag in _POINT_TAGS:
-            self.current = None
-        elif tag == "ele" and self.current is not None:
-            self.current[2] = _number(self.height)
-        self.in_height = False
-
-    def doctype(self, *_: object) -> NoReturn:
-        raise DriveError(f"{self.path}: declares a DOCTYPE. GPX needs none, and entities are refused: remove it.")
 
 
 def _column(header: list[str], names: tuple[str, ...]) -> int | None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from interloc.errors import LocationError
-from interloc.localization.gpx import GpxTrack, georeference_by_gpx, read_gpx
+from interloc.gpx import GpxTrack
+from interloc.localization.gpx import georeference_by_gpx
 from tests.localization.town import MadeDrive, drive_along, route_xy
 
 START_S = 1.7e9
@@ -63,39 +62,3 @@ def test_a_straight_drive_fits_everywhere_along_a_straight_track() -> None:
         georeference_by_gpx(piece, phone(line, noise_m=0.5))
     with pytest.raises(LocationError, match="m long; a track places one"):
         georeference_by_gpx(replace(piece, T_world_lidar=piece.T_world_lidar[:51]), phone(line))
-
-
-def gpx_text(points: str) -> str:
-    return f'<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{points}</trkseg></trk></gpx>'
-
-
-def test_a_file_is_read_with_and_without_times(tmp_path: Path) -> None:
-    path = tmp_path / "a.gpx"
-    points = "".join(f'<trkpt lat="49.0" lon="8.4{i}"><time>2026-01-01T00:00:0{i}Z</time></trkpt>' for i in range(3))
-    path.write_text(gpx_text(points))
-    track = read_gpx(path)
-    assert track.lonlat.tolist() == [[8.40, 49.0], [8.41, 49.0], [8.42, 49.0]]
-    assert track.time_s is not None
-    assert datetime.fromtimestamp(track.time_s[2], UTC) == datetime(2026, 1, 1, 0, 0, 2, tzinfo=UTC)
-    path.write_text(gpx_text('<trkpt lat="49.0" lon="8.4"/><trkpt lat="49.0" lon="8.5"/>'))
-    assert read_gpx(path).time_s is None
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("no xml", "it is no GPX file"),
-        ("<kml/>", "holds 0 points"),
-        (gpx_text(""), "holds 0 points"),
-        (gpx_text('<trkpt lat="x" lon="8"/>'), "it is no GPX file"),
-        (gpx_text('<trkpt lat="95" lon="8"/><trkpt lat="49" lon="8"/>'), "beyond 180 degrees"),
-        ('<!DOCTYPE gpx [<!ENTITY a "b">]>' + gpx_text(""), "declares entities"),
-    ],
-)
-def test_what_is_no_track_is_refused(tmp_path: Path, text: str, says: str) -> None:
-    path = tmp_path / "bad.gpx"
-    path.write_text(text)
-    with pytest.raises(LocationError, match=says):
-        read_gpx(path)
-    with pytest.raises(LocationError, match="could not be read"):
-        read_gpx(tmp_path / "none.gpx")

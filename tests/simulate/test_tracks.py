@@ -12,7 +12,7 @@ from interloc.errors import DriveError
 from interloc.geometry import yaw_of
 from interloc.simulate.config import TrackConfig
 from interloc.simulate.local_frame import LocalFrame
-from interloc.simulate.track_files import open_track, read_csv, read_gpx
+from interloc.simulate.track_files import open_track, read_csv
 from interloc.simulate.tracks import (
     format_oxts,
     lidar_fixes,
@@ -56,30 +56,7 @@ def test_oxts_rows_and_lidar_fixes_undo_each_other(frame: LocalFrame) -> None:
 def test_gpx(tmp_path: Path) -> None:
     path = tmp_path / "a.gpx"
     path.write_text(GPX)
-    lonlat, alt = read_gpx(path)
-    assert lonlat.tolist() == [[8.4, 49.0], [8.401, 49.0]]
-    assert alt is not None
-    assert alt.tolist() == [110, 112]
     assert len(open_track(path, TrackConfig(speed_mps=10, rate_hz=1))) == 8  # 73 m at 10 m a scan
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('<?xml version="1.0"?><!DOCTYPE gpx [<!ENTITY a "b">]><gpx/>', "DOCTYPE"),
-        ('<gpx version="1.1"><wpt lat="1" lon="2"/></gpx>', "no track"),
-        ("", "is not a GPX file"),
-        ("<kml/>", "starts with <kml>"),
-        ('<gpx><trk><trkseg><trkpt lat="x" lon="2"/></trkseg></trk></gpx>', "without numbers"),
-        ('<gpx><trk><trkseg><trkpt lat="95" lon="2"/></trkseg></trk></gpx>', "latitude 95"),
-        ('<gpx><trk><trkseg><trkpt lat="49" lon="8"/>', "is not a GPX file"),
-    ],
-)
-def test_bad_gpx(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "bad.gpx"
-    path.write_text(text)
-    with pytest.raises(DriveError, match=message):
-        read_gpx(path)
 
 
 @pytest.mark.parametrize(

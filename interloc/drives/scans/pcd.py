@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import lzf
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +24,6 @@ from interloc.drives.scans.recorded import Recording, ScanPoints
 from interloc.drives.scans.reduced_format import MAX_POINTS
 from interloc.drives.trajectory import Trajectory, read_trajectory
 from interloc.errors import InterLocError
-from interloc.kernels.lzf import decompress_lzf
 from interloc.wording import counted
 
 INTENSITY_FIELDS = ("intensity", "i", "remission", "reflectivity", "reflectance")
@@ -236,7 +236,6 @@ def read_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader
 
 
 def _listed(folder: SourceFile) -> tuple[list[str], IntArray]:
-    """Return the names and sizes of the files of the scans."""
     names, sizes = [], []
     try:
         with os.scandir(folder.path) as entries:
@@ -252,7 +251,6 @@ def _listed(folder: SourceFile) -> tuple[list[str], IntArray]:
 
 
 def _parse_header(head: bytes, file: SourceFile) -> PcdHeader:
-    """Read the lines of a header up to DATA."""
     if not head:
         raise file.fault(EMPTY)
     entries: dict[str, list[str]] = {}
@@ -327,7 +325,6 @@ def _check_size(header: PcdHeader, size: int, file: SourceFile) -> None:
 
 
 def _points_of(header: PcdHeader, data: UInt8Array, file: SourceFile) -> NDArray[Any]:
-    """Return the (N,) structured points."""
     if header.encoding == "binary":
         return data[: header.points * header.dtype.itemsize].view(header.dtype)
     if header.encoding == "ascii":
@@ -383,9 +380,13 @@ def _from_compressed(header: PcdHeader, data: UInt8Array, file: SourceFile) -> N
             f"is damaged: its points would unpack from {packed:,} to {size:,} bytes; {len(data) - 8:,} bytes "
             f"are there, and {header.points:,} points take {promised:,}. Usual cause: a copy that did not finish."
         )
-    raw, written = decompress_lzf(data[8 : 8 + packed], size)
-    if written != size:
+    try:
+        unpacked = lzf.decompress(data[8 : 8 + packed].tobytes(), size)  # None where there would be more than promised
+    except ValueError:
+        unpacked = None
+    if unpacked is None or len(unpacked) != size:
         raise file.fault("is damaged: its packed points cannot be unpacked to what the header promises.")
+    raw = np.frombuffer(unpacked, np.uint8)
     points = np.empty(header.points, header.dtype)
     at = 0
     for name in _names(header):

@@ -214,18 +214,30 @@ GOOD = labelled_points(np.arange(40, dtype=np.float32).reshape(10, 4))
         (pcd_bytes(GOOD, "ascii")[:-6], "point 10 has 3 numbers; expected 4, as in the header"),
         (pcd_bytes(GOOD, "binary_compressed")[:-3], "is damaged: its points would unpack"),
         (pcd_bytes(GOOD, "binary_compressed", header=[("POINTS", "11")]), "is damaged: its points would unpack"),
-        (
-            pcd_bytes(GOOD[:0], "binary_compressed", header=[("POINTS", "10")])[:-8]
-            + np.array([4, 160], "<u4").tobytes()
-            + bytes([0, 1, 0x20, 5]),
-            "is damaged: its packed points cannot be unpacked",
-        ),
     ],
 )
 def test_damaged_and_hostile_files(tmp_path: Path, content: bytes, words: str) -> None:
     path = tmp_path / "a.pcd"
     path.write_bytes(content)
     with pytest.raises(DriveError, match=re.escape(words)):
+        read_pcd(SourceFile(path, tmp_path))
+
+
+@pytest.mark.parametrize(
+    "packed",
+    [
+        bytes([3, 1, 2]),  # four bytes announced, two there
+        bytes([0, 1, 0xE0]),  # a reference without its length
+        bytes([0, 1, 0x20, 5]),  # before the beginning
+        bytes([31]) + bytes(32) + bytes([0xE0, 255, 0]) * 2,  # more than promised
+        bytes([0, 65]),  # less than promised
+    ],
+)
+def test_packed_points_that_are_damaged(tmp_path: Path, packed: bytes) -> None:
+    header = pcd_bytes(GOOD[:0], "binary_compressed", header=[("POINTS", "10")])[:-8]
+    path = tmp_path / "a.pcd"
+    path.write_bytes(header + np.array([len(packed), 160], "<u4").tobytes() + packed)
+    with pytest.raises(DriveError, match="its packed points cannot be unpacked"):
         read_pcd(SourceFile(path, tmp_path))
 
 
