@@ -512,7 +512,7 @@ def describe(evidence: Evidence, verdict: Verdict) -> str:
         moved_m = float(np.hypot(*(junction.position - verdict.position))) * metre
         parts.append(f"moved {moved_m:.2f} m, lines pass within {junction.residual * metre:.2f} m (rms)")
     split = "" if len(parts) == 1 else f", split into {len(parts)}"
-    without = int((verdict.branches.weights <= 0).sum())
+    without = int((~verdict.branches.has_line).sum())
     lineless = f" ({without} too short for a line)" if without else ""
     return f"Candidate {verdict.number}: {verdict.branches.count} branches{lineless}{split}; {'; '.join(parts)}"
 
@@ -564,8 +564,8 @@ def branch_lines(evidence: Evidence, verdict: Verdict) -> list[FloatArray]:
     for i in verdict.detections:
         junction = evidence.steps.junctions[i]
         branches = junction.branches
-        for k in np.flatnonzero(branches.weights > 0):
-            point, outwards = branches.points[k], branches.directions[k]
+        for k in np.flatnonzero(branches.has_line):
+            point, outwards = branches.lines["point"][k], branches.lines["direction"][k]
             middle = point + ((junction.position - point) @ outwards) * outwards
             far = point + (branches.reaches[k] - (point - verdict.position) @ outwards) * outwards
             ends = np.stack([middle - 0.7 * branches.inner * outwards, far])
