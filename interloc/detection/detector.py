@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from interloc.detection.scan import ScanLike, checked_points, checked_pose
 from interloc.detection.widths import branch_widths
 from interloc.errors import expect
 from interloc.geometry import rotate_2d, yaw_of
-from interloc.results import unknown_like
 from interloc.stopwatch import Stopwatch
 
 
@@ -43,7 +42,7 @@ class KeyframeDetections:
     score : (n,) float64
         0..1, how sure the detector is.
     branch_widths_m : list of (B,) float64
-        Width of the road across each branch, metres; NaN where it is not known, everywhere unless given.
+        Width of the road across each branch, metres; NaN where it is not known.
     """
 
     keyframe: Keyframe
@@ -51,11 +50,7 @@ class KeyframeDetections:
     world_xy: FloatArray
     branch_angles_rad: list[FloatArray]
     score: FloatArray
-    branch_widths_m: list[FloatArray] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        if not self.branch_widths_m:
-            object.__setattr__(self, "branch_widths_m", unknown_like(self.branch_angles_rad))
+    branch_widths_m: list[FloatArray]
 
     def __repr__(self) -> str:
         places = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in self.lidar_xy.tolist())
