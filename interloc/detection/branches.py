@@ -88,15 +88,12 @@ class Segmentation:
         Of each candidate.
     pieces : list of Pieces
         Of each candidate: the pieces of centerline from which its branches were taken.
-    blockers : (E,) int64
-        The candidates at which branches end: all, as in the paper, or only those that have enough branches themselves.
     kept : list of int
         The candidates that are intersections: enough branches, and far enough from the border of the image.
     """
 
     branches: list[Branches]
     pieces: list[Pieces]
-    blockers: IntArray
     kept: list[int]
 
 
@@ -107,7 +104,10 @@ def segment_all(
     share: float = 1.0,
     against: BinaryImage | None = None,
 ) -> Segmentation:
-    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C)."""
+    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C).
+
+    Branches end at all candidates, as in the paper, or only at those that have enough branches themselves.
+    """
     every = blockers = np.arange(len(candidates.positions))
     given = centerline, config, share, against
     found = [segment_branches(candidates, i, every, *given) for i in every.tolist()]
@@ -118,7 +118,7 @@ def segment_all(
                 found[i] = segment_branches(candidates, i, blockers, *given)
     inside = set(candidates.inside(centerline.image.height, config.margin_m / centerline.resolution_m).tolist())
     kept = [i for i in _with_enough_branches(found, blockers, config).tolist() if i in inside]
-    return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], blockers, kept)
+    return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], kept)
 
 
 def _with_enough_branches(found: list[tuple[Branches, Pieces]], candidates: IntArray, config: BranchConfig) -> IntArray:

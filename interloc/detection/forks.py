@@ -41,38 +41,34 @@ def find_fork(
     Returns
     -------
     stem : int
-        The branch that parts, -1 for none: all others must lead on within 45 degrees of straight; its line and its
-        width must be known, and the lines of at least two others.
+        The branch that parts, -1 for none: two others or more, all of them, must lead on within 45 degrees of straight,
+        and its width must be known. Of branches without lines it is enough where they lead: straight from the candidate
+        through their means.
     row, col : float
         From the candidate to the place, pixels.
     """
     stem = _stem(lines)
-    if stem < 0 or (lines[stem].point == 0.0).all() or lines[stem].half_width == 0.0:
+    if stem < 0 or lines[stem].half_width == 0.0:
         return -1, 0.0, 0.0
     half, (d_row, d_col) = lines[stem].half_width, lines[stem].direction
     size = int(inner + BEHIND * half)
     r, c = _on_line(lines[stem], candidate, size)
     arms = np.empty((lines.size - 1, 4))
-    count = 0
-    for j in range(lines.size):
-        arm = lines[j]
-        if j != stem and not (arm.point == 0.0).all():
-            row, col = _on_line(arm, candidate, ARM_BEGIN * inner)
-            along = -(arm.direction[0] * d_row + arm.direction[1] * d_col)
-            arms[count, 0] = (r - row) * d_row + (c - col) * d_col
-            arms[count, 1] = (col - c) * d_row - (row - r) * d_col
-            arms[count, 2] = (arm.direction[1] * d_row - arm.direction[0] * d_col) / along
-            arms[count, 3] = arm.half_width if arm.half_width > 0.0 else half
-            count += 1
-    if count < 2:
-        return -1, 0.0, 0.0
+    for k in range(lines.size - 1):
+        arm = lines[k if k < stem else k + 1]
+        row, col = _on_line(arm, candidate, ARM_BEGIN * inner)
+        along = -(arm.direction[0] * d_row + arm.direction[1] * d_col)
+        arms[k, 0] = (r - row) * d_row + (c - col) * d_col
+        arms[k, 1] = (col - c) * d_row - (row - r) * d_col
+        arms[k, 2] = (arm.direction[1] * d_row - arm.direction[0] * d_col) / along
+        arms[k, 3] = arm.half_width if arm.half_width > 0.0 else half
     edges = np.empty((size, 2))
     for s in range(size):
         for side, sense in enumerate((1.0, -1.0)):
             edges[s, side] = to_edge(words, r - s * d_row, c - s * d_col, -sense * d_col, sense * d_row, REACH * half)
     at, least = 0, np.inf
     for place in range(size):
-        misfit = _misfit(edges, place, half, arms[:count])
+        misfit = _misfit(edges, place, half, arms)
         if misfit < least:
             at, least = place, misfit
     return stem, r - at * d_row - candidate[0], c - at * d_col - candidate[1]

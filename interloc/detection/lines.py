@@ -15,8 +15,7 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    are too ragged to tell stays as it is.
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight
    (`straight_m`, `fit_length_m`); of these parts that one counts whose line is known best where the roads meet: a
-   longer part would lean towards a bend. A line that nearer road of the same branch lies off has no weight: it is what
-   follows a bend (`_is_beyond_bend`).
+   longer part would lean towards a bend.
 4. A branch that ends at a through road is turned towards the right angle, by how badly its direction is known: of a
    side road that is passed only ten ragged metres are seen (`_square_stems`).
 5. Two branches that together lie on one circle, and much better so than each on its line, are one road that bends
@@ -80,14 +79,15 @@ LINE = np.dtype(
         ("bend", np.float64, (2,)),
     ]
 )
-"""The line of a branch. A branch of which too little can be trusted has none: its length and its weight are 0.
+"""The line of a branch. A branch of which too little can be trusted has none: its length and its weight are 0, and its
+point and direction only say where it leads, from the candidate through its mean.
 
 Attributes
 ----------
 point : (2,) float64
-    Row and column of a point on it, pixels: the middle of what it was fitted to.
+    Row and column of a point on it, pixels: the middle of what it was fitted to, or the mean of the branch.
 direction : (2,) float64
-    Unit direction (row, column), away from the candidate; without a line that of the mean of the branch.
+    Unit direction (row, column), away from the candidate.
 length : float64
     Of the part that it was fitted to, pixels; infinite in the paper, where lines are as well known everywhere.
 rms : float64
@@ -161,7 +161,8 @@ def least_squares(
         NOWHERE if against is None else against.words,
     )
     is_short = (lines["length"] == 0.0) | (lines["length"] * resolution_m < config.min_fit_m)
-    lines["direction"][is_short] = _unit(pieces.table["mean"] - candidate)[is_short]
+    mean = pieces.table["mean"][is_short]
+    lines["point"][is_short], lines["direction"][is_short] = mean, _unit(mean - candidate)
     lines["length"][is_short] = lines["weight"][is_short] = 0.0
     lines["weight"] /= resolution_m**2
     return lines
@@ -212,11 +213,9 @@ def fit_lines(
             trial[0].length = 0.0
             moved_variance = _fit_straight_part(trial[0], moved, INNER_RINGS + parting, fit)
             if moved_parallel > 0.0 and moved_variance <= variance:
-                lines[i], samples[i], ring_pixels, parallel = trial[0], moved, moved_pixels, moved_parallel
+                lines[i], samples[i], parallel = trial[0], moved, moved_parallel
         line.parallel = parallel
         line.half_width = usual_half_width(half_widths, is_link)
-        if line.length > 0.0 and _is_beyond_bend(line, pixels, ring_pixels[parting:]):
-            line.length = 0.0
     straight = lines.copy()
     for i in range(pieces.size):
         if lines[i].length > 0.0 and lines[i].parallel > 0.0:
@@ -246,18 +245,6 @@ def _sum_rings(rings: StructuredArray, pixels: StructuredArray, piece: Int32Arra
             add(rings[ring], dr, dc, 1.0)
             ring_pixels[ring] = p
     return ring_pixels
-
-
-@compiled
-def _is_beyond_bend(line: Record, pixels: StructuredArray, ring_pixels: Int32Array) -> bool:
-    """Return whether the nearest road of a branch that is no mouth lies beside its line, off by over half a width."""
-    if line.parallel == 0.0:
-        return False
-    for p in ring_pixels:
-        if p >= 0:
-            row, col = pixels[p].row - line.point[0], pixels[p].col - line.point[1]
-            return bool(abs(row * line.direction[1] - col * line.direction[0]) > line.parallel)
-    return False
 
 
 @compiled

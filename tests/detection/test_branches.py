@@ -129,14 +129,11 @@ def test_branch_runs_on_past_a_candidate_that_ends_none() -> None:
     assert found.lengths.min() >= 20
 
 
-@pytest.mark.parametrize(("end_at_rejected", "blockers"), [(True, [0, 1]), (False, [0])])
-def test_candidate_that_is_no_intersection_ends_branches_if_asked_to(
-    end_at_rejected: bool, blockers: list[int]
-) -> None:
+@pytest.mark.parametrize("end_at_rejected", [True, False])
+def test_candidate_that_is_no_intersection_ends_branches_if_asked_to(end_at_rejected: bool) -> None:
     both = candidates(MIDDLE, (150.0, 175.0))
     config = BranchConfig(end_at_rejected=end_at_rejected)
     found = segment_all(both, arms(0, 120, 240), config)
-    assert found.blockers.tolist() == blockers
     assert found.kept == [0]
     assert (found.branches[0].lengths.min() > 20) == (not end_at_rejected)
 
@@ -179,6 +176,20 @@ def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> No
     assert np.count_nonzero(found.has_line) == 2
     assert found.lines["weight"][~found.has_line].tolist() == [0]
     np.testing.assert_allclose(np.hypot(*found.lines["direction"].T), 1)
+
+
+@pytest.mark.parametrize("min_fit_m", [0.0, 3.0, 200.0])
+def test_branch_without_a_line_leads_from_the_candidate_through_its_mean(min_fit_m: float) -> None:
+    config = BranchConfig(line="least_squares", trim_m=2, min_fit_m=min_fit_m)
+    line, place = arms(0, 120, 240), candidates(MIDDLE, (150.0, 162.0))
+    found, pieces = segment_branches(place, 0, np.arange(2), line, config)
+    assert np.count_nonzero(found.has_line) == (0 if min_fit_m == 200 else 2)
+    for struck, piece in zip(
+        found.lines[~found.has_line], pieces.table[pieces.is_branch][~found.has_line], strict=True
+    ):
+        assert struck["point"].tolist() == piece["mean"].tolist()
+        away = piece["mean"] - found.candidate
+        np.testing.assert_allclose(struck["direction"], away / np.hypot(*away))
 
 
 def test_paper_weighs_all_lines_alike() -> None:

@@ -92,10 +92,14 @@ def test_branches_of_which_none_is_led_on_by_all_others_are_no_fork(arms_deg: tu
 
 
 @pytest.mark.parametrize("branch", [0, 1])
-def test_stem_and_two_arms_without_lines_make_no_fork(branch: int) -> None:
-    lines, road = fork([(100.0, 330.0)], [(300.0, 330.0)])
-    lines.lines["point"][branch] = 0.0
-    assert found_at(lines, road)[0] == -1
+def test_branch_without_a_line_leads_from_the_candidate_through_its_mean(branch: int) -> None:
+    lines, road = fork([(110.0, 330.0)], [(290.0, 330.0)])
+    struck = lines.lines[branch]
+    away = struck["point"] - lines.candidate
+    struck["direction"], struck["length"], struck["weight"] = away / math.hypot(*away), 0.0, 0.0
+    stem, place = found_at(lines, road)
+    assert stem == 0
+    np.testing.assert_allclose(place, NODE, atol=8.0)
 
 
 def test_stem_of_unknown_width_makes_no_fork() -> None:
