@@ -11,9 +11,8 @@ import math
 
 import numpy as np
 
-from interloc.arrays import FloatArray, Int32Array, Record, StructuredArray, UInt64Array
+from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.kernels import compiled
-from interloc.kernels.bits import nearest_clear
 
 PARALLEL_SLACK = 0.08  # share of its half width that a branch may differ from it by between parallel sides
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
@@ -41,20 +40,6 @@ def add(sums: Record, r: float, c: float, n: float) -> None:
     sums.rr += n * r * r
     sums.rc += n * r * c
     sums.cc += n * c * c
-
-
-@compiled
-def half_widths_at(
-    ring_pixels: Int32Array, pixels: StructuredArray, words: UInt64Array, max_half_width: float
-) -> FloatArray:
-    """Return the half width of the road at a pixel of each ring, pixels; 0 where there is none."""
-    size = words.shape[0] - 2
-    half_widths = np.zeros(ring_pixels.size)
-    for i in range(ring_pixels.size):
-        if ring_pixels[i] >= 0:
-            pixel = pixels[ring_pixels[i]]
-            half_widths[i] = nearest_clear(words, pixel.row, pixel.col, size, size, int(max_half_width))
-    return half_widths
 
 
 @compiled
@@ -159,29 +144,19 @@ def usual_half_width(half_widths: FloatArray, is_link: bool) -> float:
 
 
 @compiled
-def keep_parallel(
-    rings: StructuredArray, ring_pixels: Int32Array, half_widths: FloatArray, is_link: bool, fit: Record
-) -> float:
-    """Empty the rings where the road is wider or narrower than the branch is, the wider ones in ``ring_pixels`` too.
+def keep_parallel(rings: StructuredArray, half_widths: FloatArray, is_link: bool, fit: Record) -> float:
+    """Empty the rings where the road is wider or narrower than the branch is.
 
     Returns its half width, pixels; 0 where too little of it is between parallel sides, and nothing was emptied.
     """
-    count = np.count_nonzero(ring_pixels >= 0)
     half = usual_half_width(half_widths, is_link)
-    if half == 0.0:
-        return 0.0
     slack = max(fit.slack, PARALLEL_SLACK * half)
-    parallel = 0
-    for i in range(rings.size):
-        if ring_pixels[i] >= 0 and abs(half_widths[i] - half) <= slack:
-            parallel += 1
-    if parallel < max(MIN_PARALLEL * count, MIN_PARALLEL_RINGS):
+    is_parallel = (half_widths > 0.0) & (np.abs(half_widths - half) <= slack)
+    if is_parallel.sum() < max(MIN_PARALLEL * np.count_nonzero(half_widths), MIN_PARALLEL_RINGS):
         return 0.0  # its edges are too ragged to tell
     for i in range(rings.size):
-        if ring_pixels[i] >= 0 and abs(half_widths[i] - half) > slack:
+        if not is_parallel[i]:
             rings[i].n = 0.0
-            if half_widths[i] > half:
-                ring_pixels[i] = -1  # a mouth, in which the centerline is bent
     return half
 
 

@@ -38,14 +38,13 @@ from interloc.detection.edges import (
     MOMENTS,
     add,
     follow_edge,
-    half_widths_at,
     keep_parallel,
     move_from_unseen_edges,
     usual_half_width,
 )
 from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
-from interloc.kernels.bits import NOWHERE
+from interloc.kernels.bits import NOWHERE, nearest_clear
 
 RING_M = 0.64  # a line grows by this much at a time
 MIN_RING_PX = 4.0  # and by no less, however coarse the grid is
@@ -201,20 +200,18 @@ def fit_lines(
     for i in range(pieces.size):
         piece, line, is_link = pieces[i], lines[i], pieces[i].at_candidate
         main = traced[piece.begin : piece.end][is_main[piece.begin : piece.end]]
-        ring_pixels = _sum_rings(samples[i, INNER_RINGS:], pixels, main, fit)
-        half_widths = half_widths_at(ring_pixels, pixels, words, fit.max_half_width)
+        half_widths = _sum_rings(samples[i, INNER_RINGS:], pixels, main, words, fit)
         parting = int(max(_parting(pieces, i, fit) - fit.inner, 0.0) / fit.ring)
         parting = min(parting, n_rings - 1)
-        moved, moved_pixels = samples[i].copy(), ring_pixels.copy()
-        parallel = keep_parallel(samples[i, INNER_RINGS:], ring_pixels, half_widths, is_link, fit)
+        moved = samples[i].copy()
+        line.parallel = keep_parallel(samples[i, INNER_RINGS:], half_widths, is_link, fit)
         variance = _fit_straight_part(line, samples[i], INNER_RINGS + parting, fit)
         if move_from_unseen_edges(moved[INNER_RINGS:], half_widths, words, against, fit):
-            moved_parallel = keep_parallel(moved[INNER_RINGS:], moved_pixels, half_widths, is_link, fit)
             trial[0].length = 0.0
+            trial[0].parallel = keep_parallel(moved[INNER_RINGS:], half_widths, is_link, fit)
             moved_variance = _fit_straight_part(trial[0], moved, INNER_RINGS + parting, fit)
-            if moved_parallel > 0.0 and moved_variance <= variance:
-                lines[i], samples[i], parallel = trial[0], moved, moved_parallel
-        line.parallel = parallel
+            if trial[0].parallel > 0.0 and moved_variance <= variance:
+                lines[i], samples[i] = trial[0], moved
         line.half_width = usual_half_width(half_widths, is_link)
     straight = lines.copy()
     for i in range(pieces.size):
@@ -228,9 +225,14 @@ def fit_lines(
 
 
 @compiled
-def _sum_rings(rings: StructuredArray, pixels: StructuredArray, piece: Int32Array, fit: Record) -> Int32Array:
-    """Sum up the usable pixels of a piece in rings around the inner circle, from it outwards; return one of each."""
-    ring_pixels = np.full(rings.size, -1, np.int32)
+def _sum_rings(
+    rings: StructuredArray, pixels: StructuredArray, piece: Int32Array, words: UInt64Array, fit: Record
+) -> FloatArray:
+    """Sum up the usable pixels of a piece in rings around the inner circle, from it outwards.
+
+    Returns the half width of the road at the last pixel of each ring; 0 in a ring without pixels.
+    """
+    size, last = words.shape[0] - 2, np.full(rings.size, -1, np.int32)
     tips = piece[pixels["is_tip"][piece]]
     for p in piece:
         pixel = pixels[p]
@@ -243,8 +245,12 @@ def _sum_rings(rings: StructuredArray, pixels: StructuredArray, piece: Int32Arra
                 usable = False
         if usable:
             add(rings[ring], dr, dc, 1.0)
-            ring_pixels[ring] = p
-    return ring_pixels
+            last[ring] = p
+    half_widths = np.zeros(rings.size)
+    for i in np.flatnonzero(last >= 0):
+        row, col = pixels[last[i]].row, pixels[last[i]].col
+        half_widths[i] = nearest_clear(words, row, col, size, size, int(fit.max_half_width))
+    return half_widths
 
 
 @compiled
