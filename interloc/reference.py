@@ -29,7 +29,7 @@ from interloc.drive import Drive, scans_of
 from interloc.geometry import rotate_2d, yaw_of
 from interloc.pipeline import RangeResult, detect
 from interloc.processes import Progress, peak_memory_bytes
-from interloc.results import DriveResult
+from interloc.results import DriveResult, unknown_like
 from interloc.stopwatch import Stopwatch
 
 REFERENCE = PAPER.model_copy(update={"preset": "reference"})
@@ -222,10 +222,12 @@ def locate(junctions: list[Junction], keyframe: Keyframe, roi: Roi, config: Dete
         third_m = np.sort(junction.lengths)[-config.score.rated_branch] * roi.resolution_m
         share = config.score.agreement_share
         scores.append(share * agreement + (1 - share) * min(1.0, third_m / config.score.full_length_m))
+    angles = [np.arctan2(-junction.directions[:, 0], junction.directions[:, 1]) for junction in junctions]
     return KeyframeDetections(
         keyframe,
         rotate_2d(world_xy - T[:2, 3], -yaw_of(T[:3, :3])),
         world_xy,
-        [np.arctan2(-junction.directions[:, 0], junction.directions[:, 1]) for junction in junctions],
+        angles,
         np.array(scores, np.float64),
+        unknown_like(angles),
     )

@@ -99,7 +99,7 @@ class DetectionTable:
     intersection : (D,) int64
         Row of the fused intersection that the detection belongs to, -1 for none.
     widths_m : list of (B,) float64
-        Width of the road across each branch, metres; NaN where it is not known, everywhere unless given.
+        Width of the road across each branch, metres; NaN where it is not known.
     """
 
     keyframe: IntArray
@@ -109,11 +109,7 @@ class DetectionTable:
     bearings_deg: list[FloatArray]
     score: FloatArray
     intersection: IntArray
-    widths_m: list[FloatArray] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        if not self.widths_m:
-            object.__setattr__(self, "widths_m", unknown_like(self.bearings_deg))
+    widths_m: list[FloatArray]
 
     def __len__(self) -> int:
         return len(self.keyframe)
@@ -167,11 +163,11 @@ class IntersectionTable:
     bearings_deg : list of (B,) float64
     first_frame, last_frame : (M,) int64
         Scan numbers of the first and the last keyframe that saw it.
+    widths_m : list of (B,) float64
+        Width of the road across each branch, metres; NaN where it is not known.
     position_cov_m2 : (M, 3) float64 or None
         Covariance of the position: variance to the east, covariance of east and north, variance to the north, square
         metres (of x and y of W without georeference). None in results of versions before: use `covariances`.
-    widths_m : list of (B,) float64
-        Width of the road across each branch, metres; NaN where it is not known, everywhere unless given.
     """
 
     id: IntArray
@@ -183,12 +179,8 @@ class IntersectionTable:
     bearings_deg: list[FloatArray]
     first_frame: IntArray
     last_frame: IntArray
+    widths_m: list[FloatArray]
     position_cov_m2: FloatArray | None = None
-    widths_m: list[FloatArray] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        if not self.widths_m:
-            object.__setattr__(self, "widths_m", unknown_like(self.bearings_deg))
 
     @property
     def covariances(self) -> FloatArray:

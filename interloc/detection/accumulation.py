@@ -170,14 +170,14 @@ class RoadAccumulator:
         """Project what is accumulated to the binary image around the keyframe completed last (paper, eq. 3)."""
         keyframe = self._window[self._next - 1 - self._first].keyframe
         roi = roi_around(keyframe, self._config)
-        image = BinaryImage.empty(roi.size, roi.size)
+        image = BinaryImage.empty(roi.size, roi.size, roi.resolution_m)
         tiles = np.array([roi.left, roi.left + roi.size - 1, roi.top - roi.size + 1, roi.top]) // grid.TILE
         table = self._grid.table(tiles)
         share = self._share(keyframe)
         m = self._config.min_points
         min_points = max(1, round(m * share)) if self._config.adaptive else m
         weight = self._neighbour_weight(share, table, roi) if self._config.vote and self._config.pool_votes else 0.0
-        against = BinaryImage.empty(roi.size, roi.size) if self._config.vote else None
+        against = BinaryImage.empty(roi.size, roi.size, roi.resolution_m) if self._config.vote else None
         grid.threshold_window(
             self._grid.pool,
             table,

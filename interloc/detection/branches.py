@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray, StructuredArray
 from interloc.config import BranchConfig
 from interloc.detection.candidates import Candidates
-from interloc.detection.centerline import Centerline
+from interloc.detection.centerline import Centerline, Pieces
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import least_squares, through_start_and_mean
 from interloc.kernels.skeleton import trace_branches
@@ -34,14 +32,16 @@ class Branches:
         Row and column, pixels.
     inner : float
         Radius of the inner circle, pixels.
-    directions, points, weights, spans, halves, bends : (B, 2), (B, 2), (B,), (B,), (B,), (B, 2) float64
-        The line of each branch, see `interloc.detection.lines.Lines`; weights in 1 / m^2.
+    lines : (B,) LINE
+        What is known of the line of each branch, see `interloc.detection.lines.LINE`.
     lengths : (B,) float64
         Pixels of centerline in each branch.
     reaches : (B,) float64
         Distance from the candidate at which each branch ends, pixels.
     core : (C, 2) float64
         Junction pixels of the centerline that the candidate stands for; empty for Harris corners.
+    resolution_m : float
+        Side of a pixel.
     is_part : bool
         Whether the candidate stands for one of several intersections in one blob of road.
     """
@@ -49,78 +49,33 @@ class Branches:
     index: int
     candidate: FloatArray
     inner: float
-    directions: FloatArray
-    points: FloatArray
-    weights: FloatArray
-    spans: FloatArray
-    halves: FloatArray
-    bends: FloatArray
+    lines: StructuredArray
     lengths: FloatArray
     reaches: FloatArray
     core: FloatArray
+    resolution_m: float
     is_part: bool = False
 
     @property
     def count(self) -> int:
         """Number of branches."""
-        return len(self.directions)
+        return len(self.lines)
+
+    @property
+    def has_line(self) -> BoolArray:
+        """(B,) bool: whether enough of each branch could be trusted for a line."""
+        has_line: BoolArray = self.lines["length"] > 0.0
+        return has_line
 
     def select(self, indices: list[int], candidate: FloatArray) -> Branches:
         """Return some of the branches, around another point."""
         return replace(
             self,
             candidate=candidate,
-            directions=self.directions[indices],
-            points=self.points[indices],
-            weights=self.weights[indices],
-            spans=self.spans[indices],
-            halves=self.halves[indices],
-            bends=self.bends[indices],
+            lines=self.lines[indices],
             lengths=self.lengths[indices],
             reaches=self.reaches[indices],
         )
-
-
-class Piece(NamedTuple):
-    """A connected piece of centerline that starts at the inner circle of a candidate.
-
-    Attributes
-    ----------
-    pixels : (P,) int32
-        Positions among the pixels of the centerline.
-    reach : float
-        Greatest distance from the candidate, pixels.
-    at_candidate : bool
-        It ends before another candidate.
-    is_branch : bool
-        It counts as a branch; otherwise it is too short.
-    """
-
-    pixels: Int32Array
-    reach: float
-    at_candidate: bool
-    is_branch: bool
-
-
-@dataclass(frozen=True)
-class Pieces:
-    """All pieces around one candidate; those that are branches are in the order of its `Branches`.
-
-    Attributes
-    ----------
-    traced, table
-        See `interloc.kernels.skeleton.trace_branches`.
-    is_branch : (P,) bool
-    """
-
-    traced: Int32Array
-    table: StructuredArray
-    is_branch: BoolArray
-
-    def __iter__(self) -> Iterator[Piece]:
-        for row, is_branch in zip(self.table, self.is_branch.tolist(), strict=True):
-            pixels = self.traced[row["begin"] : row["end"]]
-            yield Piece(pixels, float(row["reach"]), bool(row["at_candidate"]), is_branch)
 
 
 @dataclass(frozen=True)
@@ -133,38 +88,37 @@ class Segmentation:
         Of each candidate.
     pieces : list of Pieces
         Of each candidate: the pieces of centerline from which its branches were taken.
-    blockers : (E,) int64
-        The candidates at which branches end: all, as in the paper, or only those that have enough branches themselves.
     kept : list of int
         The candidates that are intersections: enough branches, and far enough from the border of the image.
     """
 
     branches: list[Branches]
     pieces: list[Pieces]
-    blockers: IntArray
     kept: list[int]
 
 
 def segment_all(
     candidates: Candidates,
     centerline: Centerline,
-    resolution_m: float,
     config: BranchConfig,
     share: float = 1.0,
     against: BinaryImage | None = None,
 ) -> Segmentation:
-    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C)."""
+    """Segment the branches of all candidates and keep the intersections among them (paper, section III-C).
+
+    Branches end at all candidates, as in the paper, or only at those that have enough branches themselves.
+    """
     every = blockers = np.arange(len(candidates.positions))
-    given = centerline, resolution_m, config, share, against
+    given = centerline, config, share, against
     found = [segment_branches(candidates, i, every, *given) for i in every.tolist()]
     if not config.end_at_rejected:
         blockers = _with_enough_branches(found, every, config)
         if len(blockers) < len(every):
             for i in blockers.tolist():
                 found[i] = segment_branches(candidates, i, blockers, *given)
-    inside = set(candidates.inside(centerline.image.height, config.margin_m / resolution_m).tolist())
+    inside = set(candidates.inside(centerline.image.height, config.margin_m / centerline.resolution_m).tolist())
     kept = [i for i in _with_enough_branches(found, blockers, config).tolist() if i in inside]
-    return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], blockers, kept)
+    return Segmentation([branches for branches, _ in found], [pieces for _, pieces in found], kept)
 
 
 def _with_enough_branches(found: list[tuple[Branches, Pieces]], candidates: IntArray, config: BranchConfig) -> IntArray:
@@ -176,7 +130,6 @@ def segment_branches(
     index: int,
     blockers: IntArray,
     centerline: Centerline,
-    resolution_m: float,
     config: BranchConfig,
     share: float = 1.0,
     against: BinaryImage | None = None,
@@ -192,8 +145,6 @@ def segment_branches(
     blockers : (E,) int64
         The ones before which a branch ends.
     centerline
-    resolution_m
-        Side of a pixel.
     config
         Radii and the kind of line.
     share
@@ -206,8 +157,9 @@ def segment_branches(
     Paper, eq. 7 to 9.
     """
     position, width = candidates.positions[index], float(candidates.widths[index])
+    resolution_m = centerline.resolution_m
     inner = inner_radius(candidates, index, blockers, resolution_m, config)
-    traced, is_main, pieces = trace_branches(
+    traced, is_main, table = trace_branches(
         centerline.rows,
         centerline.cols,
         centerline.neighbours,
@@ -218,42 +170,35 @@ def segment_branches(
         config.stop_m / resolution_m,
     )
     # A short piece is a spur; but one that another candidate cuts short is a road between two intersections.
-    is_branch = pieces["reach"] * resolution_m >= config.min_reach_m
+    is_branch = table["reach"] * resolution_m >= config.min_reach_m
     if config.min_surface_m2 > 0:
-        is_branch &= _have_surface(centerline, traced, pieces, resolution_m, share * config.min_surface_m2)
-    is_branch |= pieces["at_candidate"]
+        is_branch &= _have_surface(centerline, traced, table, share * config.min_surface_m2)
+    is_branch |= table["at_candidate"]
+    pieces = Pieces(traced, is_main, table, is_branch)
     if config.line == "start_and_mean":
         lines = through_start_and_mean(pieces)
     else:
-        lines = least_squares(
-            centerline, traced, is_main, pieces, position, width, inner, resolution_m, config, against
-        )
+        lines = least_squares(pieces, centerline, position, width, inner, config, against)
     branches = Branches(
         index=index,
         candidate=position,
         inner=inner,
-        directions=lines.directions[is_branch],
-        points=lines.points[is_branch],
-        weights=lines.weights[is_branch],
-        spans=lines.spans[is_branch],
-        halves=lines.halves[is_branch],
-        bends=lines.bends[is_branch],
-        lengths=(pieces["end"] - pieces["begin"])[is_branch].astype(np.float64),
-        reaches=pieces["reach"][is_branch],
+        lines=lines[is_branch],
+        lengths=(table["end"] - table["begin"])[is_branch].astype(np.float64),
+        reaches=table["reach"][is_branch],
         core=candidates.core(index),
+        resolution_m=resolution_m,
     )
-    return branches, Pieces(traced, pieces, is_branch)
+    return branches, pieces
 
 
-def _have_surface(
-    centerline: Centerline, traced: Int32Array, pieces: StructuredArray, resolution_m: float, least_m2: float
-) -> BoolArray:
+def _have_surface(centerline: Centerline, traced: Int32Array, pieces: StructuredArray, least_m2: float) -> BoolArray:
     """Return which pieces of centerline have enough road around them, (P,) bool."""
-    lengths_m = (pieces["end"] - pieces["begin"]) * resolution_m
+    lengths_m = (pieces["end"] - pieces["begin"]) * centerline.resolution_m
     enough: BoolArray = lengths_m * NARROWEST_M >= least_m2
     for i in np.flatnonzero(~enough).tolist():
         some = traced[pieces["begin"][i] : pieces["end"][i] : SAMPLE_PX]
-        enough[i] = lengths_m[i] * centerline.widths(some).mean() * resolution_m >= least_m2
+        enough[i] = lengths_m[i] * centerline.widths(some).mean() * centerline.resolution_m >= least_m2
     return enough
 
 

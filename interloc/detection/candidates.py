@@ -44,22 +44,18 @@ class Candidates:
         return np.flatnonzero(within.all(axis=1))
 
 
-def find_candidates(
-    centerline: Centerline, resolution_m: float, config: HarrisCandidates | CrossingCandidates
-) -> Candidates:
+def find_candidates(centerline: Centerline, config: HarrisCandidates | CrossingCandidates) -> Candidates:
     """Find the points of the centerline where roads may meet; near ones are merged.
 
     Parameters
     ----------
     centerline
-    resolution_m
-        Side of a pixel.
     config
         Its kind decides what is looked for: Harris corners (as in the paper), or junctions of the centerline.
     """
     if isinstance(config, HarrisCandidates):
-        return _harris(centerline, resolution_m, config)
-    return _crossings(centerline, resolution_m, config)
+        return _harris(centerline, config)
+    return _crossings(centerline, config)
 
 
 def harris_corners(centerline: Centerline, config: HarrisCandidates) -> tuple[Int32Array, FloatArray]:
@@ -69,10 +65,10 @@ def harris_corners(centerline: Centerline, config: HarrisCandidates) -> tuple[In
     return local_maxima(centerline.rows, centerline.cols, scores, config.peak_px, least), scores
 
 
-def _harris(centerline: Centerline, resolution_m: float, config: HarrisCandidates) -> Candidates:
+def _harris(centerline: Centerline, config: HarrisCandidates) -> Candidates:
     corners, _ = harris_corners(centerline, config)
     points = np.column_stack([centerline.rows[corners], centerline.cols[corners]]).astype(np.float64)
-    positions, groups = merge_until_stable(points, config.merge_m / resolution_m)
+    positions, groups = merge_until_stable(points, config.merge_m / centerline.resolution_m)
     widths = centerline.widths(corners)
     mean_widths = np.array([widths[group].mean() for group in groups])
     return Candidates(positions, mean_widths, [points[group] for group in groups], are_junctions=False)
@@ -111,10 +107,11 @@ def merge_until_stable(positions: FloatArray, radius: float) -> tuple[FloatArray
     return np.array(merged, np.float64).reshape(-1, 2), groups
 
 
-def _crossings(centerline: Centerline, resolution_m: float, config: CrossingCandidates) -> Candidates:
+def _crossings(centerline: Centerline, config: CrossingCandidates) -> Candidates:
     junctions = np.flatnonzero(centerline.degrees >= 3).astype(np.int32)
     widths = centerline.widths(junctions)
-    reach = np.clip(widths * config.merge_widths, config.merge_min_m / resolution_m, config.merge_max_m / resolution_m)
+    shortest, longest = config.merge_min_m / centerline.resolution_m, config.merge_max_m / centerline.resolution_m
+    reach = np.clip(widths * config.merge_widths, shortest, longest)
     # Two junctions are one where their halves of the line between them meet.
     near = skeleton.grow_from(centerline.rows, centerline.cols, centerline.neighbours, junctions, reach / 2)
     labels, count = skeleton.label_pieces(centerline.neighbours, near, junctions)

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, Int32Array
+from interloc.arrays import BoolArray, FloatArray, Int32Array, StructuredArray
 from interloc.config import CenterlineConfig
 from interloc.detection.image import BinaryImage
 from interloc.kernels import skeleton
 from interloc.kernels.thinning import thin
 
 BORDER_PX = 12  # a line that ends this near to the border of the window was cut by it
+
+PIXEL = np.dtype(
+    [
+        ("row", np.int32),
+        ("col", np.int32),
+        ("border_distance", np.int32),  # pixels between it and the border of the image
+        ("is_tip", np.bool_),  # the centerline ends there, and not because the border cuts it
+    ],
+    align=True,
+)
+"""A pixel of the centerline."""
 
 
 @dataclass(frozen=True)
@@ -51,23 +64,26 @@ class Centerline:
         neighbours = skeleton.neighbours_of(image.words, rows, cols)
         return cls(image, rows, cols, neighbours, occupancy, image.height // 2 if max_width is None else max_width)
 
+    @property
+    def resolution_m(self) -> float:
+        """Side of a pixel, metres."""
+        return self.image.resolution_m
+
     @cached_property
     def degrees(self) -> Int32Array:
         """(P,) int32: 1 at a tip, 2 on a line, 3 or 4 at a junction."""
         return skeleton.degrees_of(self.neighbours)
 
     @cached_property
-    def border_distance(self) -> Int32Array:
-        """(P,) int32: pixels between each one and the border of the image."""
+    def pixels(self) -> StructuredArray:
+        """(P,) PIXEL: what is known of each pixel."""
+        pixels = np.empty(len(self.rows), PIXEL)
+        pixels["row"], pixels["col"] = self.rows, self.cols
         last = self.image.height - 1
-        inward: Int32Array = np.minimum(np.minimum(self.rows, self.cols), last - np.maximum(self.rows, self.cols))
-        return inward
-
-    @cached_property
-    def is_tip(self) -> BoolArray:
-        """(P,) bool: whether the centerline ends there, and not because the border cuts it."""
-        tips: BoolArray = (self.degrees <= 1) & (self.border_distance >= BORDER_PX)
-        return tips
+        inward = np.minimum(np.minimum(self.rows, self.cols), last - np.maximum(self.rows, self.cols))
+        pixels["border_distance"] = inward
+        pixels["is_tip"] = (self.degrees <= 1) & (inward >= BORDER_PX)
+        return pixels
 
     def widths(self, pixels: Int32Array) -> FloatArray:
         """Return the local road width in pixels, (N,) float64, at some pixels given by their positions."""
@@ -78,6 +94,49 @@ class Centerline:
             self.occupancy.height,
             self.max_width // 2,
         )
+
+
+class Piece(NamedTuple):
+    """A connected piece of centerline that starts at the inner circle of a candidate.
+
+    Attributes
+    ----------
+    pixels : (P,) int32
+        Positions among the pixels of the centerline.
+    reach : float
+        Greatest distance from the candidate, pixels.
+    at_candidate : bool
+        It ends before another candidate.
+    is_branch : bool
+        It counts as a branch; otherwise it is too short.
+    """
+
+    pixels: Int32Array
+    reach: float
+    at_candidate: bool
+    is_branch: bool
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """All pieces around one candidate; those that are branches are in the order of its `Branches`.
+
+    Attributes
+    ----------
+    traced, is_main, table
+        See `interloc.kernels.skeleton.trace_branches`.
+    is_branch : (P,) bool
+    """
+
+    traced: Int32Array
+    is_main: BoolArray
+    table: StructuredArray
+    is_branch: BoolArray
+
+    def __iter__(self) -> Iterator[Piece]:
+        for row, is_branch in zip(self.table, self.is_branch.tolist(), strict=True):
+            pixels = self.traced[row["begin"] : row["end"]]
+            yield Piece(pixels, float(row["reach"]), bool(row["at_candidate"]), is_branch)
 
 
 def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Centerline:
@@ -94,7 +153,7 @@ def extract_centerline(occupancy: BinaryImage, config: CenterlineConfig) -> Cent
     -----
     Paper, eq. 5.
     """
-    image = BinaryImage(occupancy.words.copy(), occupancy.height, occupancy.width)
+    image = replace(occupancy, words=occupancy.words.copy())
     thin(image.words)
     centerline = Centerline.of(image, occupancy, int(config.max_width_share * occupancy.height))
     if config.spur_widths > 0:

@@ -17,7 +17,7 @@ import numpy as np
 from interloc.arrays import FloatArray
 from interloc.config import CompoundConfig
 from interloc.detection.branches import Branches
-from interloc.detection.lines import SIDE_BY_SIDE_COS
+from interloc.detection.lines import LINE, SIDE_BY_SIDE_COS
 
 SAME_ROAD_RAD = math.radians(30.0)  # two branches nearer than this in direction are one road
 LINK_STD_M = 1.0  # how well the line through the junctions of two intersections is known
@@ -42,15 +42,13 @@ class _Axis:
         return crossing
 
 
-def split_compound(branches: Branches, resolution_m: float, config: CompoundConfig) -> list[Branches]:
+def split_compound(branches: Branches, config: CompoundConfig) -> list[Branches]:
     """Split the branches of a candidate into those of the intersections that it is made of.
 
     Parameters
     ----------
     branches
         Of one candidate. Three make two intersections only where a dual carriageway ends, fewer never.
-    resolution_m
-        Side of a pixel.
     config
         Which branches continue each other, and how far apart intersections are.
 
@@ -59,17 +57,18 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
     list of Branches
         One for each intersection, around its own place; the given ones where there is just one.
     """
-    axes, stems = _axes(branches, resolution_m, config)
+    axes, stems = _axes(branches, config)
     if branches.count < 3 or not axes:
         return [branches]
     if _nothing_leads_on(branches, axes, config):
-        return _split_end(branches, axes, stems, resolution_m, config)
+        return _split_end(branches, axes, stems, config)
     if branches.count < 4:
         return [branches]
     crossing = _crossings(branches, axes, stems, config)
-    reach = branches.inner + config.separation_m / resolution_m
+    separation = config.separation_m / branches.resolution_m
+    reach = branches.inner + separation
     nodes = [(place, members) for place, members in crossing if math.dist(place, branches.candidate) < reach]
-    groups = _group(nodes, config.separation_m / resolution_m)
+    groups = _group(nodes, separation)
     if len(groups) < 2 or not len(branches.core):
         return [branches]
     nearest = np.array([[math.dist(place, junction) for place, _ in groups] for junction in branches.core]).argmin(
@@ -83,16 +82,14 @@ def split_compound(branches: Branches, resolution_m: float, config: CompoundConf
 
 def _nothing_leads_on(branches: Branches, axes: list[_Axis], config: CompoundConfig) -> bool:
     """Return whether all axes are single branches that no branch continues: there a dual carriageway ends."""
-    along = np.array([axis.direction for axis in axes]) @ branches.directions.T
+    along = np.array([axis.direction for axis in axes]) @ branches.lines["direction"].T
     is_single = all(len(axis.branches) == 1 for axis in axes)
     return is_single and float(along.min()) > -math.cos(math.radians(config.straight_deg))
 
 
-def _split_end(
-    branches: Branches, halves: list[_Axis], stems: list[_Axis], resolution_m: float, config: CompoundConfig
-) -> list[Branches]:
+def _split_end(branches: Branches, halves: list[_Axis], stems: list[_Axis], config: CompoundConfig) -> list[Branches]:
     """Split the end of a dual carriageway at the best-known road that crosses all of its carriageways near by."""
-    reach = branches.inner + config.separation_m / resolution_m
+    reach = branches.inner + config.separation_m / branches.resolution_m
     crossed: list[tuple[_Axis, list[FloatArray]]] = []
     for stem in stems:
         met = [half.meets(stem, math.radians(config.crossing_deg)) for half in halves]
@@ -101,7 +98,7 @@ def _split_end(
             crossed.append((stem, places))
     if not crossed:
         return [branches]
-    across, places = max(crossed, key=lambda each: branches.weights[each[0].branches[0]])
+    across, places = max(crossed, key=lambda each: branches.lines["weight"][each[0].branches[0]])
     members = [{*half.branches, *across.branches} for half in halves]
     for stem in stems:
         if stem is not across:
@@ -122,32 +119,31 @@ def _connected(part: Branches, places: list[FloatArray]) -> Branches:
     gap = min(gaps, key=lambda vector: math.hypot(*vector))
     length = math.hypot(*gap)
     toward = gap / max(length, 1e-9)
-    if len(part.directions) and float((part.directions @ toward).max()) > math.cos(SAME_ROAD_RAD):
+    if part.count and float((part.lines["direction"] @ toward).max()) > math.cos(SAME_ROAD_RAD):
         return part
+    link = np.zeros(1, LINE)
+    link["point"], link["direction"] = part.candidate, toward
+    link["length"], link["weight"] = np.inf, LINK_STD_M**-2
     return replace(
         part,
-        directions=np.vstack([part.directions, toward]),
-        points=np.vstack([part.points, part.candidate]),
-        weights=np.append(part.weights, LINK_STD_M**-2),
-        spans=np.append(part.spans, np.inf),
-        halves=np.append(part.halves, 0.0),
-        bends=np.vstack([part.bends, np.zeros(2)]),
+        lines=np.append(part.lines, link),
         lengths=np.append(part.lengths, length),
         reaches=np.append(part.reaches, length),
     )
 
 
-def _axes(branches: Branches, resolution_m: float, config: CompoundConfig) -> tuple[list[_Axis], list[_Axis]]:
+def _axes(branches: Branches, config: CompoundConfig) -> tuple[list[_Axis], list[_Axis]]:
     """Pair the branches that continue each other; return axes, with what runs beside them, and all other branches."""
     tolerance_rad = math.radians(config.straight_deg)
-    offset_limit = config.offset_m / resolution_m
-    usable = [i for i in range(branches.count) if branches.weights[i] > 0]
+    offset_limit = config.offset_m / branches.resolution_m
+    points, directions, weights = (branches.lines[name] for name in ("point", "direction", "weight"))
+    usable = np.flatnonzero(branches.has_line).tolist()
     costs = []
     for i in usable:
         for j in usable:
             if j <= i:
                 continue
-            turn = math.acos(float(np.clip(-branches.directions[i] @ branches.directions[j], -1.0, 1.0)))
+            turn = math.acos(float(np.clip(-directions[i] @ directions[j], -1.0, 1.0)))
             offset = _offset(branches, i, j)
             if turn < tolerance_rad and offset < offset_limit:
                 costs.append((turn / tolerance_rad + offset / offset_limit, i, j))
@@ -157,34 +153,34 @@ def _axes(branches: Branches, resolution_m: float, config: CompoundConfig) -> tu
         if i in paired or j in paired:
             continue
         paired |= {i, j}
-        span = branches.points[i] - branches.points[j]
-        weights = branches.weights[[i, j]]
-        point = (weights[:, None] * branches.points[[i, j]]).sum(axis=0) / weights.sum()
+        span = points[i] - points[j]
+        pair = weights[[i, j]]
+        point = (pair[:, None] * points[[i, j]]).sum(axis=0) / pair.sum()
         axes.append(_Axis(point, span / max(math.hypot(*span), 1e-9), [i, j]))
-    alone = [_Axis(branches.points[i], branches.directions[i], [i]) for i in usable if i not in paired]
+    alone = [_Axis(points[i], directions[i], [i]) for i in usable if i not in paired]
     halves: list[_Axis] = []
     stems: list[_Axis] = []
     for each in alone:
         same_way = [
             other for other in alone if other is not each and each.direction @ other.direction > SIDE_BY_SIDE_COS
         ]
-        is_half = any(_is_beside(branches, each, axis, resolution_m, config) for axis in [*axes, *same_way])
+        is_half = any(_is_beside(branches, each, axis, config) for axis in [*axes, *same_way])
         (halves if is_half else stems).append(each)
     return [*axes, *halves], stems
 
 
-def _is_beside(branches: Branches, one: _Axis, axis: _Axis, resolution_m: float, config: CompoundConfig) -> bool:
+def _is_beside(branches: Branches, one: _Axis, axis: _Axis, config: CompoundConfig) -> bool:
     """Return whether a single branch runs beside an axis, farther off than roads that are told apart."""
     along = abs(float(one.direction @ axis.direction))
     gap = _nearest(branches, one.branches[0]) - axis.point
-    off = abs(float(axis.direction[0] * gap[1] - axis.direction[1] * gap[0])) * resolution_m
+    off = abs(float(axis.direction[0] * gap[1] - axis.direction[1] * gap[0])) * branches.resolution_m
     return along > math.cos(math.radians(config.crossing_deg)) and off > config.separation_m
 
 
 def _offset(branches: Branches, i: int, j: int) -> float:
     """Return how far two opposite lines pass each other by at the candidate, pixels."""
     a, b = (_nearest(branches, k) for k in (i, j))
-    along = branches.directions[i] - branches.directions[j]
+    along = branches.lines["direction"][i] - branches.lines["direction"][j]
     along = along / max(math.hypot(*along), 1e-9)
     delta = a - b
     return abs(float(along[0] * delta[1] - along[1] * delta[0]))
@@ -192,7 +188,7 @@ def _offset(branches: Branches, i: int, j: int) -> float:
 
 def _nearest(branches: Branches, k: int) -> FloatArray:
     """Return the point of the line of a branch that is nearest to the candidate."""
-    point, direction = branches.points[k], branches.directions[k]
+    point, direction = branches.lines["point"][k], branches.lines["direction"][k]
     nearest: FloatArray = point + direction * ((branches.candidate - point) @ direction)
     return nearest
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from interloc.detection.scan import ScanLike, checked_points, checked_pose
 from interloc.detection.widths import branch_widths
 from interloc.errors import expect
 from interloc.geometry import rotate_2d, yaw_of
-from interloc.results import unknown_like
 from interloc.stopwatch import Stopwatch
 
 
@@ -43,7 +42,7 @@ class KeyframeDetections:
     score : (n,) float64
         0..1, how sure the detector is.
     branch_widths_m : list of (B,) float64
-        Width of the road across each branch, metres; NaN where it is not known, everywhere unless given.
+        Width of the road across each branch, metres; NaN where it is not known.
     """
 
     keyframe: Keyframe
@@ -51,11 +50,7 @@ class KeyframeDetections:
     world_xy: FloatArray
     branch_angles_rad: list[FloatArray]
     score: FloatArray
-    branch_widths_m: list[FloatArray] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        if not self.branch_widths_m:
-            object.__setattr__(self, "branch_widths_m", unknown_like(self.branch_angles_rad))
+    branch_widths_m: list[FloatArray]
 
     def __repr__(self) -> str:
         places = ", ".join(f"({x:.1f}, {y:.1f})" for x, y in self.lidar_xy.tolist())
@@ -113,26 +108,23 @@ class Window:
 
     def steps(self) -> Steps:
         """Run the steps of the paper."""
-        bev, config, resolution_m, lap = self.bev.image, self.config, self.config.bev.resolution_m, self.stopwatch.lap
+        bev, config, lap = self.bev, self.config, self.stopwatch.lap
         self.stopwatch.start()
-        occupancy = infer_occupancy(bev, resolution_m, config.occupancy)  # III-B.4
+        occupancy = infer_occupancy(bev.image, config.occupancy)  # III-B.4
         lap("occupancy")
         centerline = extract_centerline(occupancy, config.centerline)  # III-B.5
         lap("centerline")
-        candidates = find_candidates(centerline, resolution_m, config.candidates)  # III-B.6
+        candidates = find_candidates(centerline, config.candidates)  # III-B.6
         lap("candidates")
-        segmentation = segment_all(  # III-C.1
-            candidates, centerline, resolution_m, config.branches, self.bev.share, self.bev.against
-        )
+        segmentation = segment_all(candidates, centerline, config.branches, bev.share, bev.against)  # III-C.1
         branches = [segmentation.branches[i] for i in segmentation.kept]
         if config.compound is not None:
-            branches = [part for b in branches for part in split_compound(b, resolution_m, config.compound)]
+            branches = [part for b in branches for part in split_compound(b, config.compound)]
         prior = config.branches.candidate_std_m
         road = occupancy if config.branches.line == "least_squares" else None
         junctions = [refine(b, 0.0 if prior is None else prior**-2, road) for b in branches]  # III-C.2
         lap("refinement")
-        roi, min_points = self.bev.roi, self.bev.min_points
-        return Steps(roi, min_points, bev, occupancy, centerline, candidates, segmentation, junctions)
+        return Steps(bev.roi, bev.min_points, bev.image, occupancy, centerline, candidates, segmentation, junctions)
 
     def detect(self) -> KeyframeDetections:
         """Return the detections of the keyframe."""
@@ -238,16 +230,16 @@ def locate(steps: Steps, keyframe: Keyframe, config: ScoreConfig) -> KeyframeDet
     world_xy = roi.world(positions[:, 0], positions[:, 1])
     T = keyframe.T_world_lidar
     lidar_xy = rotate_2d(world_xy - T[:2, 3], -yaw_of(T[:3, :3]))
-    angles = [np.arctan2(-j.directions[:, 0], j.directions[:, 1]) for j in junctions]  # rows go against +y
-    widths = [
-        branch_widths(j.position, j.directions, j.branches.bends, steps.occupancy, roi.resolution_m) for j in junctions
-    ]
-    score = np.array([_score(j, roi.resolution_m, config) for j in junctions], np.float64)
+    lines = [j.branches.lines for j in junctions]
+    angles = [np.arctan2(-each["direction"][:, 0], each["direction"][:, 1]) for each in lines]  # rows go against +y
+    widths = [branch_widths(j.position, j.branches.lines, steps.occupancy) for j in junctions]
+    score = np.array([_score(j, config) for j in junctions], np.float64)
     return KeyframeDetections(keyframe, lidar_xy, world_xy, angles, score, widths)
 
 
-def _score(junction: Junction, resolution_m: float, config: ScoreConfig) -> float:
+def _score(junction: Junction, config: ScoreConfig) -> float:
     """Rate a junction 0..1: its lines meet in a point, and its third branch is long enough to be a road."""
+    resolution_m = junction.branches.resolution_m
     agreement = math.exp(-((junction.residual * resolution_m / config.spread_m) ** 2))
     lengths, rank = np.sort(junction.branches.lengths), config.rated_branch
     rated = lengths[-rank] if len(lengths) >= rank else 0.0

@@ -1,8 +1,8 @@
 """The edges of the road along a branch: whether they are parallel, whether both were seen, where they lead inwards.
 
 A branch is sampled in rings around the intersection, each as the sums over its pixels of the centerline (`MOMENTS`).
-The settings are those of `interloc.detection.lines.LIMITS`, lines those of `interloc.detection.lines.LINE`; places and
-lengths are pixels, directions unit vectors (row, column).
+Lines are those of `interloc.detection.lines.LINE`, a fit is `interloc.detection.lines.FIT`; places and lengths are
+pixels, directions unit vectors (row, column).
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ import math
 
 import numpy as np
 
-from interloc.arrays import FloatArray, Int32Array, Record, StructuredArray, UInt64Array
+from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.kernels import compiled
-from interloc.kernels.bits import nearest_clear
 
 PARALLEL_SLACK = 0.08  # share of its half width that a branch may differ from it by between parallel sides
 ARM_QUANTILE, LINK_QUANTILE = 0.5, 0.25  # of the half widths along a branch: what its own half width is
@@ -44,26 +43,10 @@ def add(sums: Record, r: float, c: float, n: float) -> None:
 
 
 @compiled
-def half_widths(some: Int32Array, words: UInt64Array, rows: Int32Array, cols: Int32Array, limits: Record) -> FloatArray:
-    """Return the half width of the road at a pixel of each ring, pixels; 0 where there is none."""
-    size = words.shape[0] - 2
-    halves = np.zeros(some.size)
-    for i in range(some.size):
-        if some[i] >= 0:
-            halves[i] = nearest_clear(words, rows[some[i]], cols[some[i]], size, size, int(limits.half_width))
-    return halves
-
-
-@compiled
 def move_from_unseen_edges(
-    rings: StructuredArray,
-    halves: FloatArray,
-    words: UInt64Array,
-    against: UInt64Array,
-    candidate: FloatArray,
-    limits: Record,
+    rings: StructuredArray, half_widths: FloatArray, words: UInt64Array, against: UInt64Array, fit: Record
 ) -> bool:
-    """Lay the rings of which one edge was not seen half a width inside the other, and enter that into ``halves``.
+    """Lay the rings of which one edge was not seen half a width inside the other; enter that into ``half_widths``.
 
     Returns whether there are any, and so many of which both edges were seen that the width is known.
     """
@@ -78,11 +61,11 @@ def move_from_unseen_edges(
         if u_row == 0.0 and u_col == 0.0:
             continue
         lefts[i, 0], lefts[i, 1] = -u_col, u_row
-        r, c = candidate[0] + rings[i].r / rings[i].n, candidate[1] + rings[i].c / rings[i].n
-        clear = max(halves[i] - limits.ring, 0.0)  # no edge is nearer: a pixel of the ring lies in its middle
+        r, c = fit.row + rings[i].r / rings[i].n, fit.col + rings[i].c / rings[i].n
+        clear = max(half_widths[i] - fit.ring, 0.0)  # no edge is nearer: a pixel of the ring lies in its middle
         for side in range(2):
             d_row, d_col = (-u_col, u_row) if side == 0 else (u_col, -u_row)
-            edge = clear + to_edge(words, r + clear * d_row, c + clear * d_col, d_row, d_col, limits.half_width)
+            edge = clear + to_edge(words, r + clear * d_row, c + clear * d_col, d_row, d_col, fit.max_half_width)
             edges[i, side] = edge
             seen[i, side] = _is_seen(against, r, c, d_row, d_col, edge)
         if seen[i, 0] and seen[i, 1]:
@@ -94,10 +77,10 @@ def move_from_unseen_edges(
     is_any = False
     for i in range(rings.size):
         unseen = 2.0 * half - edges[i, 0] - edges[i, 1]
-        if seen[i, 0] != seen[i, 1] and limits.slack < unseen < MAX_UNSEEN * half:
+        if seen[i, 0] != seen[i, 1] and fit.slack < unseen < MAX_UNSEEN * half:
             shift = edges[i, 0] - half if seen[i, 0] else half - edges[i, 1]
             _move(rings[i], shift * lefts[i, 0], shift * lefts[i, 1])
-            halves[i] = half
+            half_widths[i] = half
             is_any = True
     return is_any
 
@@ -150,9 +133,9 @@ def _move(sums: Record, row: float, col: float) -> None:
 
 
 @compiled
-def usual_half_width(halves: FloatArray, is_link: bool) -> float:
+def usual_half_width(half_widths: FloatArray, is_link: bool) -> float:
     """Return the half width that a branch has along most of it, pixels; 0 where none is known."""
-    known = np.sort(halves[halves > 0.0])
+    known = np.sort(half_widths[half_widths > 0.0])
     if known.size == 0:
         return 0.0
     # Both ends of a road between two junctions open into mouths.
@@ -161,53 +144,42 @@ def usual_half_width(halves: FloatArray, is_link: bool) -> float:
 
 
 @compiled
-def keep_parallel(rings: StructuredArray, some: Int32Array, halves: FloatArray, is_link: bool, limits: Record) -> float:
-    """Empty the rings where the road is wider or narrower than the branch is, the wider ones in ``some`` too.
+def keep_parallel(rings: StructuredArray, half_widths: FloatArray, is_link: bool, fit: Record) -> float:
+    """Empty the rings where the road is wider or narrower than the branch is.
 
     Returns its half width, pixels; 0 where too little of it is between parallel sides, and nothing was emptied.
     """
-    count = np.count_nonzero(some >= 0)
-    half = usual_half_width(halves, is_link)
-    if half == 0.0:
-        return 0.0
-    slack = max(limits.slack, PARALLEL_SLACK * half)
-    parallel = 0
-    for i in range(rings.size):
-        if some[i] >= 0 and abs(halves[i] - half) <= slack:
-            parallel += 1
-    if parallel < max(MIN_PARALLEL * count, MIN_PARALLEL_RINGS):
+    half = usual_half_width(half_widths, is_link)
+    slack = max(fit.slack, PARALLEL_SLACK * half)
+    is_parallel = (half_widths > 0.0) & (np.abs(half_widths - half) <= slack)
+    if is_parallel.sum() < max(MIN_PARALLEL * np.count_nonzero(half_widths), MIN_PARALLEL_RINGS):
         return 0.0  # its edges are too ragged to tell
     for i in range(rings.size):
-        if some[i] >= 0 and abs(halves[i] - half) > slack:
+        if not is_parallel[i]:
             rings[i].n = 0.0
-            if halves[i] > half:
-                some[i] = -1  # a mouth, in which the centerline is bent
     return half
 
 
 @compiled
 def follow_edge(
-    samples: StructuredArray,
-    first: int,
+    rings: StructuredArray,
     lines: StructuredArray,
     which: int,
-    surfaces: FloatArray,
     words: UInt64Array,
     against: UInt64Array,
-    candidate: FloatArray,
-    limits: Record,
+    fit: Record,
 ) -> int:
     """Follow the axis of a branch inwards along the edge that stays half a width from it; return the new first ring.
 
-    It ends where both edges have turned away, or where the axis comes upon the surface of another branch, whose half
-    width is in ``surfaces``.
+    It ends where both edges have turned away, or where the axis comes upon the surface of another branch.
     """
-    line, half = lines[which], surfaces[which]
-    slack, step, max_shift = limits.slack, limits.ring, MAX_SHIFT * limits.ring
+    line = lines[which]
+    first: int = line.first
+    half, slack, step, max_shift = line.parallel, fit.slack, fit.ring, MAX_SHIFT * fit.ring
     toward = _lasting_side(lines, which)
-    ring = samples[first]
-    along = (candidate[0] + ring.r / ring.n - line.point[0]) * line.direction[0]
-    along += (candidate[1] + ring.c / ring.n - line.point[1]) * line.direction[1]
+    ring = rings[first]
+    along = (fit.row + ring.r / ring.n - line.point[0]) * line.direction[0]
+    along += (fit.col + ring.c / ring.n - line.point[1]) * line.direction[1]
     trail = np.empty((first + LAG + 1, 2))
     for k in range(LAG + 1):
         ahead = along + (LAG - k) * step
@@ -222,7 +194,7 @@ def follow_edge(
         if -(u_row * line.direction[0] + u_col * line.direction[1]) < MAX_TURN_COS:
             break
         r, c = trail[at, 0] + step * u_row, trail[at, 1] + step * u_col
-        if _is_on_other(r, c, lines, which, surfaces, candidate):
+        if _is_on_other(r, c, lines, which, fit):
             break
         reach = half + slack + 1.0
         left = to_edge(words, r, c, -u_col, u_row, reach)
@@ -241,11 +213,11 @@ def follow_edge(
         r, c = r - shift * u_col, c + shift * u_row
         at += 1
         trail[at, 0], trail[at, 1] = r, c
-        samples[i].n = 0.0
+        rings[i].n = 0.0
         if misses:
             continue
-        samples[i].r = samples[i].c = samples[i].rr = samples[i].rc = samples[i].cc = 0.0
-        add(samples[i], r - candidate[0], c - candidate[1], step)
+        rings[i].r = rings[i].c = rings[i].rr = rings[i].rc = rings[i].cc = 0.0
+        add(rings[i], r - fit.row, c - fit.col, step)
         first = i
     return first
 
@@ -292,17 +264,16 @@ def _lasting_side(lines: StructuredArray, which: int) -> float:
 
 
 @compiled
-def _is_on_other(
-    r: float, c: float, lines: StructuredArray, which: int, halves: FloatArray, candidate: FloatArray
-) -> bool:
+def _is_on_other(r: float, c: float, lines: StructuredArray, which: int, fit: Record) -> bool:
     """Return whether a place lies on the surface of another branch, prolonged to the candidate."""
     for j in range(lines.size):
         if j == which or lines[j].length == 0.0:
             continue
         d_row, d_col = lines[j].direction
         across = (r - lines[j].point[0]) * d_col - (c - lines[j].point[1]) * d_row
-        along = (r - candidate[0]) * d_row + (c - candidate[1]) * d_col
-        if abs(across) < halves[j] and along > 0.0:
+        along = (r - fit.row) * d_row + (c - fit.col) * d_col
+        half = lines[j].parallel if lines[j].parallel > 0.0 else 0.5 * fit.width  # a ragged one as the candidate
+        if abs(across) < half and along > 0.0:
             return True
     return False
 

@@ -5,7 +5,7 @@ arms are often bent in between, so that their lines meet somewhere else. The sur
 has parallel sides, and beyond it the outer edges are those of the arms. So each place on the axis of the stem is tried:
 with arms that lead straight on from it to where their own axes are known, the edges must be where they are seen.
 
-Places and directions are rows and columns, lengths pixels; the arrays are those of `interloc.detection.branches`.
+Places and directions are rows and columns, lengths pixels.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from interloc.arrays import FloatArray, UInt64Array
+from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.edges import to_edge
 from interloc.kernels import compiled
 
@@ -27,64 +27,62 @@ MAX_MISFIT = 0.5  # of a half width: what an edge in the wrong place counts at m
 
 @compiled
 def find_fork(
-    directions: FloatArray,
-    points: FloatArray,
-    halves: FloatArray,
-    candidate: FloatArray,
-    inner: float,
-    words: UInt64Array,
+    lines: StructuredArray, candidate: FloatArray, inner: float, words: UInt64Array
 ) -> tuple[int, float, float]:
     """Find the place where the road of one branch parts into all others, if that is what they are.
+
+    Parameters
+    ----------
+    lines, candidate, inner
+        See `interloc.detection.branches.Branches`.
+    words
+        Of the road.
 
     Returns
     -------
     stem : int
-        The branch that parts, -1 for none: all others must lead on within 45 degrees of straight; its line and its
-        width must be known, and the lines of at least two others.
+        The branch that parts, -1 for none: two others or more, all of them, must lead on within 45 degrees of straight,
+        and its width must be known. Of branches without lines it is enough where they lead: straight from the candidate
+        through their means.
     row, col : float
         From the candidate to the place, pixels.
     """
-    stem = _stem(directions)
-    has_line = (points != 0.0).sum(axis=1) > 0
-    if stem < 0 or not has_line[stem] or halves[stem] == 0.0:
+    stem = _stem(lines)
+    if stem < 0 or lines[stem].half_width == 0.0:
         return -1, 0.0, 0.0
-    half, (d_row, d_col) = halves[stem], directions[stem]
+    half, (d_row, d_col) = lines[stem].half_width, lines[stem].direction
     size = int(inner + BEHIND * half)
-    r, c = _on_line(points[stem], directions[stem], candidate, size)
-    arms = np.empty((directions.shape[0] - 1, 4))
-    count = 0
-    for j in range(directions.shape[0]):
-        if j != stem and has_line[j]:
-            row, col = _on_line(points[j], directions[j], candidate, ARM_BEGIN * inner)
-            along = -(directions[j, 0] * d_row + directions[j, 1] * d_col)
-            arms[count, 0] = (r - row) * d_row + (c - col) * d_col
-            arms[count, 1] = (col - c) * d_row - (row - r) * d_col
-            arms[count, 2] = (directions[j, 1] * d_row - directions[j, 0] * d_col) / along
-            arms[count, 3] = halves[j] if halves[j] > 0.0 else half
-            count += 1
-    if count < 2:
-        return -1, 0.0, 0.0
+    r, c = _on_line(lines[stem], candidate, size)
+    arms = np.empty((lines.size - 1, 4))
+    for k in range(lines.size - 1):
+        arm = lines[k if k < stem else k + 1]
+        row, col = _on_line(arm, candidate, ARM_BEGIN * inner)
+        along = -(arm.direction[0] * d_row + arm.direction[1] * d_col)
+        arms[k, 0] = (r - row) * d_row + (c - col) * d_col
+        arms[k, 1] = (col - c) * d_row - (row - r) * d_col
+        arms[k, 2] = (arm.direction[1] * d_row - arm.direction[0] * d_col) / along
+        arms[k, 3] = arm.half_width if arm.half_width > 0.0 else half
     edges = np.empty((size, 2))
     for s in range(size):
         for side, sense in enumerate((1.0, -1.0)):
             edges[s, side] = to_edge(words, r - s * d_row, c - s * d_col, -sense * d_col, sense * d_row, REACH * half)
     at, least = 0, np.inf
     for place in range(size):
-        misfit = _misfit(edges, place, half, arms[:count])
+        misfit = _misfit(edges, place, half, arms)
         if misfit < least:
             at, least = place, misfit
     return stem, r - at * d_row - candidate[0], c - at * d_col - candidate[1]
 
 
 @compiled
-def _stem(directions: FloatArray) -> int:
+def _stem(lines: StructuredArray) -> int:
     """Return the branch that all others lead on from, of which there is one at most; -1 for none."""
-    if directions.shape[0] < 3:
+    if lines.size < 3:
         return -1
-    for i in range(directions.shape[0]):
+    for i in range(lines.size):
         leads_on = True
-        for j in range(directions.shape[0]):
-            alike = directions[i, 0] * directions[j, 0] + directions[i, 1] * directions[j, 1]
+        for j in range(lines.size):
+            alike = lines[i].direction[0] * lines[j].direction[0] + lines[i].direction[1] * lines[j].direction[1]
             leads_on &= j == i or alike < LEADS_ON_COS
         if leads_on:
             return i
@@ -92,10 +90,11 @@ def _stem(directions: FloatArray) -> int:
 
 
 @compiled
-def _on_line(point: FloatArray, direction: FloatArray, candidate: FloatArray, away: float) -> tuple[float, float]:
+def _on_line(line: Record, candidate: FloatArray, away: float) -> tuple[float, float]:
     """Return the place on a line that lies so far out from the one nearest to the candidate."""
-    along = (candidate[0] - point[0]) * direction[0] + (candidate[1] - point[1]) * direction[1] + away
-    return point[0] + along * direction[0], point[1] + along * direction[1]
+    (row, col), (d_row, d_col) = line.point, line.direction
+    along = (candidate[0] - row) * d_row + (candidate[1] - col) * d_col + away
+    return row + along * d_row, col + along * d_col
 
 
 @compiled

@@ -51,16 +51,19 @@ class BinaryImage:
     words : (H + 2, W) uint64
     height, width : int
         Pixels.
+    resolution_m : float
+        Side of a pixel.
     """
 
     words: UInt64Array
     height: int
     width: int
+    resolution_m: float
 
     @classmethod
-    def empty(cls, height: int, width: int) -> BinaryImage:
+    def empty(cls, height: int, width: int, resolution_m: float) -> BinaryImage:
         """Return an image with no pixel set."""
-        return cls(np.zeros((height + 2, bits.words_for(width)), np.uint64), height, width)
+        return cls(np.zeros((height + 2, bits.words_for(width)), np.uint64), height, width, resolution_m)
 
     def to_array(self) -> UInt8Array:
         """Return the image as (H, W) uint8 of 0 and 1."""

@@ -15,8 +15,7 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
    are too ragged to tell stays as it is.
 3. The line begins there and takes in more of the branch, ring by ring, as long as the branch is straight
    (`straight_m`, `fit_length_m`); of these parts that one counts whose line is known best where the roads meet: a
-   longer part would lean towards a bend. A line that nearer road of the same branch lies off has no weight: it is what
-   follows a bend (`_is_beyond_bend`).
+   longer part would lean towards a bend.
 4. A branch that ends at a through road is turned towards the right angle, by how badly its direction is known: of a
    side road that is passed only ten ragged metres are seen (`_square_stems`).
 5. Two branches that together lie on one circle, and much better so than each on its line, are one road that bends
@@ -28,26 +27,24 @@ was seen in passing, and roads bend further out. So the preset `default` fits a 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from interloc.arrays import BoolArray, FloatArray, Int32Array, IntArray, Record, StructuredArray, UInt64Array
+from interloc.arrays import BoolArray, FloatArray, Int32Array, Record, StructuredArray, UInt64Array
 from interloc.config import BranchConfig
-from interloc.detection.centerline import Centerline
+from interloc.detection.centerline import Centerline, Pieces
 from interloc.detection.edges import (
     LASTING_RAD,
     MOMENTS,
     add,
     follow_edge,
-    half_widths,
     keep_parallel,
     move_from_unseen_edges,
     usual_half_width,
 )
 from interloc.detection.image import BinaryImage
 from interloc.kernels import compiled
-from interloc.kernels.bits import NOWHERE
+from interloc.kernels.bits import NOWHERE, nearest_clear
 
 RING_M = 0.64  # a line grows by this much at a time
 MIN_RING_PX = 4.0  # and by no less, however coarse the grid is
@@ -68,232 +65,208 @@ BEND_SHARE = 0.6  # of the distances of two branches from their lines: what thos
 BEND_RINGS = 6  # that each of the two must have
 
 
-class Lines(NamedTuple):
-    """A line for each branch.
+LINE = np.dtype(
+    [
+        ("point", np.float64, (2,)),
+        ("direction", np.float64, (2,)),
+        ("length", np.float64),
+        ("rms", np.float64),
+        ("weight", np.float64),
+        ("first", np.int64),
+        ("parallel", np.float64),
+        ("half_width", np.float64),
+        ("bend", np.float64, (2,)),
+    ]
+)
+"""The line of a branch. A branch of which too little can be trusted has none: its length and its weight are 0, and its
+point and direction only say where it leads, from the candidate through its mean.
 
-    Attributes
-    ----------
-    points : (B, 2) float64
-        Row and column of a point on each line, pixels.
-    directions : (B, 2) float64
-        Unit direction (row, column), away from the candidate.
-    weights : (B,) float64
-        How much each line counts: 1 in the paper, else the inverse of its variance at the candidate, 1 / m^2; 0 for a
-        branch that is too short to show its direction.
-    spans : (B,) float64
-        Length of the part that each line was fitted to, pixels, around its point; infinite in the paper, where lines
-        are as well known everywhere.
-    halves : (B,) float64
-        Usual half width of the road of each branch, pixels; 0 in the paper, which does not measure it.
-    bends : (B, 2) float64
-        From where each line touches its road towards the centre of the circle that the road bends on: unit direction
-        (row, column) over the radius, 1 / pixels; 0 for a straight one.
-    """
+Attributes
+----------
+point : (2,) float64
+    Row and column of a point on it, pixels: the middle of what it was fitted to, or the mean of the branch.
+direction : (2,) float64
+    Unit direction (row, column), away from the candidate.
+length : float64
+    Of the part that it was fitted to, pixels; infinite in the paper, where lines are as well known everywhere.
+rms : float64
+    Root mean square distance of that part from it, pixels.
+weight : float64
+    How much it counts: 1 in the paper, else the inverse of its variance at the candidate, 1 / m^2.
+first : int64
+    Ring at which that part begins.
+parallel : float64
+    Half width of the road between parallel sides, pixels; 0 where its edges are too ragged to tell.
+half_width : float64
+    Usual half width of the road, pixels; 0 where none is known, and in the paper, which does not measure it.
+bend : (2,) float64
+    From where it touches a road that bends towards the centre of the circle that the road bends on: unit direction
+    (row, column) over the radius, 1 / pixels; 0 for a straight one.
+"""
 
-    points: FloatArray
-    directions: FloatArray
-    weights: FloatArray
-    spans: FloatArray
-    halves: FloatArray
-    bends: FloatArray
+# Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
+_FIT = "row col width inner length shortest full straight trim max_half_width ring slack"
+FIT = np.dtype([(name, np.float64) for name in _FIT.split()])
+"""Row and column of a candidate, width and inner radius there, the settings of the fit from `BranchConfig`, half of the
+widest road that is measured, and lengths above; pixels."""
 
 
-def through_start_and_mean(pieces: StructuredArray) -> Lines:
-    """Lay a line through the start and the mean of each piece (paper, eq. 9); all count alike."""
-    n = len(pieces)
-    directions = _unit(pieces["mean"] - pieces["start"])
-    return Lines(pieces["start"], directions, np.ones(n), np.full(n, np.inf), np.zeros(n), np.zeros((n, 2)))
+def through_start_and_mean(pieces: Pieces) -> StructuredArray:
+    """Lay a line through the start and the mean of each piece, (P,) LINE (paper, eq. 9); all count alike."""
+    lines = np.zeros(len(pieces.table), LINE)
+    lines["point"] = pieces.table["start"]
+    lines["direction"] = _unit(pieces.table["mean"] - pieces.table["start"])
+    lines["length"], lines["weight"] = np.inf, 1.0
+    return lines
 
 
 def least_squares(
+    pieces: Pieces,
     centerline: Centerline,
-    traced: Int32Array,
-    is_main: BoolArray,
-    pieces: StructuredArray,
     candidate: FloatArray,
     width: float,
     inner: float,
-    resolution_m: float,
     config: BranchConfig,
     against: BinaryImage | None = None,
-) -> Lines:
-    """Fit a line to the part of each piece that can be trusted, and weigh it by its variance.
+) -> StructuredArray:
+    """Fit a line to the part of each piece that can be trusted, and weigh it by its variance; (P,) LINE.
 
     Parameters
     ----------
+    pieces
+        All around the candidate.
     centerline
-    traced, is_main, pieces
-        All pieces around the candidate, see `interloc.kernels.skeleton.trace_branches`.
     candidate : (2,) float64
         Its row and column.
     width, inner : float
         Road width at the candidate, and radius of its inner circle; pixels.
-    resolution_m : float
-        Side of a pixel.
     config
     against
         Set where other ground was seen; None where that is not known: then every edge counts as seen.
     """
+    resolution_m = centerline.resolution_m
     limits_m = config.fit_length_m, config.fit_least_m, config.full_fit_m, config.straight_m, config.trim_m
     lengths = (limit_m / resolution_m for limit_m in limits_m)
     ring = max(RING_M / resolution_m, MIN_RING_PX)
     slack = max(SLACK_M / resolution_m, MIN_SLACK_PX)
-    limits = np.array((width, inner, *lengths, centerline.max_width // 2, ring, slack), LIMITS)
+    fit = np.array((*candidate, width, inner, *lengths, centerline.max_width // 2, ring, slack), FIT)
     lines = fit_lines(
+        fit[()],
+        centerline.pixels,
+        pieces.traced,
+        pieces.is_main,
+        pieces.table,
         centerline.occupancy.words,
         NOWHERE if against is None else against.words,
-        centerline.rows,
-        centerline.cols,
-        centerline.border_distance,
-        centerline.is_tip,
-        traced,
-        is_main,
-        pieces,
-        candidate,
-        limits[()],
     )
-    has_line = lines["length"] * resolution_m >= config.min_fit_m
-    directions = np.where(has_line[:, None], lines["direction"], _unit(pieces["mean"] - candidate))
-    weights = np.where(has_line, lines["weight"] / resolution_m**2, 0.0)
-    spans = np.where(has_line, lines["length"], np.inf)
-    return Lines(lines["point"], directions, weights, spans, lines["half"], lines["bend"])
+    is_short = (lines["length"] == 0.0) | (lines["length"] * resolution_m < config.min_fit_m)
+    mean = pieces.table["mean"][is_short]
+    lines["point"][is_short], lines["direction"][is_short] = mean, _unit(mean - candidate)
+    lines["length"][is_short] = lines["weight"][is_short] = 0.0
+    lines["weight"] /= resolution_m**2
+    return lines
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.maximum(np.hypot(vectors[:, 0], vectors[:, 1]), 1e-9)[:, None]
 
 
-LINE = np.dtype(
-    [
-        ("point", np.float64, (2,)),  # row and column
-        ("direction", np.float64, (2,)),  # unit, away from the candidate
-        ("start", np.float64),  # distance from the candidate at which the fitted part begins
-        ("length", np.float64),  # of the fitted part; 0 where there is too little to fit
-        ("rms", np.float64),  # root mean square distance of its pixels from the line
-        ("weight", np.float64),  # inverse of the variance at the candidate, 1 / pixels^2
-        ("half", np.float64),  # usual half width of the road; 0 where none is known
-        ("bend", np.float64, (2,)),  # of the circle that it is a tangent of, see `Lines`
-    ]
-)
-"""What `fit_lines` returns for each piece; pixels."""
-
-# Named tuples would stand in the files of compiled code by the name of their class, which may change; these do not.
-_LIMITS = ("width", "inner", "length", "shortest", "full", "straight", "trim", "half_width", "ring", "slack")
-LIMITS = np.dtype([(name, np.float64) for name in _LIMITS])
-"""Width and inner radius at the candidate, the settings of the fit from `BranchConfig`, and lengths above; pixels."""
-
-
 @compiled
 def fit_lines(
-    words: UInt64Array,
-    against: UInt64Array,
-    rows: Int32Array,
-    cols: Int32Array,
-    border_distance: Int32Array,
-    is_tip: BoolArray,
+    fit: Record,
+    pixels: StructuredArray,
     traced: Int32Array,
     is_main: BoolArray,
     pieces: StructuredArray,
-    candidate: FloatArray,
-    limits: Record,
+    words: UInt64Array,
+    against: UInt64Array,
 ) -> StructuredArray:
-    """Fit and weigh a line for each piece; (P,) LINE.
+    """Fit and weigh a line for each piece; (P,) LINE, but with the weight per square pixel.
 
-    ``words`` are those of the road, ``against`` those of the other ground that was seen, or `NOWHERE`; for the other
-    arrays see `Centerline` and `trace_branches`.
+    Parameters
+    ----------
+    fit : FIT
+    pixels : (N,) PIXEL
+        Of the centerline.
+    traced, is_main, pieces
+        See `interloc.kernels.skeleton.trace_branches`.
+    words, against
+        Of the road, and of the other ground that was seen, or `NOWHERE`.
     """
     lines = np.zeros(pieces.size, LINE)
-    n_rings = max(1, int(limits.length / limits.ring))
+    n_rings = max(1, int(fit.length / fit.ring))
     samples = np.zeros((pieces.size, INNER_RINGS + n_rings), MOMENTS)
-    firsts = np.zeros(pieces.size, np.int64)
-    halves = np.zeros(pieces.size)
     trial = np.zeros(1, LINE)
     for i in range(pieces.size):
-        begin, end = pieces[i].begin, pieces[i].end
-        piece, is_link = traced[begin:end][is_main[begin:end]], pieces[i].at_candidate
-        some = _sum_rings(samples[i, INNER_RINGS:], rows, cols, border_distance, is_tip, piece, candidate, limits)
-        widths = half_widths(some, words, rows, cols, limits)
-        begin = int(max(_parting(pieces, i, candidate, limits.width) - limits.inner, 0.0) / limits.ring)
-        begin = min(begin, n_rings - 1)
-        moved, moved_some = samples[i].copy(), some.copy()
-        halves[i] = keep_parallel(samples[i, INNER_RINGS:], some, widths, is_link, limits)
-        firsts[i], variance = _fit_straight_part(lines[i], samples[i], INNER_RINGS + begin, candidate, limits)
-        if move_from_unseen_edges(moved[INNER_RINGS:], widths, words, against, candidate, limits):
-            half = keep_parallel(moved[INNER_RINGS:], moved_some, widths, is_link, limits)
+        piece, line, is_link = pieces[i], lines[i], pieces[i].at_candidate
+        main = traced[piece.begin : piece.end][is_main[piece.begin : piece.end]]
+        half_widths = _sum_rings(samples[i, INNER_RINGS:], pixels, main, words, fit)
+        parting = int(max(_parting(pieces, i, fit) - fit.inner, 0.0) / fit.ring)
+        parting = min(parting, n_rings - 1)
+        moved = samples[i].copy()
+        line.parallel = keep_parallel(samples[i, INNER_RINGS:], half_widths, is_link, fit)
+        variance = _fit_straight_part(line, samples[i], INNER_RINGS + parting, fit)
+        if move_from_unseen_edges(moved[INNER_RINGS:], half_widths, words, against, fit):
             trial[0].length = 0.0
-            first, moved_variance = _fit_straight_part(trial[0], moved, INNER_RINGS + begin, candidate, limits)
-            if half > 0.0 and moved_variance <= variance:
-                lines[i], samples[i], some = trial[0], moved, moved_some
-                halves[i], firsts[i] = half, first
-        if lines[i].length > 0.0 and _is_beyond_bend(lines[i], some[begin:], rows, cols, halves[i]):
-            lines[i].length = 0.0
-        lines[i].half = usual_half_width(widths, is_link)
+            trial[0].parallel = keep_parallel(moved[INNER_RINGS:], half_widths, is_link, fit)
+            moved_variance = _fit_straight_part(trial[0], moved, INNER_RINGS + parting, fit)
+            if trial[0].parallel > 0.0 and moved_variance <= variance:
+                lines[i], samples[i] = trial[0], moved
+        line.half_width = usual_half_width(half_widths, is_link)
     straight = lines.copy()
-    surfaces = np.where(halves > 0.0, halves, 0.5 * limits.width)  # a ragged one as wide as the road at the candidate
     for i in range(pieces.size):
-        if lines[i].length > 0.0 and halves[i] > 0.0:
-            firsts[i] = follow_edge(samples[i], firsts[i], straight, i, surfaces, words, against, candidate, limits)
-            _fit_straight_part(lines[i], samples[i], firsts[i], candidate, limits)
-    _weigh(lines, candidate, limits.full)
+        if lines[i].length > 0.0 and lines[i].parallel > 0.0:
+            first = follow_edge(samples[i], straight, i, words, against, fit)
+            _fit_straight_part(lines[i], samples[i], first, fit)
+    _weigh(lines, fit)
     _square_stems(lines)
-    _join_bends(lines, samples, firsts, candidate, limits)
+    _join_bends(lines, samples, fit)
     return lines
 
 
 @compiled
 def _sum_rings(
-    rings: StructuredArray,
-    rows: Int32Array,
-    cols: Int32Array,
-    border_distance: Int32Array,
-    is_tip: BoolArray,
-    piece: Int32Array,
-    candidate: FloatArray,
-    limits: Record,
-) -> Int32Array:
-    """Sum up the usable pixels of a piece in rings around the inner circle, from it outwards; return one of each."""
-    some = np.full(rings.size, -1, np.int32)
-    tips = piece[is_tip[piece]]
+    rings: StructuredArray, pixels: StructuredArray, piece: Int32Array, words: UInt64Array, fit: Record
+) -> FloatArray:
+    """Sum up the usable pixels of a piece in rings around the inner circle, from it outwards.
+
+    Returns the half width of the road at the last pixel of each ring; 0 in a ring without pixels.
+    """
+    size, last = words.shape[0] - 2, np.full(rings.size, -1, np.int32)
+    tips = piece[pixels["is_tip"][piece]]
     for p in piece:
-        dr, dc = rows[p] - candidate[0], cols[p] - candidate[1]
-        ring = int((np.sqrt(dr * dr + dc * dc) - limits.inner) / limits.ring)
-        usable = ring < rings.size and border_distance[p] >= limits.trim
+        pixel = pixels[p]
+        dr, dc = pixel.row - fit.row, pixel.col - fit.col
+        ring = int((np.sqrt(dr * dr + dc * dc) - fit.inner) / fit.ring)
+        usable = ring < rings.size and pixel.border_distance >= fit.trim
         for t in tips:
-            tr, tc = rows[p] - rows[t], cols[p] - cols[t]
-            if tr * tr + tc * tc < limits.trim * limits.trim:
+            tr, tc = pixel.row - pixels[t].row, pixel.col - pixels[t].col
+            if tr * tr + tc * tc < fit.trim * fit.trim:
                 usable = False
         if usable:
             add(rings[ring], dr, dc, 1.0)
-            some[ring] = p
-    return some
+            last[ring] = p
+    half_widths = np.zeros(rings.size)
+    for i in np.flatnonzero(last >= 0):
+        row, col = pixels[last[i]].row, pixels[last[i]].col
+        half_widths[i] = nearest_clear(words, row, col, size, size, int(fit.max_half_width))
+    return half_widths
 
 
 @compiled
-def _is_beyond_bend(line: Record, some: Int32Array, rows: Int32Array, cols: Int32Array, half: float) -> bool:
-    """Return whether the nearest road of a branch that is no mouth lies beside its line, off by over half a width."""
-    if half == 0.0:
-        return False
-    for p in some:
-        if p >= 0:
-            across = (rows[p] - line.point[0]) * line.direction[1] - (cols[p] - line.point[1]) * line.direction[0]
-            return bool(abs(across) > half)
-    return False
-
-
-@compiled
-def _parting(pieces: StructuredArray, which: int, candidate: FloatArray, width: float) -> float:
+def _parting(pieces: StructuredArray, which: int, fit: Record) -> float:
     """Return how far from the candidate the surface of a branch parts from that of its nearest neighbour, pixels.
 
     Two roads of width w at an angle t part at (w / 2) / sin(t / 2); the centerline is bent until there. Roads side by
     side are apart from where they begin.
     """
     least = np.pi
-    r, c = pieces[which].mean[0] - candidate[0], pieces[which].mean[1] - candidate[1]
+    r, c = pieces[which].mean[0] - fit.row, pieces[which].mean[1] - fit.col
     for i in range(pieces.size):
         if i != which and not _are_side_by_side(pieces[i], pieces[which]):
-            ri, ci = pieces[i].mean[0] - candidate[0], pieces[i].mean[1] - candidate[1]
+            ri, ci = pieces[i].mean[0] - fit.row, pieces[i].mean[1] - fit.col
             least = min(least, abs(np.arctan2(r * ci - c * ri, r * ri + c * ci)))
-    distance: float = 0.5 * width / max(np.sin(0.5 * least), PARTING_SIN)
+    distance: float = 0.5 * fit.width / max(np.sin(0.5 * least), PARTING_SIN)
     return distance
 
 
@@ -306,13 +279,11 @@ def _are_side_by_side(piece: Record, other: Record) -> bool:
 
 
 @compiled
-def _fit_straight_part(
-    line: Record, rings: StructuredArray, begin: int, candidate: FloatArray, limits: Record
-) -> tuple[int, float]:
+def _fit_straight_part(line: Record, rings: StructuredArray, begin: int, fit: Record) -> float:
     """Fit a line by total least squares to the rings from ``begin`` on, as far as the branch is straight.
 
-    Of the parts that are long enough it takes the one whose line is known best at the candidate. Returns the first ring
-    that was used, and the variance there by which lines compare; infinite where there is too little to fit.
+    Of the parts that are long enough it takes the one whose line is known best at the candidate. Returns the
+    variance there by which lines compare; infinite where there is too little to fit.
     """
     first, least = -1, np.inf
     m, sr, sc, srr, src, scc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -335,11 +306,11 @@ def _fit_straight_part(
         angle = 0.5 * np.arctan2(2.0 * vrc, vrr - vcc)
         d_row, d_col = np.cos(angle), np.sin(angle)
         rms = np.sqrt(max(vrr * d_col * d_col - 2.0 * vrc * d_row * d_col + vcc * d_row * d_row, 0.0))
-        length = (i + 1 - first) * limits.ring
-        if rms > limits.straight and length > limits.shortest:
+        length = (i + 1 - first) * fit.ring
+        if rms > fit.straight and length > fit.shortest:
             break
-        variance = _variance(max(rms - GRID_PX, 0.0) ** 2, ur * d_row + uc * d_col, length) / min(length, limits.full)
-        if length > limits.shortest and variance > least:
+        variance = _variance(max(rms - GRID_PX, 0.0) ** 2, ur * d_row + uc * d_col, length) / min(length, fit.full)
+        if length > fit.shortest and variance > least:
             continue
         least = variance
         # Away from where the branch begins: the candidate may lie beyond the place that it comes from.
@@ -348,22 +319,22 @@ def _fit_straight_part(
             sense = d_row * ur + d_col * uc
         if sense < 0.0:
             d_row, d_col = -d_row, -d_col
-        line.point[0], line.point[1] = candidate[0] + ur, candidate[1] + uc
+        line.point[0], line.point[1] = fit.row + ur, fit.col + uc
         line.direction[0], line.direction[1] = d_row, d_col
-        line.start, line.length, line.rms = limits.inner + (first - INNER_RINGS) * limits.ring, length, rms
-    return max(first, begin), least
+        line.first, line.length, line.rms = first, length, rms
+    return least
 
 
 @compiled
-def _weigh(lines: StructuredArray, candidate: FloatArray, full: float) -> None:
-    """Weigh each line by its length, as far as ``full`` counts, over its variance at the candidate."""
+def _weigh(lines: StructuredArray, fit: Record) -> None:
+    """Weigh each line by its length, as far as that counts, over its variance at the candidate."""
     scatters = _scatters(lines)
     for i in range(lines.size):
         line = lines[i]
         if line.length > 0.0:
-            off = (candidate[0] - line.point[0]) * line.direction[0]
-            off += (candidate[1] - line.point[1]) * line.direction[1]
-            line.weight = min(line.length, full) / full / _variance(scatters[i], off, line.length)
+            off = (fit.row - line.point[0]) * line.direction[0]
+            off += (fit.col - line.point[1]) * line.direction[1]
+            line.weight = min(line.length, fit.full) / fit.full / _variance(scatters[i], off, line.length)
 
 
 @compiled
@@ -415,9 +386,7 @@ def _square_stems(lines: StructuredArray) -> None:
 
 
 @compiled
-def _join_bends(
-    lines: StructuredArray, samples: StructuredArray, firsts: IntArray, candidate: FloatArray, limits: Record
-) -> None:
+def _join_bends(lines: StructuredArray, samples: StructuredArray, fit: Record) -> None:
     """Replace the lines of two branches that are one bend by its tangent where it comes nearest to the candidate.
 
     A line says of a bend what its road is like farther out: prolonged to the intersection it leaves the road.
@@ -427,8 +396,8 @@ def _join_bends(
         for j in range(i):
             if joined[i] or joined[j] or lines[i].length == 0.0 or lines[j].length == 0.0:
                 continue
-            one = _places(samples[i], firsts[i], limits)
-            other = _places(samples[j], firsts[j], limits)
+            one = _places(samples[i], lines[i].first, fit)
+            other = _places(samples[j], lines[j].first, fit)
             if min(len(one), len(other)) < BEND_RINGS or _meet_in_corner(one, other):
                 continue
             both = np.concatenate((one, other))
@@ -446,18 +415,18 @@ def _join_bends(
             joined[i] = joined[j] = True
             for k, sense in ((i, np.sign(ahead)), (j, np.sign(behind))):
                 line = lines[k]
-                line.point[0], line.point[1] = candidate[0] + p_row, candidate[1] + p_col
+                line.point[0], line.point[1] = fit.row + p_row, fit.col + p_col
                 line.direction[0], line.direction[1] = sense * d_row, sense * d_col
                 line.bend[0], line.bend[1] = row / away / radius, col / away / radius
-                line.length, line.rms = len(both) * limits.ring, rms
-                line.weight = min(line.length, limits.full) / limits.full
+                line.length, line.rms = len(both) * fit.ring, rms
+                line.weight = min(line.length, fit.full) / fit.full
                 line.weight /= _variance(max(rms - GRID_PX, 0.0) ** 2, 0.0, line.length)
 
 
 @compiled
-def _places(rings: StructuredArray, first: int, limits: Record) -> FloatArray:
+def _places(rings: StructuredArray, first: int, fit: Record) -> FloatArray:
     """Return where a branch passes its rings, from the first on as far as length counts; rows and columns from here."""
-    places = np.empty((int(limits.full / limits.ring) + 1, 2))
+    places = np.empty((int(fit.full / fit.ring) + 1, 2))
     count = 0
     for ring in rings[first : first + len(places)]:
         if ring.n > 0.0:

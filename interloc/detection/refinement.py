@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from interloc.arrays import FloatArray, UInt64Array
+from interloc.arrays import FloatArray, Record, StructuredArray, UInt64Array
 from interloc.detection.branches import Branches
 from interloc.detection.edges import to_edge
 from interloc.detection.forks import find_fork
@@ -34,8 +34,6 @@ class Junction:
     ----------
     position : (2,) float64
         Row and column, pixels.
-    directions : (B, 2) float64
-        Unit direction (row, column) of each branch.
     residual : float
         Root mean square distance of the point from the lines, pixels; infinite where the lines do not fix it.
     branches
@@ -43,7 +41,6 @@ class Junction:
     """
 
     position: FloatArray
-    directions: FloatArray
     residual: float
     branches: Branches
 
@@ -73,72 +70,62 @@ def refine(branches: Branches, prior_weight: float = 0.0, occupancy: BinaryImage
     road bends before it comes to the intersection, counts little.
     """
     row, col, residual = _meet(
-        branches.directions,
-        branches.points,
-        branches.weights,
-        branches.spans,
-        branches.halves,
+        branches.lines,
         branches.candidate,
         branches.inner,
         0.0 if branches.is_part else prior_weight,
         None if occupancy is None else occupancy.words,
     )
-    return Junction(branches.candidate + np.array([row, col]), branches.directions, residual, branches)
+    return Junction(branches.candidate + np.array([row, col]), residual, branches)
 
 
 @compiled
 def _meet(
-    directions: FloatArray,
-    points: FloatArray,
-    weights: FloatArray,
-    spans: FloatArray,
-    halves: FloatArray,
-    candidate: FloatArray,
-    inner: float,
-    prior_weight: float,
-    words: UInt64Array | None,
+    lines: StructuredArray, candidate: FloatArray, inner: float, prior_weight: float, words: UInt64Array | None
 ) -> tuple[float, float, float]:
     """Return by how many rows and columns the candidate moves, and the residual."""
     stem, row, col = -1, 0.0, 0.0
     if words is not None:
-        stem, row, col = find_fork(directions, points, halves, candidate, inner, words)
-    if not _fix_a_point(directions, weights):
+        stem, row, col = find_fork(lines, candidate, inner, words)
+    if not _fix_a_point(lines):
         row, col = _within(row, col, MAX_SHIFTS * inner)
         return row, col, np.inf
-    current = weights.copy()
+    weights = lines["weight"].copy()
     if words is None:
         prior = prior_weight, 0.0, prior_weight, 0.0, 0.0
-        row, col = _solve(directions, points, current, candidate, prior)
+        row, col = _solve(lines, weights, candidate, prior)
         row, col = _within(row, col, inner)
     else:
-        prior = _prior(directions, weights, prior_weight)
+        prior = _prior(lines, prior_weight)
         if stem >= 0 and prior_weight > 0.0:
-            prior = _with_fork(prior, directions[stem], row, col)
+            prior = _with_fork(prior, lines[stem].direction, row, col)
         row, col = 0.0, 0.0
         for _ in range(ROUNDS):
-            for i in range(weights.size):
-                off = _distance(directions[i], points[i], candidate, row, col) / (TOLERANCE * inner)
-                here = _along(directions[i], points[i], candidate, 0.0, 0.0) / spans[i]
-                there = _along(directions[i], points[i], candidate, row, col) / spans[i]
-                # A line is known best in the middle of what it was fitted to (the variance of a prediction).
-                at_point = weights[i] * (1.0 + 12.0 * here * here) / (1.0 + 12.0 * there * there)
-                current[i] = at_point / (1.0 + off * off) ** 2
-            row, col = _solve(directions, points, current, candidate, prior)
+            for i in range(lines.size):
+                line = lines[i]
+                if line.length > 0.0:
+                    off = _distance(line, candidate, row, col) / (TOLERANCE * inner)
+                    here = _along(line, candidate, 0.0, 0.0) / line.length
+                    there = _along(line, candidate, row, col) / line.length
+                    # A line is known best in the middle of what it was fitted to (the variance of a prediction).
+                    at_point = line.weight * (1.0 + 12.0 * here * here) / (1.0 + 12.0 * there * there)
+                    weights[i] = at_point / (1.0 + off * off) ** 2
+            row, col = _solve(lines, weights, candidate, prior)
             row, col = _within(row, col, MAX_SHIFTS * inner)
             row, col = _on_road(words, candidate, row, col, inner)
     total = 0.0
-    for i in range(weights.size):
-        total += current[i] * _distance(directions[i], points[i], candidate, row, col) ** 2
-    return row, col, math.sqrt(total / current.sum())
+    for i in range(lines.size):
+        total += weights[i] * _distance(lines[i], candidate, row, col) ** 2
+    return row, col, math.sqrt(total / weights.sum())
 
 
 @compiled
-def _fix_a_point(directions: FloatArray, weights: FloatArray) -> bool:
+def _fix_a_point(lines: StructuredArray) -> bool:
     """Return whether the lines that count are not near-parallel, however unlike their weights."""
     count, a, b, d = 0, 0.0, 0.0, 0.0  # of the normal matrix
-    for i in range(weights.size):
-        if weights[i] > 0.0:
-            d_row, d_col = directions[i]
+    for line in lines:
+        if line.length > 0.0:
+            d_row, d_col = line.direction
             a += d_col * d_col
             b -= d_col * d_row
             d += d_row * d_row
@@ -148,32 +135,33 @@ def _fix_a_point(directions: FloatArray, weights: FloatArray) -> bool:
 
 
 @compiled
-def _distance(direction: FloatArray, point: FloatArray, candidate: FloatArray, row: float, col: float) -> float:
+def _distance(line: Record, candidate: FloatArray, row: float, col: float) -> float:
     """Return the signed distance from a line of a place so many rows and columns from the candidate."""
-    distance: float = (candidate[0] - point[0] + row) * direction[1] - (candidate[1] - point[1] + col) * direction[0]
+    d_row, d_col = line.direction
+    distance: float = (candidate[0] - line.point[0] + row) * d_col - (candidate[1] - line.point[1] + col) * d_row
     return distance
 
 
 @compiled
-def _along(direction: FloatArray, point: FloatArray, candidate: FloatArray, row: float, col: float) -> float:
+def _along(line: Record, candidate: FloatArray, row: float, col: float) -> float:
     """Return how far along a line, from its point, such a place lies."""
-    along: float = (candidate[0] - point[0] + row) * direction[0] + (candidate[1] - point[1] + col) * direction[1]
+    d_row, d_col = line.direction
+    along: float = (candidate[0] - line.point[0] + row) * d_row + (candidate[1] - line.point[1] + col) * d_col
     return along
 
 
 @compiled
 def _solve(
-    directions: FloatArray,
-    points: FloatArray,
+    lines: StructuredArray,
     weights: FloatArray,
     candidate: FloatArray,
     prior: tuple[float, float, float, float, float],
 ) -> tuple[float, float]:
     """Return rows and columns from the candidate to the point of least squared distances."""
     a, b, d, u, v = prior
-    for i in range(weights.size):
-        d_row, d_col = directions[i]
-        off = _distance(directions[i], points[i], candidate, 0.0, 0.0)
+    for i in range(lines.size):
+        d_row, d_col = lines[i].direction
+        off = _distance(lines[i], candidate, 0.0, 0.0)
         a += weights[i] * d_col * d_col
         b -= weights[i] * d_col * d_row
         d += weights[i] * d_row * d_row
@@ -191,22 +179,23 @@ def _within(row: float, col: float, limit: float) -> tuple[float, float]:
 
 
 @compiled
-def _prior(directions: FloatArray, weights: FloatArray, weight: float) -> tuple[float, float, float, float, float]:
+def _prior(lines: StructuredArray, weight: float) -> tuple[float, float, float, float, float]:
     """Return the normal equations of the candidate: the weights of its row, row with column, and column; no shift.
 
     The surfaces of roads at an angle t part at 1 / sin(t / 2) half widths, where their centerline branches. So along
     the line that halves an acute angle the candidate lies off by more than at a right one, and its standard deviation
-    grows by the square of that; across it the candidate is known as well as any. Lines without weight do not count.
+    grows by the square of that; across it the candidate is known as well as any.
     """
     cosine = -1.0  # of the smallest angle, but for roads side by side
     row, col = 0.0, 0.0
-    for i in range(weights.size):
+    for i in range(lines.size):
         for j in range(i):
-            if weights[i] > 0.0 and weights[j] > 0.0:
-                alike = directions[i, 0] * directions[j, 0] + directions[i, 1] * directions[j, 1]
+            if lines[i].length > 0.0 and lines[j].length > 0.0:
+                (d_row, d_col), (o_row, o_col) = lines[i].direction, lines[j].direction
+                alike = d_row * o_row + d_col * o_col
                 if cosine < alike < SIDE_BY_SIDE_COS:
                     cosine = alike
-                    row, col = directions[i, 0] + directions[j, 0], directions[i, 1] + directions[j, 1]
+                    row, col = d_row + o_row, d_col + o_col
     half = 0.5 * math.acos(min(cosine, 1.0))
     spread = max(1.0, math.sin(math.pi / 4) / max(math.sin(half), ACUTE_SIN))
     lost = weight * (1.0 - spread**-4) / max(row * row + col * col, 1e-9)

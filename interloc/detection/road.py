@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from interloc.arrays import FloatArray, IntArray
@@ -37,6 +39,6 @@ def road_patch(keyframe: int, occupancy: BinaryImage, roi: Roi) -> RoadPatch:
     size = roi.size // step
     words = occupancy.words  # the rows that are not needed are not unpacked
     rows = np.concatenate([words[:1], words[1 + step // 2 : -1 : step][:size], words[-1:]])
-    cells = BinaryImage(rows, size, occupancy.width).to_array()[:, step // 2 :: step][:, :size]
+    cells = replace(occupancy, words=rows, height=size).to_array()[:, step // 2 :: step][:, :size]
     corner_xy = np.array([roi.left * roi.resolution_m, (roi.top + 1) * roi.resolution_m])
     return RoadPatch.pack(keyframe, corner_xy, step * roi.resolution_m, cells)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from interloc.arrays import FloatArray
+from interloc.arrays import FloatArray, StructuredArray
 from interloc.detection.image import BinaryImage
 from interloc.detection.lines import SIDE_BY_SIDE_COS
 from interloc.kernels.bits import median_runs_across
@@ -19,21 +19,17 @@ MAX_WIDTH_M = 30.0
 MIN_STEPS = 3
 
 
-def branch_widths(
-    position: FloatArray, directions: FloatArray, bends: FloatArray, occupancy: BinaryImage, resolution_m: float
-) -> FloatArray:
+def branch_widths(position: FloatArray, lines: StructuredArray, occupancy: BinaryImage) -> FloatArray:
     """Measure the road across each branch, at right angles to its line or, where the road bends, its circle.
 
     Parameters
     ----------
     position : (2,) float64
         Row and column of the intersection.
-    directions, bends : (B, 2) float64
-        Direction and bend of each branch, see `interloc.detection.lines.Lines`.
+    lines : (B,) LINE
+        Of the branches.
     occupancy
         Set where the ground is road.
-    resolution_m : float
-        Side of a cell.
 
     Returns
     -------
@@ -41,15 +37,16 @@ def branch_widths(
         Median width along the branch, metres; NaN where too little of it is road, and where all of it that is measured
         lies in the mouth of the next branch.
     """
-    return resolution_m * median_runs_across(
+    directions, bends = np.ascontiguousarray(lines["direction"]), np.ascontiguousarray(lines["bend"])
+    return occupancy.resolution_m * median_runs_across(
         occupancy.words,
         occupancy.height,
         occupancy.width,
         position,
         directions,
         bends,
-        _DISTANCES_M / resolution_m,
-        _longest_m(directions) / resolution_m,
+        _DISTANCES_M / occupancy.resolution_m,
+        _longest_m(directions) / occupancy.resolution_m,
         MIN_STEPS,
     )
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from interloc.arrays import FloatArray, Int32Array, IntArray
 from interloc.config import BranchConfig, DetectorConfig
-from interloc.detection.branches import Branches, Piece
+from interloc.detection.branches import Branches
+from interloc.detection.centerline import Piece
 from interloc.detection.detector import Detector, KeyframeDetections, Steps, locate
 from interloc.detection.image import Roi
 from interloc.detection.keyframes import Keyframe, select_keyframes

@@ -261,7 +261,7 @@ def _describe(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -> st
         moved_m = float(np.hypot(*(junction.position - candidate.position))) * metre
         parts.append(f"moved {moved_m:.2f} m, lines pass within {junction.residual * metre:.2f} m (rms)")
     split = "" if len(parts) == 1 else f", split into {len(parts)}"
-    without = int((candidate.branches.weights <= 0).sum())
+    without = int((~candidate.branches.has_line).sum())
     lineless = f" ({without} too short for a line)" if without else ""
     return f"Candidate {candidate.number}: {candidate.branches.count} branches{lineless}{split}; {'; '.join(parts)}"
 
@@ -272,8 +272,8 @@ def _branch_lines(explained: ExplainedKeyframe, candidate: ExplainedCandidate) -
     for i in candidate.detections:
         junction = explained.steps.junctions[i]
         branches = junction.branches
-        for k in np.flatnonzero(branches.weights > 0):
-            point, outwards = branches.points[k], branches.directions[k]
+        for k in np.flatnonzero(branches.has_line):
+            point, outwards = branches.lines["point"][k], branches.lines["direction"][k]
             middle = point + ((junction.position - point) @ outwards) * outwards
             far = point + (branches.reaches[k] - (point - candidate.position) @ outwards) * outwards
             lines.append(np.stack([middle - 0.7 * branches.inner * outwards, far])[None])

@@ -48,6 +48,7 @@ def failures(detections: list[tuple[int, float, float]], *places: tuple[float, f
             [none] * len(row),
             np.ones(len(row)),
             np.full(len(row), -1),
+            [none] * len(row),
         ),
         IntersectionTable(
             none.astype(np.int64),
@@ -59,6 +60,7 @@ def failures(detections: list[tuple[int, float, float]], *places: tuple[float, f
             [],
             none.astype(np.int64),
             none.astype(np.int64),
+            [],
         ),
         keys,
         lonlat(keys),

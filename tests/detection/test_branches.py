@@ -39,11 +39,11 @@ def candidates(*positions: tuple[float, float], width: float = 20.0) -> Candidat
 def branches_at_the_middle(line: Centerline, config: BranchConfig, *others: tuple[float, float]) -> Branches:
     """Follow the branches of a candidate in the middle; they end before the others."""
     every = np.arange(1 + len(others))
-    return segment_branches(candidates(MIDDLE, *others), 0, every, line, 1.0, config)[0]
+    return segment_branches(candidates(MIDDLE, *others), 0, every, line, config)[0]
 
 
 def angles_deg(branches: Branches) -> list[float]:
-    angles = np.degrees(np.arctan2(-branches.directions[:, 0], branches.directions[:, 1])) % 360
+    angles = np.degrees(np.arctan2(-branches.lines["direction"][:, 0], branches.lines["direction"][:, 1])) % 360
     return sorted(angles.tolist())
 
 
@@ -91,8 +91,7 @@ def test_every_arm_is_a_branch_that_points_along_it(line: str) -> None:
 
 def test_lines_pass_through_start_and_mean() -> None:
     found = branches_at_the_middle(arms(0, 90), PAPER)
-    order = np.argsort(found.points[:, 0])
-    assert found.points[order].tolist() == [[139, 150], [150, 161]]  # the first pixels outside of the circle
+    assert sorted(found.lines["point"].tolist()) == [[139, 150], [150, 161]]  # the first pixels outside of the circle
 
 
 def test_arm_that_ends_soon_is_no_branch() -> None:
@@ -113,7 +112,7 @@ def test_short_arm_must_be_wide_unless_few_scans_saw_it() -> None:
     config = BranchConfig(min_surface_m2=40)
     assert branches_at_the_middle(narrow, config).count == 2
     assert branches_at_the_middle(wide, config).count == 3
-    few, _ = segment_branches(candidates(MIDDLE), 0, np.array([0]), narrow, 1.0, config, 0.25)
+    few, _ = segment_branches(candidates(MIDDLE), 0, np.array([0]), narrow, config, 0.25)
     assert few.count == 3
     assert branches_at_the_middle(narrow, config, (170.0, 150.0)).count == 3  # it leads to another
 
@@ -126,25 +125,22 @@ def test_arm_that_ends_at_another_candidate_is_a_branch_however_short() -> None:
 
 def test_branch_runs_on_past_a_candidate_that_ends_none() -> None:
     two = candidates(MIDDLE, (150.0, 163.0))
-    found, _ = segment_branches(two, 0, np.array([0]), arms(0, 120, 240), 1.0, PAPER)
+    found, _ = segment_branches(two, 0, np.array([0]), arms(0, 120, 240), PAPER)
     assert found.lengths.min() >= 20
 
 
-@pytest.mark.parametrize(("end_at_rejected", "blockers"), [(True, [0, 1]), (False, [0])])
-def test_candidate_that_is_no_intersection_ends_branches_if_asked_to(
-    end_at_rejected: bool, blockers: list[int]
-) -> None:
+@pytest.mark.parametrize("end_at_rejected", [True, False])
+def test_candidate_that_is_no_intersection_ends_branches_if_asked_to(end_at_rejected: bool) -> None:
     both = candidates(MIDDLE, (150.0, 175.0))
     config = BranchConfig(end_at_rejected=end_at_rejected)
-    found = segment_all(both, arms(0, 120, 240), 1.0, config)
-    assert found.blockers.tolist() == blockers
+    found = segment_all(both, arms(0, 120, 240), config)
     assert found.kept == [0]
     assert (found.branches[0].lengths.min() > 20) == (not end_at_rejected)
 
 
 def test_every_candidate_keeps_the_pieces_that_it_was_judged_by() -> None:
     line = arms(0, 120, 240)
-    found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, 1.0, BranchConfig(end_at_rejected=False))
+    found = segment_all(candidates(MIDDLE, (150.0, 163.0)), line, BranchConfig(end_at_rejected=False))
     for branches, pieces in zip(found.branches, found.pieces, strict=True):
         taken = [piece for piece in pieces if piece.is_branch]
         assert [len(piece.pixels) for piece in taken] == branches.lengths.tolist()
@@ -177,26 +173,41 @@ def test_branch_too_short_to_tell_its_direction_counts_but_has_no_weight() -> No
     found = branches_at_the_middle(arms(0, 120, 240), config, (150.0, 162.0))
     assert found.count == 3
     assert found.lengths.min() == 1
-    assert np.count_nonzero(found.weights) == 2
-    assert np.count_nonzero(found.weights == 0) == 1
-    assert np.all(np.isfinite(found.directions))
+    assert np.count_nonzero(found.has_line) == 2
+    assert found.lines["weight"][~found.has_line].tolist() == [0]
+    np.testing.assert_allclose(np.hypot(*found.lines["direction"].T), 1)
+
+
+@pytest.mark.parametrize("min_fit_m", [0.0, 3.0, 200.0])
+def test_branch_without_a_line_leads_from_the_candidate_through_its_mean(min_fit_m: float) -> None:
+    config = BranchConfig(line="least_squares", trim_m=2, min_fit_m=min_fit_m)
+    line, place = arms(0, 120, 240), candidates(MIDDLE, (150.0, 162.0))
+    found, pieces = segment_branches(place, 0, np.arange(2), line, config)
+    assert np.count_nonzero(found.has_line) == (0 if min_fit_m == 200 else 2)
+    for struck, piece in zip(
+        found.lines[~found.has_line], pieces.table[pieces.is_branch][~found.has_line], strict=True
+    ):
+        assert struck["point"].tolist() == piece["mean"].tolist()
+        away = piece["mean"] - found.candidate
+        np.testing.assert_allclose(struck["direction"], away / np.hypot(*away))
 
 
 def test_paper_weighs_all_lines_alike() -> None:
     found = branches_at_the_middle(arms(0, 120, 240), PAPER, (150.0, 175.0))
-    assert found.weights.tolist() == [1, 1, 1]
+    assert found.lines["weight"].tolist() == [1, 1, 1]
 
 
 def test_long_straight_line_weighs_more_than_a_short_one() -> None:
     found = branches_at_the_middle(arms(0, 120, 240), BranchConfig(line="least_squares"), (150.0, 170.0))
     shortest = int(np.argmin(found.lengths))
-    assert np.all(np.delete(found.weights, shortest) > 1.5 * found.weights[shortest])
+    weights = found.lines["weight"]
+    assert np.all(np.delete(weights, shortest) > 1.5 * weights[shortest])
 
 
 def test_no_line_no_branches() -> None:
     found = branches_at_the_middle(arms(), PAPER)
     assert found.count == 0
-    assert found.directions.shape == (0, 2)
+    assert found.lines["direction"].shape == (0, 2)
 
 
 def test_some_branches_can_be_taken_around_another_point() -> None:
@@ -204,8 +215,6 @@ def test_some_branches_can_be_taken_around_another_point() -> None:
     part = found.select([0, 2], np.array([140.0, 150.0]))
     assert part.count == 2
     assert part.candidate.tolist() == [140, 150]
-    np.testing.assert_array_equal(part.directions, found.directions[[0, 2]])
-    np.testing.assert_array_equal(part.points, found.points[[0, 2]])
-    np.testing.assert_array_equal(part.weights, found.weights[[0, 2]])
+    np.testing.assert_array_equal(part.lines, found.lines[[0, 2]])
     np.testing.assert_array_equal(part.lengths, found.lengths[[0, 2]])
     np.testing.assert_array_equal(part.reaches, found.reaches[[0, 2]])

@@ -25,7 +25,7 @@ def line_image(*lines: tuple[int, int, int, int], size: int = 300) -> UInt8Array
 
 
 def centerline(lines: UInt8Array, width: int = 21) -> Centerline:
-    """Take lines as the axis of roads of a width in pixels."""
+    """Take lines as the axis of roads of a width in pixels; a pixel is a metre."""
     road = cv2.dilate(lines, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width)))
     return Centerline.of(binary_image(lines), binary_image(road))
 
@@ -74,12 +74,10 @@ def test_merged_points_are_averages_and_none_are_near(points: list[tuple[int, in
 
 # --- Harris corners --------------------------------------------------------------------------------------------------
 
-ONE_M = 1.0  # a metre a pixel: settings in metres are pixels
-
 
 def test_harris_finds_the_crossing_of_two_lines() -> None:
     line = centerline(line_image((150, 0, 150, 299), (0, 100, 299, 100)))
-    found = find_candidates(line, ONE_M, HarrisCandidates())
+    found = find_candidates(line, HarrisCandidates())
     assert len(found.positions) == 1
     assert math.dist(found.positions[0], (150, 100)) < 5
     assert found.widths[0] >= 20
@@ -88,7 +86,7 @@ def test_harris_finds_the_crossing_of_two_lines() -> None:
 def test_harris_finds_nothing_on_a_straight_line() -> None:
     line = centerline(line_image((150, -10, 150, 310)))
     inner = HarrisCandidates(min_score=0)
-    positions = find_candidates(line, ONE_M, inner).positions
+    positions = find_candidates(line, inner).positions
     assert all(min(p[1], 299 - p[1]) < 12 for p in positions)  # the window's edge is a corner, if anything
 
 
@@ -104,8 +102,8 @@ def test_weak_corners_are_left_out_by_their_share_of_the_best() -> None:
 
 def test_harris_corners_nearer_than_the_merging_distance_are_one() -> None:
     lines = line_image((150, 0, 150, 299), (0, 100, 150, 100), (150, 130, 299, 130))
-    apart = find_candidates(centerline(lines), ONE_M, HarrisCandidates(merge_m=10))
-    merged = find_candidates(centerline(lines), ONE_M, HarrisCandidates(merge_m=50))
+    apart = find_candidates(centerline(lines), HarrisCandidates(merge_m=10))
+    merged = find_candidates(centerline(lines), HarrisCandidates(merge_m=50))
     assert len(apart.positions) == 2
     assert len(merged.positions) == 1
     assert abs(merged.positions[0, 1] - 115) < 6
@@ -116,7 +114,7 @@ def test_harris_corners_nearer_than_the_merging_distance_are_one() -> None:
 
 def crossings(lines: UInt8Array, width: int = 21, **settings: float) -> tuple[FloatArray, FloatArray]:
     values = {"merge_widths": 1.0, "merge_min_m": 4.0, "merge_max_m": 100.0} | settings
-    found = find_candidates(centerline(lines, width), ONE_M, CrossingCandidates(**values))
+    found = find_candidates(centerline(lines, width), CrossingCandidates(**values))
     return found.positions, found.widths
 
 
@@ -164,7 +162,7 @@ def test_width_of_a_candidate_is_the_widest_of_its_junctions() -> None:
     road[151:, 131:] = 0  # one side of the second junction is narrow
     narrowed = Centerline.of(line.image, binary_image(road))
     config = CrossingCandidates(merge_widths=1, merge_min_m=40, merge_max_m=100)
-    (width,) = find_candidates(narrowed, ONE_M, config).widths
+    (width,) = find_candidates(narrowed, config).widths
     junctions = np.flatnonzero(narrowed.degrees >= 3).astype(np.int32)
     widths = narrowed.widths(junctions)
     assert len(set(widths.tolist())) == 2
@@ -173,7 +171,7 @@ def test_width_of_a_candidate_is_the_widest_of_its_junctions() -> None:
 
 @pytest.mark.parametrize("config", [HarrisCandidates(), CrossingCandidates()])
 def test_no_line_no_candidates(config: HarrisCandidates | CrossingCandidates) -> None:
-    found = find_candidates(centerline(line_image()), ONE_M, config)
+    found = find_candidates(centerline(line_image()), config)
     assert found.positions.shape == (0, 2)
     assert found.widths.shape == (0,)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -32,16 +31,15 @@ def fork(*arms: list[tuple[float, float]], half: float = HALF, stem_half: float 
     ends = [arm[-2:] if len(arm) > 1 else [NODE, *arm] for arm in arms]
     points = [(200.0, 60.0), *(end[1] for end in ends)]
     angles = [math.atan2(end[1][1] - end[0][1], end[1][0] - end[0][0]) for end in ends]
-    lines = branches(points, [270.0, *np.degrees(angles)], candidate=CROTCH, inner=70)
-    spans = np.full(len(points), 60.0)
-    halves = np.array([stem_half, *(half for _ in arms)]) + 1.0  # to the middle of the first pixel beside the road
-    return replace(lines, spans=spans, halves=halves), road
+    found = branches(points, [270.0, *np.degrees(angles)], candidate=CROTCH, inner=70, length=60.0)
+    found.lines["half_width"] = np.array([stem_half, *(half for _ in arms)]) + 1.0  # to the first pixel beside the road
+    return found, road
 
 
 def found_at(lines: Branches, road: UInt8Array) -> tuple[int, FloatArray]:
     """Return the stem and the place of the fork."""
     words = binary_image(road).words
-    stem, row, col = find_fork(lines.directions, lines.points, lines.halves, lines.candidate, lines.inner, words)
+    stem, row, col = find_fork(lines.lines, lines.candidate, lines.inner, words)
     return stem, lines.candidate + np.array([row, col])
 
 
@@ -59,8 +57,9 @@ def test_arms_that_bend_on_their_way_part_where_the_road_widens() -> None:
     stem, place = found_at(lines, road)
     assert stem == 0
     assert math.dist(place, NODE) < 10.0
-    by_lines = refine(replace(lines, halves=np.zeros(3)), 2.0, binary_image(road)).position
     by_fork = refine(lines, 2.0, binary_image(road)).position
+    lines.lines["half_width"] = 0.0
+    by_lines = refine(lines, 2.0, binary_image(road)).position
     assert math.dist(by_lines, NODE) > 50.0
     assert math.dist(by_fork, NODE) < 45.0  # it weighs one and a half lines
 
@@ -93,16 +92,20 @@ def test_branches_of_which_none_is_led_on_by_all_others_are_no_fork(arms_deg: tu
 
 
 @pytest.mark.parametrize("branch", [0, 1])
-def test_stem_and_two_arms_without_lines_make_no_fork(branch: int) -> None:
-    lines, road = fork([(100.0, 330.0)], [(300.0, 330.0)])
-    unknown = lines.points.copy()
-    unknown[branch] = 0.0
-    assert found_at(replace(lines, points=unknown), road)[0] == -1
+def test_branch_without_a_line_leads_from_the_candidate_through_its_mean(branch: int) -> None:
+    lines, road = fork([(110.0, 330.0)], [(290.0, 330.0)])
+    struck = lines.lines[branch]
+    away = struck["point"] - lines.candidate
+    struck["direction"], struck["length"], struck["weight"] = away / math.hypot(*away), 0.0, 0.0
+    stem, place = found_at(lines, road)
+    assert stem == 0
+    np.testing.assert_allclose(place, NODE, atol=8.0)
 
 
 def test_stem_of_unknown_width_makes_no_fork() -> None:
     lines, road = fork([(100.0, 330.0)], [(300.0, 330.0)])
-    assert found_at(replace(lines, halves=np.array([0.0, HALF, HALF])), road)[0] == -1
+    lines.lines["half_width"][0] = 0.0
+    assert found_at(lines, road)[0] == -1
 
 
 def plain_misfit(edges: FloatArray, place: int, half: float, arms: FloatArray) -> float:

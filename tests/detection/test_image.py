@@ -25,7 +25,7 @@ def test_array_need_not_be_contiguous_or_binary() -> None:
 
 
 def test_empty_image_has_no_pixels() -> None:
-    rows, cols = BinaryImage.empty(4, 70).pixels()
+    rows, cols = BinaryImage.empty(4, 70, 1.0).pixels()
     assert rows.size == cols.size == 0
 
 

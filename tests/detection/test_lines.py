@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from interloc.arrays import StructuredArray, UInt8Array
 from interloc.detection.centerline import Centerline
 from interloc.detection.image import BinaryImage
-from interloc.detection.lines import LIMITS, LINE, _fit_circle, _square_stems, fit_lines
+from interloc.detection.lines import FIT, INNER_RINGS, LINE, _fit_circle, _square_stems, fit_lines
 from interloc.kernels.bits import NOWHERE
 from interloc.kernels.skeleton import trace_branches
 from interloc.kernels.thinning import thin
@@ -38,10 +39,9 @@ def fit(
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), inner, 60.0, 5.0
     )
-    limits = np.array((width, inner, length, shortest, 20.0, straight, trim, 99.0, RING_PX, 1.5), LIMITS)[()]
-    no_surface = BinaryImage.empty(image.height, image.width)  # so there are no edges to follow
-    pixels = line.rows, line.cols, line.border_distance, line.is_tip
-    return fit_lines(no_surface.words, NOWHERE, *pixels, traced, is_main, pieces, place, limits)
+    given = np.array((*place, width, inner, length, shortest, 20.0, straight, trim, 99.0, RING_PX, 1.5), FIT)[()]
+    no_surface = np.zeros_like(image.words)  # so there are no edges to follow
+    return fit_lines(given, line.pixels, traced, is_main, pieces, no_surface, NOWHERE)
 
 
 def cross(size: int = 201) -> UInt8Array:
@@ -118,12 +118,12 @@ def test_roads_side_by_side_begin_at_the_inner_circle() -> None:
         image[100 + sense * diagonal, 100 + diagonal] = 1
         image[row, 115:190] = 1
     carriageways = fit(binary_image(image), (100, 100), inner=25.0, width=40.0)
-    np.testing.assert_allclose(carriageways["start"], 25.0, atol=RING_PX)
+    assert carriageways["first"].tolist() == [INNER_RINGS] * 2
     for row in range(115, 190):  # the lower one turns away by 20 degrees, so that they come from one place
         image[115, row] = 0
         image[115 + round(0.36 * (row - 115)), row] = 1
     fork = fit(binary_image(image), (100, 100), inner=25.0, width=40.0)
-    assert fork["start"].min() > 25.0 + 2 * RING_PX
+    assert fork["first"].min() > INNER_RINGS + 2
 
 
 def test_longer_line_weighs_more() -> None:
@@ -302,16 +302,15 @@ def other_ground(*strips: tuple[int, int]) -> UInt8Array:
 def line_of_road(road: UInt8Array, other: UInt8Array | None) -> StructuredArray:
     """Fit the line of a road that leaves a candidate to the right."""
     surface = binary_image(road)
-    thinned = BinaryImage(surface.words.copy(), surface.height, surface.width)
+    thinned = replace(surface, words=surface.words.copy())
     thin(thinned.words)
     line, place = Centerline.of(thinned, surface), np.array((AXIS, 20.0))
     traced, is_main, pieces = trace_branches(
         line.rows, line.cols, line.neighbours, place, np.empty((0, 2)), 10.0, 150.0, 5.0
     )
-    limits = np.array((21.0, 10.0, 140.0, 75.0, 75.0, 1.25, 0.0, 99.0, RING_PX, 1.5), LIMITS)[()]
+    given = np.array((*place, 21.0, 10.0, 140.0, 75.0, 75.0, 1.25, 0.0, 99.0, RING_PX, 1.5), FIT)[()]
     against = NOWHERE if other is None else binary_image(other).words
-    pixels = line.rows, line.cols, line.border_distance, line.is_tip
-    (row,) = fit_lines(surface.words, against, *pixels, traced, is_main, pieces, place, limits)
+    (row,) = fit_lines(given, line.pixels, traced, is_main, pieces, surface.words, against)
     return row
 
 

@@ -14,7 +14,7 @@ from tests.images import binary_image
 
 def infer(image: UInt8Array, **metres: float) -> UInt8Array:
     """Take 10 cm pixels."""
-    return infer_occupancy(binary_image(image), 0.1, OccupancyConfig(**metres)).to_array()
+    return infer_occupancy(binary_image(image, 0.1), OccupancyConfig(**metres)).to_array()
 
 
 @pytest.mark.parametrize(
@@ -77,9 +77,9 @@ def test_discs_of_no_size_change_nothing() -> None:
 
 
 def test_input_is_left_as_it_was() -> None:
-    bev = binary_image(np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8))
+    bev = binary_image(np.random.default_rng(0).integers(0, 2, (70, 70), np.uint8), 0.1)
     before = bev.words.copy()
-    infer_occupancy(bev, 0.1, OccupancyConfig())
+    infer_occupancy(bev, OccupancyConfig())
     np.testing.assert_array_equal(bev.words, before)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -14,6 +13,7 @@ from scipy.optimize import least_squares, minimize
 
 from interloc.arrays import FloatArray
 from interloc.detection.branches import Branches
+from interloc.detection.lines import LINE
 from interloc.detection.refinement import MAX_SHIFTS, ROUNDS, SIDE_BY_SIDE_COS, TOLERANCE, refine
 from tests.images import binary_image
 
@@ -25,32 +25,32 @@ def branches(
     candidate: tuple[float, float] = (0.0, 0.0),
     inner: float = 1e6,
     weights: list[float] | None = None,
+    length: float | FloatArray = math.inf,
 ) -> Branches:
-    """Lay a line through each point, in the direction of an angle."""
+    """Lay a line through each point, in the direction of an angle; none where the weight is 0."""
     angles = np.radians(angles_deg)
     directions = np.column_stack([np.cos(angles), np.sin(angles)])
-    weight = np.ones(len(points)) if weights is None else np.array(weights)
+    lines = np.zeros(len(points), LINE)
+    lines["point"], lines["direction"] = np.reshape(points, (-1, 2)), directions
+    lines["weight"] = 1.0 if weights is None else weights
+    lines["length"] = np.where(lines["weight"] > 0.0, length, 0.0)
     return Branches(
         index=0,
         candidate=np.array(candidate, float),
         inner=float(inner),  # kernels are compiled for these alone
-        directions=directions.reshape(-1, 2),
-        points=np.array(points).reshape(-1, 2),
-        weights=weight,
-        spans=np.full(len(points), np.inf),
-        halves=np.zeros(len(points)),
-        bends=np.zeros((len(points), 2)),
+        lines=lines,
         lengths=np.full(len(points), 50.0),
         reaches=np.full(len(points), 60.0),
         core=np.empty((0, 2)),
+        resolution_m=1.0,
     )
 
 
 def residuals(p: FloatArray, given_branches: Branches) -> FloatArray:
     """Return the distance of a point from each line, times the root of its weight."""
-    away = given_branches.points - p
-    across = away[:, 0] * given_branches.directions[:, 1] - away[:, 1] * given_branches.directions[:, 0]
-    return across * np.sqrt(given_branches.weights)
+    away, directions = given_branches.lines["point"] - p, given_branches.lines["direction"]
+    across = away[:, 0] * directions[:, 1] - away[:, 1] * directions[:, 0]
+    return across * np.sqrt(given_branches.lines["weight"])
 
 
 def test_two_lines_meet_where_they_cross() -> None:
@@ -82,7 +82,7 @@ def test_point_is_that_of_a_general_least_squares_solver(seed: int, count: int) 
     strict = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
     expected = least_squares(residuals, np.zeros(2), jac="3-point", args=(lines,), **strict).x
     np.testing.assert_allclose(found.position, expected, atol=1e-6)
-    mean_square = np.sum(residuals(found.position, lines) ** 2) / lines.weights.sum()
+    mean_square = np.sum(residuals(found.position, lines) ** 2) / lines.lines["weight"].sum()
     assert found.residual == pytest.approx(math.sqrt(mean_square), abs=1e-9)
 
 
@@ -98,7 +98,6 @@ def test_line_without_weight_does_not_count() -> None:
     three = branches([(3.0, 100.0), (70.0, 5.0), (900.0, 900.0)], [90, 0, 30], weights=[1, 1, 0])
     np.testing.assert_allclose(refine(three).position, refine(two).position)
     assert refine(three).residual == pytest.approx(0, abs=1e-9)
-    assert len(refine(three).directions) == 3
 
 
 def test_weights_matter_relative_to_each_other_only() -> None:
@@ -191,26 +190,29 @@ def test_point_with_the_candidate_is_that_of_a_general_solver(seed: int, weight:
 
 def plain_reweighted(given_branches: Branches, prior_weight: float) -> FloatArray:
     """Return the point after four rounds of reweighted least squares, on road that ends nowhere."""
-    b, inner = given_branches, given_branches.inner
-    normals = np.column_stack([b.directions[:, 1], -b.directions[:, 0]])
-    offsets = np.sum(normals * (b.points - b.candidate), axis=1)
-    pairs = [(u @ v, u + v) for u, v in combinations(b.directions[b.weights > 0], 2) if u @ v < SIDE_BY_SIDE_COS]
+    candidate, inner = given_branches.candidate, given_branches.inner
+    points, directions, spans, heavy = (
+        given_branches.lines[name] for name in ("point", "direction", "length", "weight")
+    )
+    normals = np.column_stack([directions[:, 1], -directions[:, 0]])
+    offsets = np.sum(normals * (points - candidate), axis=1)
+    pairs = [(u @ v, u + v) for u, v in combinations(directions, 2) if u @ v < SIDE_BY_SIDE_COS]
     cosine, middle = max(pairs, key=lambda pair: pair[0])
     farther = max(1.0, math.sin(math.pi / 4) / math.sin(0.5 * math.acos(cosine)))
     along = np.outer(middle, middle) / (middle @ middle)
     prior = prior_weight * (np.eye(2) - along + along / farther**4)
 
     def variance(p: FloatArray) -> FloatArray:
-        return 1.0 + 12.0 * (np.sum((p - b.points) * b.directions, axis=1) / b.spans) ** 2
+        return 1.0 + 12.0 * (np.sum((p - points) * directions, axis=1) / spans) ** 2
 
     shift = np.zeros(2)
     for _ in range(ROUNDS):
         off = (normals @ shift - offsets) / (TOLERANCE * inner)
-        weights = b.weights * variance(b.candidate) / variance(b.candidate + shift) / (1.0 + off**2) ** 2
+        weights = heavy * variance(candidate) / variance(candidate + shift) / (1.0 + off**2) ** 2
         normal_matrix = (normals.T * weights) @ normals + prior
         shift = np.linalg.solve(normal_matrix, normals.T @ (weights * offsets))
         shift *= min(1.0, MAX_SHIFTS * inner / math.hypot(*shift))
-    return b.candidate + shift
+    return candidate + shift
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 12.0, 40.0]))
@@ -219,10 +221,8 @@ def test_point_on_the_road_is_that_of_reweighted_least_squares(seed: int, inner:
     points = [(math.cos(angle) * 40.0 + 100.0, math.sin(angle) * 40.0 + 100.0) for angle in (0.0, 1.6, 3.5)]
     angles_deg = (np.degrees([0.0, 1.6, 3.5]) + generator.normal(0.0, 20.0, 3)).tolist()
     weights = generator.uniform(0.5, 9.0, 3).tolist()
-    lines = replace(
-        branches(points, angles_deg, candidate=(100.0, 100.0), inner=inner, weights=weights),
-        spans=generator.uniform(20.0, 90.0, 3),
-    )
+    spans = generator.uniform(20.0, 90.0, 3)
+    lines = branches(points, angles_deg, candidate=(100.0, 100.0), inner=inner, weights=weights, length=spans)
     road = binary_image(np.ones((200, 200), np.uint8))
     found = refine(lines, 0.25, road)
     assume(math.isfinite(found.residual))  # not near-parallel
@@ -232,13 +232,13 @@ def test_point_on_the_road_is_that_of_reweighted_least_squares(seed: int, inner:
 def on_open_road(lines: Branches, prior_weight: float) -> FloatArray:
     """Return the point on road that ends nowhere."""
     road = binary_image(np.ones((400, 400), np.uint8))
-    return refine(replace(lines, spans=np.full(lines.count, 60.0)), prior_weight, road).position
+    return refine(lines, prior_weight, road).position
 
 
 def test_candidate_of_an_acute_pair_holds_the_point_across_it_but_hardly_along_it() -> None:
     """The surfaces of roads at 40 degrees part, and the centerline branches, far from where their axes meet."""
     points = [(200.0, 140.0), (200.0, 200.0), (200.0, 200.0)]
-    acute = branches(points, [90, 20, -20], candidate=(240, 200), inner=60, weights=[0.1, 9, 9])
+    acute = branches(points, [90, 20, -20], candidate=(240, 200), inner=60, weights=[0.1, 9, 9], length=60.0)
     row, col = on_open_road(acute, 4.0)
     assert col == pytest.approx(200.0, abs=0.1)
     assert row < 206.0  # as heavy along the road as across it, it would hold the point at 226
@@ -247,7 +247,7 @@ def test_candidate_of_an_acute_pair_holds_the_point_across_it_but_hardly_along_i
 def test_candidate_between_two_carriageways_is_as_well_known_as_that_of_a_crossing() -> None:
     """Roads side by side meet nowhere, so they do not say that the centerline branches far off."""
     points = [(140.0, 212.0), (200.0, 260.0), (230.0, 260.0)]  # the stem runs beside the candidate
-    dual = branches(points, [180, 90, 89], candidate=(200, 200), inner=60, weights=[0.1, 9, 0.1])
+    dual = branches(points, [180, 90, 89], candidate=(200, 200), inner=60, weights=[0.1, 9, 0.1], length=60.0)
     assert on_open_road(dual, 4.0)[1] == pytest.approx(200.0, abs=1.0)
 
 

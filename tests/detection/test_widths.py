@@ -7,6 +7,7 @@ import pytest
 
 from interloc.arrays import FloatArray
 from interloc.detection.image import BinaryImage
+from interloc.detection.lines import LINE
 from interloc.detection.widths import branch_widths
 from tests.images import binary_image
 
@@ -27,8 +28,9 @@ def widths_of(roads: dict[float, float], branches: tuple[float, ...]) -> FloatAr
         dr, dc = ray(angle_deg)
         along, across = (ROWS - 200) * dr + (COLS - 200) * dc, (ROWS - 200) * dc - (COLS - 200) * dr
         image |= ((along >= 0) & (np.abs(across) * RESOLUTION_M <= width_m / 2)).astype(np.uint8)
-    directions = np.array([ray(angle_deg) for angle_deg in branches])
-    return branch_widths(MIDDLE, directions, np.zeros((len(branches), 2)), binary_image(image), RESOLUTION_M)
+    lines = np.zeros(len(branches), LINE)
+    lines["direction"] = [ray(angle_deg) for angle_deg in branches]
+    return branch_widths(MIDDLE, lines, binary_image(image, RESOLUTION_M))
 
 
 @pytest.mark.parametrize("angle_deg", [30, 45, 90, 140])
@@ -48,4 +50,4 @@ def test_branches_side_by_side_share_a_road() -> None:
 
 
 def test_no_branches_have_no_widths() -> None:
-    assert branch_widths(MIDDLE, *np.zeros((2, 0, 2)), BinaryImage.empty(401, 401), RESOLUTION_M).shape == (0,)
+    assert branch_widths(MIDDLE, np.zeros(0, LINE), BinaryImage.empty(401, 401, RESOLUTION_M)).shape == (0,)

@@ -61,6 +61,7 @@ def make_run(
             bearings_deg=[np.array([0.0, 90.0, 180.0])] * len(det),
             score=np.ones(len(det)),
             intersection=np.full(len(det), -1, dtype=np.int64),
+            widths_m=[np.full(3, np.nan)] * len(det),
         ),
         intersections=IntersectionTable(
             id=np.arange(1, count + 1),
@@ -72,6 +73,7 @@ def make_run(
             bearings_deg=[np.array([0.0, 90.0, 180.0])] * count,
             first_frame=np.zeros(count, dtype=np.int64),
             last_frame=np.zeros(count, dtype=np.int64),
+            widths_m=[np.full(3, np.nan)] * count,
         ),
         trajectory_world_xy=world,
         trajectory_lonlat=lonlat(key_enu) if georeferenced else None,

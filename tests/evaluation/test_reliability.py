@@ -25,7 +25,7 @@ def test_an_error_counts_in_units_of_its_own_covariance() -> None:
     ids = np.arange(1, 4)
     zero = np.zeros((3, 2))
     covariance = np.array([[4.0, 0.0, 1.0], [0.25, 0.0, 0.25], [1.0, 0.0, 1.0]])
-    table = IntersectionTable(ids, zero, lonlat, np.ones(3), ids, np.ones(3), [], ids, ids, covariance)
+    table = IntersectionTable(ids, zero, lonlat, np.ones(3), ids, np.ones(3), [], ids, ids, [], covariance)
     node, counts = np.array([1, 0, -1]), np.ones(3, dtype=np.bool_)
     level = MapLevel(node, np.array([2.2, 1.0, np.inf]), counts, counts[:2], counts[:2], 10.0)
     assert squared_errors(table, level, nodes) == pytest.approx([2.0, 4.0, np.nan], rel=1e-4, nan_ok=True)

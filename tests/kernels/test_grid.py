@@ -120,7 +120,7 @@ def test_window_is_a_slice_of_the_plain_twin(seed: int, left: int, top: int, siz
     first_col, last_col = left // TILE - FIRST, (left + size - 1) // TILE - FIRST
     first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
     window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
-    image = BinaryImage.empty(size, size)
+    image = BinaryImage.empty(size, size, 1.0)
     threshold_window(pool, window, left, top, size, least, 0.0, image.words, NOWHERE)
     counts = plain_counts(cells)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
     np.testing.assert_array_equal(image.to_array(), counts[::-1] >= least)
@@ -137,7 +137,7 @@ def test_cells_with_more_votes_against_road_are_in_an_image_of_their_own(
     first_col, last_col = left // TILE - FIRST, (left + size - 1) // TILE - FIRST
     first_row, last_row = (top - size + 1) // TILE - FIRST, top // TILE - FIRST
     window = table[first_row : last_row + 1, first_col : last_col + 1].copy()
-    road, alone, against = (BinaryImage.empty(size, size) for _ in range(3))
+    road, alone, against = (BinaryImage.empty(size, size, 1.0) for _ in range(3))
     threshold_window(pool, window, left, top, size, 1, weight, road.words, against.words)
     threshold_window(pool, window, left, top, size, 1, weight, alone.words, NOWHERE)
     counts = counts_of(pool, table)[top - size + 1 - EDGE : top + 1 - EDGE, left - EDGE : left + size - EDGE]
@@ -149,7 +149,7 @@ def test_cells_with_more_votes_against_road_are_in_an_image_of_their_own(
 def test_tile_that_does_not_exist_is_empty() -> None:
     pool = np.full((1, TILE * TILE), 7, np.int32)
     table = np.array([[-1, 0], [-1, -1]], np.int32)
-    image = BinaryImage.empty(100, 100)
+    image = BinaryImage.empty(100, 100, 1.0)
     threshold_window(pool, table, TILE - 50, TILE + 29, 100, 5, 0.0, image.words, NOWHERE)
     expected = np.zeros((100, 100), np.uint8)
     expected[30:, 50:] = 1  # rows go down: the lower tile row is the lower part of the image
@@ -161,7 +161,7 @@ def test_votes_are_pooled_across_tiles() -> None:
     table = np.array([[0, 1]], np.int32)
     for ix, votes in ((TILE - 1, 1), (TILE, -1), (TILE + 4, 2), (TILE + 5, -1)):
         pool[ix // TILE, 10 * TILE + ix % TILE] = votes
-    image = BinaryImage.empty(20, 20)
+    image = BinaryImage.empty(20, 20, 1.0)
     threshold_window(pool, table, TILE - 10, 19, 20, 1, 1.0, image.words, NOWHERE)
     np.testing.assert_array_equal(np.argwhere(image.to_array()), [[9, 14]])
 

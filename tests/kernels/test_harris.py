@@ -90,7 +90,7 @@ def test_corner_scores_high_and_line_low() -> None:
 
 
 def test_image_without_lines_has_no_scores() -> None:
-    empty = BinaryImage.empty(20, 20)
+    empty = BinaryImage.empty(20, 20, 1.0)
     rows, cols = empty.pixels()
     scores = harris_scores(empty.words, rows, cols, 9, 0.04)
     assert scores.size == 0

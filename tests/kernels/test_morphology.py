@@ -41,13 +41,13 @@ def plain_erode(image: UInt8Array, diameter: int) -> UInt8Array:
 def our_dilate(image: UInt8Array, diameter: int) -> UInt8Array:
     packed = binary_image(image)
     words = dilate(packed.words, disc_half_widths(diameter), packed.width)
-    return BinaryImage(words, packed.height, packed.width).to_array()
+    return BinaryImage(words, packed.height, packed.width, 1.0).to_array()
 
 
 def our_erode(image: UInt8Array, diameter: int) -> UInt8Array:
     packed = binary_image(image)
     words = erode(packed.words, disc_half_widths(diameter), packed.width)
-    return BinaryImage(words, packed.height, packed.width).to_array()
+    return BinaryImage(words, packed.height, packed.width, 1.0).to_array()
 
 
 @st.composite

@@ -58,7 +58,7 @@ def thinned_blobs(seed: int, size: int = 130) -> tuple[BinaryImage, BinaryImage]
     """Return the axis of random smooth shapes, and the shapes."""
     noise = np.random.default_rng(seed).normal(size=(size, size)).astype(np.float32)
     shape = binary_image((cv2.GaussianBlur(noise, (0, 0), 4) > 0).astype(np.uint8))
-    line = BinaryImage(shape.words.copy(), size, size)
+    line = BinaryImage(shape.words.copy(), size, size, 1.0)
     thin(line.words)
     return line, shape
 

@@ -7,7 +7,7 @@ import numpy as np
 from interloc.geometry import wrap_angle
 from interloc.localization.sightings import sightings_of
 from interloc.localization.track import track_of
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, unknown_like
 
 CROSSING = np.array([40.0, 5.0])
 
@@ -26,11 +26,18 @@ def run_over(poses: np.ndarray, keyframes: list[int]) -> DriveResult:
     world = np.tile(CROSSING, (len(rows), 1))
     bearings = [np.array([0.0, 90.0, 270.0]) for _ in rows]  # along +y, +x, -x
     detections = DetectionTable(
-        rows, world - poses[rows, :2, 3], world, None, bearings, np.ones(len(rows)), np.full(len(rows), -1)
+        rows,
+        world - poses[rows, :2, 3],
+        world,
+        None,
+        bearings,
+        np.ones(len(rows)),
+        np.full(len(rows), -1),
+        unknown_like(bearings),
     )
     none = np.zeros(0)
     ids = np.zeros(0, dtype=np.int64)
-    fused = IntersectionTable(ids, np.zeros((0, 2)), None, none, ids, none, [], ids, ids)
+    fused = IntersectionTable(ids, np.zeros((0, 2)), None, none, ids, none, [], ids, ids, [])
     return DriveResult("made", table, detections, fused, poses[:, :2, 3], None)
 
 

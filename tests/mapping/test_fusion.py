@@ -23,7 +23,7 @@ from interloc.drive import Georeference
 from interloc.geometry import enu_from_lonlat, lonlat_from_enu, rotate_2d, rotation_from_rpy
 from interloc.mapping.fusion import fuse
 from interloc.mapping.georeferencing import build_tables
-from interloc.results import DetectionTable, IntersectionTable, KeyframeTable
+from interloc.results import DetectionTable, IntersectionTable, KeyframeTable, unknown_like
 
 ORIGIN = (49.011, 8.42)  # latitude, longitude
 
@@ -94,6 +94,7 @@ class Stream:
                         world_xy=seen + drift,
                         branch_angles_rad=angles,
                         score=rng.uniform(0.5, 1.0, len(seen)),
+                        branch_widths_m=unknown_like(angles),
                     )
                 )
                 fixes.append((place + offset, yaw))
@@ -209,6 +210,7 @@ def one_detection(keyframes: KeyframeTable, row: int, world_xy: FloatArray) -> D
         bearings_deg=[np.array([0.0, 120.0, 240.0])],
         score=np.array([0.9]),
         intersection=np.array([-1]),
+        widths_m=[np.full(3, np.nan)],
     )
 
 
@@ -225,6 +227,7 @@ def test_a_place_falsely_seen_in_a_few_keyframes_of_many_is_dropped() -> None:
         bearings_deg=[np.array([0.0, 90.0, 180.0])] * 4,
         score=np.full(4, 0.8),
         intersection=np.full(4, -1),
+        widths_m=[np.full(3, np.nan)] * 4,
     )
     both_kinds = DetectionTable(
         keyframe=np.concatenate([detections.keyframe, extra.keyframe]),
@@ -234,6 +237,7 @@ def test_a_place_falsely_seen_in_a_few_keyframes_of_many_is_dropped() -> None:
         bearings_deg=[*detections.bearings_deg, *extra.bearings_deg],
         score=np.concatenate([detections.score, extra.score]),
         intersection=np.concatenate([detections.intersection, extra.intersection]),
+        widths_m=[*detections.widths_m, *extra.widths_m],
     )
     intersections, assignment = fuse(keyframes, both_kinds)
     assert len(intersections) == 1
@@ -448,6 +452,7 @@ def test_the_order_of_the_detections_does_not_matter(seed: int) -> None:
         bearings_deg=[detections.bearings_deg[row] for row in order],
         score=detections.score[order],
         intersection=detections.intersection[order],
+        widths_m=[detections.widths_m[row] for row in order],
     )
     a, of_a = fuse(keyframes, detections)
     b, of_b = fuse(keyframes, shuffled)
@@ -495,14 +500,16 @@ def test_any_detections_make_a_map_of_the_right_form(data: st.DataObject) -> Non
     keyframe = np.sort(data.draw(st.lists(st.integers(0, len(keyframes) - 1), min_size=n, max_size=n)))
     xy = np.array(data.draw(st.lists(st.tuples(near, near), min_size=n, max_size=n))).reshape(-1, 2)
     bearing = st.lists(st.floats(0, 360, exclude_max=True), max_size=4)
+    bearings = [np.array(data.draw(bearing)) for _ in range(n)]
     detections = DetectionTable(
         keyframe=np.array(keyframe, dtype=np.int64),
         lidar_xy=xy - keyframes.world_xy[np.array(keyframe, dtype=np.int64)],
         world_xy=xy,
         lonlat=None,
-        bearings_deg=[np.array(data.draw(bearing)) for _ in range(n)],
+        bearings_deg=bearings,
         score=np.array(data.draw(st.lists(st.floats(0, 1), min_size=n, max_size=n)), dtype=float),
         intersection=np.full(n, -1),
+        widths_m=unknown_like(bearings),
     )
     for config in (FusionConfig(), FusionConfig(min_observations=1, min_confidence=0)):
         intersections, assignment = fuse(keyframes, detections, config)
@@ -525,6 +532,7 @@ def test_thousands_of_detections_take_little_memory(spread_m: float) -> None:
         bearings_deg=[np.array([0.0, 90.0, 180.0])] * n,
         score=rng.random(n),
         intersection=np.full(n, -1),
+        widths_m=[np.full(3, np.nan)] * n,
     )
     tracemalloc.start()
     fuse(keyframes, detections)

@@ -39,6 +39,7 @@ def keyframe(
         world_xy=rotate_2d(lidar, yaw) + T_world_lidar[:2, 3],
         branch_angles_rad=[np.array(a) for a in angles],
         score=np.full(len(lidar), 0.5),
+        branch_widths_m=[np.full(len(a), np.nan) for a in angles],
     )
 
 

@@ -21,7 +21,7 @@ from interloc.output.geojson import box_around
 from interloc.output.layout import result_folder
 from interloc.output.read import read_results
 from interloc.output.write import write_results
-from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable
+from interloc.results import DetectionTable, DriveResult, IntersectionTable, KeyframeTable, unknown_like
 from tests.output.small import small_result, write_folder
 
 
@@ -277,7 +277,7 @@ def results(draw: st.DrawFn) -> DriveResult:
     def frames(n: int) -> np.ndarray:
         return column(st.integers(0, 10**6), n, np.int64)
 
-    seen = [draw(compass) for _ in range(d)]
+    seen, bearings = [draw(compass) for _ in range(d)], [draw(compass) for _ in range(m)]
     yaws = st.floats(-math.pi, math.pi)
     step = st.integers(1, 50)
     return DriveResult(
@@ -307,7 +307,8 @@ def results(draw: st.DrawFn) -> DriveResult:
             position_std_m=column(st.floats(0, 100), m),
             observations=frames(m),
             confidence=column(shares, m),
-            bearings_deg=[draw(compass) for _ in range(m)],
+            bearings_deg=bearings,
+            widths_m=unknown_like(bearings),
             first_frame=frames(m),
             last_frame=frames(m),
             position_cov_m2=column(st.floats(-1e4, 1e4), 3 * m).reshape(m, 3),

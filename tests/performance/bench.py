@@ -111,7 +111,7 @@ def kernels(root: Path) -> dict[str, float]:
     line, disc = steps.centerline.image.to_array(), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
     words = steps.occupancy.words
     return {
-        "closing and opening, ours": best_ms(lambda: infer_occupancy(steps.bev, 0.16, PAPER.occupancy)),
+        "closing and opening, ours": best_ms(lambda: infer_occupancy(steps.bev, PAPER.occupancy)),
         "closing and opening, OpenCV": best_ms(
             lambda: cv2.morphologyEx(cv2.morphologyEx(bev, cv2.MORPH_CLOSE, disc), cv2.MORPH_OPEN, disc)
         ),
