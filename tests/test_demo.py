@@ -17,8 +17,10 @@ import pytest
 
 from app.demo.work import prepare
 from app.demo.work import run as simulate
+from app.settings import Settings
+from app.work.documents import DemoJob
 from app.work.places import UNPACKED
-from app.work.task import Task
+from app.work.task import Task, WorkSettings
 from interloc.cli.main import run
 from tests.app.processes import NO_TLS
 
@@ -84,7 +86,19 @@ def test_the_drive_is_made_once(demo: Path) -> None:
 def test_the_service_makes_the_same_drive(demo: Path, tmp_path: Path) -> None:
     scratch = tmp_path / "scratch"
     scratch.mkdir()
-    task = Task("demo", "job", "Demo", {}, tmp_path / "drive", scratch, tmp_path / "result", {"max_demo_scans": 3})
+    task = Task(
+        kind="demo",
+        job_id="job",
+        drive_name="Demo",
+        request=DemoJob(),
+        drive=tmp_path / "drive",
+        scratch=scratch,
+        result=tmp_path / "result",
+        cache=tmp_path / "cache",
+        settings=WorkSettings.model_validate(Settings(max_demo_scans=3)),
+        workers=1,
+        attempt="a",
+    )
     (part,) = prepare(task).parts
     simulate(task, part, lambda _: None)
     for name in ("map.osm", "velodyne/000002.bin", "labels/000002.label"):

@@ -16,8 +16,9 @@ from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import active_job, submit
 from app.networks import work as models
-from app.states import DriveState, JobKind, JobState
+from app.states import DriveState, JobKind
 from app.store.models import Drive, Job
+from app.work.documents import CommitJob, CommitOutcome
 from interloc.drives.inspect import DriveReport
 
 
@@ -57,7 +58,8 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
             )
         if request.options is not None:
             drive.options = {**_options_of(drive), **_given(request)}
-            _check_model(context, drive.options.get("model"))
+            if (model := drive.options.get("model")) is not None:
+                models.find(context.settings.models, model)
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
         limit = job_limit(context, owner)
@@ -71,7 +73,6 @@ def _options_of(drive: Drive) -> dict[str, Any]:
 
 
 def _given(request: CommitRequest) -> dict[str, Any]:
-    """Return the options that a request names itself."""
     return {} if request.options is None else request.options.model_dump(mode="json", exclude_unset=True)
 
 
@@ -80,7 +81,7 @@ def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) ->
     in_force, given = {**_options_of(drive), "keep_raw": drive.keep_raw}, _given(request)
     if request.keep_raw is not None:
         given["keep_raw"] = request.keep_raw
-    if running is not None and running.request.get("check_only") and not request.check_only:
+    if running is not None and CommitJob.model_validate(running.request).check_only and not request.check_only:
         in_force["check_only"], given["check_only"] = True, False
     differing = [name for name, value in given.items() if in_force[name] != value]
     others = "; ".join(f"{name} is {in_force[name]!r}, not {given[name]!r}" for name in differing)
@@ -97,12 +98,6 @@ def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) ->
             f"GET /api/v1/jobs/{running.id} shows that the check has ended, or cancel it (DELETE).",
             headers={"Retry-After": "5"},
         )
-
-
-def _check_model(context: Context, name: str | None) -> None:
-    """Refuse a network that the service does not have."""
-    if name is not None:
-        models.find(context.settings.models, name)
 
 
 def queue_commit(
@@ -142,7 +137,7 @@ def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
         drive = find_drive(session, drive_id)
     if job is not None:
         raise_failure(job)
-        if job.state == JobState.SUCCESSFUL and not (job.summary or {}).get("ok"):
+        if job.summary is not None and not CommitOutcome.model_validate(job.summary).ok:
             raise not_sound(drive)
     return drive_model(drive, context.settings)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import secrets
@@ -30,8 +29,8 @@ from app.store import sidecars
 from app.store.database import afterwards
 from app.store.incoming import size_of
 from app.store.models import Drive, DriveFile, Job
-from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
-from app.work.task import Outcome
+from app.work.documents import CommitOutcome, Outcome, UnpackJob
+from app.work.places import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.osm.container import is_map
 
 _log = logging.getLogger(__name__)
@@ -67,7 +66,7 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     session.flush()
     session.refresh(drive)  # the counts of an unpacking were written past it
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
-    archive = job.request.get("archive")
+    archive = UnpackJob.model_validate(job.request).archive if job.kind == JobKind.UNPACK else None
 
     def write_sidecar(_session: Session) -> None:
         with suppress(OSError):  # the clean-up writes what is missing
@@ -90,10 +89,10 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
 def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
     """Make the drive ready, or reopen it with the report of what is wrong."""
     drive.state = DriveState.UPLOADING
-    if isinstance(outcome, Problem):
+    if not isinstance(outcome, CommitOutcome):
         return
-    drive.report = outcome.report
-    if not outcome.summary["ok"] or job.request.get("check_only"):
+    drive.report = None if outcome.report is None else outcome.report.to_dict()
+    if outcome.reduced_bytes is None:
         return
     built = context.storage.folder(f"jobs/{job.id}/result")
     target = context.storage.folder(reduced_key(drive.id))
@@ -114,7 +113,7 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
         if is_map(path)
     ]
     kept = drive.size_bytes if drive.keep_raw else sum(maps)
-    drive.stored_bytes = outcome.summary["reduced_bytes"] + kept
+    drive.stored_bytes = outcome.reduced_bytes + kept
     drive.state = DriveState.READY
 
 
@@ -123,10 +122,10 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
     if isinstance(outcome, Problem):
         return
     scratch = context.storage.folder(f"jobs/{job.id}/scratch")
-    listing = json.loads((scratch / LISTING).read_text())
     incoming = context.storage.incoming()
     arrivals = [
-        Arrival(file["path"], incoming / secrets.token_hex(12), file["size_bytes"], file["sha256"]) for file in listing
+        Arrival(file.path, incoming / secrets.token_hex(12), file.size_bytes, file.sha256)
+        for file in read_listing(scratch)
     ]
     try:
         with session.begin_nested(), Placement(context, drive.id) as placement:

@@ -17,7 +17,7 @@ from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, TypeVarTuple
 
 from app.jobs.hand_out import EXTRA_SLOTS, HandOut, Work
 from app.jobs.worker_limits import WorkerLimitError, memory_of, memory_share
@@ -31,6 +31,7 @@ _log = logging.getLogger(__name__)
 # everything, and does nothing else, it is there at once, also in the place of one that was killed.
 _context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
 
+Given = TypeVarTuple("Given")
 Result = TypeVar("Result")
 
 
@@ -70,9 +71,9 @@ class ProcessExecutor:
 
     def submit(
         self,
-        fn: Callable[..., Result],
+        fn: Callable[[*Given], Result],
         /,
-        *args: Any,  # noqa: ANN401 - whatever can be pickled
+        *args: *Given,
         client: str = "",
         seconds: float = float("inf"),
         urgent: bool = False,

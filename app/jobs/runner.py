@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar, TypeVarTuple
 
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
@@ -30,6 +30,7 @@ from app.work.kinds import URGENT, compile_kernels
 _POLL_S = 0.5
 _log = logging.getLogger(__name__)
 
+Given = TypeVarTuple("Given")
 Returned = TypeVar("Returned")
 
 
@@ -77,7 +78,7 @@ class Runner:
             thread.start()
             self._threads.append(thread)
 
-    async def run_in_worker(self, function: Callable[..., Returned], *args: Any, client: str) -> Returned:  # noqa: ANN401
+    async def run_in_worker(self, function: Callable[[*Given], Returned], *args: *Given, client: str) -> Returned:
         """Call a function in a worker process, before all that waits; once more where the worker dies.
 
         For short work that a request of a client waits for: the server itself stays quick.

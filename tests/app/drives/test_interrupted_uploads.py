@@ -19,8 +19,9 @@ import pytest
 
 from app.drives.work import unpack
 from app.settings import Settings
+from app.work.documents import UnpackJob
 from app.work.places import LISTING, UNPACKED
-from app.work.task import Part, Task
+from app.work.task import Part, Task, WorkSettings
 from tests.app.processes import (
     API,
     ServerProcess,
@@ -176,8 +177,19 @@ def test_files_that_a_killed_attempt_left_without_a_list_are_unpacked_anew(
     left = scratch / UNPACKED / "velodyne"
     left.mkdir(parents=True)
     (left / "000003.bin").write_bytes(b"of before")
-    limits = Settings(data_dir=tmp_path).model_dump(mode="json")
-    task = Task("unpack", "job", "street", {"archive": "archive"}, tmp_path / "drive", scratch, tmp_path, limits, "2")
+    task = Task(
+        kind="unpack",
+        job_id="job",
+        drive_name="street",
+        request=UnpackJob(archive="archive"),
+        drive=tmp_path / "drive",
+        scratch=scratch,
+        result=tmp_path / "result",
+        cache=tmp_path / "cache",
+        settings=WorkSettings.model_validate(Settings()),
+        workers=1,
+        attempt="2",
+    )
     unpack.run(task, Part(0, 0, 1), lambda _done: None)
     listing = json.loads((scratch / LISTING).read_text())
     assert [file["path"] for file in listing] == list(few)

@@ -16,9 +16,11 @@ from hypothesis import strategies as st
 
 from app.jobs.work import intersections
 from app.jobs.work.checkpoints import read_checkpoint, write_checkpoint
+from app.settings import Settings
 from app.work import kinds
+from app.work.documents import IntersectionsJob
 from app.work.progress import ProgressFiles
-from app.work.task import Cancelled, Part, Task
+from app.work.task import Cancelled, Part, Task, WorkSettings
 from interloc.config import preset
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
@@ -120,25 +122,35 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def task(drive: Path, tmp_path: Path) -> Task:
-    request = {"config": preset("default").model_dump(mode="json"), "labels": None, "osm": None}
-    scratch = tmp_path / "scratch"
-    task = Task("intersections", "job", "street", request, drive, scratch, tmp_path / "result", attempt="a")
-    ProgressFiles(task).open()
+def task(drive: Path, tmp_path: Path) -> Task[IntersectionsJob]:
+    task = Task(
+        kind="intersections",
+        job_id="job",
+        drive_name="street",
+        request=IntersectionsJob(config=preset("default")),
+        drive=drive,
+        scratch=tmp_path / "scratch",
+        result=tmp_path / "result",
+        cache=tmp_path / "cache",
+        settings=WorkSettings.model_validate(Settings()),
+        workers=1,
+        attempt="a",
+    )
+    ProgressFiles.of(task).open()
     return task
 
 
-def test_a_part_that_is_done_is_not_done_again(task: Task, tmp_path: Path) -> None:
+def test_a_part_that_is_done_is_not_done_again(task: Task[IntersectionsJob], tmp_path: Path) -> None:
     plan = kinds.prepare(task)
     assert (plan.total, [(part.start, part.stop) for part in plan.parts]) == (SCANS, [(0, SCANS)])
     kinds.run(task, plan.parts[0])
     nowhere = replace(task, drive=tmp_path / "nowhere", attempt="b")  # another attempt could not do it
-    ProgressFiles(nowhere).open()
+    ProgressFiles.of(nowhere).open()
     kinds.run(nowhere, plan.parts[0])
-    assert ProgressFiles(nowhere).read().done == {0: SCANS}
+    assert ProgressFiles.of(nowhere).read().done == {0: SCANS}
 
 
-def test_the_cut_does_not_matter(task: Task) -> None:
+def test_the_cut_does_not_matter(task: Task[IntersectionsJob]) -> None:
     whole = kinds.prepare(task)
     kinds.run(task, whole.parts[0])
     kinds.finish(task, whole)
@@ -152,26 +164,26 @@ def test_the_cut_does_not_matter(task: Task) -> None:
     assert {path.name: path.read_bytes() for path in task.result.glob("*.geojson")} == expected
 
 
-def test_work_stops_when_it_is_told_to(task: Task) -> None:
+def test_work_stops_when_it_is_told_to(task: Task[IntersectionsJob]) -> None:
     plan = kinds.prepare(task)
-    ProgressFiles(task).stop()
+    ProgressFiles.of(task).stop()
     with pytest.raises(Cancelled):
         kinds.run(task, plan.parts[0])
     with pytest.raises(Cancelled):
-        intersections.run(task, plan.parts[0], ProgressFiles(task).report_of(plan.parts[0]))
+        intersections.run(task, plan.parts[0], ProgressFiles.of(task).report_of(plan.parts[0]))
     with pytest.raises(Cancelled):
         kinds.finish(task, plan)
     assert not task.result.exists()
 
 
-def test_two_attempts_do_not_stop_each_other(task: Task) -> None:
+def test_two_attempts_do_not_stop_each_other(task: Task[IntersectionsJob]) -> None:
     other = replace(task, attempt="b")
-    ProgressFiles(other).open()
-    ProgressFiles(task).stop()
+    ProgressFiles.of(other).open()
+    ProgressFiles.of(task).stop()
     kinds.prepare(other)
-    ProgressFiles(other).check()
+    ProgressFiles.of(other).check()
 
 
-def test_a_worker_that_does_not_see_the_data_says_so(task: Task, tmp_path: Path) -> None:
+def test_a_worker_that_does_not_see_the_data_says_so(task: Task[IntersectionsJob], tmp_path: Path) -> None:
     with pytest.raises(InterLocError, match=r"does not see .*at the same place"):
         kinds.prepare(replace(task, scratch=tmp_path / "not mounted"))
