@@ -17,6 +17,7 @@ from app.jobs.failures import raise_failure
 from app.jobs.queue import active_job, submit
 from app.networks import work as models
 from app.states import DriveState, JobKind
+from app.store.database import Database
 from app.store.models import Drive, Job
 from app.work.documents import CommitJob, CommitOutcome
 from interloc.drives.inspect import DriveReport
@@ -63,7 +64,7 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
         limit = job_limit(context, owner)
-        job = queue_commit(session, context, drive, owner, check_only=request.check_only, limit=limit)
+        job = queue_commit(session, context.database, drive, owner, check_only=request.check_only, limit=limit)
     context.jobs_changed.set()
     return job
 
@@ -102,7 +103,7 @@ def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) ->
 
 def queue_commit(
     session: Session,
-    context: Context,
+    database: Database,
     drive: Drive,
     owner: str,
     *,
@@ -111,15 +112,7 @@ def queue_commit(
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
     work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
-    job, _ = submit(
-        session,
-        context.database,
-        kind=JobKind.COMMIT,
-        drive_id=drive.id,
-        owner=owner,
-        request=work,
-        limit=limit,
-    )
+    job, _ = submit(session, database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work, limit=limit)
     drive.state = DriveState.CHECKING
     drive.touched_at = job.created_at
     return job

@@ -62,7 +62,7 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     elif job.kind in {JobKind.UNPACK, JobKind.DEMO}:
         _finish_unpack(session, context, job, drive, outcome)
         if job.kind == JobKind.DEMO and job.state == JobState.SUCCESSFUL:  # its client may be gone
-            queue_commit(session, context, drive, job.owner)
+            queue_commit(session, context.database, drive, job.owner)
     session.flush()
     session.refresh(drive)  # the counts of an unpacking were written past it
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
@@ -102,7 +102,7 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
     for name in TRAJECTORY:
         with suppress(FileNotFoundError):
             (built / name).replace(target.parent / name)
-    note_extent(drive, context)
+    note_extent(drive, context.storage)
     maps = [
         size
         for path, size in session.execute(
@@ -128,7 +128,7 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
         for file in read_listing(scratch)
     ]
     try:
-        with session.begin_nested(), Placement(context, drive.id) as placement:
+        with session.begin_nested(), Placement(context.storage, drive.id) as placement:
             refuse_unless_open(drive, ["archive"])
             for arrival in arrivals:
                 # A second name: if the server dies before the end of the transaction, all of this is repeated.

@@ -19,9 +19,8 @@ from app.http.problems import Problem
 from app.jobs import failures
 from app.jobs.executors import WorkExecutor
 from app.jobs.folders import place_result, progress_files, task_of, tidy, without_paths
-from app.jobs.processes import WorkerLostError
+from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
-from app.jobs.worker_limits import WorkerLimitError
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.models import Drive, Job

@@ -20,9 +20,8 @@ from app.jobs.attempt import Attempt, FinishDrive, IndexResult
 from app.jobs.executors import WorkExecutor, open_executor
 from app.jobs.failures import limit_reached
 from app.jobs.folders import jobs_with_scratch, tidy
-from app.jobs.processes import WorkerLostError
+from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.queue import URGENT_AT_ONCE, JobQueue
-from app.jobs.worker_limits import WorkerLimitError
 from app.states import FINAL, JobState
 from app.store.models import Job
 from app.work.kinds import URGENT, compile_kernels
