@@ -18,7 +18,7 @@ import pytest
 from app.demo.work import prepare
 from app.demo.work import run as simulate
 from app.settings import Settings
-from app.work.documents import DemoJob
+from app.work.documents import JobRequest
 from app.work.places import UNPACKED
 from app.work.task import Task, WorkSettings
 from interloc.cli.main import run
@@ -90,7 +90,7 @@ def test_the_service_makes_the_same_drive(demo: Path, tmp_path: Path) -> None:
         kind="demo",
         job_id="job",
         drive_name="Demo",
-        request=DemoJob(),
+        request=JobRequest(),
         drive=tmp_path / "drive",
         scratch=scratch,
         result=tmp_path / "result",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 
-from app.work.documents import DemoJob, FilesOutcome
+from app.work.documents import FilesOutcome, JobRequest
 from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
 from app.work.task import Part, Plan, Report, Task
 
@@ -13,13 +13,13 @@ _SCANS = 932
 _COLUMNS = 720  # shots per laser and turn: a third of a real sensor's, which is enough and a third of the work
 
 
-def prepare(task: Task[DemoJob]) -> Plan:
+def prepare(task: Task[JobRequest]) -> Plan:
     """Return the approximate number of scans as one part."""
     scans = task.settings.max_demo_scans or _SCANS
     return Plan([Part(0, 0, scans)], scans)
 
 
-def run(task: Task[DemoJob], part: Part, report: Report) -> None:
+def run(task: Task[JobRequest], part: Part, report: Report) -> None:
     """Simulate the drive into the scratch folder, with a list of its files."""
     if (task.scratch / LISTING).is_file():
         return
@@ -52,7 +52,7 @@ def run(task: Task[DemoJob], part: Part, report: Report) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def finish(task: Task[DemoJob], plan: Plan) -> FilesOutcome:
+def finish(task: Task[JobRequest], plan: Plan) -> FilesOutcome:
     """Sum up what was made; the server moves the files into the drive, and commits it."""
     del plan
     listing = read_listing(task.scratch)

@@ -42,7 +42,7 @@ def task_of(context: Context, claim: Claim, slots: int) -> Task[JobRequest]:
         kind=job.kind,
         job_id=job.id,
         drive_name=claim.drive_name,
-        request=KINDS[job.kind].read(job.request),
+        request=KINDS[job.kind].request.model_validate(job.request),
         drive=storage.folder(f"drives/{job.drive_id}"),
         scratch=_scratch(storage, job.id),
         result=storage.folder(f"jobs/{job.id}/{_ATTEMPT}{name}"),

@@ -167,7 +167,7 @@ class ProcessExecutor:
             _context.set_forkserver_preload([WARM])
         self._lock = threading.Lock()
         self._hand_out = HandOut(slots)
-        self._stopping = False
+        self.is_stopping = False
         self._slots = [_Slot(self, number) for number in range(slots + EXTRA_SLOTS)]
         self._idle = list(self._slots)
         for slot in self._slots:
@@ -185,7 +185,7 @@ class ProcessExecutor:
         """Do a piece of work; see `WorkExecutor.submit`."""
         work = Work((fn, args), client, seconds, urgent)
         with self._lock:
-            if self._stopping:
+            if self.is_stopping:
                 raise RuntimeError("the executor was stopped")
             self._hand_out.add(work)
             self._begin_what_may()
@@ -205,7 +205,7 @@ class ProcessExecutor:
     def stop(self) -> None:
         """End all workers at once; running work is lost, waiting work is cancelled."""
         with self._lock:
-            self._stopping = True
+            self.is_stopping = True
             self._hand_out.clear()
         for slot in self._slots:
             slot.inbox.put(None)
@@ -221,17 +221,12 @@ class ProcessExecutor:
             self._begin_what_may()
 
     def _begin_what_may(self) -> None:
-        if self._stopping:
+        if self.is_stopping:
             return
         while self._idle and (work := self._hand_out.take()) is not None:
             slot = min(self._idle, key=lambda slot: slot.number)  # the first ones have their drives open already
             self._idle.remove(slot)
             slot.inbox.put(work)
-
-    @property
-    def is_stopping(self) -> bool:
-        """Whether `stop` was called."""
-        return self._stopping
 
 
 class _Slot:
@@ -368,7 +363,8 @@ def _work(connection: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
     end_with_parent()
     _die_first()
-    _warm_up()
+    with suppress(ImportError):  # done already where this is the fork of a process that did it
+        import_module(WARM)
     with suppress(OSError):
         connection.send_bytes(b"")
     while True:
@@ -396,12 +392,6 @@ def _failure(error: BaseException) -> bytes:
         plain.add_note("\n".join(getattr(error, "__notes__", [])))
         return pickle.dumps((False, plain))
     return content
-
-
-def _warm_up() -> None:
-    """Import what nearly all work needs, unless the process that this one was forked from has done it."""
-    with suppress(ImportError):
-        import_module(WARM)
 
 
 def _die_first() -> None:

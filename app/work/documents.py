@@ -20,7 +20,7 @@ class _Document(BaseModel):
 
 
 class JobRequest(_Document):
-    """What a job is asked to do, checked when it was sent."""
+    """What a job is asked to do; that of the demo has nothing else to say."""
 
 
 class MapSource(_Document):
@@ -49,11 +49,6 @@ class IntersectionsJob(JobRequest):
     tolerance_m: float = 15.0
 
     @property
-    def is_placed_by_map(self) -> bool:
-        """Whether the drive gets its longitude and latitude from the map."""
-        return self.georeference == "map"
-
-    @property
     def map_file(self) -> str | None:
         """Path of the map among the files of the drive; None where it is fetched, or there is none."""
         return None if self.osm is None else self.osm.file
@@ -79,10 +74,6 @@ class UnpackJob(JobRequest):
 
     archive: str
     """Path in the folder of the drive."""
-
-
-class DemoJob(JobRequest):
-    """Make the drive of the demo."""
 
 
 class Outcome(_Document):
@@ -144,13 +135,8 @@ class CommitOutcome(Outcome):
 
 
 class FilesOutcome(Outcome):
-    """The files that were made for a drive."""
+    """The files that were made for a drive, and the size of the archive that they were in."""
 
     files: int
     size_bytes: int
-
-
-class UnpackOutcome(FilesOutcome):
-    """The files that were in an archive."""
-
-    archive_bytes: int
+    archive_bytes: int | None = None

@@ -6,10 +6,9 @@ import socket
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
-from typing import Any
 
 from app.states import JobKind
-from app.work.documents import CommitJob, DemoJob, IntersectionsJob, JobRequest, Outcome, UnpackJob
+from app.work.documents import CommitJob, IntersectionsJob, JobRequest, Outcome, UnpackJob
 from app.work.progress import ProgressFiles
 from app.work.task import Part, Plan, Task
 from interloc.errors import InterLocError
@@ -38,10 +37,6 @@ class Kind:
     urgent: bool = True
     changes_drive: bool = True
 
-    def read(self, request: dict[str, Any]) -> JobRequest:
-        """Return what the row of a job asks for."""
-        return self.request.model_validate(request)
-
     def stages_of(self, request: JobRequest) -> tuple[str, str, str]:
         """Return what the work is doing in each of the three calls for a request."""
         first, second, third = self.stages
@@ -63,7 +58,7 @@ KINDS: dict[str, Kind] = {
     ),
     JobKind.COMMIT: Kind("app.drives.work.commit", CommitJob, ("checking", "reducing", "storing")),
     JobKind.UNPACK: Kind("app.drives.work.unpack", UnpackJob, ("checking", "unpacking", "storing")),
-    JobKind.DEMO: Kind("app.demo.work", DemoJob, ("preparing", "simulating", "storing")),
+    JobKind.DEMO: Kind("app.demo.work", JobRequest, ("preparing", "simulating", "storing")),
 }
 
 WARM = "app.work.warm"

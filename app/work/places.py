@@ -36,14 +36,7 @@ def link(source: Path, target: Path) -> None:
 
 @dataclass(frozen=True)
 class UnpackedFile:
-    """A file below `UNPACKED`, as `LISTING` names it.
-
-    Attributes
-    ----------
-    path : str
-    size_bytes : int
-    sha256 : str
-    """
+    """A file below `UNPACKED`, as `LISTING` names it."""
 
     path: str
     size_bytes: int

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from app.drives.work.archive_files import ArchiveError, Member, members, too_many_files
 from app.paths import BadNameError, check_path, is_recording
-from app.work.documents import UnpackJob, UnpackOutcome
+from app.work.documents import FilesOutcome, UnpackJob
 from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
 from app.work.task import Part, Plan, Report, Task
 from interloc.errors import OutputError
@@ -59,11 +59,11 @@ def run(task: Task[UnpackJob], part: Part, report: Report) -> None:
     report(part.stop - part.start)
 
 
-def finish(task: Task[UnpackJob], plan: Plan) -> UnpackOutcome:
+def finish(task: Task[UnpackJob], plan: Plan) -> FilesOutcome:
     """Sum up what was unpacked; the server moves the files into the drive."""
     del plan
     listing = read_listing(task.scratch)
-    return UnpackOutcome(
+    return FilesOutcome(
         files=len(listing),
         size_bytes=sum(file.size_bytes for file in listing),
         archive_bytes=_archive(task).stat().st_size,

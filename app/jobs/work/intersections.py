@@ -55,7 +55,7 @@ def prepare(task: Task[IntersectionsJob]) -> Plan:
     if not len(keyframes):
         raise DriveError(f"{task.drive_name}: the drive holds no scans")
     if task.request.osm is not None:
-        if drive.georeference is None and not task.request.is_placed_by_map:
+        if drive.georeference is None and task.request.georeference != "map":
             raise no_georeference(task.drive_name)
         _read_map(task, _map_bounds(task, drive, keyframes))
     return Plan(_cut(len(keyframes), task.request.config), len(keyframes))
@@ -90,7 +90,7 @@ def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
         graph = _read_map(task, _map_bounds(task, drive, keyframes))
     scores = None
     with result_folder(task.result) as folder:
-        if graph is not None and task.request.is_placed_by_map:
+        if graph is not None and task.request.georeference == "map":
             result, scored = _place(task, drive, result, graph, folder)
         write_results(result, folder)
         if graph is not None:
@@ -135,7 +135,7 @@ def open_input(folder: Path, name: str, request: IntersectionsJob) -> tuple[Driv
             "Upload it again, and tell the operator."
         )
     drive, keyframes = _open_once(root, name, request.labels or _first_labels(root), request.config)
-    return drive.without_georeference() if request.is_placed_by_map else drive, keyframes
+    return drive.without_georeference() if request.georeference == "map" else drive, keyframes
 
 
 @lru_cache(maxsize=4)  # a worker does many parts of few drives; their files do not change any more
@@ -173,7 +173,7 @@ def _found(task: Task[IntersectionsJob], part: Part) -> RangeResult:
 def _map_bounds(task: Task[IntersectionsJob], drive: Drive, keyframes: IntArray) -> Bounds | None:
     """Return the part of the map that the task needs; None: all of it."""
     near = task.request.near
-    if not task.request.is_placed_by_map:
+    if task.request.georeference != "map":
         assert drive.georeference is not None
         fixes = drive.georeference
         lonlat = np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1)
