@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 
 from app.jobs.work import intersections
 from app.jobs.work.checkpoints import read_checkpoint, write_checkpoint
-from app.settings import Settings
 from app.work import kinds
 from app.work.documents import IntersectionsJob
 from app.work.progress import ProgressFiles
-from app.work.task import Cancelled, Part, Task, WorkSettings
+from app.work.task import Cancelled, Part, Task
 from interloc.config import preset
 from interloc.detection.detector import KeyframeDetections
 from interloc.detection.keyframes import Keyframe
@@ -29,6 +28,7 @@ from interloc.pipeline import RangeResult
 from interloc.reduction.reduce import reduce_drive
 from interloc.results import RoadPatch
 from tests.app.street import write_street
+from tests.tasks import task_for
 
 SCANS = 120
 REALS = st.floats(allow_nan=False, width=64)
@@ -123,19 +123,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def task(drive: Path, tmp_path: Path) -> Task[IntersectionsJob]:
-    task = Task(
-        kind="intersections",
-        job_id="job",
-        drive_name="street",
-        request=IntersectionsJob(config=preset("default")),
-        drive=drive,
-        scratch=tmp_path / "scratch",
-        result=tmp_path / "result",
-        cache=tmp_path / "cache",
-        settings=WorkSettings.model_validate(Settings()),
-        workers=1,
-        attempt="a",
-    )
+    task = replace(task_for("intersections", IntersectionsJob(config=preset("default")), tmp_path), drive=drive)
     ProgressFiles.of(task).open()
     return task
 
