@@ -22,7 +22,6 @@ from app.http.openapi import DESCRIPTION, TAGS, Description, operation_id
 from app.http.parameters import refuse_unknown_parameters
 from app.http.problems import ProblemDocument, add_handlers
 from app.http.security import client_of
-from app.jobs import events
 from app.jobs import routes as jobs
 from app.jobs.runner import Runner
 from app.jobs.watcher import JobWatcher
@@ -52,7 +51,7 @@ def _assemble() -> APIRouter:
         responses={422: {"model": ProblemDocument, "description": "The request is not valid; `problems` lists where."}},
     )
     of_drives = (drives, overview, files, scans, archive, commit, demo, networks)
-    of_jobs = (jobs, events, results, keyframes, road, exports, compare)
+    of_jobs = (jobs, results, keyframes, road, exports, compare)
     shared = [Depends(client_of), Depends(refuse_unknown_parameters), Depends(make_room_to_delete)]
     for module in (*of_drives, *of_jobs, trash):
         router.include_router(module.router, prefix=API, dependencies=shared)

@@ -17,10 +17,11 @@ import pytest
 
 from app.demo.work import prepare
 from app.demo.work import run as simulate
+from app.work.documents import JobRequest
 from app.work.places import UNPACKED
-from app.work.task import Task
 from interloc.cli.main import run
 from tests.app.processes import NO_TLS
+from tests.tasks import task_for
 
 ROOT = Path(__file__).resolve().parents[1]
 DRIVE = "demo/drive/simulation.json"
@@ -82,13 +83,11 @@ def test_the_drive_is_made_once(demo: Path) -> None:
 
 
 def test_the_service_makes_the_same_drive(demo: Path, tmp_path: Path) -> None:
-    scratch = tmp_path / "scratch"
-    scratch.mkdir()
-    task = Task("demo", "job", "Demo", {}, tmp_path / "drive", scratch, tmp_path / "result", {"max_demo_scans": 3})
+    task = task_for("demo", JobRequest(), tmp_path, max_demo_scans=3)
     (part,) = prepare(task).parts
     simulate(task, part, lambda _: None)
     for name in ("map.osm", "velodyne/000002.bin", "labels/000002.label"):
-        assert (scratch / UNPACKED / name).read_bytes() == (demo / "demo/drive" / name).read_bytes()
+        assert (task.scratch / UNPACKED / name).read_bytes() == (demo / "demo/drive" / name).read_bytes()
 
 
 def test_the_demo_ends_in_the_service(demo: Path, tmp_path: Path) -> None:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 
-from app.work.places import LISTING, place_unpacked
-from app.work.task import Outcome, Part, Plan, Report, Task
+from app.work.documents import FilesOutcome, JobRequest
+from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
+from app.work.task import Part, Plan, Report, Task
 
 _SCANS = 932
 _COLUMNS = 720  # shots per laser and turn: a third of a real sensor's, which is enough and a third of the work
 
 
-def prepare(task: Task) -> Plan:
+def prepare(task: Task[JobRequest]) -> Plan:
     """Return the approximate number of scans as one part."""
-    scans = task.limits["max_demo_scans"] or _SCANS
+    scans = task.settings.max_demo_scans or _SCANS
     return Plan([Part(0, 0, scans)], scans)
 
 
-def run(task: Task, part: Part, report: Report) -> None:
+def run(task: Task[JobRequest], part: Part, report: Report) -> None:
     """Simulate the drive into the scratch folder, with a list of its files."""
     if (task.scratch / LISTING).is_file():
         return
@@ -37,7 +37,7 @@ def run(task: Task, part: Part, report: Report) -> None:
             SimulationOptions(
                 keyframes_only=True,
                 ground_only=True,
-                max_scans=task.limits["max_demo_scans"],
+                max_scans=task.settings.max_demo_scans,
                 sensor=LidarConfig(columns=_COLUMNS),
             ),
             progress=lambda done, _: report(min(done, part.stop)),
@@ -46,14 +46,14 @@ def run(task: Task, part: Part, report: Report) -> None:
         for path in sorted(path for path in drive.rglob("*") if path.is_file()):
             content = path.read_bytes()
             digest = hashlib.sha256(content).hexdigest()
-            listing.append({"path": path.relative_to(drive).as_posix(), "size_bytes": len(content), "sha256": digest})
+            listing.append(UnpackedFile(path.relative_to(drive).as_posix(), len(content), digest))
         place_unpacked(drive, listing, task.scratch)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def finish(task: Task, plan: Plan) -> Outcome:
+def finish(task: Task[JobRequest], plan: Plan) -> FilesOutcome:
     """Sum up what was made; the server moves the files into the drive, and commits it."""
     del plan
-    listing = json.loads((task.scratch / LISTING).read_text())
-    return Outcome({"files": len(listing), "size_bytes": sum(file["size_bytes"] for file in listing)})
+    listing = read_listing(task.scratch)
+    return FilesOutcome(files=len(listing), size_bytes=sum(file.size_bytes for file in listing))

@@ -17,6 +17,7 @@ from app.jobs.failures import raise_failure
 from app.jobs.queue import submit
 from app.states import JobKind
 from app.store.models import Job
+from app.work.documents import FilesOutcome
 
 
 def check_magic(head: bytes) -> None:
@@ -78,7 +79,7 @@ def unpacked(job: Job) -> UnpackedArchive:
         The archive was refused, or the service failed.
     """
     raise_failure(job)
-    summary = job.summary or {}
-    return UnpackedArchive(
-        job_id=job.id, state=job.state, files=summary.get("files"), size_bytes=summary.get("size_bytes")
-    )
+    if job.summary is None:
+        return UnpackedArchive(job_id=job.id, state=job.state)
+    outcome = FilesOutcome.model_validate(job.summary)
+    return UnpackedArchive(job_id=job.id, state=job.state, files=outcome.files, size_bytes=outcome.size_bytes)

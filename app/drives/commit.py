@@ -16,8 +16,10 @@ from app.http.problems import Problem
 from app.jobs.failures import raise_failure
 from app.jobs.queue import active_job, submit
 from app.networks import work as models
-from app.states import DriveState, JobKind, JobState
+from app.states import DriveState, JobKind
+from app.store.database import Database
 from app.store.models import Drive, Job
+from app.work.documents import CommitJob, CommitOutcome
 from interloc.drives.inspect import DriveReport
 
 
@@ -57,11 +59,12 @@ def begin_commit(context: Context, drive_id: str, owner: str, request: CommitReq
             )
         if request.options is not None:
             drive.options = {**_options_of(drive), **_given(request)}
-            _check_model(context, drive.options.get("model"))
+            if (model := drive.options.get("model")) is not None:
+                models.find(context.settings.models, model)
         if request.keep_raw is not None:
             drive.keep_raw = request.keep_raw
         limit = job_limit(context, owner)
-        job = queue_commit(session, context, drive, owner, check_only=request.check_only, limit=limit)
+        job = queue_commit(session, context.database, drive, owner, check_only=request.check_only, limit=limit)
     context.jobs_changed.set()
     return job
 
@@ -71,7 +74,6 @@ def _options_of(drive: Drive) -> dict[str, Any]:
 
 
 def _given(request: CommitRequest) -> dict[str, Any]:
-    """Return the options that a request names itself."""
     return {} if request.options is None else request.options.model_dump(mode="json", exclude_unset=True)
 
 
@@ -80,7 +82,7 @@ def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) ->
     in_force, given = {**_options_of(drive), "keep_raw": drive.keep_raw}, _given(request)
     if request.keep_raw is not None:
         given["keep_raw"] = request.keep_raw
-    if running is not None and running.request.get("check_only") and not request.check_only:
+    if running is not None and CommitJob.model_validate(running.request).check_only and not request.check_only:
         in_force["check_only"], given["check_only"] = True, False
     differing = [name for name, value in given.items() if in_force[name] != value]
     others = "; ".join(f"{name} is {in_force[name]!r}, not {given[name]!r}" for name in differing)
@@ -99,15 +101,9 @@ def _refuse_others(drive: Drive, running: Job | None, request: CommitRequest) ->
         )
 
 
-def _check_model(context: Context, name: str | None) -> None:
-    """Refuse a network that the service does not have."""
-    if name is not None:
-        models.find(context.settings.models, name)
-
-
 def queue_commit(
     session: Session,
-    context: Context,
+    database: Database,
     drive: Drive,
     owner: str,
     *,
@@ -116,15 +112,7 @@ def queue_commit(
 ) -> Job:
     """Queue the check of a drive, in a transaction that has locked it."""
     work: dict[str, Any] = {"options": drive.options, "keep_raw": drive.keep_raw, "check_only": check_only}
-    job, _ = submit(
-        session,
-        context.database,
-        kind=JobKind.COMMIT,
-        drive_id=drive.id,
-        owner=owner,
-        request=work,
-        limit=limit,
-    )
+    job, _ = submit(session, database, kind=JobKind.COMMIT, drive_id=drive.id, owner=owner, request=work, limit=limit)
     drive.state = DriveState.CHECKING
     drive.touched_at = job.created_at
     return job
@@ -142,7 +130,7 @@ def committed(context: Context, drive_id: str, job: Job | None) -> DriveModel:
         drive = find_drive(session, drive_id)
     if job is not None:
         raise_failure(job)
-        if job.state == JobState.SUCCESSFUL and not (job.summary or {}).get("ok"):
+        if job.summary is not None and not CommitOutcome.model_validate(job.summary).ok:
             raise not_sound(drive)
     return drive_model(drive, context.settings)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import secrets
@@ -30,8 +29,8 @@ from app.store import sidecars
 from app.store.database import afterwards
 from app.store.incoming import size_of
 from app.store.models import Drive, DriveFile, Job
-from app.work.places import LISTING, REDUCED, TRAJECTORY, UNPACKED, link
-from app.work.task import Outcome
+from app.work.documents import CommitOutcome, Outcome, UnpackJob
+from app.work.places import REDUCED, TRAJECTORY, UNPACKED, link, read_listing
 from interloc.osm.container import is_map
 
 _log = logging.getLogger(__name__)
@@ -63,11 +62,11 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
     elif job.kind in {JobKind.UNPACK, JobKind.DEMO}:
         _finish_unpack(session, context, job, drive, outcome)
         if job.kind == JobKind.DEMO and job.state == JobState.SUCCESSFUL:  # its client may be gone
-            queue_commit(session, context, drive, job.owner)
+            queue_commit(session, context.database, drive, job.owner)
     session.flush()
     session.refresh(drive)  # the counts of an unpacking were written past it
     job_id, drive_id, keep_raw, state = job.id, drive.id, drive.keep_raw, drive.state
-    archive = job.request.get("archive")
+    archive = UnpackJob.model_validate(job.request).archive if job.kind == JobKind.UNPACK else None
 
     def write_sidecar(_session: Session) -> None:
         with suppress(OSError):  # the clean-up writes what is missing
@@ -90,10 +89,10 @@ def finish_drive(session: Session, context: Context, job: Job, outcome: Outcome 
 def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, outcome: Outcome | Problem) -> None:
     """Make the drive ready, or reopen it with the report of what is wrong."""
     drive.state = DriveState.UPLOADING
-    if isinstance(outcome, Problem):
+    if not isinstance(outcome, CommitOutcome):
         return
-    drive.report = outcome.report
-    if not outcome.summary["ok"] or job.request.get("check_only"):
+    drive.report = None if outcome.report is None else outcome.report.to_dict()
+    if outcome.reduced_bytes is None:
         return
     built = context.storage.folder(f"jobs/{job.id}/result")
     target = context.storage.folder(reduced_key(drive.id))
@@ -103,7 +102,7 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
     for name in TRAJECTORY:
         with suppress(FileNotFoundError):
             (built / name).replace(target.parent / name)
-    note_extent(drive, context)
+    note_extent(drive, context.storage)
     maps = [
         size
         for path, size in session.execute(
@@ -114,7 +113,7 @@ def _finish_commit(session: Session, context: Context, job: Job, drive: Drive, o
         if is_map(path)
     ]
     kept = drive.size_bytes if drive.keep_raw else sum(maps)
-    drive.stored_bytes = outcome.summary["reduced_bytes"] + kept
+    drive.stored_bytes = outcome.reduced_bytes + kept
     drive.state = DriveState.READY
 
 
@@ -123,13 +122,13 @@ def _finish_unpack(session: Session, context: Context, job: Job, drive: Drive, o
     if isinstance(outcome, Problem):
         return
     scratch = context.storage.folder(f"jobs/{job.id}/scratch")
-    listing = json.loads((scratch / LISTING).read_text())
     incoming = context.storage.incoming()
     arrivals = [
-        Arrival(file["path"], incoming / secrets.token_hex(12), file["size_bytes"], file["sha256"]) for file in listing
+        Arrival(file.path, incoming / secrets.token_hex(12), file.size_bytes, file.sha256)
+        for file in read_listing(scratch)
     ]
     try:
-        with session.begin_nested(), Placement(context, drive.id) as placement:
+        with session.begin_nested(), Placement(context.storage, drive.id) as placement:
             refuse_unless_open(drive, ["archive"])
             for arrival in arrivals:
                 # A second name: if the server dies before the end of the transaction, all of this is repeated.

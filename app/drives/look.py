@@ -8,9 +8,9 @@ from app.context import Context
 from app.drives.models import LookRequest
 from app.drives.work.look import look
 from app.jobs.runner import Runner
+from app.work.documents import UploadOptions
+from app.work.task import WorkSettings
 from interloc.reduction.look import FolderLook
-
-_LIMITS = ("max_file_bytes", "max_recording_bytes", "max_drive_bytes", "max_drive_files")
 
 
 async def look_at(context: Context, runner: Runner, request: LookRequest, client: str) -> FolderLook:
@@ -27,9 +27,9 @@ async def look_at(context: Context, runner: Runner, request: LookRequest, client
         request.contents,
         request.name,
         request.root,
-        request.options.model_dump(mode="json"),
+        UploadOptions.model_validate(dict(request.options)),
         request.keyframes,
-        {name: getattr(context.settings, name) for name in _LIMITS},
+        WorkSettings.model_validate(context.settings),
         await run_in_threadpool(context.storage.incoming),
         client=client,
     )

@@ -15,10 +15,11 @@ from app.http.problems import FileProblem
 from app.http.strict import Flag, Name, Note, Whole, strictly
 from app.paths import MAX_PATH, PATH_PATTERN, BadNameError, check_path
 from app.states import DriveState
+from app.work.documents import UploadOptions
 from interloc.config import KeyframeConfig
 from interloc.drives.inspect import DriveReport
 from interloc.drives.layouts import ScanFolder
-from interloc.drives.options import LabelFolder, ReadingOptions
+from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import MAX_SCANS
 
 MAX_LISTED = 300_000
@@ -37,7 +38,7 @@ def _checked_path(path: str) -> str:
         raise ValueError(str(error)) from error
 
 
-class DriveOptionsModel(ReadingOptions):
+class DriveOptionsModel(UploadOptions):
     """How the files are read; the same choices as on the command line."""
 
     oxts: Path | None = Field(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from fastapi.concurrency import run_in_threadpool
 
@@ -15,6 +14,7 @@ from app.drives.work.plan import plan_and_judge
 from app.http.problems import FileProblem
 from app.jobs.runner import Runner
 from app.paths import without_folder
+from app.work.documents import UploadOptions
 from interloc.drives.findings import Finding, Findings
 from interloc.drives.labels import LabelJudgement, judge_labels
 from interloc.drives.options import LabelFolder
@@ -37,10 +37,8 @@ async def plan_upload(
         root,
         request.numbers(),
         reading_options(given, root, name),
-        {
-            "keyframes": request.keyframes,
-            "scan_folder": request.scan_folder,
-        },
+        request.keyframes,
+        request.scan_folder,
         request.label_counts,
         client=client,
     )
@@ -61,14 +59,12 @@ def judge_label_counts(request: LabelsRequest) -> LabelsAnswer:
     return LabelsAnswer(labels=labels)
 
 
-def _look_up(context: Context, drive_id: str, request: PlanRequest) -> tuple[str, Path, dict[str, Any]]:
-    """Return the name and the folder of a drive, and the options by which it is to be read."""
+def _look_up(context: Context, drive_id: str, request: PlanRequest) -> tuple[str, Path, UploadOptions]:
     with context.database.reading() as session:
         drive = find_drive(session, drive_id)
     root = context.storage.folder(files_key(drive_id))
     root.mkdir(parents=True, exist_ok=True)
-    options = drive.options if request.options is None else request.options.model_dump(mode="json")
-    return drive.name, root, options
+    return drive.name, root, request.options or UploadOptions.model_validate(drive.options)
 
 
 def _shown(

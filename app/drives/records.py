@@ -30,6 +30,7 @@ from app.states import ACTIVE, DriveState
 from app.store import sidecars
 from app.store.database import moment
 from app.store.models import Drive, DriveFile, Job
+from app.store.storage import Storage
 from app.work.places import TRAJECTORY
 from interloc.drives.inspect import DriveReport
 from interloc.errors import InterLocError
@@ -141,9 +142,9 @@ def list_drives(
     )
 
 
-def note_extent(drive: Drive, context: Context) -> None:
+def note_extent(drive: Drive, storage: Storage) -> None:
     """Write into the row of a ready drive where it is, from its trajectory."""
-    path = context.storage.folder(drive_key(drive.id)) / TRAJECTORY[0]
+    path = storage.folder(drive_key(drive.id)) / TRAJECTORY[0]
     with suppress(InterLocError, ValueError):  # it has no georeference, or its files are damaged
         drive.west, drive.south, drive.east, drive.north = read_json(path).get("bbox", [])
 

@@ -24,6 +24,7 @@ from app.jobs.queue import no_drive
 from app.paths import folded, folded_hash, hash_of
 from app.states import DriveState
 from app.store.models import Drive, DriveFile
+from app.store.storage import Storage
 from interloc.osm.container import is_map
 
 _AT_ONCE = 500  # paths in one query
@@ -70,7 +71,7 @@ def keep(context: Context, drive_id: str, arrivals: Sequence[Arrival]) -> bool:
         404: there is no such drive. 409: it takes no files now, or a name is that of a folder or too similar to another
         one. 413: it would become too large. Nothing was changed.
     """
-    with Placement(context, drive_id) as placement, context.database.writing() as session:
+    with Placement(context.storage, drive_id) as placement, context.database.writing() as session:
         counts = lock_counts(session, drive_id)
         refuse_unless_open(counts, [arrival.path for arrival in arrivals])
         known = sizes_of(session, drive_id, [arrival.path for arrival in arrivals])
@@ -229,9 +230,9 @@ def register(
 class Placement:
     """Moves files to their places; if the block or its transaction fails, the old files are restored."""
 
-    def __init__(self, context: Context, drive_id: str) -> None:
-        self._incoming = context.storage.incoming
-        self._files = context.storage.folder(files_key(drive_id))
+    def __init__(self, storage: Storage, drive_id: str) -> None:
+        self._incoming = storage.incoming
+        self._files = storage.folder(files_key(drive_id))
         self._moved: list[tuple[Path, Path | None]] = []
 
     def __enter__(self) -> Self:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, TypeVarTuple
 
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
@@ -18,16 +18,15 @@ from app.context import Context
 from app.http.problems import Problem
 from app.jobs import failures
 from app.jobs.executors import WorkExecutor
-from app.jobs.folders import place_result, task_of, tidy, without_paths
-from app.jobs.processes import WorkerLostError
+from app.jobs.folders import place_result, progress_files, task_of, tidy, without_paths
+from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.queue import Claim, JobQueue, not_ready
-from app.jobs.worker_limits import WorkerLimitError
 from app.states import DriveState, JobKind, JobState
 from app.store import sidecars
 from app.store.models import Drive, Job
 from app.work import kinds
-from app.work.progress import ProgressFiles
-from app.work.task import Cancelled, Outcome, Part, Plan
+from app.work.documents import JobRequest, Outcome
+from app.work.task import Cancelled, Part, Plan, Task
 
 FinishDrive = Callable[[Session, Context, Job, Outcome | Problem], None]
 """Writes what the end of a job, successful or not, means for its drive, in the transaction that ends the job."""
@@ -41,6 +40,9 @@ Stop = Literal["cancelled", "lost", "shutdown"]
 _LOOK_S = 0.5  # interval at which progress is read
 _GRACE_S = 1.5  # time for work to end by itself once it was asked to, and to tidy up; then its process is killed
 _log = logging.getLogger(__name__)
+
+Given = TypeVarTuple("Given")
+Returned = TypeVar("Returned")
 
 
 class _StoppedError(Exception):
@@ -77,14 +79,13 @@ class Attempt:
         self._index_result = index_result
         self.claim = claim
         self._kind = kinds.KINDS[claim.job.kind]
-        self._task = task_of(context, claim, executor.slots)
-        self._progress = ProgressFiles(self._task)
+        self._task: Task[JobRequest]  # made when the work begins: where its row cannot be read the job fails
+        self._progress = progress_files(context.storage, claim)
         self._stop: Stop | None = None
         self._stopped: Future[None] = Future()  # ends with the stop, so that whoever waits for work wakes up
         self._at_work: set[Future[Any]] = set()
         self._began = time.monotonic()
-        self._stages = self._kind.stages_of(claim.job.request)
-        self._stage = self._stages[0]
+        self._stage = ""
         self._done: dict[int, int] = {}  # units of the parts that have ended
         self._total: int | None = None
         self._reported: dict[str, Any] = {"done": claim.job.done}  # as it is in the database
@@ -129,19 +130,20 @@ class Attempt:
             raise failures.lost_servers(job.attempts - 1)
         if not self._kind.changes_drive and self.claim.drive_state == DriveState.UPLOADING:
             raise not_ready(Drive(id=job.drive_id, name=self.claim.drive_name))
+        self._task = task_of(self._context, self.claim, self._executor.slots)
+        self._stage, second, third = self._kind.stages_of(self._task.request)
         self._progress.open()
         try:
-            plan: Plan = self._call("the preparation", kinds.prepare, self._task)
+            plan = self._call("the preparation", kinds.prepare, self._task)
             self._total = plan.total
-            self._enter(1)
+            self._enter(second)
             self._do_parts(plan)
-            self._enter(2)
-            outcome: Outcome = self._call("the result", kinds.finish, self._task, plan)
+            self._enter(third)
+            return self._call("the result", kinds.finish, self._task, plan)
         finally:
             self._give_up_rest()
-        return outcome
 
-    def _call(self, what: str, function: Callable[..., Any], *args: Any) -> Any:  # noqa: ANN401
+    def _call(self, what: str, function: Callable[[*Given], Returned], *args: *Given) -> Returned:
         while True:
             future = self._begin(function, *args)
             self._wait({future})
@@ -168,7 +170,7 @@ class Attempt:
                 else:
                     self._done[part.number] = part.stop - part.start
 
-    def _begin(self, function: Callable[..., Any], *args: Any) -> Future[Any]:  # noqa: ANN401
+    def _begin(self, function: Callable[[*Given], Returned], *args: *Given) -> Future[Returned]:
         future = self._executor.submit(
             function,
             *args,
@@ -220,8 +222,8 @@ class Attempt:
         if tries >= self.claim.job.attempts:
             self._write(attempts=tries + 1)
 
-    def _enter(self, phase: int) -> None:
-        self._stage = self._stages[phase]
+    def _enter(self, stage: str) -> None:
+        self._stage = stage
         self._progress.forget_stage()
         self._report()
 
@@ -286,7 +288,7 @@ class Attempt:
                 self._stop, outcome = "cancelled", failures.cancelled()  # too late to be seen before
             error = summary = None
             if isinstance(outcome, Outcome):
-                state, summary = JobState.SUCCESSFUL, outcome.summary
+                state, summary = JobState.SUCCESSFUL, outcome.summary()
             else:
                 state = JobState.DISMISSED if self._stop == "cancelled" else JobState.FAILED
                 error = outcome.document() | {"instance": f"/api/v1/jobs/{job_id}"}

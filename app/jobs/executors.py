@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import suppress
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, TypeVarTuple
 
 from app.jobs.processes import ProcessExecutor, WorkerLostError
 from app.settings import Settings
@@ -15,6 +15,7 @@ from interloc.processes import cores
 
 _ASK_AGAIN_S = 5.0
 
+Given = TypeVarTuple("Given")
 Result = TypeVar("Result")
 
 
@@ -23,9 +24,9 @@ class WorkExecutor(Protocol):
 
     def submit(
         self,
-        fn: Callable[..., Result],
+        fn: Callable[[*Given], Result],
         /,
-        *args: Any,  # noqa: ANN401 - whatever can be pickled
+        *args: *Given,
         client: str = "",
         seconds: float = float("inf"),
         urgent: bool = False,
@@ -142,9 +143,9 @@ class DaskExecutor:
 
     def submit(  # noqa: D102 - see WorkExecutor
         self,
-        fn: Callable[..., Result],
+        fn: Callable[[*Given], Result],
         /,
-        *args: Any,  # noqa: ANN401
+        *args: *Given,
         client: str = "",  # noqa: ARG002
         seconds: float = float("inf"),  # noqa: ARG002
         urgent: bool = False,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from app.http.problem_types import CANCELLED, FAULT_OF_THE_SERVICE, LIMIT_REACHED, SERVER_LOST, WORKER_LOST
 from app.http.problems import OUT_OF_SPACE, Problem, disk_full, from_error, stored
-from app.jobs.worker_limits import WorkerLimitError
+from app.jobs.processes import WorkerLimitError
 from app.states import JobState
 from app.store.models import Job
 from interloc.errors import InterLocError

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import shutil
 from contextlib import suppress
-from typing import Any
+from pathlib import Path
 
 from app.context import Context
 from app.http.problems import Problem
 from app.jobs.queue import Claim
 from app.paths import without_folder
 from app.store.storage import Storage
+from app.work.documents import JobRequest
+from app.work.kinds import KINDS
 from app.work.places import REDUCED
-from app.work.task import Task
+from app.work.progress import ProgressFiles
+from app.work.task import Task, WorkSettings
 from interloc.drives.options import LabelFolder
 from interloc.drives.scans.reduced_format import read_manifest
 from interloc.errors import InterLocError
@@ -20,29 +23,42 @@ from interloc.errors import InterLocError
 _ATTEMPT = "result-"
 
 
-def task_of(context: Context, claim: Claim, slots: int) -> Task:
-    """Return the task of a claimed job for the workers."""
+def progress_files(storage: Storage, claim: Claim) -> ProgressFiles:
+    """Return the files by which the workers of a claimed job report their progress."""
+    return ProgressFiles(_scratch(storage, claim.job.id), _attempt(claim))
+
+
+def task_of(context: Context, claim: Claim, slots: int) -> Task[JobRequest]:
+    """Return the task of a claimed job for the workers.
+
+    Raises
+    ------
+    ValidationError
+        The row of the job does not hold a request of its kind.
+    """
     job, storage = claim.job, context.storage
-    name = claim.lease.rpartition("-")[2]
+    name = _attempt(claim)
     return Task(
         kind=job.kind,
         job_id=job.id,
         drive_name=claim.drive_name,
-        request=job.request,
+        request=KINDS[job.kind].request.model_validate(job.request),
         drive=storage.folder(f"drives/{job.drive_id}"),
-        scratch=storage.folder(f"jobs/{job.id}/scratch"),
+        scratch=_scratch(storage, job.id),
         result=storage.folder(f"jobs/{job.id}/{_ATTEMPT}{name}"),
-        limits=_limits(context, slots),
+        cache=storage.folder("cache"),
+        settings=WorkSettings.model_validate(context.settings),
+        workers=slots,
         attempt=name,
     )
 
 
-def _limits(context: Context, slots: int) -> dict[str, Any]:
-    settings = context.settings
-    by_name = settings.model_dump(mode="json", exclude={"token", "database_url"})
-    limits = {name: value for name, value in by_name.items() if name.startswith(("max_", "min_"))}
-    cache, models = str(context.storage.folder("cache")), by_name["models"]
-    return {**limits, "workers": slots, "cache": cache, "models": models, "overpass_url": settings.overpass_url}
+def _attempt(claim: Claim) -> str:
+    return claim.lease.rpartition("-")[2]
+
+
+def _scratch(storage: Storage, job_id: str) -> Path:
+    return storage.folder(f"jobs/{job_id}/scratch")
 
 
 def label_folders(storage: Storage, drive_id: str) -> list[LabelFolder]:
@@ -54,14 +70,14 @@ def label_folders(storage: Storage, drive_id: str) -> list[LabelFolder]:
     return [labels.folder for labels in manifest.labels]
 
 
-def without_paths(problem: Problem, task: Task) -> Problem:
+def without_paths(problem: Problem, task: Task[JobRequest]) -> Problem:
     """Name the files of a drive and a job as their client knows them."""
     for folder in (task.drive / "files", task.drive / "reduced", task.drive, task.result, task.scratch):
         problem.detail = without_folder(problem.detail, folder, task.drive_name)
     return problem
 
 
-def place_result(storage: Storage, task: Task) -> None:
+def place_result(storage: Storage, task: Task[JobRequest]) -> None:
     """Move the result of an attempt to its place, in the transaction that ends the job."""
     if task.result.is_dir():
         storage.delete(f"jobs/{task.job_id}/result")

@@ -3,27 +3,34 @@
 from __future__ import annotations
 
 import logging
+import os
 import pickle
 import queue
 import signal
 import threading
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, TypeVarTuple
 
-from app.jobs.hand_out import EXTRA_SLOTS, HandOut, Work
-from app.jobs.worker_limits import WorkerLimitError, memory_of, memory_share
 from app.work.kinds import WARM
 from interloc.processes import end_with_parent, interrupts_held_back
 
+EXTRA_SLOTS = 2
+"""Number of worker processes beside those that are asked for; `HandOut` says what for."""
+
+_MEMORY_SHARE = 0.75  # of the memory of the machine; the rest is for the server, the database and the page cache
+_MIN_MEMORY_BYTES = 1024**3
+_PROC, _CGROUPS = Path("/proc"), Path("/sys/fs/cgroup")
 _LOOK_S = 0.2  # interval at which time and memory of a piece of work are looked at
 _START_S = 120.0  # within which a process is ready, however busy the machine: one that hangs is replaced
 _log = logging.getLogger(__name__)
@@ -31,11 +38,109 @@ _log = logging.getLogger(__name__)
 # everything, and does nothing else, it is there at once, also in the place of one that was killed.
 _context: Any = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
 
+Given = TypeVarTuple("Given")
 Result = TypeVar("Result")
 
 
 class WorkerLostError(Exception):
     """The worker that did a piece of work died, and the work is lost; it can be tried again."""
+
+
+class WorkerLimitError(Exception):
+    """A piece of work used more than it may, and was ended; another try would end the same way.
+
+    Attributes
+    ----------
+    limit : {"time", "memory"}
+    bound, used : float
+        Seconds or bytes.
+    """
+
+    def __init__(self, limit: Literal["time", "memory"], bound: float, used: float) -> None:
+        unit = "s" if limit == "time" else "bytes"
+        super().__init__(f"it used {used:.0f} {unit}, and may use {bound:.0f}")
+        self.limit = limit
+        self.bound = bound
+        self.used = used
+
+
+@dataclass(eq=False)
+class Work:
+    """A piece of work.
+
+    Attributes
+    ----------
+    call
+        Function, arguments.
+    client : str
+        For whom it is done.
+    seconds : float
+        How long it may take.
+    urgent : bool
+        Somebody waits for it.
+    is_given_up : bool
+        Nobody wants it any more.
+    """
+
+    call: tuple[Callable[..., Any], tuple[Any, ...]]
+    client: str = ""
+    seconds: float = float("inf")
+    urgent: bool = False
+    is_given_up: bool = False
+    future: Future[Any] = field(default_factory=Future)
+
+
+class HandOut:
+    """Which piece of work is begun next: quick work does not wait for long work, nor one client for another.
+
+    `slots` pieces of work are done at a time. One more is begun if it is urgent, and one more, whatever it is, for a
+    client that has nothing at work: whoever holds all the others keeps only himself waiting. Urgent work comes first;
+    then the client with the fewest pieces at work; then the order of submission. The caller holds a lock.
+
+    Parameters
+    ----------
+    slots
+        How many pieces are done at a time, without the extra ones.
+    """
+
+    def __init__(self, slots: int) -> None:
+        self._slots = slots
+        self._waiting: list[Work] = []
+        self._at_work: Counter[str] = Counter()
+
+    def add(self, work: Work) -> None:
+        """Let a piece of work wait."""
+        self._waiting.append(work)
+
+    def take(self) -> Work | None:
+        """Return the piece of work to begin now; None where none waits that may begin."""
+        while True:
+            busy = self._at_work.total()
+            admitted = [work for work in self._waiting if busy < self._room_for(work)]
+            if not admitted:
+                return None
+            work = min(admitted, key=lambda work: (not work.urgent, self._at_work[work.client]))
+            self._waiting.remove(work)
+            if work.future.set_running_or_notify_cancel():
+                self._at_work[work.client] += 1
+                return work
+
+    def done(self, work: Work) -> None:
+        """Note that a piece of work that was taken has ended."""
+        self._at_work[work.client] -= 1
+        self._at_work += Counter()  # forgets the clients that have none
+
+    def clear(self) -> None:
+        """Cancel all that waits."""
+        for work in self._waiting:
+            work.future.cancel()
+            work.future.set_running_or_notify_cancel()  # otherwise whoever waits for it would wait for ever
+        self._waiting.clear()
+
+    def _room_for(self, work: Work) -> int:
+        if not self._at_work[work.client]:
+            return self._slots + EXTRA_SLOTS
+        return self._slots + work.urgent
 
 
 class ProcessExecutor:
@@ -62,7 +167,7 @@ class ProcessExecutor:
             _context.set_forkserver_preload([WARM])
         self._lock = threading.Lock()
         self._hand_out = HandOut(slots)
-        self._stopping = False
+        self.is_stopping = False
         self._slots = [_Slot(self, number) for number in range(slots + EXTRA_SLOTS)]
         self._idle = list(self._slots)
         for slot in self._slots:
@@ -70,9 +175,9 @@ class ProcessExecutor:
 
     def submit(
         self,
-        fn: Callable[..., Result],
+        fn: Callable[[*Given], Result],
         /,
-        *args: Any,  # noqa: ANN401 - whatever can be pickled
+        *args: *Given,
         client: str = "",
         seconds: float = float("inf"),
         urgent: bool = False,
@@ -80,7 +185,7 @@ class ProcessExecutor:
         """Do a piece of work; see `WorkExecutor.submit`."""
         work = Work((fn, args), client, seconds, urgent)
         with self._lock:
-            if self._stopping:
+            if self.is_stopping:
                 raise RuntimeError("the executor was stopped")
             self._hand_out.add(work)
             self._begin_what_may()
@@ -100,7 +205,7 @@ class ProcessExecutor:
     def stop(self) -> None:
         """End all workers at once; running work is lost, waiting work is cancelled."""
         with self._lock:
-            self._stopping = True
+            self.is_stopping = True
             self._hand_out.clear()
         for slot in self._slots:
             slot.inbox.put(None)
@@ -116,17 +221,12 @@ class ProcessExecutor:
             self._begin_what_may()
 
     def _begin_what_may(self) -> None:
-        if self._stopping:
+        if self.is_stopping:
             return
         while self._idle and (work := self._hand_out.take()) is not None:
             slot = min(self._idle, key=lambda slot: slot.number)  # the first ones have their drives open already
             self._idle.remove(slot)
             slot.inbox.put(work)
-
-    @property
-    def is_stopping(self) -> bool:
-        """Whether `stop` was called."""
-        return self._stopping
 
 
 class _Slot:
@@ -263,7 +363,8 @@ def _work(connection: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
     end_with_parent()
     _die_first()
-    _warm_up()
+    with suppress(ImportError):  # done already where this is the fork of a process that did it
+        import_module(WARM)
     with suppress(OSError):
         connection.send_bytes(b"")
     while True:
@@ -293,12 +394,6 @@ def _failure(error: BaseException) -> bytes:
     return content
 
 
-def _warm_up() -> None:
-    """Import what nearly all work needs, unless the process that this one was forked from has done it."""
-    with suppress(ImportError):
-        import_module(WARM)
-
-
 def _die_first() -> None:
     """Let the system end a worker before the server or others where the memory of the machine runs out; Linux only."""
     with suppress(OSError):
@@ -309,3 +404,48 @@ def _forget_peak_memory() -> None:
     """Reset the peak memory, so that it is that of the next piece of work; possible on Linux only."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
+
+
+def memory_of(pid: int | None) -> int:
+    """Return the resident memory of a process, bytes; 0 where the system does not tell (macOS, Windows)."""
+    try:
+        pages = int((_PROC / str(pid) / "statm").read_bytes().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def memory_share(processes: int) -> int:
+    """Return the memory that each of some worker processes may use, bytes: an equal share, but at least 1 GB."""
+    return max(_MIN_MEMORY_BYTES, int(machine_memory() * _MEMORY_SHARE / processes))
+
+
+def machine_memory() -> int:
+    """Return the memory that this process and its children can use in all, bytes: that of the machine or container."""
+    limits = [*_cgroup_limits(_PROC, _CGROUPS)]
+    with suppress(ValueError, OSError, AttributeError):  # Windows
+        limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    return min(limits, default=0)
+
+
+def _cgroup_limits(proc: Path, cgroups: Path) -> list[int]:
+    """Return the limits of the control groups that this process is in, of version 2 and 1; "max" is none."""
+    limits = []
+    try:
+        lines = (proc / "self/cgroup").read_text().splitlines()
+    except OSError:
+        return []
+    for line in lines:
+        _, controllers, place = line.split(":", 2)
+        if controllers not in {"", "memory"}:
+            continue
+        root = cgroups / controllers
+        name = "memory.limit_in_bytes" if controllers else "memory.max"
+        group = root / place.lstrip("/")
+        # The groups above bound it too; in a container the path may be that of the host: then only the root is there.
+        for folder in (group, *group.parents):
+            with suppress(OSError, ValueError):
+                limits.append(int((folder / name).read_text()))
+            if folder == root:
+                break
+    return limits

@@ -8,9 +8,11 @@ All times are those of the clock of the database.
 from __future__ import annotations
 
 import json
+import math
 import secrets
 import socket
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal
@@ -20,8 +22,8 @@ from sqlalchemy.orm import Session, aliased
 
 from app.http.problem_types import DRIVE_NOT_FOUND, DRIVE_NOT_READY, IDEMPOTENCY_KEY_USED_BEFORE, TOO_MANY_JOBS
 from app.http.problems import Problem
-from app.jobs.leases import LeaseClock
 from app.states import ACTIVE, FINAL, DriveState, JobKind, JobState
+from app.store.clock import ClockWatch
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.work.kinds import DRIVE_CHANGING, URGENT
@@ -52,6 +54,36 @@ class Claim:
     drive_name: str
     drive_state: str
     lease: str
+
+
+class LeaseClock:
+    """Which leases have run out, also where the clock of the database was set forward or back.
+
+    When it jumps forward, all leases seem to have run out; when it jumps back, those of dead servers seem to last for
+    hours. Servers that live renew their leases several times within the length of one, so after a jump that length is
+    waited for: then every lease of a living server is a good one again, and one that lies farther ahead than any
+    server writes it is of a dead one.
+
+    Parameters
+    ----------
+    lease_s
+        Length of a lease.
+    monotonic
+        A clock that never jumps.
+    """
+
+    def __init__(self, lease_s: float, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._lease_s = lease_s
+        self._watch = ClockWatch(lease_s / 3, monotonic)
+
+    def bounds(self, now: float) -> tuple[float, float]:
+        """Return two times by the clock of the database, which it shows as `now`: leases that end between them hold.
+
+        Those that end by the first or after the second have run out.
+        """
+        is_settled = self._watch.look(now) >= self._lease_s
+        first = now if is_settled or not self._watch.has_jumped else -math.inf
+        return first, now + 2 * self._lease_s if is_settled else math.inf
 
 
 @cache
@@ -142,7 +174,6 @@ class JobQueue:
             return Claim(job, drive_name, drive_state, job.lease_owner)
 
     def _times(self, session: Session) -> dict[str, float]:
-        """Return what `_claimable` asks for."""
         now = self._database.clock(session)
         run_out_by, void_after = self._clock.bounds(now)
         return {"now": now, "run_out_by": run_out_by, "void_after": void_after}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
+from fastapi.sse import EventSourceResponse, ServerSentEvent
 from sqlalchemy import or_, select
 from sqlalchemy.orm import Session
 
@@ -23,7 +25,7 @@ from app.jobs.models import JobChanges, JobList, JobModel, NewJob, PresetList, P
 from app.jobs.queue import submit
 from app.jobs.submission import check_request
 from app.jobs.view import find_job, is_alive, job_models
-from app.jobs.watcher import wait_for_job
+from app.jobs.watcher import Change, WatcherDep, wait_for_job
 from app.states import FINAL, JobKind, JobState
 from app.store import sidecars
 from app.store.models import Drive, Job
@@ -164,6 +166,44 @@ def load_job(job_id: JobId, context: ContextDep, _client: ClientDep) -> JobModel
 def show_job(request: Request, job: Annotated[JobModel, Depends(load_job)]) -> Response:
     """Show the progress of a job, why it failed, or what it found and the addresses of its results."""
     return answer_tagged(request, job.model_dump_json().encode())
+
+
+_EXAMPLE = 'event: job\nid: 7\ndata: {"id": "9b1e44f00c7a2d53", "state": "running", "version": 7}\n\n'
+_EVENTS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The stream of events.",
+        "content": {"text/event-stream": {"schema": {}, "example": _EXAMPLE}},
+    },
+    **NOT_FOUND,
+}
+
+
+@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=_EVENTS, summary="Follow a job")
+async def follow_job(
+    job: Annotated[JobModel, Depends(load_job)],
+    context: ContextDep,
+    watcher: WatcherDep,
+    last_event_id: Annotated[
+        str | None, Header(max_length=40, description="Id of the last event that arrived; it is not sent again.")
+    ] = None,
+) -> AsyncIterator[ServerSentEvent]:
+    """Send the job as it is now, then after each change, until it has ended (server-sent events).
+
+    Each event is named `job`; its data is the job as JSON, its id the number of changes. Comments keep the connection
+    open meanwhile. After a broken connection go on with `Last-Event-ID`, as browsers do.
+    """
+    current = Change.of(job)
+    with context.metrics.listeners.track_inprogress():
+        if current.is_final or last_event_id != str(current.version):
+            yield _event(current)
+        if current.is_final:
+            return
+        async for change in watcher.follow(job.id, current):
+            yield _event(change)
+
+
+def _event(change: Change) -> ServerSentEvent:
+    return ServerSentEvent(event="job", id=str(change.version), raw_data=change.data)
 
 
 @router.patch(

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar, TypeVarTuple
 
 from sqlalchemy import select
 from sqlalchemy.exc import SQLAlchemyError
@@ -20,9 +20,8 @@ from app.jobs.attempt import Attempt, FinishDrive, IndexResult
 from app.jobs.executors import WorkExecutor, open_executor
 from app.jobs.failures import limit_reached
 from app.jobs.folders import jobs_with_scratch, tidy
-from app.jobs.processes import WorkerLostError
+from app.jobs.processes import WorkerLimitError, WorkerLostError
 from app.jobs.queue import URGENT_AT_ONCE, JobQueue
-from app.jobs.worker_limits import WorkerLimitError
 from app.states import FINAL, JobState
 from app.store.models import Job
 from app.work.kinds import URGENT, compile_kernels
@@ -30,6 +29,7 @@ from app.work.kinds import URGENT, compile_kernels
 _POLL_S = 0.5
 _log = logging.getLogger(__name__)
 
+Given = TypeVarTuple("Given")
 Returned = TypeVar("Returned")
 
 
@@ -77,7 +77,7 @@ class Runner:
             thread.start()
             self._threads.append(thread)
 
-    async def run_in_worker(self, function: Callable[..., Returned], *args: Any, client: str) -> Returned:  # noqa: ANN401
+    async def run_in_worker(self, function: Callable[[*Given], Returned], *args: *Given, client: str) -> Returned:
         """Call a function in a worker process, before all that waits; once more where the worker dies.
 
         For short work that a request of a client waits for: the server itself stays quick.

@@ -21,6 +21,7 @@ from app.jobs.folders import label_folders
 from app.jobs.models import NewJob, OsmFile, OsmOverpass
 from app.states import DriveState
 from app.store.models import Drive, DriveFile
+from app.store.storage import Storage
 from app.work.task import no_georeference
 from interloc.config import DetectorConfig, parse_config, preset
 from interloc.osm.container import MAP_ENDINGS, is_map
@@ -58,7 +59,7 @@ def check_request(session: Session, context: Context, new: NewJob) -> dict[str, 
             '{"file": "map.osm.gz"}.',
         )
     _check_placing(new)
-    _check_drive(session, context, new)
+    _check_drive(session, context.storage, new)
     request = new.model_dump(mode="json", exclude={"drive_id", "config"})
     return request | {"config": _config_of(new).model_dump(mode="json")}
 
@@ -80,12 +81,12 @@ def _check_placing(new: NewJob) -> None:
         )
 
 
-def _check_drive(session: Session, context: Context, new: NewJob) -> None:
+def _check_drive(session: Session, storage: Storage, new: NewJob) -> None:
     """Refuse what a ready drive lacks; of one whose check still runs the job itself finds out."""
     drive = session.get(Drive, new.drive_id)
     if drive is None or drive.state != DriveState.READY:
         return
-    folders = [] if new.labels is None else label_folders(context.storage, new.drive_id)
+    folders = [] if new.labels is None else label_folders(storage, new.drive_id)
     if folders and new.labels not in folders:
         raise Problem(
             LABELS_NOT_FOUND,

@@ -17,6 +17,7 @@ from app.context import Context, part_of_app
 from app.jobs.models import JobModel
 from app.jobs.view import find_job, is_alive, job_models
 from app.states import FINAL, JobState
+from app.store.database import Database
 from app.store.models import Drive, Job
 
 _POLL_S = 0.5
@@ -148,7 +149,7 @@ async def wait_for_job(context: Context, job_id: str, seconds: float) -> Job:
     end = time.monotonic() + seconds
     pause_s = _FIRST_LOOK_S
     while True:
-        job = await run_in_threadpool(_look, context, job_id)
+        job = await run_in_threadpool(_look, context.database, job_id)
         left_s = end - time.monotonic()
         if job.state in FINAL or left_s <= 0 or context.stopping.is_set():
             return job
@@ -156,6 +157,6 @@ async def wait_for_job(context: Context, job_id: str, seconds: float) -> Job:
         pause_s = min(1.3 * pause_s, _LAST_LOOK_S)
 
 
-def _look(context: Context, job_id: str) -> Job:
-    with context.database.reading() as session:
+def _look(database: Database, job_id: str) -> Job:
+    with database.reading() as session:
         return find_job(session, job_id)[0]

@@ -19,7 +19,7 @@ def available(folder: Path | None) -> list[ModelDescription]:
     return [] if folder is None else describe_models(folder)
 
 
-def find(folder: str | Path | None, name: str) -> Path:
+def find(folder: Path | None, name: str) -> Path:
     """Return the folder of a network.
 
     Raises
@@ -31,7 +31,7 @@ def find(folder: str | Path | None, name: str) -> Path:
     if folder is None or name not in names:
         there = ", ".join(names) or "none; INTERLOC_MODELS names the folder that they are in"
         raise ModelError(f"model {name!r}: the service has no such network. There are: {there}.")
-    return Path(folder) / name
+    return folder / name
 
 
 def note_time(cache: Path, model: Path, seconds: float) -> None:

@@ -15,8 +15,7 @@ from app.http.problems import Problem
 from app.jobs.runner import Runner
 from app.results.folder import Result
 from app.results.work import VIEW, draw_keyframe, draw_road_picture, write_export
-from app.states import JobKind
-from app.work.task import Task
+from app.work.documents import IntersectionsJob
 from interloc.errors import DamagedResultError
 
 _MAX_DRAWING = 2  # workers that a server lends to pictures: jobs go on in the meantime
@@ -71,7 +70,7 @@ class OnDemand:
             return folder
         if folder not in self._running and len(self._running) >= _MAX_RUNNING:
             raise Problem(BUSY, "Too many keyframes are being drawn.", headers={"Retry-After": "2"})
-        nearest = await self._once(folder, lambda: self._draw(_task_of(result), frame, folder, client))
+        nearest = await self._once(folder, lambda: self._draw(result, frame, folder, client))
         if nearest != frame:
             raise Problem(
                 NO_SUCH_KEYFRAME,
@@ -81,9 +80,12 @@ class OnDemand:
             )
         return folder
 
-    async def _draw(self, task: Task, frame: int, folder: Path, client: str) -> int:
+    async def _draw(self, result: Result, frame: int, folder: Path, client: str) -> int:
+        request = IntersectionsJob.model_validate(result.request)
         async with self._drawing:
-            return await self._runner.run_in_worker(draw_keyframe, task, frame, folder, client=client)
+            return await self._runner.run_in_worker(
+                draw_keyframe, result.drive, result.drive_name, request, frame, folder, client=client
+            )
 
     async def _once_of(self, result: Result, path: Path, work: Callable[[], Coroutine[Any, Any, Any]]) -> None:
         """Wait for the work on a file that is made of a result only."""
@@ -104,18 +106,6 @@ class OnDemand:
             self._running[path] = task
             task.add_done_callback(lambda _: self._running.pop(path, None))
         return await asyncio.shield(self._running[path])
-
-
-def _task_of(result: Result) -> Task:
-    return Task(
-        kind=JobKind.INTERSECTIONS,
-        job_id=result.job_id,
-        drive_name=result.drive_name,
-        request=result.request,
-        drive=result.drive,
-        scratch=result.cache,
-        result=result.folder,
-    )
 
 
 OnDemandDep = Annotated[OnDemand, part_of_app("on_demand")]

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import interloc.output
-from app.jobs.work.intersections import config_of, open_input
+from app.jobs.work.intersections import open_input
 from app.results.models import collection_id
-from app.work.task import Task
+from app.work.documents import IntersectionsJob
 from interloc.files import atomic_folder, atomic_write
 from interloc.output.qgis_project import Source
 from interloc.output.vector_files import write_live_project, write_vector_file
@@ -30,13 +30,13 @@ LIVE = "http://service.invalid/job"
 _KEPT = 300  # keyframes per job whose pictures are kept, about 100 kB each
 
 
-def draw_keyframe(task: Task, frame: int, folder: Path) -> int:
+def draw_keyframe(drive_folder: Path, drive_name: str, request: IntersectionsJob, frame: int, folder: Path) -> int:
     """Draw all overlays of a keyframe into a folder.
 
     Parameters
     ----------
-    task
-        The job, as it was worked on.
+    drive_folder, drive_name, request
+        Of the job, as it was worked on.
     frame : int
         Scan number.
     folder
@@ -55,18 +55,18 @@ def draw_keyframe(task: Task, frame: int, folder: Path) -> int:
     from interloc.explain.evidence import gather  # noqa: PLC0415 - not needed for jobs
     from interloc.explain.overlays import OVERLAYS, describe_overlays, draw_overlay  # noqa: PLC0415
 
-    drive, keyframes = open_input(task)
+    drive, keyframes = open_input(drive_folder, drive_name, request)
     frames = drive.frames[keyframes]
     nearest = int(frames[np.argmin(np.abs(frames - frame))])
     if nearest != frame:
         return nearest
-    evidence = gather(drive, frame, config_of(task))
+    evidence = gather(drive, frame, request.config)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with atomic_folder(folder, marker=VIEW) as new:
         for layer in OVERLAYS:
             with atomic_write(new / f"{layer}.png") as file:
                 file.write(draw_overlay(evidence, layer))
-        view = describe_overlays(evidence, task.drive_name, drive.georeference)
+        view = describe_overlays(evidence, drive_name, drive.georeference)
         with atomic_write(new / VIEW) as file:
             file.write(json.dumps(view, allow_nan=False).encode() + b"\n")
     _forget_oldest(folder.parent)

@@ -156,7 +156,7 @@ def _adopt_drive(context: Context, place: str, id_: str, *, dry_run: bool) -> tu
             now = context.database.clock(session)
             drive.touched_at = now
             drive.created_at = min(drive.created_at or now, now)
-            note_extent(drive, context)
+            note_extent(drive, context.storage)
             session.add(drive)
         reconcile(context, id_, is_news=False)
         with context.database.reading() as session:

@@ -218,7 +218,7 @@ def _note_extents(context: Context) -> None:
     for drive_id in unknown:
         if (context.storage.folder(drive_key(drive_id)) / TRAJECTORY[0]).is_file():
             with context.database.writing(patient=True) as session, suppress(Problem):  # purged meanwhile
-                note_extent(lock_drive(session, drive_id), context)
+                note_extent(lock_drive(session, drive_id), context.storage)
 
 
 def _write_sidecars(context: Context) -> None:

@@ -6,11 +6,11 @@ import socket
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
-from typing import Any
 
 from app.states import JobKind
+from app.work.documents import CommitJob, IntersectionsJob, JobRequest, Outcome, UnpackJob
 from app.work.progress import ProgressFiles
-from app.work.task import Outcome, Part, Plan, Task
+from app.work.task import Part, Plan, Task
 from interloc.errors import InterLocError
 
 
@@ -22,10 +22,9 @@ class Kind:
     ----------
     module : str
         It has the functions `prepare`, `run` and `finish` (see `app.work.task`).
+    request : type of JobRequest
     stages : tuple of str
         What the work is doing in each of the three calls, for the client.
-    labelling : str
-        What the second call is doing where a network labels the scans.
     urgent : bool
         Somebody waits for it: it goes first, and never behind long work.
     changes_drive : bool
@@ -33,16 +32,16 @@ class Kind:
     """
 
     module: str
+    request: type[JobRequest]
     stages: tuple[str, str, str]
-    labelling: str = ""
     urgent: bool = True
     changes_drive: bool = True
 
-    def stages_of(self, request: dict[str, Any]) -> tuple[str, str, str]:
+    def stages_of(self, request: JobRequest) -> tuple[str, str, str]:
         """Return what the work is doing in each of the three calls for a request."""
         first, second, third = self.stages
-        labels = bool(self.labelling) and (request.get("options") or {}).get("model") is not None
-        return first, self.labelling if labels else second, third
+        is_labelled = isinstance(request, CommitJob) and request.options.model is not None
+        return first, "labelling" if is_labelled else second, third
 
     def load(self) -> ModuleType:
         """Import the module; workers do that, the server need not."""
@@ -51,11 +50,15 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     JobKind.INTERSECTIONS: Kind(
-        "app.jobs.work.intersections", ("preparing", "detecting", "mapping"), urgent=False, changes_drive=False
+        "app.jobs.work.intersections",
+        IntersectionsJob,
+        ("preparing", "detecting", "mapping"),
+        urgent=False,
+        changes_drive=False,
     ),
-    JobKind.COMMIT: Kind("app.drives.work.commit", ("checking", "reducing", "storing"), labelling="labelling"),
-    JobKind.UNPACK: Kind("app.drives.work.unpack", ("checking", "unpacking", "storing")),
-    JobKind.DEMO: Kind("app.demo.work", ("preparing", "simulating", "storing")),
+    JobKind.COMMIT: Kind("app.drives.work.commit", CommitJob, ("checking", "reducing", "storing")),
+    JobKind.UNPACK: Kind("app.drives.work.unpack", UnpackJob, ("checking", "unpacking", "storing")),
+    JobKind.DEMO: Kind("app.demo.work", JobRequest, ("preparing", "simulating", "storing")),
 }
 
 WARM = "app.work.warm"
@@ -75,30 +78,30 @@ def compile_kernels() -> None:
             warm_up(config)
 
 
-def prepare(task: Task) -> Plan:
+def prepare(task: Task[JobRequest]) -> Plan:
     """Look at the input of a task, and cut it into parts."""
     _check(task)
     plan: Plan = KINDS[task.kind].load().prepare(task)
     return plan
 
 
-def run(task: Task, part: Part) -> None:
+def run(task: Task[JobRequest], part: Part) -> None:
     """Do one part of a task."""
     _check(task)
-    KINDS[task.kind].load().run(task, part, ProgressFiles(task).report_of(part))
+    KINDS[task.kind].load().run(task, part, ProgressFiles.of(task).report_of(part))
 
 
-def finish(task: Task, plan: Plan) -> Outcome:
+def finish(task: Task[JobRequest], plan: Plan) -> Outcome:
     """Join the parts of a task into its result."""
     _check(task)
     outcome: Outcome = KINDS[task.kind].load().finish(task, plan)
     return outcome
 
 
-def _check(task: Task) -> None:
+def _check(task: Task[JobRequest]) -> None:
     if not task.scratch.is_dir():
         raise InterLocError(
             f"The worker on {socket.gethostname()} does not see {task.scratch}. "
             "Workers of a cluster need the data folder of the service at the same place."
         )
-    ProgressFiles(task).check()
+    ProgressFiles.of(task).check()

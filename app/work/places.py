@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from interloc.output.layout import file_names
 
@@ -33,13 +34,27 @@ def link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def place_unpacked(files: Path, listing: list[dict[str, Any]], scratch: Path) -> None:
+@dataclass(frozen=True)
+class UnpackedFile:
+    """A file below `UNPACKED`, as `LISTING` names it."""
+
+    path: str
+    size_bytes: int
+    sha256: str
+
+
+def read_listing(scratch: Path) -> list[UnpackedFile]:
+    """Return the files that `place_unpacked` has placed."""
+    return [UnpackedFile(**file) for file in json.loads((scratch / LISTING).read_text())]
+
+
+def place_unpacked(files: Path, listing: Iterable[UnpackedFile], scratch: Path) -> None:
     """Move files and their list to where the server expects them; the list comes last and marks them as complete.
 
     Files without a list are those of an attempt that was killed in between.
     """
     listed = files.with_name("listing")
-    listed.write_text(json.dumps(listing))
+    listed.write_text(json.dumps([asdict(file) for file in listing]))
     os.sync()
     shutil.rmtree(scratch / UNPACKED, ignore_errors=True)
     files.rename(scratch / UNPACKED)

@@ -11,8 +11,9 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
+from app.work.documents import JobRequest
 from app.work.task import Cancelled, Part, Report, Task
 
 _INTERVAL_S = 0.25  # between two reports of a part
@@ -35,12 +36,29 @@ class WorkProgress:
     message: str | None = None
 
 
-class ProgressFiles:
-    """The files of one attempt at a task."""
+class _Content(TypedDict, total=False):
+    done: int
+    stage: str | None
+    message: str | None
 
-    def __init__(self, task: Task) -> None:
-        self._folder = task.scratch / f"attempt-{task.attempt}"
+
+class ProgressFiles:
+    """The files of one attempt at a job.
+
+    Parameters
+    ----------
+    scratch, attempt
+        As of a `Task`.
+    """
+
+    def __init__(self, scratch: Path, attempt: str) -> None:
+        self._folder = scratch / f"attempt-{attempt}"
         self._stop = self._folder / "stop"
+
+    @classmethod
+    def of(cls, task: Task[JobRequest]) -> ProgressFiles:
+        """Return the files of an attempt that works on a task."""
+        return cls(task.scratch, task.attempt)
 
     def open(self) -> None:
         """Make the folder; without it, all work of the attempt takes itself for cancelled."""
@@ -84,18 +102,18 @@ class ProgressFiles:
     def read(self) -> WorkProgress:
         """Return what the workers reported last."""
         done: dict[int, int] = {}
-        reported: dict[str, Any] = {}
+        reported: _Content = {}
         with suppress(FileNotFoundError):
             for entry in os.scandir(self._folder):
                 content = _read(Path(entry.path))
                 kind, _, number = entry.name.partition("-")
                 if kind == "part" and number.isdigit():
-                    done[int(number)] = int(content.get("done", 0))
+                    done[int(number)] = content.get("done", 0)
                 elif entry.name == "stage":
                     reported = content
         return WorkProgress(done, reported.get("stage"), reported.get("message"))
 
-    def _write(self, name: str, content: dict[str, Any]) -> None:
+    def _write(self, name: str, content: _Content) -> None:
         # Renamed into place, so that no reader sees half; not synced: it is worth nothing after a crash.
         temporary = self._folder / f"{name}.{os.getpid()}.new"
         try:
@@ -105,9 +123,9 @@ class ProgressFiles:
             raise Cancelled("The job was cancelled.") from None
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> _Content:
     try:
-        content = json.loads(path.read_bytes())
+        content: _Content = json.loads(path.read_bytes())
     except (OSError, ValueError):  # gone meanwhile, or of a worker that is just writing it
         return {}
     return content if isinstance(content, dict) else {}

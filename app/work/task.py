@@ -1,7 +1,7 @@
 """A job as worker processes see it: a task that is cut into parts and works on files in the data folder.
 
-Every kind of job is a module of this package with three functions that run in worker processes, on this machine or on
-a cluster, and know neither the database nor the web:
+The work of every kind of job is a module with three functions that run in worker processes, on this machine or on a
+cluster, and know neither the database nor the web:
 
 ``prepare(task) -> Plan``
     Look at the input, cut the work into parts.
@@ -16,15 +16,21 @@ They raise `InterLocError` if the input is at fault: the job fails with that mes
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Generic, TypeVar
 
+from pydantic import BaseModel, ConfigDict
+
+from app.work.documents import JobRequest
 from interloc.errors import GeoreferenceError, InterLocError
 
 Report = Callable[[int], None]
 """Called with the number of units of the part that are done; raises `Cancelled` when nobody waits for the rest."""
+
+Request_co = TypeVar("Request_co", bound=JobRequest, covariant=True)
 
 
 class Cancelled(InterLocError):  # noqa: N818 - it is not a fault
@@ -37,24 +43,43 @@ class DriveGoneError(InterLocError):
     http_status = 410
 
 
+class WorkSettings(BaseModel):
+    """What work must know of `Settings`, from which it is made by names; secrets are not among it."""
+
+    model_config = ConfigDict(frozen=True, from_attributes=True)
+
+    max_file_bytes: int
+    max_recording_bytes: int
+    max_archive_ratio: float
+    max_drive_bytes: int
+    max_drive_files: int
+    max_demo_scans: int | None
+    min_free_bytes: int
+    models: Path | None
+    overpass_url: str
+
+
 @dataclass(frozen=True)
-class Task:
+class Task(Generic[Request_co]):
     """What is to be done.
 
     Attributes
     ----------
     kind, job_id : str
     drive_name : str
-    request : dict
-        The request as the client sent it, checked.
+    request : JobRequest
+        That of its kind.
     drive : Path
         Folder of the drive: ``files/`` as uploaded, ``reduced/`` once it is committed.
     scratch : Path
         Folder of this job for checkpoints and progress; it outlives a restart and goes when the job ends.
     result : Path
         Folder of the result of this attempt; the runner moves it to its place when the job was successful.
-    limits : dict
-        Settings of the service by name: limits that the work must keep to, how many workers there are, ...
+    cache : Path
+        Folder of the service for what is fetched or measured once, for all jobs.
+    settings : WorkSettings
+    workers : int
+        Number of parts that are done at the same time.
     attempt : str
         Name of this attempt, so that two servers that take each other for dead do not stop each other's work.
     """
@@ -62,12 +87,14 @@ class Task:
     kind: str
     job_id: str
     drive_name: str
-    request: dict[str, Any]
+    request: Request_co
     drive: Path
     scratch: Path
     result: Path
-    limits: dict[str, Any] = field(default_factory=dict)
-    attempt: str = ""
+    cache: Path
+    settings: WorkSettings
+    workers: int
+    attempt: str
 
 
 @dataclass(frozen=True)
@@ -81,36 +108,20 @@ class Part:
 
 @dataclass(frozen=True)
 class Plan:
-    """How a task is cut.
+    """How a task is cut; a kind of work that passes more on from `prepare` to `finish` has a plan of its own.
 
     Attributes
     ----------
     parts
     total : int
         Number of units of all parts: keyframes, scans, files.
-    notes : dict
-        What `prepare` passes on to `finish`.
+    began : float
+        When it was made, seconds since 1970.
     """
 
     parts: list[Part]
     total: int
-    notes: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The outcome of a task.
-
-    Attributes
-    ----------
-    summary : dict
-        Figures for the client.
-    report : dict or None
-        What a check found (`DriveReport.to_dict`).
-    """
-
-    summary: dict[str, Any]
-    report: dict[str, Any] | None = None
+    began: float = field(default_factory=time.time, kw_only=True)
 
 
 def no_georeference(drive_name: str) -> GeoreferenceError:

@@ -28,8 +28,7 @@ from typing import Any
 import httpx
 import psutil
 
-from app.jobs.hand_out import EXTRA_SLOTS
-from app.jobs.worker_limits import memory_share
+from app.jobs.processes import EXTRA_SLOTS, memory_share
 from app.settings import Settings
 from app.store.database import Database
 from app.store.tokens import add_token

@@ -12,20 +12,21 @@ import shutil
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from app.networks import work as models
 from app.paths import without_folder
+from app.work.documents import CommitJob, CommitOutcome, UploadOptions
 from app.work.places import REDUCED, TRAJECTORY, link
-from app.work.task import Outcome, Part, Plan, Report, Task
+from app.work.task import Part, Plan, Report, Task
 from interloc.config import DEFAULT
 from interloc.drives.findings import DriveFileError, Finding, Findings, by_severity
 from interloc.drives.formats import find_format
 from interloc.drives.inspect import DriveReport, report_of
 from interloc.drives.open import DriveReading, open_drive, read_drive
-from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.options import DriveArguments, DriveOptions, LabelFolder
 from interloc.drives.scans.reduced import read_ground
 from interloc.drives.scans.reduced_format import MANIFEST, ground_path, is_reduced, read_manifest
 from interloc.errors import InterLocError
@@ -46,24 +47,31 @@ _PROBLEMS = "problems.json"
 _MAX_NAMES_SHOWN = 3
 
 
-def prepare(task: Task) -> Plan:
+@dataclass(frozen=True)
+class CommitPlan(Plan):
+    """How the scans of a drive are cut: no parts where its check found errors, or is all that was asked for."""
+
+    report: DriveReport
+
+
+def prepare(task: Task[CommitJob]) -> CommitPlan:
     """Check the files as `interloc info` does; cut the scans into parts if they are valid."""
     files = task.drive / "files"
     files.mkdir(parents=True, exist_ok=True)
     report = check(task)
-    if not report.ok or task.request.get("check_only"):
-        return Plan([], 0, {"report": report.to_dict()})
+    if not report.ok or task.request.check_only:
+        return CommitPlan([], 0, report)
     try:
         frames = _frames(task)
     except InterLocError as error:  # not covered by the check: files that cannot be gathered
-        return Plan([], 0, {"report": _with_errors(report, _problems_of(error), task).to_dict()})
+        return CommitPlan([], 0, _with_errors(report, _problems_of(error), task))
     size = PART_SCANS if _model(task) is None else PART_LABELLED_SCANS
     edges = range(0, len(frames), size)
     parts = [Part(number, start, min(start + size, len(frames))) for number, start in enumerate(edges)]
-    return Plan(parts, len(frames), {"report": report.to_dict(), "began": time.time()})
+    return CommitPlan(parts, len(frames), report)
 
 
-def run(task: Task, part: Part, report: Report) -> None:
+def run(task: Task[CommitJob], part: Part, report: Report) -> None:
     """Reduce some scans, or check them if they are reduced already; faults of scans are recorded, not raised."""
     target = task.scratch / f"part-{part.number}"
     if target.is_dir():
@@ -85,18 +93,17 @@ def run(task: Task, part: Part, report: Report) -> None:
                 raise
         report(done)
     if (model := _model(task)) is not None and frames:
-        models.note_time(Path(task.limits["cache"]), model, (time.monotonic() - began) / len(frames))
+        models.note_time(task.cache, model, (time.monotonic() - began) / len(frames))
     (folder / _PROBLEMS).write_text(json.dumps(problems[:MAX_PROBLEMS]))
     os.sync()  # the scans themselves will be removed: one wait per part is better than one per file
     with suppress(OSError):  # another attempt was faster
         folder.rename(target)
 
 
-def finish(task: Task, plan: Plan) -> Outcome:
+def finish(task: Task[CommitJob], plan: CommitPlan) -> CommitOutcome:
     """Put the reduced drive together."""
-    report = DriveReport.model_validate(plan.notes["report"])
     if not plan.parts:
-        return Outcome({"ok": report.ok}, report.to_dict())
+        return CommitOutcome(ok=plan.report.ok, report=plan.report)
     folders = [task.scratch / f"part-{part.number}" for part in plan.parts]
     problems = [
         Finding("error", path, message)
@@ -104,7 +111,7 @@ def finish(task: Task, plan: Plan) -> Outcome:
         for path, message in json.loads((folder / _PROBLEMS).read_text())
     ]
     if problems:
-        return Outcome({"ok": False}, _with_errors(report, problems, task).to_dict())
+        return CommitOutcome(ok=False, report=_with_errors(plan.report, problems, task))
     shutil.rmtree(task.result, ignore_errors=True)
     reduced = task.result / REDUCED
     reduced.mkdir(parents=True)
@@ -122,17 +129,17 @@ def finish(task: Task, plan: Plan) -> Outcome:
     is_local = drive.georeference is None
     write_collection(task.result / TRAJECTORY[is_local], [track], local=is_local)
     os.sync()
-    summary = {
-        "ok": True,
-        "scans": len(drive.frames),
-        "kept_scans": plan.total,
-        "reduced_bytes": sum(file.stat().st_size for file in reduced.rglob("*") if file.is_file()),
-        "seconds": round(time.time() - float(plan.notes["began"]), 3),
-    }
-    return Outcome(summary, report.to_dict())
+    return CommitOutcome(
+        ok=True,
+        scans=len(drive.frames),
+        kept_scans=plan.total,
+        reduced_bytes=sum(file.stat().st_size for file in reduced.rglob("*") if file.is_file()),
+        seconds=round(time.time() - plan.began, 3),
+        report=plan.report,
+    )
 
 
-def check(task: Task) -> DriveReport:
+def check(task: Task[CommitJob]) -> DriveReport:
     """Check a drive by all of its label folders; return one report with the problems of all."""
     root = task.drive / "files"
     readings, findings = _read_once(root, _options(task), task.job_id)
@@ -144,10 +151,10 @@ def check(task: Task) -> DriveReport:
     return report.model_copy(update={"path": name, "name": name, "problems": _tidied(problems, root, task.drive_name)})
 
 
-def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
+def _unknown_files(task: Task[CommitJob], problems: list[Finding]) -> list[Finding]:
     """Return a note on files that are not kept because nothing reads them."""
     root = task.drive / "files"
-    if task.request.get("keep_raw") or any(problem.severity == "error" for problem in problems):
+    if task.request.keep_raw or any(problem.severity == "error" for problem in problems):
         return []
     try:
         known = _known_files(task)
@@ -162,7 +169,7 @@ def _unknown_files(task: Task, problems: list[Finding]) -> list[Finding]:
     return [Finding("note", unknown[0], f"not needed, so not kept ({len(unknown):,} in all: {names}).")]
 
 
-def _known_files(task: Task) -> set[str]:
+def _known_files(task: Task[CommitJob]) -> set[str]:
     root = task.drive / "files"
     if not is_reduced(root):
         return set(_reduction(task).plan.copies.sources)
@@ -181,7 +188,7 @@ def _tidied(problems: list[Finding], root: Path, name: str) -> list[Finding]:
     return kept
 
 
-def _with_errors(report: DriveReport, problems: list[Finding], task: Task) -> DriveReport:
+def _with_errors(report: DriveReport, problems: list[Finding], task: Task[CommitJob]) -> DriveReport:
     every = list(dict.fromkeys([*problems, *report.problems]))
     return report.model_copy(update={"problems": _tidied(every, task.drive / "files", task.drive_name)})
 
@@ -192,10 +199,9 @@ def _problems_of(error: InterLocError) -> list[Finding]:
     return findings.found
 
 
-def reading_options(given: dict[str, Any], root: Path, name: str) -> DriveOptions:
-    """Return how the uploaded files in `root` are read, by the options and the name of the drive."""
-    options = ReadingOptions.model_validate({field: value for field, value in given.items() if field != "model"})
-    changed: DriveArguments = {"name": name.replace("/", "_")}
+def reading_options(options: UploadOptions, root: Path, name: str, model: Path | None = None) -> DriveOptions:
+    """Return how the uploaded files in `root` are read, by the options, the name and the network of the drive."""
+    changed: DriveArguments = {"name": name.replace("/", "_"), "model": model}
     if options.oxts is not None:
         changed["oxts"] = root / options.oxts
     if options.poses is not None:
@@ -206,20 +212,18 @@ def reading_options(given: dict[str, Any], root: Path, name: str) -> DriveOption
     return DriveOptions.of(options, **changed)
 
 
-def _options(task: Task) -> DriveOptions:
-    options = reading_options(task.request["options"], task.drive / "files", task.drive_name)
-    model = _model(task)
-    return options if model is None else DriveOptions.of(options, model=model)
+def _options(task: Task[CommitJob]) -> DriveOptions:
+    return reading_options(task.request.options, task.drive / "files", task.drive_name, _model(task))
 
 
-def _model(task: Task) -> Path | None:
-    name = task.request["options"].get("model")
+def _model(task: Task[CommitJob]) -> Path | None:
+    name = task.request.options.model
     if name is None or is_reduced(task.drive / "files"):
         return None
-    return models.find(task.limits.get("models"), name)
+    return models.find(task.settings.models, name)
 
 
-def _frames(task: Task) -> list[int]:
+def _frames(task: Task[CommitJob]) -> list[int]:
     """Return the numbers of the scans that are to be reduced, or are reduced already."""
     root = task.drive / "files"
     if is_reduced(root):
@@ -242,7 +246,7 @@ def _read_once(
     return read_drive(root, options, findings, label_folders=folders), findings
 
 
-def _reduction(task: Task) -> Reduction:
+def _reduction(task: Task[CommitJob]) -> Reduction:
     return _reduction_once(task.drive / "files", _options(task), task.job_id)
 
 
@@ -256,14 +260,14 @@ def _reduction_once(root: Path, options: DriveOptions, job_id: str) -> Reduction
     return reduction_of(readings, options, Findings(stop_at_first=True), keyframes)
 
 
-def _scan_reduction(task: Task, folder: Path) -> Callable[[int], None]:
+def _scan_reduction(task: Task[CommitJob], folder: Path) -> Callable[[int], None]:
     reduction = _reduction(task)
     for labels in reduction.scans:
         (folder / ground_path(labels, 0)).parent.mkdir(parents=True)
     return lambda frame: reduction.write_ground(frame, folder)
 
 
-def _scan_check(task: Task) -> Callable[[int], None]:
+def _scan_check(task: Task[CommitJob]) -> Callable[[int], None]:
     root = task.drive / "files"
     manifest = read_manifest(root)
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from app.drives.work.commit import reading_options
 from app.paths import BadNameError, check_path, is_recording
+from app.work.documents import UploadOptions
+from app.work.task import WorkSettings
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import Finding
 from interloc.reduction.look import DriveLook, FolderLook, look_into
@@ -21,9 +22,9 @@ def look(
     contents: dict[str, bytes],
     name: str,
     root: str | None,
-    options: dict[str, Any],
+    options: UploadOptions,
     keyframes: KeyframeConfig,
-    limits: dict[str, int],
+    limits: WorkSettings,
     place: Path,
 ) -> FolderLook:
     """Look into a folder; parameters as of `LookRequest`.
@@ -31,7 +32,7 @@ def look(
     Parameters
     ----------
     limits
-        What the service takes, under the names of its settings.
+        What the service takes.
     place
         Where folders can be made for a moment.
     """
@@ -48,7 +49,7 @@ def look(
         root,
         partial(reading_options, options),
         keyframes=keyframes,
-        max_files=limits["max_drive_files"],
+        max_files=limits.max_drive_files,
         place=place,
     )
     if found.drive is None:
@@ -62,18 +63,17 @@ def look(
     return found.model_copy(update={"drive": found.drive.model_copy(update={"problems": problems})})
 
 
-def _too_large(drive: DriveLook, files: dict[str, int], limits: dict[str, int]) -> Iterator[Finding]:
+def _too_large(drive: DriveLook, files: dict[str, int], limits: WorkSettings) -> Iterator[Finding]:
     """Find what of the files that are sent as they are is larger than the service takes."""
     for inside, path in drive.whole.items():
         setting = "max_recording_bytes" if is_recording(path) else "max_file_bytes"
-        if files[path] > limits[setting]:
+        limit: int = getattr(limits, setting)
+        if files[path] > limit:
             split = " Split the recording." if is_recording(path) else ""
-            yield _limit(
-                inside, f"is too large: it has {_mb(files[path])}", f"files of {_mb(limits[setting])}", setting, split
-            )
+            yield _limit(inside, f"is too large: it has {_mb(files[path])}", f"files of {_mb(limit)}", setting, split)
     total = sum(files[path] for path in drive.whole.values())
-    if total > limits["max_drive_bytes"]:
-        most = f"drives of {_mb(limits['max_drive_bytes'])}"
+    if total > limits.max_drive_bytes:
+        most = f"drives of {_mb(limits.max_drive_bytes)}"
         yield _limit("files", f"are too large together: {_mb(total)}", most, "max_drive_bytes")
 
 

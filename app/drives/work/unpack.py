@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import shutil
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from app.drives.work.archive_files import ArchiveError, Member, members, too_many_files
 from app.paths import BadNameError, check_path, is_recording
-from app.work.places import LISTING, place_unpacked
-from app.work.task import Outcome, Part, Plan, Report, Task
+from app.work.documents import FilesOutcome, UnpackJob
+from app.work.places import LISTING, UnpackedFile, place_unpacked, read_listing
+from app.work.task import Part, Plan, Report, Task
 from interloc.errors import OutputError
 from interloc.osm.container import is_map
 
@@ -35,13 +35,13 @@ _PARTS = frozenset(
 )
 
 
-def prepare(task: Task) -> Plan:
+def prepare(task: Task[UnpackJob]) -> Plan:
     """Return one part; its units are packed megabytes, because neither files nor contents can be counted before."""
     size = _archive(task).stat().st_size
-    return Plan([Part(0, 0, max(1, size // _MB))], max(1, size // _MB), {"archive_bytes": size})
+    return Plan([Part(0, 0, max(1, size // _MB))], max(1, size // _MB))
 
 
-def run(task: Task, part: Part, report: Report) -> None:
+def run(task: Task[UnpackJob], part: Part, report: Report) -> None:
     """Unpack all files to the scratch folder, with a list of them."""
     if (task.scratch / LISTING).is_file():
         return
@@ -50,7 +50,7 @@ def run(task: Task, part: Part, report: Report) -> None:
     folder.mkdir(parents=True)
     try:
         unpacking = _Unpacking(task, folder, lambda: report(0))
-        with members(_archive(task), unpacking.count, task.limits["max_drive_files"]) as found:
+        with members(_archive(task), unpacking.count, task.settings.max_drive_files) as found:
             for member in found:
                 unpacking.take(member)
         place_unpacked(folder / "drive", unpacking.sort(), task.scratch)
@@ -59,20 +59,19 @@ def run(task: Task, part: Part, report: Report) -> None:
     report(part.stop - part.start)
 
 
-def finish(task: Task, plan: Plan) -> Outcome:
+def finish(task: Task[UnpackJob], plan: Plan) -> FilesOutcome:
     """Sum up what was unpacked; the server moves the files into the drive."""
-    listing = json.loads((task.scratch / LISTING).read_text())
-    return Outcome(
-        {
-            "files": len(listing),
-            "size_bytes": sum(file["size_bytes"] for file in listing),
-            "archive_bytes": plan.notes["archive_bytes"],
-        }
+    del plan
+    listing = read_listing(task.scratch)
+    return FilesOutcome(
+        files=len(listing),
+        size_bytes=sum(file.size_bytes for file in listing),
+        archive_bytes=_archive(task).stat().st_size,
     )
 
 
-def _archive(task: Task) -> Path:
-    return task.drive / str(task.request["archive"])
+def _archive(task: Task[UnpackJob]) -> Path:
+    return task.drive / task.request.archive
 
 
 @dataclass
@@ -86,15 +85,15 @@ class _File:
 class _Unpacking:
     """Files unpacked so far, stored under numbers instead of names."""
 
-    def __init__(self, task: Task, folder: Path, look_up: Callable[[], None]) -> None:
+    def __init__(self, task: Task[UnpackJob], folder: Path, look_up: Callable[[], None]) -> None:
         self._folder = folder
-        self._limits = task.limits
+        self._limits = task.settings
         packed_bytes = _archive(task).stat().st_size
         self._max_bytes = min(
-            int(self._limits["max_drive_bytes"]),
-            max(_FREE_RATIO_BYTES, int(packed_bytes * self._limits["max_archive_ratio"])),
+            self._limits.max_drive_bytes,
+            max(_FREE_RATIO_BYTES, int(packed_bytes * self._limits.max_archive_ratio)),
         )
-        self._max_files = min(int(self._limits["max_drive_files"]), max(_FREE_FILES, packed_bytes // _BYTES_PER_FILE))
+        self._max_files = min(self._limits.max_drive_files, max(_FREE_FILES, packed_bytes // _BYTES_PER_FILE))
         self._look_up = look_up
         self._files: dict[str, _File] = {}
         self._unpacked = 0
@@ -144,7 +143,7 @@ class _Unpacking:
             raise ArchiveError(f"{name}: has {size:,} bytes, not {member.size_bytes:,} as the archive says.")
         self._files[name] = _File(name, place, size, digest.hexdigest())
 
-    def sort(self) -> list[dict[str, Any]]:
+    def sort(self) -> list[UnpackedFile]:
         """Give the files of the drive their names, and return a list of them.
 
         Raises
@@ -166,11 +165,11 @@ class _Unpacking:
                     target.touch(exist_ok=False)
             except OSError as error:
                 raise ArchiveError(f"{name}: is a file and a folder in the archive. Pack it anew.") from error
-            listing.append({"path": path, "size_bytes": file.size_bytes, "sha256": file.sha256})
+            listing.append(UnpackedFile(path, file.size_bytes, file.sha256))
         return listing
 
     def _check_file(self, name: str, size: int) -> None:
-        limit = int(self._limits["max_recording_bytes" if is_recording(name) else "max_file_bytes"])
+        limit = self._limits.max_recording_bytes if is_recording(name) else self._limits.max_file_bytes
         if size > limit:
             raise ArchiveError(f"{name}: is larger than {limit / _MB:,.0f} MB, the limit of a file.")
 
@@ -179,12 +178,12 @@ class _Unpacking:
         if size > self._max_bytes:
             raise ArchiveError(
                 f"{name}: the archive unpacks to more than {self._max_bytes / _MB:,.0f} MB, the limit for a drive or "
-                f"{self._limits['max_archive_ratio']:g} times its own size. Send the files one by one instead."
+                f"{self._limits.max_archive_ratio:g} times its own size. Send the files one by one instead."
             )
         if self._unpacked + self._streamed - self._looked_at > _LOOK_BYTES:
             self._looked_at = self._unpacked + self._streamed
             self._look_up()
-            if shutil.disk_usage(self._folder).free < self._limits["min_free_bytes"]:
+            if shutil.disk_usage(self._folder).free < self._limits.min_free_bytes:
                 raise OutputError("the disk of the service is full. Nothing of the archive was kept.")
 
 

@@ -6,14 +6,15 @@ import time
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
 from app.jobs.work.checkpoints import read_checkpoint, write_checkpoint
+from app.work.documents import IntersectionsJob, IntersectionsOutcome, MapPlace, MapScores
 from app.work.places import REDUCED
 from app.work.progress import ProgressFiles
-from app.work.task import DriveGoneError, Outcome, Part, Plan, Report, Task, no_georeference
+from app.work.task import DriveGoneError, Part, Plan, Report, Task, no_georeference
 from interloc.arrays import IntArray
 from interloc.config import DetectorConfig
 from interloc.detection.keyframes import select_keyframes
@@ -43,79 +44,98 @@ _MIN_RANGE = 40
 _CELLS = 750
 
 
-def prepare(task: Task) -> Plan:
+def prepare(task: Task[IntersectionsJob]) -> Plan:
     """Open the drive and the map, so that what is wrong with them is reported before the long work."""
-    progress = ProgressFiles(task)
+    progress = ProgressFiles.of(task)
     if are_cold():  # the service has just been installed and started
         progress.report_stage("preparing", "Compiling the kernels, once")
-        warm_up(config_of(task))
+        warm_up(task.request.config)
     progress.report_stage("preparing")
-    drive, keyframes = open_input(task)
+    drive, keyframes = _open(task)
     if not len(keyframes):
         raise DriveError(f"{task.drive_name}: the drive holds no scans")
-    if task.request.get("osm") is not None:
-        if drive.georeference is None and not _is_placed_by_map(task):
+    if task.request.osm is not None:
+        if drive.georeference is None and task.request.georeference != "map":
             raise no_georeference(task.drive_name)
         _read_map(task, _map_bounds(task, drive, keyframes))
-    return Plan(_cut(len(keyframes), config_of(task)), len(keyframes), {"began": time.time()})
+    return Plan(_cut(len(keyframes), task.request.config), len(keyframes))
 
 
-def run(task: Task, part: Part, report: Report) -> None:
+def run(task: Task[IntersectionsJob], part: Part, report: Report) -> None:
     """Find the intersections around the keyframes of a range."""
     path = _checkpoint(task, part)
     if read_checkpoint(path) is not None:
         report(part.stop - part.start)
         return
-    drive, keyframes = open_input(task)
-    found = detect_range(drive, keyframes, part.start, part.stop, config_of(task), lambda done, _: report(done))
+    drive, keyframes = _open(task)
+    found = detect_range(drive, keyframes, part.start, part.stop, task.request.config, lambda done, _: report(done))
     write_checkpoint(path, found)
 
 
-def finish(task: Task, plan: Plan) -> Outcome:
+def finish(task: Task[IntersectionsJob], plan: Plan) -> IntersectionsOutcome:
     """Join the ranges, write the result folder, and score it where a map was given."""
-    progress = ProgressFiles(task)
+    progress = ProgressFiles.of(task)
     progress.report_stage("mapping")
-    drive, keyframes = open_input(task)
+    drive, keyframes = _open(task)
     result = assemble(
         drive,
         keyframes,
         [_found(task, part) for part in plan.parts],
-        config_of(task),
-        workers=min(int(task.limits.get("workers", 1)), len(plan.parts)),
-        seconds=max(0.0, time.time() - plan.notes["began"]),
+        task.request.config,
+        workers=min(task.workers, len(plan.parts)),
+        seconds=max(0.0, time.time() - plan.began),
     )
     scored, graph = result, None
-    if task.request.get("osm") is not None:
+    if task.request.osm is not None:
         graph = _read_map(task, _map_bounds(task, drive, keyframes))
-    report = None
+    scores = None
     with result_folder(task.result) as folder:
-        if graph is not None and _is_placed_by_map(task):
+        if graph is not None and task.request.georeference == "map":
             result, scored = _place(task, drive, result, graph, folder)
         write_results(result, folder)
         if graph is not None:
             progress.report_stage("evaluating")
-            report = _evaluate(task, result, scored, graph, folder)
+            scores = _evaluate(task.request, result, scored, graph, folder)
         progress.check()
-    return Outcome(_summary(result, report))
+    return IntersectionsOutcome(
+        keyframes=len(result.keyframes),
+        detections=len(result.detections),
+        intersections=len(result.intersections),
+        georeferenced=result.is_georeferenced,
+        seconds=result.run["seconds"],
+        stage_seconds=result.run["stage_seconds"],
+        peak_memory_bytes=result.run["peak_memory_bytes"],
+        location=_location(result),
+        report=scores,
+    )
 
 
-def open_input(task: Task) -> tuple[Drive, IntArray]:
-    """Return the drive of a task, and the positions of its keyframes.
+def _open(task: Task[IntersectionsJob]) -> tuple[Drive, IntArray]:
+    return open_input(task.drive, task.drive_name, task.request)
+
+
+def open_input(folder: Path, name: str, request: IntersectionsJob) -> tuple[Drive, IntArray]:
+    """Return the drive of a job, and the positions of its keyframes.
+
+    Parameters
+    ----------
+    folder, name
+        Of the drive, as in a `Task`.
+    request
 
     Raises
     ------
     DriveGoneError
         Its files are not where the commit has put them.
     """
-    config = config_of(task)
-    root = task.drive / REDUCED
+    root = folder / REDUCED
     if not (root / MANIFEST).is_file():
         raise DriveGoneError(
-            f"The files of drive {task.drive_name} are no longer on the disk of the service, though it was committed. "
+            f"The files of drive {name} are no longer on the disk of the service, though it was committed. "
             "Upload it again, and tell the operator."
         )
-    drive, keyframes = _open_once(root, task.drive_name, _label_folder(task, root), config)
-    return drive.without_georeference() if _is_placed_by_map(task) else drive, keyframes
+    drive, keyframes = _open_once(root, name, request.labels or _first_labels(root), request.config)
+    return drive.without_georeference() if request.georeference == "map" else drive, keyframes
 
 
 @lru_cache(maxsize=4)  # a worker does many parts of few drives; their files do not change any more
@@ -124,17 +144,9 @@ def _open_once(root: Path, name: str, labels: LabelFolder, config: DetectorConfi
     return drive, select_keyframes(drive.T_world_lidar, config.keyframes)
 
 
-def _label_folder(task: Task, root: Path) -> LabelFolder:
+def _first_labels(root: Path) -> LabelFolder:
     folders: tuple[LabelFolder, ...] = get_args(LabelFolder)
-    asked: LabelFolder | None = task.request.get("labels")
-    if asked is not None:
-        return asked
     return next((name for name in folders if (root / "ground" / name).is_dir()), folders[0])
-
-
-def config_of(task: Task) -> DetectorConfig:
-    """Return the settings of a task."""
-    return DetectorConfig.model_validate(task.request["config"])
 
 
 def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:
@@ -145,11 +157,11 @@ def _cut(keyframes: int, config: DetectorConfig) -> list[Part]:
     return [Part(number, start, stop) for number, (start, stop) in enumerate(pairwise(edges))]
 
 
-def _checkpoint(task: Task, part: Part) -> Path:
+def _checkpoint(task: Task[IntersectionsJob], part: Part) -> Path:
     return task.scratch / f"range-{part.start}-{part.stop}.npz"
 
 
-def _found(task: Task, part: Part) -> RangeResult:
+def _found(task: Task[IntersectionsJob], part: Part) -> RangeResult:
     found = read_checkpoint(_checkpoint(task, part))
     if found is None:  # another server, of another version, wrote it
         run(task, part, lambda _: None)
@@ -158,117 +170,77 @@ def _found(task: Task, part: Part) -> RangeResult:
     return found
 
 
-def _is_placed_by_map(task: Task) -> bool:
-    return bool(task.request.get("georeference") == "map")
-
-
-def _map_bounds(task: Task, drive: Drive, keyframes: IntArray) -> Bounds | None:
+def _map_bounds(task: Task[IntersectionsJob], drive: Drive, keyframes: IntArray) -> Bounds | None:
     """Return the part of the map that the task needs; None: all of it."""
-    near = task.request.get("near")
-    if not _is_placed_by_map(task):
+    near = task.request.near
+    if task.request.georeference != "map":
         assert drive.georeference is not None
         fixes = drive.georeference
         lonlat = np.stack([fixes.lon_deg[keyframes], fixes.lat_deg[keyframes]], axis=-1)
-        return track_bounds(lonlat) if _is_fetched(task) else map_bounds(lonlat)
+        return track_bounds(lonlat) if task.request.map_file is None else map_bounds(lonlat)
     if near is None:
         return None
-    return track_bounds(np.array([[near["lon_deg"], near["lat_deg"]]]), margin_m=1000.0 * near["radius_km"])
+    return track_bounds(np.array([[near.lon_deg, near.lat_deg]]), margin_m=1000.0 * near.radius_km)
 
 
-def _is_fetched(task: Task) -> bool:
-    return "file" not in task.request["osm"]
-
-
-def _read_map(task: Task, bounds: Bounds | None) -> RoadGraph:
+def _read_map(task: Task[IntersectionsJob], bounds: Bounds | None) -> RoadGraph:
     from interloc.osm.container import MAX_UNPACKED_BYTES  # noqa: PLC0415
     from interloc.osm.overpass import download_roads  # noqa: PLC0415 - the network only where it is asked for
     from interloc.osm.reader import read_osm  # noqa: PLC0415
 
-    if not _is_fetched(task):
-        path = task.drive / "files" / task.request["osm"]["file"]
+    if task.request.map_file is not None:
+        path = task.drive / "files" / task.request.map_file
         max_bytes = max(_MAP_FREE_BYTES, _MAP_RATIO * path.stat().st_size)
         return read_osm(path, bounds, max_unpacked_bytes=min(MAX_UNPACKED_BYTES, max_bytes))
-    progress = ProgressFiles(task)
+    progress = ProgressFiles.of(task)
 
     def wait(reason: str, seconds: float) -> None:
         progress.report_stage("waiting for the map", f"{reason} ({seconds:.0f} s)")
 
     assert bounds is not None  # the request was checked
-    return download_roads(
-        bounds,
-        cache_dir=Path(task.limits["cache"]) / "overpass",
-        on_wait=wait,
-        url=task.limits["overpass_url"],
-    )
+    return download_roads(bounds, cache_dir=task.cache / "overpass", on_wait=wait, url=task.settings.overpass_url)
 
 
 def _place(
-    task: Task, drive: Drive, result: DriveResult, graph: RoadGraph, folder: Path
+    task: Task[IntersectionsJob], drive: Drive, result: DriveResult, graph: RoadGraph, folder: Path
 ) -> tuple[DriveResult, DriveResult]:
     """Return the run on the earth, and the copy of it that is scored; see `interloc.localization.placing`."""
     from interloc.localization.placing import place_run, write_places  # noqa: PLC0415 - slow to import, used by few
 
-    progress = ProgressFiles(task)
+    progress = ProgressFiles.of(task)
 
     def report(done: int, total: int) -> None:
         progress.report_stage("locating", f"Comparing {done} of {total} places")
 
-    near = task.request.get("near")
+    near = task.request.near
     report(0, 1)
     placed = place_run(
         result,
         drive,
         graph,
-        policy=task.request.get("policy", "drive"),
-        tolerance_m=task.request.get("tolerance_m", 15.0),
-        near=None if near is None else (near["lat_deg"], near["lon_deg"]),
-        radius_m=None if near is None else 1000.0 * near["radius_km"],
+        policy=task.request.policy,
+        tolerance_m=task.request.tolerance_m,
+        near=None if near is None else (near.lat_deg, near.lon_deg),
+        radius_m=None if near is None else 1000.0 * near.radius_km,
         progress=report,
     )
     write_places(placed.location, graph, folder)
     return placed.result, placed.scored
 
 
-def _evaluate(task: Task, result: DriveResult, scored: DriveResult, graph: RoadGraph, folder: Path) -> dict[str, Any]:
+def _evaluate(
+    request: IntersectionsJob, result: DriveResult, scored: DriveResult, graph: RoadGraph, folder: Path
+) -> MapScores:
     from interloc.evaluation.evaluate import evaluate  # noqa: PLC0415 - slow to import, needed once per job
     from interloc.evaluation.report import report_record, write_report  # noqa: PLC0415
 
-    evaluation = evaluate(
-        scored, graph, policy=task.request.get("policy", "drive"), tolerance_m=task.request.get("tolerance_m", 15.0)
-    )
+    evaluation = evaluate(scored, graph, policy=request.policy, tolerance_m=request.tolerance_m)
     write_report(evaluation, folder, result=result)
-    return report_record(evaluation)
+    report = report_record(evaluation)
+    at_5 = {f"{name}_at_5": report[name]["5.0"] for name in ("precision", "recall", "f1")}
+    return MapScores.model_validate(report | at_5)
 
 
-def _summary(result: DriveResult, report: dict[str, Any] | None) -> dict[str, Any]:
-    return {
-        "keyframes": len(result.keyframes),
-        "detections": len(result.detections),
-        "intersections": len(result.intersections),
-        "georeferenced": result.is_georeferenced,
-        "seconds": result.run["seconds"],
-        "stage_seconds": result.run["stage_seconds"],
-        "peak_memory_bytes": result.run["peak_memory_bytes"],
-        "location": _location(result),
-        "report": None
-        if report is None
-        else {
-            "policy": report["policy"],
-            "ace_m": report["ace_m"],
-            **{f"{name}_at_5": report[name]["5.0"] for name in ("precision", "recall", "f1")},
-            "nodes_in_zone": report["nodes_in_zone"],
-            "nodes_found": report["nodes_found"],
-        },
-    }
-
-
-def _location(result: DriveResult) -> dict[str, Any] | None:
-    """Return where a drive was placed on the map, and how surely; None where it was not."""
+def _location(result: DriveResult) -> MapPlace | None:
     location = result.run.get("location")
-    if location is None:
-        return None
-    best = location["places"][0]
-    return {
-        **{name: best[name] for name in ("lat_deg", "lon_deg", "heading_deg", "score")},
-        **{name: location[name] for name in ("position_std_m", "heading_std_deg", "seconds")},
-    }
+    return None if location is None else MapPlace.model_validate(location | location["places"][0])

@@ -8,9 +8,10 @@ from types import ModuleType
 import numpy as np
 
 from app.drives.work import commit
-from app.work.task import Task
+from app.work.documents import CommitJob
 from tests.opens import counted_opens
 from tests.small_drives import make
+from tests.tasks import task_for
 
 __all__ = ["make"]
 
@@ -22,8 +23,7 @@ def test_a_commit_with_two_label_folders(tmp_path: Path, make: ModuleType) -> No
     (files / "oxts").mkdir()
     for frame, row in enumerate(make.oxts_lines(make.lidar_poses(), T_lidar_imu=np.eye(4))):
         (files / "oxts" / f"{frame:010d}.txt").write_text(row + "\n")
-    (tmp_path / "scratch").mkdir()
-    task = Task("commit", "1", "07", {"options": {}}, files.parent, tmp_path / "scratch", tmp_path / "result")
+    task = task_for("commit", CommitJob(), tmp_path)
     with counted_opens() as opens:
         plan = commit.prepare(task)
     small = [files / "poses.txt", files / "times.txt", *sorted((files / "oxts").iterdir())]
@@ -32,6 +32,6 @@ def test_a_commit_with_two_label_folders(tmp_path: Path, make: ModuleType) -> No
         for part in plan.parts:
             commit.run(task, part, lambda _done: None)
         outcome = commit.finish(task, plan)
-    assert outcome.summary["ok"]
+    assert outcome.ok
     assert [opens[path] for path in small] == [1] * 14
     assert sorted(path.name for path in (task.result / "reduced/ground").iterdir()) == ["labels", "predictions"]

@@ -18,9 +18,9 @@ import httpx
 import pytest
 
 from app.drives.work import unpack
-from app.settings import Settings
+from app.work.documents import UnpackJob
 from app.work.places import LISTING, UNPACKED
-from app.work.task import Part, Task
+from app.work.task import Part
 from tests.app.processes import (
     API,
     ServerProcess,
@@ -34,6 +34,7 @@ from tests.app.processes import (
     wait_until,
 )
 from tests.app.street import write_street
+from tests.tasks import task_for
 
 ASYNC = {"Prefer": "respond-async"}
 MANY = 6_000  # small files: long enough to be caught in the middle of them
@@ -176,8 +177,7 @@ def test_files_that_a_killed_attempt_left_without_a_list_are_unpacked_anew(
     left = scratch / UNPACKED / "velodyne"
     left.mkdir(parents=True)
     (left / "000003.bin").write_bytes(b"of before")
-    limits = Settings(data_dir=tmp_path).model_dump(mode="json")
-    task = Task("unpack", "job", "street", {"archive": "archive"}, tmp_path / "drive", scratch, tmp_path, limits, "2")
+    task = task_for("unpack", UnpackJob(archive="archive"), tmp_path)
     unpack.run(task, Part(0, 0, 1), lambda _done: None)
     listing = json.loads((scratch / LISTING).read_text())
     assert [file["path"] for file in listing] == list(few)

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from app.jobs.work import intersections
 from app.jobs.work.checkpoints import read_checkpoint, write_checkpoint
 from app.work import kinds
+from app.work.documents import IntersectionsJob
 from app.work.progress import ProgressFiles
 from app.work.task import Cancelled, Part, Task
 from interloc.config import preset
@@ -27,6 +28,7 @@ from interloc.pipeline import RangeResult
 from interloc.reduction.reduce import reduce_drive
 from interloc.results import RoadPatch
 from tests.app.street import write_street
+from tests.tasks import task_for
 
 SCANS = 120
 REALS = st.floats(allow_nan=False, width=64)
@@ -120,25 +122,23 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def task(drive: Path, tmp_path: Path) -> Task:
-    request = {"config": preset("default").model_dump(mode="json"), "labels": None, "osm": None}
-    scratch = tmp_path / "scratch"
-    task = Task("intersections", "job", "street", request, drive, scratch, tmp_path / "result", attempt="a")
-    ProgressFiles(task).open()
+def task(drive: Path, tmp_path: Path) -> Task[IntersectionsJob]:
+    task = replace(task_for("intersections", IntersectionsJob(config=preset("default")), tmp_path), drive=drive)
+    ProgressFiles.of(task).open()
     return task
 
 
-def test_a_part_that_is_done_is_not_done_again(task: Task, tmp_path: Path) -> None:
+def test_a_part_that_is_done_is_not_done_again(task: Task[IntersectionsJob], tmp_path: Path) -> None:
     plan = kinds.prepare(task)
     assert (plan.total, [(part.start, part.stop) for part in plan.parts]) == (SCANS, [(0, SCANS)])
     kinds.run(task, plan.parts[0])
     nowhere = replace(task, drive=tmp_path / "nowhere", attempt="b")  # another attempt could not do it
-    ProgressFiles(nowhere).open()
+    ProgressFiles.of(nowhere).open()
     kinds.run(nowhere, plan.parts[0])
-    assert ProgressFiles(nowhere).read().done == {0: SCANS}
+    assert ProgressFiles.of(nowhere).read().done == {0: SCANS}
 
 
-def test_the_cut_does_not_matter(task: Task) -> None:
+def test_the_cut_does_not_matter(task: Task[IntersectionsJob]) -> None:
     whole = kinds.prepare(task)
     kinds.run(task, whole.parts[0])
     kinds.finish(task, whole)
@@ -152,26 +152,26 @@ def test_the_cut_does_not_matter(task: Task) -> None:
     assert {path.name: path.read_bytes() for path in task.result.glob("*.geojson")} == expected
 
 
-def test_work_stops_when_it_is_told_to(task: Task) -> None:
+def test_work_stops_when_it_is_told_to(task: Task[IntersectionsJob]) -> None:
     plan = kinds.prepare(task)
-    ProgressFiles(task).stop()
+    ProgressFiles.of(task).stop()
     with pytest.raises(Cancelled):
         kinds.run(task, plan.parts[0])
     with pytest.raises(Cancelled):
-        intersections.run(task, plan.parts[0], ProgressFiles(task).report_of(plan.parts[0]))
+        intersections.run(task, plan.parts[0], ProgressFiles.of(task).report_of(plan.parts[0]))
     with pytest.raises(Cancelled):
         kinds.finish(task, plan)
     assert not task.result.exists()
 
 
-def test_two_attempts_do_not_stop_each_other(task: Task) -> None:
+def test_two_attempts_do_not_stop_each_other(task: Task[IntersectionsJob]) -> None:
     other = replace(task, attempt="b")
-    ProgressFiles(other).open()
-    ProgressFiles(task).stop()
+    ProgressFiles.of(other).open()
+    ProgressFiles.of(task).stop()
     kinds.prepare(other)
-    ProgressFiles(other).check()
+    ProgressFiles.of(other).check()
 
 
-def test_a_worker_that_does_not_see_the_data_says_so(task: Task, tmp_path: Path) -> None:
+def test_a_worker_that_does_not_see_the_data_says_so(task: Task[IntersectionsJob], tmp_path: Path) -> None:
     with pytest.raises(InterLocError, match=r"does not see .*at the same place"):
         kinds.prepare(replace(task, scratch=tmp_path / "not mounted"))

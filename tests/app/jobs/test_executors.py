@@ -18,9 +18,16 @@ import pytest
 
 from app.jobs import processes
 from app.jobs.executors import DaskExecutor, open_executor
-from app.jobs.hand_out import EXTRA_SLOTS
-from app.jobs.processes import ProcessExecutor, WorkerLostError
-from app.jobs.worker_limits import WorkerLimitError, _cgroup_limits, machine_memory, memory_of, memory_share
+from app.jobs.processes import (
+    EXTRA_SLOTS,
+    ProcessExecutor,
+    WorkerLimitError,
+    WorkerLostError,
+    _cgroup_limits,
+    machine_memory,
+    memory_of,
+    memory_share,
+)
 from app.settings import Settings
 from interloc.errors import ConfigError, DriveError
 from tests.app.processes import wait_until

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.jobs.hand_out import HandOut, Work
+from app.jobs.processes import HandOut, Work
 
 
 def work(client: str, *, urgent: bool = False) -> Work:

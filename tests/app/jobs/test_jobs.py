@@ -16,7 +16,7 @@ import pytest
 
 from app.settings import Settings
 from app.store.database import Database
-from app.store.models import Drive
+from app.store.models import Drive, Job
 from app.store.tokens import add_token
 from interloc.cli.main import run
 from tests.app.conftest import running_server
@@ -369,6 +369,22 @@ def test_a_drive_without_georeference_is_mapped_but_not_scored(
     job = ended(client, submit(client, drive_id))
     assert job["summary"]["georeferenced"] is False
     assert client.get(job["links"]["intersections"]).json()["local"] is True
+
+
+def test_a_job_of_another_version_that_cannot_be_read_fails_and_the_next_one_is_done(
+    client: httpx.Client, data_dir: Path, drive: str
+) -> None:
+    set_state(data_dir, drive, "checking")
+    waiting = submit(client, drive)
+    database = Database(Settings(data_dir=data_dir).sqlalchemy_url)
+    with database.writing() as session:
+        job = session.get_one(Job, waiting)
+        job.request = {**job.request, "config": {"of_another_version": 1}}
+    database.close()
+    set_state(data_dir, drive, "ready")
+    failed = ended(client, waiting)
+    assert (failed["state"], failed["error"]["status"]) == ("failed", 500)
+    assert ended(client, submit(client, drive))["state"] == "successful"
 
 
 def test_a_damaged_map_is_told_before_the_long_work(client: httpx.Client, data_dir: Path, drive: str) -> None:

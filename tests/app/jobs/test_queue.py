@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from app.http.problems import Problem
-from app.jobs.leases import LeaseClock
-from app.jobs.queue import Claim, JobQueue, cancel, submit
+from app.jobs.queue import Claim, JobQueue, LeaseClock, cancel, submit
 from app.store.database import Database
 from app.store.models import Drive, Job
 from tests import forks

@@ -23,7 +23,8 @@ from app.store.incoming import LEFT_ALONE_S
 from app.store.models import Drive, Job
 from app.trash.deletion import list_trash, restore
 from app.upkeep.cleanup import Sweeper, sweep
-from app.work.task import Outcome
+from app.work.documents import CommitOutcome
+from interloc.drives.inspect import DriveReport
 from tests.app.postgres import postgres_url  # noqa: F401 - a fixture
 
 HOUR_S = 3600.0
@@ -191,7 +192,7 @@ def test_the_end_of_a_commit_is_written_again_where_the_database_failed(context:
     built = context.storage.folder(f"jobs/{job.id}/result/reduced")
     built.mkdir(parents=True)
     (built / "reduced.json").write_bytes(b"{}")
-    outcome = Outcome({"ok": True, "reduced_bytes": 2}, {"path": "town", "name": "town"})
+    outcome = CommitOutcome(ok=True, reduced_bytes=2, report=DriveReport(path="town", name="town"))
 
     def end(*, fails: bool) -> None:
         with context.database.writing() as session:
