@@ -77,7 +77,7 @@ class Centerline:
     @cached_property
     def pixels(self) -> StructuredArray:
         """(P,) PIXEL: what is known of each pixel."""
-        pixels = np.empty(len(self.rows), PIXEL)
+        pixels = np.zeros(len(self.rows), PIXEL)  # the gaps between its fields too: equal lines are equal bytes
         pixels["row"], pixels["col"] = self.rows, self.cols
         last = self.image.height - 1
         inward = np.minimum(np.minimum(self.rows, self.cols), last - np.maximum(self.rows, self.cols))
