@@ -12,7 +12,9 @@ COVER := -m slipcover
 READY := $(VENV)/.ready
 READY_TO_TEST := $(VENV)/.ready-to-test
 COMPILED := $(VENV)/.compiled
-PIP_INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off -c constraints.txt
+# Versions to install; `.ci/oldest` prints the oldest that are allowed.
+CONSTRAINTS ?= constraints.txt
+PIP_INSTALL := $(BIN)/python -m pip install --disable-pip-version-check --progress-bar off -c $(CONSTRAINTS)
 # Processes that have done their part help the others; bytecode is kept, for the processes that the tests start.
 PYTEST := -m pytest -n auto --dist worksteal
 RUN := PYTHONDONTWRITEBYTECODE= $(BIN)/python
@@ -22,7 +24,7 @@ BIOME := static/node_modules/.bin/biome
 
 install: $(READY)
 
-$(READY): pyproject.toml constraints.txt static/package-lock.json
+$(READY): pyproject.toml $(CONSTRAINTS) static/package-lock.json
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "InterLoc needs Python 3.11 or newer; PYTHON=... chooses one")'
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "Python has no venv; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@command -v npm >/dev/null || echo "npm was not found: everything but the page of the web service will work; on Debian and Ubuntu: apt install npm"
