@@ -31,7 +31,7 @@ from interloc.drives.open import SAMPLED_SCANS
 from interloc.drives.options import DriveOptions, LabelFolder, LayoutName
 from interloc.drives.scans.bin_files import BinScans, open_bin_files
 from interloc.drives.scans.las.tracks import find_tracks
-from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_header
+from interloc.drives.scans.pcd import LABEL_FIELDS, PcdScans, number_scans, open_pcd_files, read_pcd_header
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans
@@ -311,7 +311,7 @@ class _Look:
         self.findings.found += unheard.found
         self._found.carries_labels = recording.carries_labels
         if not recording.carries_labels and not any((parts.root / folder).is_dir() for folder in _FOLDERS):
-            names = ", ".join(read_header(first)[0].dtype.names or ()) if has_header else ""
+            names = ", ".join(read_pcd_header(first)[0].dtype.names or ()) if has_header else ""
             fault = first.fault(
                 f"has no label: {f'its fields are {names}' if names else 'it holds no named fields'}. Expected one of "
                 f"{', '.join(LABEL_FIELDS)} among them, or labels/ with a .label file per scan."

@@ -19,7 +19,7 @@ from interloc.simulate.osm_map import MapData
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.tracks import (
     IMU_TO_VELO_TEXT,
-    Track,
+    LidarTrack,
     camera_poses,
     format_oxts,
     lidar_poses,
@@ -33,7 +33,7 @@ GROUND_LABELS = (40, 60, 48, 44, 49)
 
 def simulate_drive(
     scene: Scene,
-    track: Track,
+    track: LidarTrack,
     out: Path,
     options: SimulationOptions = DEFAULT_OPTIONS,
     *,
@@ -117,7 +117,7 @@ class Trip:
 
     Attributes
     ----------
-    track : Track
+    track : LidarTrack
         From `open_track` (GPX, CSV, OXTS), `track_from_line` or `track_from_oxts`.
     map : MapData
         From `read_map`.
@@ -127,7 +127,7 @@ class Trip:
         More files to put beside the scans: name and content.
     """
 
-    track: Track
+    track: LidarTrack
     map: MapData
     about: dict[str, object] = field(default_factory=dict)
     extra_files: dict[str, bytes] = field(default_factory=dict)

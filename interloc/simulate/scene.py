@@ -18,7 +18,7 @@ from interloc.simulate.heights import HeightField, fit_heights, flat_field
 from interloc.simulate.obstacles import Obstacles, furnish
 from interloc.simulate.osm_map import MapData, StreetMap, street_map_of
 from interloc.simulate.profiles import CLEARANCE_M, Crossing, Profile, find_crossings, street_profiles, visible_lines
-from interloc.simulate.tracks import Track
+from interloc.simulate.tracks import LidarTrack
 
 LEVEL_REACH_M = 45.0
 
@@ -64,7 +64,7 @@ class Scene:
 
 
 def build_scene(
-    track: Track,
+    track: LidarTrack,
     data: MapData,
     *,
     config: SceneConfig | None = None,

@@ -22,7 +22,7 @@ from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.obstacles import Yard, made_up_houses
 from interloc.simulate.osm_map import STREET_CLASSES, MapData, MapWay, is_oneway, read_ways, street_map_of
 from interloc.simulate.profiles import find_crossings, street_profiles, visible_lines
-from interloc.simulate.tracks import Track, track_from_line
+from interloc.simulate.tracks import LidarTrack, track_from_line
 
 Part = Literal["plain", "full", "quarter"]
 
@@ -160,7 +160,7 @@ class Town:
             route += self._shortest(route[-1], goal, before)[1:]
         return route
 
-    def track(self, config: TrackConfig | None = None) -> Track:
+    def track(self, config: TrackConfig | None = None) -> LidarTrack:
         """Return the drive through the town, on the right-hand side of its streets.
 
         Parameters

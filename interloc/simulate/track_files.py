@@ -13,7 +13,7 @@ from interloc.arrays import FloatArray
 from interloc.errors import DriveError
 from interloc.gpx import read_gpx
 from interloc.simulate.config import TrackConfig
-from interloc.simulate.tracks import Track, track_from_line, track_from_oxts
+from interloc.simulate.tracks import LidarTrack, track_from_line, track_from_oxts
 
 MAX_POINTS = 2_000_000
 _LAT_NAMES = ("lat", "latitude", "lat_deg")
@@ -21,7 +21,7 @@ _LON_NAMES = ("lon", "lng", "long", "longitude", "lon_deg")
 _ALT_NAMES = ("alt", "ele", "altitude", "elevation", "height", "alt_m")
 
 
-def open_track(path: Path, config: TrackConfig | None = None) -> Track:
+def open_track(path: Path, config: TrackConfig | None = None) -> LidarTrack:
     """Read a track of any kind: .gpx, .csv, or else OXTS rows (a file, .gz too, or a folder `oxts/data`).
 
     Raises

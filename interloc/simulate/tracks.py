@@ -105,7 +105,7 @@ _STEP_M = 0.25
 
 
 @dataclass(frozen=True)
-class Track:
+class LidarTrack:
     """The poses of a drive to be.
 
     Attributes
@@ -150,7 +150,7 @@ class Track:
         poses[:, 2, 3] = self.alt_m
         return poses
 
-    def select(self, indices: IntArray) -> Track:
+    def select(self, indices: IntArray) -> LidarTrack:
         """Return the track of some of the scans."""
         chosen = {
             name: getattr(self, name)[indices]
@@ -160,7 +160,7 @@ class Track:
         return replace(self, **chosen, poses_camera=poses)
 
 
-def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate_hz: float = 10.0) -> Track:
+def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate_hz: float = 10.0) -> LidarTrack:
     """Take the track of a GNSS/INS.
 
     Parameters
@@ -188,10 +188,12 @@ def track_from_oxts(rows: FloatArray, times_s: FloatArray | None = None, *, rate
             f"OXTS rows: row {bad} is not a pose on the earth: {rows[bad, :6]}. Expected lat, lon, alt, r, p, y."
         )
     times = np.arange(len(rows)) / rate_hz if times_s is None else np.asarray(times_s, dtype=np.float64)
-    return Track(*lidar_fixes(rows), times_s=times, oxts=rows[:, :30])
+    return LidarTrack(*lidar_fixes(rows), times_s=times, oxts=rows[:, :30])
 
 
-def track_from_line(lonlat: FloatArray, alt_m: FloatArray | None = None, config: TrackConfig | None = None) -> Track:
+def track_from_line(
+    lonlat: FloatArray, alt_m: FloatArray | None = None, config: TrackConfig | None = None
+) -> LidarTrack:
     """Drive along a line at a constant speed, looking ahead.
 
     Parameters
@@ -205,7 +207,7 @@ def track_from_line(lonlat: FloatArray, alt_m: FloatArray | None = None, config:
 
     Returns
     -------
-    Track
+    LidarTrack
         The LiDAR follows the smoothed line; yaw along it, pitch along its slope, no roll.
 
     Raises
@@ -244,7 +246,7 @@ def track_from_line(lonlat: FloatArray, alt_m: FloatArray | None = None, config:
     R_enu_lidar = np.swapaxes(frame.R_map_enu(lat, lon), -1, -2) @ R_map_lidar
     times = np.arange(len(wanted)) / config.rate_hz
     rows = oxts_rows(lat, lon, places[:, 2], R_enu_lidar, times)
-    return Track(lat, lon, places[:, 2], R_enu_lidar, times, rows, altitude_known=alt_m is not None)
+    return LidarTrack(lat, lon, places[:, 2], R_enu_lidar, times, rows, altitude_known=alt_m is not None)
 
 
 def smooth_path(xyz: FloatArray, smoothing_m: float, offset_m: float = 0.0) -> FloatArray:

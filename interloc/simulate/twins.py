@@ -11,10 +11,10 @@ from interloc.errors import DriveError
 from interloc.simulate.drive import Trip
 from interloc.simulate.osm_map import read_map
 from interloc.simulate.track_files import read_oxts
-from interloc.simulate.tracks import Track, track_from_oxts
+from interloc.simulate.tracks import LidarTrack, track_from_oxts
 
 
-def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> Track:
+def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] = "suma") -> LidarTrack:
     """Return the track of a sequence: places from OXTS, and the given poses to be written with the drive.
 
     Parameters
@@ -48,7 +48,7 @@ def twin_track(kitti_dir: Path, sequence: str, *, poses: Literal["suma", "gt"] =
     times = np.loadtxt(names["times"])
     count = min(len(rows), len(camera), len(times))
     track = track_from_oxts(rows[:count], times[:count])
-    return Track(
+    return LidarTrack(
         track.lat_deg,
         track.lon_deg,
         track.alt_m,

@@ -12,7 +12,7 @@ from interloc.simulate.lidar import Lidar
 from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.osm_map import read_map
 from interloc.simulate.scene import Scene, build_scene
-from interloc.simulate.tracks import Track, track_from_line
+from interloc.simulate.tracks import LidarTrack, track_from_line
 
 FRAME = LocalFrame(49.0, 8.4)
 BARE = RoadsideConfig(parked_car_density=0, hedge_share=0, buildings="map")
@@ -56,13 +56,13 @@ def write_map(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def straight_track() -> Track:
+def straight_track() -> LidarTrack:
     line = FRAME.lonlat([[-60.0, 0.0], [60.0, 0.0]])
     return track_from_line(line, None, TrackConfig(rate_hz=4))
 
 
 @pytest.fixture(scope="session")
-def street_scene(straight_track: Track, tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def street_scene(straight_track: LidarTrack, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """A straight residential street along x with one house to the north, flat."""
     path = tmp_path_factory.mktemp("map") / "map.osm"
     path.write_text(osm_text([STREET, HOUSE, SHED]))

@@ -19,12 +19,12 @@ from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.osm_map import read_map
 from interloc.simulate.scene import Scene
 from interloc.simulate.track_files import open_track
-from interloc.simulate.tracks import Track
+from interloc.simulate.tracks import LidarTrack
 
 
 @pytest.fixture(scope="module")
 def folder(
-    street_scene: Scene, straight_track: Track, small_sensor: LidarConfig, tmp_path_factory: pytest.TempPathFactory
+    street_scene: Scene, straight_track: LidarTrack, small_sensor: LidarConfig, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     out = tmp_path_factory.mktemp("drive") / "street"
     simulate_drive(street_scene, straight_track, out, SimulationOptions(seed=5, sensor=small_sensor, max_scans=12))
@@ -60,7 +60,7 @@ def test_the_pieces_agree_on_where_the_lidar_was(folder: Path, street_scene: Sce
 
 
 def test_a_selection_gives_the_same_scans(
-    folder: Path, street_scene: Scene, straight_track: Track, small_sensor: LidarConfig, tmp_path: Path
+    folder: Path, street_scene: Scene, straight_track: LidarTrack, small_sensor: LidarConfig, tmp_path: Path
 ) -> None:
     out = tmp_path / "keyframes"
     options = SimulationOptions(seed=5, sensor=small_sensor, keyframes_only=True, max_scans=3)
@@ -74,7 +74,7 @@ def test_a_selection_gives_the_same_scans(
 
 
 def test_ground_only_keeps_what_the_method_reads(
-    street_scene: Scene, straight_track: Track, small_sensor: LidarConfig, tmp_path: Path
+    street_scene: Scene, straight_track: LidarTrack, small_sensor: LidarConfig, tmp_path: Path
 ) -> None:
     seen: list[tuple[int, int]] = []
     simulate_drive(
@@ -88,7 +88,7 @@ def test_ground_only_keeps_what_the_method_reads(
     assert seen == [(1, 2), (2, 2)]
 
 
-def test_a_run_that_stops_leaves_nothing(street_scene: Scene, straight_track: Track, tmp_path: Path) -> None:
+def test_a_run_that_stops_leaves_nothing(street_scene: Scene, straight_track: LidarTrack, tmp_path: Path) -> None:
     def stop(_: int, __: int) -> None:
         raise KeyboardInterrupt
 
@@ -98,7 +98,7 @@ def test_a_run_that_stops_leaves_nothing(street_scene: Scene, straight_track: Tr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_something_else_stays(street_scene: Scene, straight_track: Track, tmp_path: Path) -> None:
+def test_a_folder_of_something_else_stays(street_scene: Scene, straight_track: LidarTrack, tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(OutputError, match="thesis"):
         simulate_drive(street_scene, straight_track, tmp_path)

@@ -16,7 +16,7 @@ from interloc.simulate.local_frame import LocalFrame
 from interloc.simulate.osm_map import read_map, road_width_m
 from interloc.simulate.scene import Scene, build_scene
 from interloc.simulate.surfaces import Surface
-from interloc.simulate.tracks import Track, track_from_line
+from interloc.simulate.tracks import LidarTrack, track_from_line
 
 WriteMap = Callable[..., Path]
 BARE = SceneConfig(roadside=RoadsideConfig(buildings="none", parked_car_density=0, hedge_share=0), flat=True)
@@ -44,7 +44,7 @@ def test_the_cross_section_of_a_street(street_scene: Scene, frame: LocalFrame) -
     assert found == [Surface.ROAD, *[Surface.SIDEWALK] * 2, Surface.TERRAIN, Surface.SIDEWALK, Surface.TERRAIN]
 
 
-def test_kerbs_are_round_at_a_junction(straight_track: Track, frame: LocalFrame, write_map: WriteMap) -> None:
+def test_kerbs_are_round_at_a_junction(straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap) -> None:
     path = write_map(
         ([(-150.0, 0.0), (0.0, 0.0), (150.0, 0.0)], {"highway": "residential", "sidewalk": "no"}),
         ([(0.0, 0.0), (0.0, 90.0)], {"highway": "residential", "sidewalk": "no"}),
@@ -57,7 +57,7 @@ def test_kerbs_are_round_at_a_junction(straight_track: Track, frame: LocalFrame,
 
 
 def test_the_strip_between_two_carriageways_is_no_road(
-    straight_track: Track, frame: LocalFrame, write_map: WriteMap
+    straight_track: LidarTrack, frame: LocalFrame, write_map: WriteMap
 ) -> None:
     tags = {"highway": "secondary", "oneway": "yes"}
     path = write_map(
@@ -125,7 +125,7 @@ def test_a_map_of_another_place_is_refused(frame: LocalFrame, write_map: WriteMa
         build_scene(beside, read_map(path))
 
 
-def test_a_map_without_streets_is_refused(straight_track: Track, write_map: WriteMap) -> None:
+def test_a_map_without_streets_is_refused(straight_track: LidarTrack, write_map: WriteMap) -> None:
     path = write_map(([(-150.0, 0.0), (150.0, 0.0)], {"highway": "footway"}))
     with pytest.raises(MapError, match="no street"):
         build_scene(straight_track, read_map(path))

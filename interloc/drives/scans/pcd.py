@@ -1,4 +1,8 @@
-"""Scans in PCD files: ascii, binary or binary_compressed, with any fields; also nuScenes' .pcd.bin."""
+"""Scans in PCD files: ascii, binary or binary_compressed, with any fields; also nuScenes' .pcd.bin.
+
+The reader of pypcd4 trusts the header (a file that is cut short is read as fewer points), and refuses files of before
+version 0.7, without COUNT, or with tabs.
+"""
 
 from __future__ import annotations
 
@@ -128,7 +132,7 @@ def open_pcd_files(parts: DriveParts, options: DriveOptions, findings: Findings)
     with findings.stage():
         first = replace(folder, path=folder.path / scans.names[0])
         if not first.path.name.endswith(PCD_ENDINGS[1]):
-            header, _ = read_header(first)
+            header, _ = read_pcd_header(first)
     label = None if header is None else header.field_among(LABEL_FIELDS)
     if header is not None and label is not None:
         findings.note(folder.name, f"the field {label!r} of the points is their label.")
@@ -197,7 +201,7 @@ def read_pcd(file: SourceFile) -> ScanPoints:
     DriveError
         It cannot be read, is no PCD file, is cut short or damaged, or has no x, y and z.
     """
-    header, data = read_header(file, with_data=True)
+    header, data = read_pcd_header(file, with_data=True)
     points = _points_of(header, data, file)
     values = np.zeros((header.points, 4), np.float32)
     columns = [header.field_among((axis,)) for axis in "xyz"]
@@ -214,7 +218,7 @@ def read_pcd(file: SourceFile) -> ScanPoints:
     return ScanPoints(values, labels)
 
 
-def read_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader, UInt8Array]:
+def read_pcd_header(file: SourceFile, *, with_data: bool = False) -> tuple[PcdHeader, UInt8Array]:
     """Read the header of a PCD file, and the bytes behind it where they are wanted.
 
     Raises

@@ -21,10 +21,10 @@ from interloc.drives.scans.rosbag.wire import Encoding
 
 SUFFIXES = (".bag", ".db3", ".mcap")
 
-_READ_INDEX: dict[str, Callable[[SourceFile], BagIndex]] = {
-    ".bag": ros1.read_index,
-    ".db3": db3.read_index,
-    ".mcap": mcap.read_index,
+_INDEX: dict[str, Callable[[SourceFile], BagIndex]] = {
+    ".bag": ros1.index_ros1,
+    ".db3": db3.index_db3,
+    ".mcap": mcap.index_mcap,
 }
 _READ_MESSAGES: dict[str, Callable[[Path, IntArray, int], Iterator[bytes]]] = {
     ".bag": ros1.read_messages,
@@ -259,7 +259,7 @@ def open_bag(files: tuple[SourceFile, ...], findings: Findings) -> Bag:
     parts: dict[tuple[str, str], list[tuple[int, Any]]] = {}
     undefined = 0
     for number, file in enumerate(files):
-        index = _READ_INDEX[file.path.suffix](file)
+        index = _INDEX[file.path.suffix](file)
         if index.damage:
             last_ns = max((int(each.log_ns.max()) for each in index.channels if len(each.log_ns)), default=0)
             first_ns = min((int(each.log_ns.min()) for each in index.channels if len(each.log_ns)), default=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import sys
 from typing import BinaryIO, Protocol
 
 MAX_MESSAGE_BYTES = 512 * 1024 * 1024
@@ -51,7 +52,10 @@ def _decompressor(codec: int) -> tuple[_Decompressor, tuple[type[Exception], ...
         from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - comes with the extra
 
         return LZ4FrameDecompressor(), (RuntimeError, EOFError, ValueError)
-    from backports.zstd import ZstdDecompressor, ZstdError  # noqa: PLC0415 - comes with the extra
+    if sys.version_info >= (3, 14):
+        from compression.zstd import ZstdDecompressor, ZstdError  # noqa: PLC0415 - as the next
+    else:
+        from backports.zstd import ZstdDecompressor, ZstdError  # noqa: PLC0415 - comes with the extra
 
     return ZstdDecompressor(), (ZstdError, EOFError, ValueError)
 

@@ -24,7 +24,7 @@ _STEPS = 1_000_000
 _ROWS = 100_000
 
 
-def read_index(file: SourceFile) -> BagIndex:
+def index_db3(file: SourceFile) -> BagIndex:
     """Read the topics, and the rows of their messages; the messages themselves stay where they are.
 
     Raises
@@ -56,7 +56,6 @@ def read_index(file: SourceFile) -> BagIndex:
 
 
 def _channels(topics: list[tuple[Any, ...]], rows: IntArray, defined: set[str]) -> list[Channel]:
-    """Sort the messages by their topics."""
     order = np.argsort(rows[:, 1], kind="stable")
     rows = rows[order]
     channels = []

@@ -21,7 +21,7 @@ _BODIES = ("base_link", "base_footprint", "base", "body", "vehicle", "ego_vehicl
 
 
 @dataclass(frozen=True)
-class Motion:
+class LidarMotion:
     """Poses of the LiDAR over time.
 
     Attributes
@@ -67,7 +67,7 @@ class Motion:
 
 def read_motion(
     bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings, *, by_log: bool = False
-) -> Motion:
+) -> LidarMotion:
     """Read the poses of a topic, and bring them to the LiDAR.
 
     Parameters
@@ -103,7 +103,9 @@ def read_motion(
         how = "the frame of the points"
     else:
         how = f"moved to {points_frame} by the transforms of the bag"
-    return Motion((edge,), extrinsic, count, f"poses of {edge.child or 'an unnamed frame'} from {topic.name}, {how}")
+    return LidarMotion(
+        (edge,), extrinsic, count, f"poses of {edge.child or 'an unnamed frame'} from {topic.name}, {how}"
+    )
 
 
 def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -> tuple[Edge, int]:
@@ -149,7 +151,7 @@ def _read_edge(bag: Bag, topic: BagTopic, findings: Findings, *, by_log: bool) -
     return Edge(parent, child, moves), len(stamps)
 
 
-def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings) -> Motion:
+def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, findings: Findings) -> LidarMotion:
     """Find the way from the points up to the fixed frame in the transforms."""
     chain = tree.upwards(points_frame)
     extrinsic, how = np.eye(4), "up to the fixed frame"
@@ -176,7 +178,7 @@ def _from_tree(bag: Bag, topic: BagTopic, tree: FrameTree, points_frame: str, fi
         chain, how = tree.upwards(body), "taken as those of the LiDAR itself"
     names = " -> ".join([chain[-1].parent, *(edge.child for edge in reversed(chain))])
     count = max(len(edge.moves.times_s) for edge in chain)
-    return Motion(tuple(chain), extrinsic, count, f"poses from {topic.name} ({names}), {how}")
+    return LidarMotion(tuple(chain), extrinsic, count, f"poses from {topic.name} ({names}), {how}")
 
 
 def _moved_already(bag: Bag, frame: str, topic: str) -> DriveFileError:

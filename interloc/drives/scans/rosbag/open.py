@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -12,14 +14,13 @@ from interloc.drives.files import SourceFile
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.layouts import SCAN_FOLDERS, DriveParts
 from interloc.drives.options import DriveOptions
-from interloc.drives.scans.recorded import Recording, ScanPoints
-from interloc.drives.scans.rosbag.bag import find_bag, open_bag, read_messages
+from interloc.drives.scans.recorded import Recording, ScanPoints, Topic
+from interloc.drives.scans.rosbag.bag import BagTopic, find_bag, open_bag, read_messages
+from interloc.drives.scans.rosbag.messages import TRANSFORMS
 from interloc.drives.scans.rosbag.pointcloud2 import read_points
 from interloc.drives.scans.rosbag.stamps import read_scan_times
-from interloc.drives.scans.rosbag.topics import (
-    choose_points,
-)
-from interloc.drives.scans.rosbag.trajectory import BagTrajectory
+from interloc.drives.scans.rosbag.topics import choose_points, is_static
+from interloc.drives.scans.rosbag.trajectory import BagMotion, find_motion, read_bag_trajectory
 from interloc.drives.scans.rosbag.wire import Encoding, WireError
 from interloc.files import reason_of
 
@@ -130,9 +131,8 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         name=options.name or (root.stem if root.is_file() else root.absolute().name),
     )
     times = read_scan_times(bag, points.topic, findings)
-    trajectory = BagTrajectory(bag, points, parts, times, options)
-    rows = trajectory.choose_scans(findings)
-    topic = points.topic
+    found = find_motion(bag, points, times, options, findings)
+    rows, topic = found.frames, points.topic
     assert topic.encoding is not None
     source = BagScans(
         bag.files,
@@ -150,6 +150,24 @@ def open_rosbag(root: Path, options: DriveOptions, findings: Findings) -> Record
         scan_bytes=bag.size,
         carries_labels=points.has_labels,
         has_remission=points.has_remission,
-        read_trajectory=trajectory.read,
-        topics=trajectory.topics(),
+        read_trajectory=partial(read_bag_trajectory, bag, points, parts, found),
+        topics=tuple(
+            Topic(name=each.name, type=each.type, messages=len(each), role=_role(each, topic, found))
+            for each in bag.topics
+        ),
     )
+
+
+def _role(
+    topic: BagTopic, points: BagTopic, found: BagMotion
+) -> Literal["points", "poses", "fix", "extrinsics"] | None:
+    """Return what a topic is read as; None where it is not read."""
+    if topic is points:
+        return "points"
+    if topic is found.poses:
+        return "poses"
+    if topic is found.fix:
+        return "fix"
+    if topic.type in TRANSFORMS and len(topic) and found.poses is not None:
+        return "extrinsics" if is_static(topic) or found.poses.type not in TRANSFORMS else "poses"
+    return None

@@ -25,7 +25,7 @@ MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _CONNECTION = 2, 7
 
 
-def read_index(file: SourceFile) -> BagIndex:
+def index_ros1(file: SourceFile) -> BagIndex:
     """Read where the messages of a bag lie; of the messages themselves nothing is read.
 
     Raises
@@ -101,7 +101,7 @@ def read_messages(path: Path, places: IntArray, limit: int = MAX_MESSAGE_BYTES) 
 
 
 def _message(stream: ChunkStream, limit: int) -> bytes:
-    """Read the message at the place of a stream; records of connections may stand before it."""
+    # Records of connections may stand before the message.
     for _ in range(1000):
         header = stream.exactly(_uint32(stream))
         kind = _operation(header)

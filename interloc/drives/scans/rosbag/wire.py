@@ -1,7 +1,8 @@
 """Messages as bytes: the serialization of ROS 1, and CDR, that of ROS 2.
 
 Only standard messages are read, and their layout is the same in all distributions of ROS 1 and of ROS 2; so nothing
-depends on the definitions that a bag holds or lacks, nor on the types of other topics.
+depends on the definitions that a bag holds or lacks, nor on the types of other topics. The decoders of rosbags read
+whole messages only, where here the beginning of a scan is enough, and make an object of every point of a Livox.
 """
 
 from __future__ import annotations
@@ -29,6 +30,11 @@ class Wire:
         The message, or its beginning.
     encoding : {"ros1", "cdr"}
 
+    Attributes
+    ----------
+    order : {"<", ">"}
+        Byte order of its numbers.
+
     Raises
     ------
     WireError
@@ -38,12 +44,12 @@ class Wire:
     def __init__(self, data: bytes, encoding: Encoding) -> None:
         self.data = data
         self.ros1 = encoding == "ros1"
-        self._order = "<"
+        self.order = "<"
         self._start = self._at = 0
         if not self.ros1:
             if len(data) < _CDR_HEADER or data[0] != 0 or data[1] > 1:
                 raise WireError(f"starts with {data[:_CDR_HEADER].hex(' ') or 'nothing'}, which is not plain CDR")
-            self._order = "<" if data[1] else ">"
+            self.order = "<" if data[1] else ">"
             self._start = self._at = _CDR_HEADER
 
     def numbers(self, code: str, count: int) -> tuple[float, ...]:
@@ -52,7 +58,7 @@ class Wire:
         self._align(size)
         if self._at + size * count > len(self.data):
             raise WireError(f"ends after {len(self.data):,} bytes, in the middle of its fields")
-        values = struct.unpack_from(f"{self._order}{count}{code}", self.data, self._at)
+        values = struct.unpack_from(f"{self.order}{count}{code}", self.data, self._at)
         self._at += size * count
         return values
 
@@ -85,11 +91,6 @@ class Wire:
         """Return what follows, aligned to four bytes in CDR."""
         self._align(4)
         return memoryview(self.data)[self._at :]
-
-    @property
-    def order(self) -> str:
-        """Byte order, "<" or ">"."""
-        return self._order
 
     def _align(self, size: int) -> None:
         if not self.ros1:
