@@ -11,14 +11,14 @@ from interloc.drive import Georeference
 from interloc.drives.files import SourceFile
 from interloc.drives.findings import Findings, GeoreferenceFileError
 from interloc.drives.poses.motion import body_steps, rows_apart
-from interloc.geometry import ecef_from_geodetic, invert_transform
+from interloc.geometry import ecef_from_geodetic, invert_transform, wrap_longitude
 
 MAX_GEOREFERENCE_ERROR = 0.1
 """Of the distance between two scans; all KITTI drives stay under 0.02, and those of other drives are over 0.1."""
 
 
 def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> FloatArray:
-    """Refuse positions that are not on Earth, and angles in degrees.
+    """Refuse positions that are not on Earth, and angles in degrees; bring longitudes of 0..360 to -180..180.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def checked_fixes(file: SourceFile, rows: FloatArray, frames: IntArray) -> Float
         raise file.fault(
             f"frame {frames[row]}: an angle of {angles[row].max():g}. Expected radians. Usual cause: degrees."
         )
-    return rows
+    return np.column_stack([rows[:, :1], wrap_longitude(rows[:, 1:2]), rows[:, 2:]])
 
 
 def poses_of(georeference: Georeference) -> FloatArray:
