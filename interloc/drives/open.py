@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Unpack, cast
 
-from interloc.drives.checks import check_flat_road, check_turns, sample_indices
+from interloc.drives.checks import NEAR_M, check_flat_road, check_turns, sample_indices
 from interloc.drives.files import each_read_once
 from interloc.drives.findings import Findings
 from interloc.drives.folder import FolderDrive, Scans
@@ -17,6 +17,7 @@ from interloc.drives.georeference.geodetic import check_georeference
 from interloc.drives.labels import SEMANTICKITTI, LabelJudgement
 from interloc.drives.layouts import SCAN_FOLDERS, not_a_drive, recognise_layout
 from interloc.drives.options import LABEL_FILES, DriveArguments, DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.plausibility import RoadSeen, check_motion, check_points
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.recorded import Recording
 from interloc.drives.scans.reduced import ReducedScans
@@ -226,9 +227,13 @@ def _checked(reading: DriveReading, findings: Findings) -> DriveReading:
     pose_file = "oxts" if drive.pose_frame == "oxts" else "poses"  # those of a bag are in no file
     if scans.parts.poses is not None:
         pose_file = scans.parts.file(scans.parts.poses).name
+    seen = []
     for index in reading.sample:
         with findings.stage():
-            drive.ground_points(index)
+            if len(road := drive.ground_points(index).road):
+                seen.append(RoadSeen.of(index, road, NEAR_M))
+    check_points(drive.T_world_lidar, seen, scans.parts.file(scans.parts.scans).name, findings)
+    check_motion(drive.T_world_lidar, pose_file, findings)
     reading = replace(reading, flatness_m=check_flat_road(drive, scans.usable, pose_file, findings))
     check_turns(drive, scans.usable, pose_file, findings, suspected=reading.trajectory.is_odd)
     if drive.georeference is None or drive.pose_frame == "oxts":

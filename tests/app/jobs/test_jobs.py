@@ -14,13 +14,15 @@ from typing import Any
 import httpx
 import pytest
 
+from app.jobs import processes
 from app.settings import Settings
 from app.store.database import Database
 from app.store.models import Drive, Job
 from app.store.tokens import add_token
 from interloc.cli.main import run
 from tests.app.conftest import running_server
-from tests.app.processes import API, Gate, ended, half_way, job_of, submit, upload, wait_until
+from tests.app.jobs.test_executors import NothingStarts
+from tests.app.processes import API, Gate, archive_of, ended, half_way, job_of, submit, upload, wait_until
 from tests.app.street import write_street
 from tests.osm.test_overpass import Town
 
@@ -473,3 +475,22 @@ def test_presets_can_be_read(client: httpx.Client) -> None:
     paper = client.get(f"{API}/presets/paper").json()
     assert paper["config"]["candidates"]["kind"] == "harris"
     assert client.get(f"{API}/presets/best").status_code == 422
+
+
+def test_a_job_that_waits_for_a_worker_says_so(serve: Serve, street: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(processes, "_context", NothingStarts)
+        client = serve()
+        drive_id = client.post(f"{API}/drives", json={"name": "street"}).json()["id"]
+        client.post(
+            f"{API}/drives/{drive_id}/archive", content=archive_of(street), headers={"Prefer": "wait=0"}
+        ).raise_for_status()
+        wait_until(lambda: client.get("/readyz").json()["reasons"].get("workers"), "it to be seen that none starts")
+
+        def look() -> dict[str, Any]:
+            (job,) = client.get(f"{API}/jobs", params={"kind": "unpack"}).json()["jobs"]
+            return job
+
+        wait_until(lambda: "waits for a worker" in (look()["message"] or ""), "the job to say what it waits for")
+        assert look()["state"] == "accepted"
+    assert ended(client, look()["id"])["state"] == "successful"
