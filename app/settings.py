@@ -48,8 +48,8 @@ class Settings(BaseSettings):
     root_path: str = Field("", description="Path under which a reverse proxy shows the service, for example /interloc.")
     public_url: str = Field(
         "",
-        description="Address under which people reach the service, for example https://maps.example/interloc: all links "
-        "that it gives begin with it. By default the Host of each request and the root path.",
+        description="Address under which people reach the service, for example https://maps.example/interloc: all "
+        "links that it gives begin with it. By default the Host of each request and the root path.",
     )
     trusted_proxies: str = Field("127.0.0.1", description="Addresses whose X-Forwarded-* headers are believed.")
     allowed_hosts: str = Field(
@@ -180,7 +180,7 @@ class Settings(BaseSettings):
     @model_validator(mode="before")
     @classmethod
     def _take_root_path_of_address(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """The root path is that of the public address, unless it is given, too."""
+        """Take the root path of the public address, unless it is given, too."""
         path = urlsplit(str(given.get("public_url", ""))).path.rstrip("/")
         return {"root_path": path, **given} if path else given
 

@@ -138,4 +138,3 @@ def test_gdal_and_owslib_read_through_it(data: Path, tmp_path: Path) -> None:
         count = httpx.get(f"{address}/ogc/collections/detections/items?limit=1", verify=NO_TLS).json()["numberMatched"]
     assert found["layers"] == found["collections"] == list(OF_ALL)
     assert found["gdal"] == found["gdal/"] == found["owslib"] == found["owslib/"] == count
-
