@@ -127,9 +127,9 @@ label_folders_option = click.option(
     "--labels",
     "label_folders",
     multiple=True,
-    type=click.Choice(["labels", "predictions"]),
+    type=click.Choice(["labels", "predictions", "geometry"]),
     show_default="all that are there",
-    help="Folder of the labels; may be given twice.",
+    help="Folder of the labels; may be given twice. geometry makes them from the scans.",
 )
 
 map_options = together(OSM, OVERPASS, POLICY, TOLERANCE)

@@ -23,7 +23,10 @@ from interloc.drives.formats import FORMATS, find_format, installed_formats
 from interloc.drives.labels import named_scheme
 from interloc.errors import ConfigError
 
-LabelFolder = Literal["labels", "predictions"]
+LabelFolder = Literal["labels", "predictions", "geometry"]
+LABEL_FILES: tuple[LabelFolder, ...] = ("labels", "predictions")
+"""Folders of label files; the other labels are made from the scans (`interloc.labelling.geometry`)."""
+
 PoseFrame = Literal["auto", "camera", "lidar"]
 CRS_PATTERN = r"^[A-Za-z]+:[0-9]+$"
 
@@ -133,7 +136,9 @@ class ReadingOptions(BaseModel):
 class DriveOptions(ReadingOptions):
     """Options of `open_drive` and `inspect_drive`."""
 
-    labels: LabelFolder = Field("labels", description="Folder of the labels.")
+    labels: LabelFolder = Field(
+        "labels", description="Folder of the labels; geometry makes them from the scans themselves, without a network."
+    )
     model: Path | None = Field(
         None,
         description="Folder of a network (model.onnx, arch_cfg.yaml, data_cfg.yaml) that labels the scans; label files "

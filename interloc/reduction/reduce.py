@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
 from interloc.config import KeyframeConfig
 from interloc.drives.findings import DriveFileError, Findings
 from interloc.drives.open import DriveReading, read_drive
-from interloc.drives.options import DriveOptions, LabelFolder, ReadingOptions
+from interloc.drives.options import LABEL_FILES, DriveOptions, LabelFolder, ReadingOptions
 from interloc.drives.scans.raw import RawScans
 from interloc.drives.scans.reduced_format import (
     MANIFEST,
@@ -90,7 +89,7 @@ def prepare_reduction(
         Folder of the drive, with its scans.
     options : ReadingOptions or None
         How the drive is read.
-    label_folders : sequence of {"labels", "predictions"}, or None
+    label_folders : sequence of {"labels", "predictions", "geometry"}, or None
         By which labels ground points are chosen; None: by all that are there.
     keyframes : KeyframeConfig or None
         Scans to keep: the keyframes by these settings; None: all.
@@ -200,6 +199,5 @@ def in_threads(work: Callable[[int], None], items: Sequence[int], threads: int, 
 
 def label_folders_in(root: Path) -> tuple[LabelFolder, ...]:
     """Return the label folders that a drive has; "labels", which will be missed, where it has none."""
-    folders: tuple[LabelFolder, ...] = get_args(LabelFolder)
     inside = root if root.is_dir() else root.parent
-    return tuple(folder for folder in folders if (inside / folder).is_dir()) or folders[:1]
+    return tuple(folder for folder in LABEL_FILES if (inside / folder).is_dir()) or LABEL_FILES[:1]
