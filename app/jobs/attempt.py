@@ -266,8 +266,10 @@ class Attempt:
             return self._leave()
         tidy(storage, job_id, keep_result=state == JobState.SUCCESSFUL)
         if state == JobState.SUCCESSFUL and not self._kind.changes_drive:
-            with suppress(SQLAlchemyError):  # the clean-up writes what is missing
-                self._write_sidecar()
+            for _ in range(2):  # a connection that was cut is made anew; after that the clean-up writes what is missing
+                with suppress(SQLAlchemyError):
+                    self._write_sidecar()
+                    break
         return state
 
     def _features(self) -> WriteFeatures | None:

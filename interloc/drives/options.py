@@ -24,10 +24,17 @@ from interloc.drives.labels import named_scheme
 from interloc.errors import ConfigError
 
 LabelFolder = Literal["labels", "predictions", "geometry"]
-LABEL_FILES: tuple[LabelFolder, ...] = ("labels", "predictions")
-"""Folders of label files; the other labels are made from the scans (`interloc.labelling.geometry`)."""
+"""Labels that a drive can have: in files of two folders, or made of its points."""
 
+LABEL_FILES: tuple[LabelFolder, ...] = ("labels", "predictions")
+"""Folders of label files."""
+
+LabelChoice = Literal["auto", "labels", "predictions", "geometry"]
 PoseFrame = Literal["auto", "camera", "lidar"]
+LABELS = (
+    "Which labels: the files of labels/ or predictions/, or geometry, which finds the road by the points and the path "
+    "driven; auto takes the first that there is, labels of the points themselves before geometry."
+)
 CRS_PATTERN = r"^[A-Za-z]+:[0-9]+$"
 
 
@@ -136,9 +143,7 @@ class ReadingOptions(BaseModel):
 class DriveOptions(ReadingOptions):
     """Options of `open_drive` and `inspect_drive`."""
 
-    labels: LabelFolder = Field(
-        "labels", description="Folder of the labels; geometry makes them from the scans themselves, without a network."
-    )
+    labels: LabelChoice = Field("auto", description=LABELS)
     model: Path | None = Field(
         None,
         description="Folder of a network (model.onnx, arch_cfg.yaml, data_cfg.yaml) that labels the scans; label files "
@@ -156,7 +161,7 @@ class DriveOptions(ReadingOptions):
 class DriveArguments(TypedDict, total=False):
     """`DriveOptions` as keyword arguments."""
 
-    labels: LabelFolder
+    labels: LabelChoice
     label_scheme: str | Collection[int]
     pose_frame: PoseFrame
     layout: LayoutChoice

@@ -125,15 +125,17 @@ def contrast_of(road: Road, strip: BoolArray) -> float:
 
 def width_of(road: Road, strip: BoolArray) -> float:
     """Return the area of the road that was seen per metre of the strip, metres."""
-    area = np.count_nonzero(road.cells & ~np.isnan(road.score))
-    return float(2 * STRIP_M * area / max(1, np.count_nonzero(strip)))
+    seen, driven = road.cells & ~np.isnan(road.score), np.count_nonzero(strip)
+    return 2 * STRIP_M * int(np.count_nonzero(seen)) / max(1, int(driven))
 
 
 def _mean(total: Float32Array, weight: Float32Array, sides_m: tuple[float, ...]) -> Float32Array:
     """Return the weighted mean in squares around every cell: the smallest of some sides that has anything."""
     found = np.full_like(total, np.nan)
     for side in map(_cells, sides_m):
-        here, value = (cv2.boxFilter(each, -1, (side, side), borderType=cv2.BORDER_CONSTANT) for each in (weight, total))
+        here, value = (
+            cv2.boxFilter(each, -1, (side, side), borderType=cv2.BORDER_CONSTANT) for each in (weight, total)
+        )
         np.divide(value, here, out=found, where=np.isnan(found) & (here > 1e-4))
     return found
 
@@ -143,10 +145,11 @@ def _excess(feature: Float32Array, strip: BoolArray) -> Float32Array:
     there = feature[strip & ~np.isnan(feature)]
     if not len(there):
         return np.zeros_like(feature)
-    low, middle, high = np.percentile(there, [16, 50, 84]).astype(np.float32)
+    low, middle, high = np.percentile(there, [16, 50, 84]).astype(np.float32).tolist()
     if high <= low:
         return np.zeros_like(feature)
-    return np.nan_to_num((feature - middle) / ((high - low) / 2))
+    excess: Float32Array = np.nan_to_num((feature - middle) / ((high - low) / 2))
+    return excess
 
 
 def _plane(height: Float32Array, road: BoolArray) -> Float32Array:

@@ -81,12 +81,13 @@ def convert_drive(
         `out` is something else, or could not be written; nothing is left behind.
     """
     chosen = options or DriveOptions()
-    reading, scans = _read(Path(root), chosen, needs_labels=False)
+    label_folder, reading, scans = _read(Path(root), chosen, needs_labels=False)
     source, frames, labels = scans.recording.points, scans.frames, scans.labels
     assert source is not None
     assert frames is not None
     numbers = frames if is_contiguous(frames) else np.arange(len(frames), dtype=np.int64)
-    label_folder: LabelFolder = "predictions" if _are_made(chosen) else chosen.labels
+    if chosen.model is not None or label_folder not in LABEL_FILES:
+        label_folder = "predictions"
     copies = make_small_files(reading.trajectory, numbers)
     ids_of = _ids_in_semantickitti(reading.labels.scheme)
     scale = np.array([1, 1, 1, remission_scale(scans.recording.sampled_remission())], np.float32)
@@ -154,7 +155,7 @@ def label_drive(
         The folder could not be written; nothing is left behind.
     """
     root = Path(root)
-    if not _are_made(options):
+    if options.model is None and options.labels != "geometry":
         raise ConfigError("no model: give the folder of a network, or have the labels made by geometry.")
     inside = (root if root.is_dir() else root.parent) if out is None else Path(out)
     target = inside if inside.name == "predictions" else inside / "predictions"
@@ -162,7 +163,7 @@ def label_drive(
         raise ConfigError(
             f"{target} is there already, and was not touched. Give another folder (-o), or remove it first."
         )
-    reading, scans = _read(root, options)
+    _, reading, scans = _read(root, options)
     (source, labels), frames = scans.sources, scans.frames
     assert frames is not None
 
@@ -175,22 +176,19 @@ def label_drive(
     return target, reading
 
 
-def _are_made(options: DriveOptions) -> bool:
-    """Return whether labels are made from the scans, by a network or by geometry."""
-    return options.model is not None or options.labels not in LABEL_FILES
-
-
-def _read(root: Path, options: DriveOptions, *, needs_labels: bool = True) -> tuple[DriveReading, RawScans]:
-    """Read a drive that is not a reduced one; the first fault is raised."""
+def _read(
+    root: Path, options: DriveOptions, *, needs_labels: bool = True
+) -> tuple[LabelFolder, DriveReading, RawScans]:
+    """Read a drive that is not a reduced one, and by which labels; the first fault is raised."""
     findings = Findings(stop_at_first=True)
     with findings.stage():
         if is_reduced(root):
             raise DriveFileError(
                 str(root), "is a reduced drive, which holds no scans. Expected the drive that it was made from."
             )
-    reading = read_drive(root, options, findings, needs_labels=needs_labels)[options.labels]
+    ((folder, reading),) = read_drive(root, options, findings, needs_labels=needs_labels).items()
     assert isinstance(reading.scans, RawScans)
-    return reading, reading.scans
+    return folder, reading, reading.scans
 
 
 def _ids_in_semantickitti(scheme: LabelScheme | None) -> UInt32Array | None:

@@ -320,15 +320,9 @@ class _Look:
         there = [folder for folder in LABEL_FILES if (self.place / folder).is_dir()]
         for folder in there:
             self._list_labels(folder, recording, options)
-        if (
-            not there
-            and options.labels in LABEL_FILES
-            and not recording.carries_labels
-            and not found.unlabelled
-            and found.carries_labels is None
-        ):
+        if not there and not recording.carries_labels and not found.unlabelled and found.carries_labels is None:
             findings = Findings(stop_at_first=False)
-            RawScans.of(recording, options.labels, options, findings, Trajectory)
+            RawScans.of(recording, "labels", options, findings, Trajectory)
             found.unlabelled += findings.found
 
     def _list_labels(self, folder: LabelFolder, recording: Recording | None, options: DriveOptions) -> None:

@@ -18,7 +18,7 @@ from interloc.labelling.geometry import (
     doubtful_stretches,
 )
 from interloc.labelling.ground import RANGE_M
-from tests.streets import ROAD_M, SIDEWALK_M, Street
+from tests.kerbs import ROAD_M, SIDEWALK_M, Street
 
 ALONG = np.arange(-40.0, 20.0, 2.5)
 STREET = Street()
